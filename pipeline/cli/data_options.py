@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Literal
 
 from pipeline.base.units import MeshUnit
-from pipeline.cli.translation_options import Flag, split_list
+from pipeline.cli.translation_options import split_list
 
 
 def simulate(

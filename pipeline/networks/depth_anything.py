@@ -44,7 +44,12 @@ class DepthAnything(nn.Module):
             or image_content not in ("image", "difference")
         ):
             raise ValueError(f"no encoder {encoder!r}, answer {answer!r} or image content {image_content!r}")
-        self.answer, self.largest_mm, self.side, self.image_content = answer, float(largest_mm), int(side), image_content
+        self.answer, self.largest_mm, self.side, self.image_content = (
+            answer,
+            float(largest_mm),
+            int(side),
+            image_content,
+        )
         self.pretrained = DinoV2Encoder(ENCODER_SIZES[encoder])
         self.depth_head = _DepthHead(
             ENCODER_SIZES[encoder].width, DECODER_CHANNELS[encoder], PROJECTED_CHANNELS[encoder]

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 PHYSICS_CONTACT_LOGIT = 2.0  # logit of a pixel that physics holds for contact; minus that of any other
 
+
 class GelDepthPrediction(NamedTuple):
     """Outputs of the gel depth network, each (n, rows, cols) float32 unless said otherwise.
 

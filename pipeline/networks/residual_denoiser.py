@@ -45,7 +45,9 @@ class ResidualDenoiser(nn.Module):
         self.error_factors, self.error_exponent = (error_factor_in_view, error_factor_outside), error_exponent
         self.blur_px, self.contact_margin_px = blur_px, contact_margin_px
         widths = [min(base_channels * 2**level, max_channels) for level in range(levels)]
-        self.noise_embedding = nn.Sequential(nn.Linear(2 * _WAVES, _HEARD), nn.SiLU(), nn.Linear(_HEARD, _HEARD), nn.SiLU())
+        self.noise_embedding = nn.Sequential(
+            nn.Linear(2 * _WAVES, _HEARD), nn.SiLU(), nn.Linear(_HEARD, _HEARD), nn.SiLU()
+        )
         self.start = _Block((inputs + FIELD_CHANNELS) * fold * fold, widths[0])
         self.down = nn.ModuleList(_Pair(narrow, wide) for narrow, wide in pairwise(widths))
         self.thin = nn.ModuleList(nn.Conv2d(wide, narrow, 1) for narrow, wide in pairwise(widths))

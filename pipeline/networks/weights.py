@@ -38,7 +38,9 @@ class Weights:
     config: Mapping[str, Value] = field(metadata=UNDIGESTED)  # arguments of the network's class
     tensors: Mapping[str, Floats] = field(metadata=UNDIGESTED)  # by their names in the network
     card: Mapping[str, str] = field(default_factory=dict, metadata=UNDIGESTED)  # how they came about, in words
-    onnx: bytes = field(default=b"", metadata=UNDIGESTED, repr=False)  # the network as an ONNX file; b"" if not exported
+    onnx: bytes = field(
+        default=b"", metadata=UNDIGESTED, repr=False
+    )  # the network as an ONNX file; b"" if not exported
     content_digest: str = field(init=False)  # digest of kind, config and tensors: all that a result depends on
 
     def __post_init__(self) -> None:
@@ -126,7 +128,9 @@ def save_weights(path: Path, weights: Weights, *, use_float16: bool = False) -> 
 
     with np.errstate(over="ignore"):  # what is too large for 16 bits is told below
         kind = np.float16 if use_float16 else np.float32
-        stored: dict[str, NDArray[Any]] = {name: np.asarray(tensor, kind, order="C") for name, tensor in weights.tensors.items()}
+        stored: dict[str, NDArray[Any]] = {
+            name: np.asarray(tensor, kind, order="C") for name, tensor in weights.tensors.items()
+        }
     if not all(np.isfinite(tensor).all() for tensor in stored.values()):
         raise FileProblem(
             f"{_WHAT} hold values that no {16 if use_float16 else 32} bits can keep; nothing is written", path

@@ -145,7 +145,8 @@ def evaluate_denoiser(network: nn.Module, held_out: Sequence[Example], unit_mm: 
         condition = torch.from_numpy(np.array(example["condition"]))[None]
         rng = torch.Generator().manual_seed(k)
         noises = [
-            correlate_noise(torch.randn((1, *example["residual"].shape), generator=rng), net.noise_correlation) for _ in range(2)
+            correlate_noise(torch.randn((1, *example["residual"].shape), generator=rng), net.noise_correlation)
+            for _ in range(2)
         ]
 
         def denoise(noisy: Tensor, sigma: float, condition: Tensor = condition) -> Tensor:

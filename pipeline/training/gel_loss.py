@@ -17,9 +17,7 @@ _SLOPE_TERM, _CONTACT_TERM, _OVERLAP_TERM, _UNCERTAINTY_TERM = 5.0, 0.7, 0.5, 0.
 _DEPTH_MIN = 0.1  # depths of the physical contact: errors of shallower touches are not weighted up further
 
 
-def compute_loss(
-    prediction: GelDepthPrediction, indentation: Tensor, contact: Tensor
-) -> tuple[Tensor, dict[str, Any]]:
+def compute_loss(prediction: GelDepthPrediction, indentation: Tensor, contact: Tensor) -> tuple[Tensor, dict[str, Any]]:
     """The loss of a batch and its five terms, detached.
 
     indentation (n, rows, cols) in depths of the physical contact; contact (n, rows, cols), 0 or 1, with at least one
@@ -34,9 +32,7 @@ def compute_loss(
         (weight[..., 1:] * error.diff(dim=-1).abs()).mean() + (weight[..., 1:, :] * error.diff(dim=-2).abs()).mean()
     )
     # Negative log-likelihood of a Laplace distribution of the error; trains the scale alone.
-    uncertainty = (
-        error.abs().detach() * torch.exp(-prediction.log_error_scale) + prediction.log_error_scale
-    ).mean()
+    uncertainty = (error.abs().detach() * torch.exp(-prediction.log_error_scale) + prediction.log_error_scale).mean()
     terms = {
         "surface": (weight * error.abs()).mean(), "slopes": slopes,
         "contact": functional.binary_cross_entropy_with_logits(prediction.contact_logit, target),

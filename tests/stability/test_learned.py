@@ -167,7 +167,7 @@ def test_latent(picture, steps, guidance, sampler, twice, raw, seed):
 
 @row("12,5", "depth by network: any picture of units that differ, at any certainty", share=0.13, refused=0.25)
 @given(
-    st.sampled_from([(GEL, "gel_depth"), (GEL, "gel_instances"), ("digit", "gel_instances"), (BUBBLE, "bubble_depth")]), st.sampled_from(PICTURES),
+    st.sampled_from([(GEL, "gel_instances"), ("digit", "gel_instances"), (BUBBLE, "bubble_depth")]), st.sampled_from(PICTURES),
     st.floats(0.05, 0.95), seeds, st.floats(0.0, variation.MAX_STRENGTH),
 )  # fmt: skip
 def test_depth(which, picture, certainty, seed, strength):

@@ -41,7 +41,9 @@ from pipeline.stages.depth.gel_depth import MeasuredSurface
 from pipeline.values.frames import TactileFrame
 from pipeline.values.results import DepthErrorModel, DepthMap
 
-GelNetwork = Callable[[Floats], tuple[Floats, ...]]  # channels (28, 120, 160) -> `GelDepthPrediction` without batch axis
+GelNetwork = Callable[
+    [Floats], tuple[Floats, ...]
+]  # channels (28, 120, 160) -> `GelDepthPrediction` without batch axis
 _SPECK_MM2 = 0.15  # smaller contacts are camera noise
 _CORRELATION_PX = 8.0  # correlation length of the network's errors: about the length over which it integrates
 # Weight of the network's log depth factor relative to physics, where it is larger and where it is smaller. Least squares
@@ -82,7 +84,9 @@ def estimate_depth(
     """
     if calibration is not None and not calibration.is_built_in:
         found = photometric.estimate_depth_with_notes(frame, source, calibration, params, progress)
-        return replace(found, notes=(*found.notes, "this sensor is calibrated: the depth is photometric, without network"))
+        return replace(
+            found, notes=(*found.notes, "this sensor is calibrated: the depth is photometric, without network")
+        )
     photometric.check_frame(frame, source)
     factor = photometric.compute_downsampling(frame, source, params)
     if factor == 1:
@@ -223,7 +227,9 @@ def _limit_indentation(indentation: Floats, touched: Mask, sensor: SensorSpec) -
     limit_mm = sensor.limits.indentation_max_mm
     beyond = int(np.count_nonzero(indentation > limit_mm))
     if beyond:
-        notes.append(StageWarning(f"{beyond} pixels were deeper than the sensor's {limit_mm:g} mm and were clipped to it"))
+        notes.append(
+            StageWarning(f"{beyond} pixels were deeper than the sensor's {limit_mm:g} mm and were clipped to it")
+        )
         np.minimum(indentation, np.float32(limit_mm), out=indentation)
     if touched[0].any() or touched[-1].any() or touched[:, 0].any() or touched[:, -1].any():
         notes.append(AT_BORDER)

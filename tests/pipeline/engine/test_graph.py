@@ -230,7 +230,9 @@ def test_known_digests_may_be_asked_for_by_several_threads():
 def test_sensors_stay_known_however_many_frames_pass(monkeypatch, ran):
     graph = Graph((ran.stage("s", ("x", "sensor"), lambda x, s, p: x),))
     sensor, asked = Number(value=1.0), []
-    monkeypatch.setattr("pipeline.engine.digests.compute_digest", lambda value: asked.append(value) or compute_digest(value))
+    monkeypatch.setattr(
+        "pipeline.engine.digests.compute_digest", lambda value: asked.append(value) or compute_digest(value)
+    )
     for k in range(100):
         graph.evaluate(["s"], {"x": Number(value=float(k)), "sensor": sensor}, {})
     assert sum(value is sensor for value in asked) == 1

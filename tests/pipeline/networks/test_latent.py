@@ -160,7 +160,9 @@ def test_the_papers_width_learns_a_few_steps():
     losses = []
     for _ in range(3):
         found = net(**one)
-        loss = (found.predicted_noise - found.true_noise).abs().mean() + (found.reconstruction - one["target"]).abs().mean()
+        loss = (found.predicted_noise - found.true_noise).abs().mean() + (
+            found.reconstruction - one["target"]
+        ).abs().mean()
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()

@@ -105,6 +105,8 @@ def test_where_the_object_itself_is_told_the_cloud_is_made_of_it_also_beside_the
     contact, told = depth.contact.copy(), np.full(CAMERA.shape, np.nan, np.float32)
     contact[10, 10] = True
     told[10, 10], told[10, 11] = 21.0, 22.0
-    cloud = back_project_depth(replace(depth, contact=contact, object_depth_mm=told), by(np.eye(4)), BackProjectionParams())
+    cloud = back_project_depth(
+        replace(depth, contact=contact, object_depth_mm=told), by(np.eye(4)), BackProjectionParams()
+    )
     assert cloud.source_index.tolist() == [10 * CAMERA.cols + 10, 10 * CAMERA.cols + 11]
     assert cloud.points_mm[:, 2].tolist() == [21.0, 22.0]

@@ -180,7 +180,9 @@ def test_contact_that_the_network_adds_keeps_its_measured_depth():
     added = depth.contact & ~before.contact
     window = (measured.window.rows, measured.window.cols)
     assert added[window].sum() > 300
-    np.testing.assert_allclose(depth.indentation_mm[window][added[window]], measured.surface_mm[added[window]], atol=1e-6)
+    np.testing.assert_allclose(
+        depth.indentation_mm[window][added[window]], measured.surface_mm[added[window]], atol=1e-6
+    )
     assert np.abs(before.indentation_mm - depth.indentation_mm)[added].max() > 1e-3
 
 
@@ -217,9 +219,7 @@ def test_the_depth_scale_follows_the_network_upward_and_in_part_downward():
     compute = gel_network._compute_depth_scale
     assert compute(field, 4 * field, touched, float(np.log(9.0))) == pytest.approx(9.0)
     assert compute(field, 9 * field, touched, float(np.log(4.0))) == pytest.approx(9 * (4 / 9) ** 0.6)
-    with_context = compute(
-        field, 9 * field, touched, float(np.log(4.0)), gel_network._WEIGHT_BELOW_WITH_CONTEXT
-    )
+    with_context = compute(field, 9 * field, touched, float(np.log(4.0)), gel_network._WEIGHT_BELOW_WITH_CONTEXT)
     assert with_context == pytest.approx(9 * (4 / 9) ** 0.3)
     assert compute(field, field, ~touched, 0.3) == 0.0
 

@@ -108,7 +108,9 @@ def test_the_condition_is_scaled_as_the_weights_were_taught(monkeypatch, asked, 
         "sample_image",
         lambda _net, shown, *_: (seen.append(shown) or np.zeros((3, 32, 32), np.float32), ()),
     )
-    network = SimpleNamespace(side=32, raw_condition=taught, half_turn=False, generated_stats=(0.0, 0.0), true_stats=(0.0, 0.0))
+    network = SimpleNamespace(
+        side=32, raw_condition=taught, half_turn=False, generated_stats=(0.0, 0.0), true_stats=(0.0, 0.0)
+    )
     frame = TactileFrame(sensor="gelslim", image=image, reference=rest)
     params = LatentParams(raw_condition=asked)
     latent_diffusion.generate_touch(frame, gel, None, alignment.resolve_alignment(gel, bubble), bubble, network, params)

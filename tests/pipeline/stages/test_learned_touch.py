@@ -42,7 +42,15 @@ def taking_all(**how):
 class Says(torch.nn.Module):
     """A denoiser that answers one number everywhere, and remembers what it was shown."""
 
-    unit_mm, sigma_max, sigma_min, field_limit, noise_correlation, blur_px, contact_margin_px = 1.0, 8.0, 0.02, 8.0, 0.0, 0.0, 0.0
+    unit_mm, sigma_max, sigma_min, field_limit, noise_correlation, blur_px, contact_margin_px = (
+        1.0,
+        8.0,
+        0.02,
+        8.0,
+        0.0,
+        0.0,
+        0.0,
+    )
     error_factors, error_exponent = (1.0, 1.0), 1.0
 
     def __init__(self, residual, contact=0.0, spread=0.1):
@@ -253,7 +261,9 @@ def test_touch_to_touch_falls_back_to_physics_where_it_is_unsure_and_at_no_step(
     assert np.abs(sure.membrane.indentation_mm - 1.0).max() < 0.05
     assert sure.membrane.contact.all()
     sample = made(doubtful, steps=2)
-    assert np.abs(sample.membrane.indentation_mm - 1.0).max() < 5 * Says.sigma_min, "a sample is one of many, and all of it"
+    assert np.abs(sample.membrane.indentation_mm - 1.0).max() < 5 * Says.sigma_min, (
+        "a sample is one of many, and all of it"
+    )
 
 
 def test_touch_to_touch_is_given_up_where_it_contradicts_what_was_felt(felt):

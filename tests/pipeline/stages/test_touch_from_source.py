@@ -176,7 +176,8 @@ def test_a_pose_by_network_is_the_told_one_on_the_felt_surface(touched):
 def test_a_pose_by_network_is_told_for_the_symmetry_of_the_object(name, turn_deg):
     """Cosine and sine of so many times the turn, and the network is said which object it is."""
     network = build_network(
-        "touch_pose", {"inputs": 1, "n_objects": len(list_labelled_shapes()), "base_channels": 4, "n_folds": 6, "hidden_size": 8}
+        "touch_pose",
+        {"inputs": 1, "n_objects": len(list_labelled_shapes()), "base_channels": 4, "n_folds": 6, "hidden_size": 8},
     ).eval()
     angles = np.radians([20.0, 40.0, 60.0, 80.0, 100.0, 120.0])
     said = []

@@ -63,7 +63,8 @@ def test_a_network_comes_nearer_to_two_touches_in_a_few_steps(task):
     torch.manual_seed(0)
     batch = {k: torch.tensor(v)[None] for k, v in task.make_validation_example("unseen_tools", 0).items()}
     net = build_network(
-        "compact_unet", {"inputs": N_CHANNELS, "outputs": N_OUTPUTS, "base_channels": 8, "levels": 3, "max_channels": 16}
+        "compact_unet",
+        {"inputs": N_CHANNELS, "outputs": N_OUTPUTS, "base_channels": 8, "levels": 3, "max_channels": 16},
     )
     optimiser = torch.optim.Adam(net.parameters(), lr=3e-3)
     losses = []

@@ -233,7 +233,9 @@ def test_a_disk_that_is_full_for_a_while_ends_no_training_and_is_said(run, monke
         kept(folder, now)
 
     monkeypatch.setattr(state, "save_state", full_at_first)
-    monkeypatch.setattr(loop.curves, "draw_curves", lambda folder, now: (_ for _ in ()).throw(FileProblem("full", folder)))
+    monkeypatch.setattr(
+        loop.curves, "draw_curves", lambda folder, now: (_ for _ in ()).throw(FileProblem("full", folder))
+    )
     done = train(run)
     assert state.load_state(run.folder).step == done.step == run.recipe.training.steps
     assert sum("No space left" in message for message in caplog.messages) == 2

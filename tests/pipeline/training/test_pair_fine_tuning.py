@@ -65,7 +65,9 @@ def test_a_pair_is_moved_as_one(folder):
 
 def test_colours_are_mixed_pixel_by_pixel_and_nothing_else():
     one = pair(1)
-    coloured = replace(one, condition=np.concatenate([one.condition[:4], 0.0 * one.condition[4:12], one.condition[12:]]))
+    coloured = replace(
+        one, condition=np.concatenate([one.condition[:4], 0.0 * one.condition[4:12], one.condition[12:]])
+    )
     other = mix_colours(coloured, np.random.default_rng(0), 0.25)
     peak = np.unravel_index(one.condition[0].argmax(), one.condition[0].shape)
     shares = [float(other.condition[4 * k][peak] / one.condition[0][peak]) for k in range(3)]

@@ -81,7 +81,8 @@ def test_a_share_of_the_examples_is_recorded_and_the_stream_stays_the_same():
     assert 0.2 < recorded.mean() < 0.4
     assert np.array_equal(make_batch(task, 4, 150, 20)["picture"], pictures[150:170])
     assert np.array_equal(
-        task.make_validation_example("unseen_tools", 1)["disc"], toy.Discs().make_validation_example("unseen_tools", 1)["disc"]
+        task.make_validation_example("unseen_tools", 1)["disc"],
+        toy.Discs().make_validation_example("unseen_tools", 1)["disc"],
     )
     plain = toy.Discs()
     assert mix_recordings(plain, (), 0.3) is plain

@@ -28,7 +28,13 @@ def test_a_kept_touch_is_the_one_that_was_pressed(folder):
     for one in (first, again):
         assert all(
             np.array_equal(getattr(one, name), getattr(pressed, name))
-            for name in ("gel_change", "nominal_gel_change", "bubble_imprint_mm", "exact_imprint_mm", "alignment_from_object")
+            for name in (
+                "gel_change",
+                "nominal_gel_change",
+                "bubble_imprint_mm",
+                "exact_imprint_mm",
+                "alignment_from_object",
+            )
         )
     assert pressed.object_name in list_labelled_shapes()
     assert pressed.gel_change.shape == (3, 128, 128)

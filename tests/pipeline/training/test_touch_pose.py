@@ -96,7 +96,14 @@ def test_a_pose_network_learns_where_things_are(sensor, folder):
     torch.manual_seed(0)
     inputs = 3 if sensor == "gelslim" else 1
     net = build_network(
-        "touch_pose", {"inputs": inputs, "n_objects": len(list_labelled_shapes()), "base_channels": 8, "n_folds": 6, "hidden_size": 32}
+        "touch_pose",
+        {
+            "inputs": inputs,
+            "n_objects": len(list_labelled_shapes()),
+            "base_channels": 8,
+            "n_folds": 6,
+            "hidden_size": 32,
+        },
     ).train()
     optimiser = torch.optim.Adam(net.parameters(), 3e-3)
     before = task.evaluate(net, examples)

@@ -46,7 +46,10 @@ def test_no_recipe_of_touch_to_depth_to_touch_reads_a_pair(monkeypatch):
     assert len(names) >= 2
     for name in names:
         task = load_recipe(name, "t2d2").settings
-        for make in (lambda t: t.sample(np.random.default_rng(1)), lambda t: t.make_validation_example(SPLITS[0], 987_654)):
+        for make in (
+            lambda t: t.sample(np.random.default_rng(1)),
+            lambda t: t.make_validation_example(SPLITS[0], 987_654),
+        ):
             pressed.clear()
             with pytest.raises(StopIteration):
                 make(replace(task, folder="", press_seed=987_654))
@@ -58,7 +61,15 @@ def test_a_touch_is_the_same_whether_it_was_kept_or_not(folder, monkeypatch):
     for again in range(2):
         monkeypatch.setattr(target_touches, "_in_memory", target_touches.Memo(8))
         found = simulate_target_touch("gelslim", "unseen_tools", 7, 0, folder if again else "")
-        for name in ("observed_mm", "observed", "in_view", "physical_mm", "physical_contact", "target_mm", "target_contact"):
+        for name in (
+            "observed_mm",
+            "observed",
+            "in_view",
+            "physical_mm",
+            "physical_contact",
+            "target_mm",
+            "target_contact",
+        ):
             assert np.array_equal(getattr(first, name), getattr(found, name)), name
 
 
@@ -150,7 +161,8 @@ def test_doubt_is_learned_alone_and_by_the_error(task):
     example = task.make_validation_example("unseen_tools", 0)
     batch = {name: torch.from_numpy(np.stack([a, a])) for name, a in example.items()}
     net = build_network(
-        "residual_denoiser", {"inputs": CONDITION_CHANNELS, "unit_mm": 0.2, "base_channels": 8, "levels": 2, "max_channels": 8}
+        "residual_denoiser",
+        {"inputs": CONDITION_CHANNELS, "unit_mm": 0.2, "base_channels": 8, "levels": 2, "max_channels": 8},
     )
     alone = replace(task, uncertainty_only=True)
     sigma, none = torch.full((2,), net.sigma_max), torch.zeros(2, 2, *example["residual"].shape[1:])
@@ -175,7 +187,8 @@ def test_doubt_is_learned_alone_and_by_the_error(task):
 def test_what_differs_from_pixel_to_pixel_counts_where_it_is_asked_to():
     """An even error costs no slopes, as large an uneven one does."""
     net = build_network(
-        "residual_denoiser", {"inputs": CONDITION_CHANNELS, "unit_mm": 0.2, "base_channels": 8, "levels": 2, "max_channels": 8}
+        "residual_denoiser",
+        {"inputs": CONDITION_CHANNELS, "unit_mm": 0.2, "base_channels": 8, "levels": 2, "max_channels": 8},
     )
     even, uneven = torch.full((1, 2, 16, 16), 0.1), torch.full((1, 2, 16, 16), 0.1)
     uneven[..., ::2] *= -1.0
