@@ -24,7 +24,7 @@ def export_onnx(weights: Weights) -> bytes:
     network: Any = load_network(weights)
     size = network.onnx_size
     image = torch.zeros(1, int(weights.config["inputs"]), *(size or _EXAMPLE_SIZE))
-    file = io.BytesIO()
+    file: Any = io.BytesIO()  # torch takes one, its types do not say so
     with warnings.catch_warnings(), torch.no_grad():
         outputs = network(image)
         names = [f"output_{i}" for i in range(len(outputs) if isinstance(outputs, tuple) else 1)]

@@ -61,9 +61,9 @@ def test_four_presses_measure_another_ball_where_none_of_them_was(another_unit):
 def test_the_expected_error_is_of_the_size_of_the_error(another_unit):
     unit, still, look_up = another_unit
     measured = np.median(errors_elsewhere(look_up.model, unit, still))
-    assert look_up.expected is not None
-    assert look_up.expected.n_held_out == len(PLACES)
-    assert measured / 4 < look_up.expected.diameter_share < 4 * measured
+    assert look_up.expected_error is not None
+    assert look_up.expected_error.n_held_out == len(PLACES)
+    assert measured / 4 < look_up.expected_error.diameter_share < 4 * measured
 
 
 ERRORS = arrays.arrays(np.float64, (5, 4), elements=st.floats(0.001, 1.0))
@@ -86,7 +86,7 @@ def test_presses_that_tell_nothing_leave_the_built_in_look_up(monkeypatch):
     unit = load_sensor("gelsight_mini")
     still, true = optics.render_reference(unit), make_built_in(unit).model
     pictures = [press(unit, x, y, 6.31, i) for i, (x, y) in enumerate(PLACES[:2])]
-    monkeypatch.setattr(corrections, "slope_error", lambda model, _: 0.0 if model is true else 1.0)
+    monkeypatch.setattr(corrections, "compute_slope_error", lambda model, _: 0.0 if model is true else 1.0)
     found = calibrate_balls(pictures, still, unit, 6.31)
     assert found.uses_built_in
     assert found.is_built_in

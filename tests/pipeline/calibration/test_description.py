@@ -26,21 +26,21 @@ def test_a_look_up_without_presses_is_called_uncalibrated_and_what_to_do_is_said
 
 
 def test_presses_that_look_like_a_ball_of_another_size_speak_against_the_size_that_was_given(look_up):
-    known = replace(look_up, presses=(PRESS,) * 4, expected=ERROR)
-    for read_as, odd in ((None, False), (0.7, False), (1.5, False), (2.0, True), (0.5, True)):
-        told = replace(known, diameter_ratio=read_as)
+    known = replace(look_up, presses=(PRESS,) * 4, expected_error=ERROR)
+    for ratio, odd in ((None, False), (0.7, False), (1.5, False), (2.0, True), (0.5, True)):
+        told = replace(known, diameter_ratio=ratio)
         assert isinstance(quality_notes.describe_quality(told), StageWarning) is odd
         assert any("times the diameter" in line for line in quality_notes.format_calibration(told)) is odd
 
 
 def test_a_look_up_that_presses_did_not_better_is_called_uncalibrated(look_up):
-    note = quality_notes.describe_quality(replace(look_up, presses=(PRESS,), uses_built_in=True, expected=ERROR))
+    note = quality_notes.describe_quality(replace(look_up, presses=(PRESS,), uses_built_in=True, expected_error=ERROR))
     assert note.startswith("uncalibrated look-up")
     assert "did not surely better" in note
 
 
 def test_a_calibrated_look_up_says_what_error_to_expect_and_on_what_that_rests(look_up):
-    known = replace(look_up, presses=(PRESS,) * 4, expected=ERROR)
+    known = replace(look_up, presses=(PRESS,) * 4, expected_error=ERROR)
     assert quality_notes.describe_quality(known) == "a ball's diameter within 8 %: look-up from 4 presses of a ball"
     told = " ".join(quality_notes.format_calibration(known))
     assert "diameter 8 %" in told
@@ -49,5 +49,5 @@ def test_a_calibrated_look_up_says_what_error_to_expect_and_on_what_that_rests(l
 
 
 def test_an_error_that_no_press_was_held_out_for_is_called_foreseen(look_up):
-    known = replace(look_up, presses=(PRESS,), expected=replace(ERROR, n_held_out=0))
+    known = replace(look_up, presses=(PRESS,), expected_error=replace(ERROR, n_held_out=0))
     assert "foreseen" in quality_notes.describe_expected_error(known)

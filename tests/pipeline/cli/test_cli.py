@@ -121,7 +121,9 @@ def test_calibrating_on_pictures_with_swapped_colours_is_doubted(touches, tmp_pa
 def test_inspect_says_what_a_calibration_is_worth(tmp_path, capsys):
     error = calibration_table.ExpectedError(diameter_share=0.08, depth_share=0.07, n_held_out=4)
     press = calibration_table.BallFit(index=0, x_px=9, y_px=9, radius_px=9, residual=0.02, used=True)
-    known = replace(calibration_table.make_built_in(load_sensor("gelsight_mini")), presses=(press,), expected=error)
+    known = replace(
+        calibration_table.make_built_in(load_sensor("gelsight_mini")), presses=(press,), expected_error=error
+    )
     calibration_file.save(known, tmp_path / "mini.npz")
     assert run_app(build_app(), ["inspect", str(tmp_path / "mini.npz")]) == 0
     assert "expected error of a ball's diameter 8 %" in capsys.readouterr().out

@@ -88,11 +88,11 @@ def test_pixels_of_another_width_are_compared_in_that_width():
     assert wide.expected_error.diameter_share == pytest.approx(plain.expected_error.diameter_share, abs=0.02)
 
 
-def of_presses(told=None):
+def of_presses(coverage_map=None):
     """The Mini's own look-up as if presses had made it."""
     fits = tuple(BallFit(index=i, x_px=x, y_px=y, radius_px=20.0, residual=0.1, used=True)
                  for i, (x, y) in enumerate(PLACES))  # fmt: skip
-    return replace(make_built_in(load_sensor("gelsight_mini")), presses=fits, told=told)
+    return replace(make_built_in(load_sensor("gelsight_mini")), presses=fits, coverage_map=coverage_map)
 
 
 def test_a_touch_where_no_press_tells_the_light_is_read_without():
@@ -120,7 +120,7 @@ def test_contacts_that_come_out_wider_than_their_circles_end_at_more_pressure(mo
         inside = np.hypot(np.arange(shape[1]) - x, (np.arange(shape[0]) - y)[:, None]) < 20.0 * wide
         return SimpleNamespace(contact=inside)
 
-    monkeypatch.setattr(ball_calibration, "depth", read)
+    monkeypatch.setattr(ball_calibration, "estimate_depth", read)
     pictures = [np.zeros((*shape, 3), np.uint8)] * len(PLACES)
     assert fit_contact_limit(of_presses(), pictures, pictures[0], told).median_pressure_share == share
 

@@ -74,8 +74,8 @@ def test_a_share_becomes_an_indentation_on_the_frames_own_grid(opened, frame, ph
     assert shape[2] / shape[3] == pytest.approx(rows / cols, rel=0.13)
     assert whole == (0, 0, shape[2] // 14, shape[3] // 14)
     assert sense == "metric"
-    assert asked(opened, frame, network, largest_mm=3.0).indentation_mm.max() == pytest.approx(1.5)
-    asked(opened, frame, network, side=84)
+    assert asked(opened, frame, network, max_indentation_mm=3.0).indentation_mm.max() == pytest.approx(1.5)
+    asked(opened, frame, network, shorter_side_px=84)
     assert min(network.shown[-1][0][2:]) == 84
 
 
@@ -98,7 +98,7 @@ def test_an_answer_without_a_unit_is_brought_to_the_physical_estimate(opened, fr
     assert off[physical.contact].mean() < 0.15 * physical.indentation_mm[physical.contact].mean()
     assert any("no unit" in note for note in found.notes)
     turned = Told(lambda picture: told(picture, -1.0))
-    against = asked(opened, frame, turned, answer="relative")
+    against = asked(opened, frame, turned, output_kind="relative")
     assert turned.shown[0][2] == "relative"
     assert not against.indentation_mm.any()
     assert any("runs against" in note for note in against.notes)
@@ -106,7 +106,7 @@ def test_an_answer_without_a_unit_is_brought_to_the_physical_estimate(opened, fr
 
 def test_in_its_box_only_the_patches_around_the_contact_are_asked(opened, frame, physical):
     network = Told(half, contact=half)
-    found = asked(opened, frame, network, box=True, side=168)
+    found = asked(opened, frame, network, crop_to_contact=True, shorter_side_px=168)
     shape, (top, left, rows, cols), _ = network.shown[0]
     assert shape[2] * shape[3] < 14 * 14 * rows * cols
     inside = found.indentation_mm > 0

@@ -47,7 +47,7 @@ def noisy(seed=3):
 
 
 def test_without_noise_a_ring_presses_as_a_ring():
-    found = read(solved(ring()), caution=0.01)
+    found = read(solved(ring()), noise_factor=0.01)
     pressed = found.load > 6.0  # a quarter of what the ring bears
     wanted = ring() > 0
     assert pressed[wanted].all()
