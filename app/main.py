@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from app.session.sample import SAMPLE_RECORDING
-from pipeline.base.allocator import few_arenas
+from pipeline.base.allocator import limit_arenas
 
 if TYPE_CHECKING:
     from PyQt6.QtWidgets import QApplication
@@ -77,7 +77,7 @@ def close_window(controller: SessionController) -> None:
 
 def prepare_environment() -> None:
     """Before anything loads: idle threads do not spin, garbage is not looked for all along, threads share heaps."""
-    few_arenas()
+    limit_arenas()
     os.environ.setdefault("OMP_WAIT_POLICY", _THREADS_LEFT_ALONE)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # its threads spin, and no product here is large enough for two
     gc.set_threshold(*_GARBAGE_AFTER)

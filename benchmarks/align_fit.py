@@ -27,13 +27,13 @@ from benchmarks.harness.text_report import print_result
 from benchmarks.harness.timing import Requirement, build_measurement, summarize_times
 from benchmarks.scenes.data_folder import recorded_data
 from pipeline.alignment.fit.agreement import compute_correlation
-from pipeline.alignment.fit.difference_tiles import ridges
+from pipeline.alignment.fit.difference_tiles import detect_ridges
 from pipeline.alignment.fit.fitting import fit_pairs, score_fit
-from pipeline.alignment.fit.image_rotation import rotate_image
-from pipeline.alignment.fit.pairs import tile_pairs, touch_pairs
+from pipeline.alignment.fit.image_rotation import orient_image
+from pipeline.alignment.fit.pairs import load_tile_pairs, make_touch_pairs
 from pipeline.alignment.fit.rigid_start import align_rigidly
 from pipeline.alignment.fit.transfer import TransferModel
-from pipeline.alignment.refine import refine
+from pipeline.alignment.refine import refine_alignment
 from pipeline.alignment.touches import load_paired_touches
 from pipeline.recordings import image_files
 from pipeline.sensors.spec import load_sensor
@@ -44,13 +44,13 @@ NEEDS = "recorded data"
 SAMPLE = Path(__file__).resolve().parents[1] / "sample_data" / "recordings" / "grasps_lines_120.h5"
 DRAWS, USED = 3, 10
 SPLITS = {"held-out centres": "Center_Generalization", "training split": "Training"}
-TRUE = TransferModel(mirrored=True, log_scale=math.log(0.36), right=0.06, down=-0.05, tilt_right=0.3, tilt_down=-0.2)
+TRUE = TransferModel(is_mirrored=True, log_scale=math.log(0.36), right=0.06, down=-0.05, tilt_right=0.3, tilt_down=-0.2)
 
 
 def tiles(folder: Path) -> tuple[list[Measurement], list[str]]:
     spec = load_sensor("gelslim")
     told = {r["base"]: r for r in csv.DictReader((folder / "index.csv").open())}
-    found = tile_pairs(folder, spec, "*_gelslim.png", "*_bubble_gt.png").pairs
+    found = load_tile_pairs(folder, spec, "*_gelslim.png", "*_bubble_gt.png").pairs
     peers = {p.name: _peer(folder, p.name, spec) for p in found}
     training = [k for k, p in enumerate(found) if told[p.name]["split"] == "Training"]
     ours: dict[str, list[float]] = {name: [] for name in (*SPLITS, "tools not among the ten")}
@@ -66,9 +66,9 @@ def tiles(folder: Path) -> tuple[list[Measurement], list[str]]:
             names = [n for n, split in SPLITS.items() if one["split"] == split]
             names += ["tools not among the ten"] * (one["tool"] not in tools)
             for name in names:
-                ours[name].append(score_fit(found[k], answer.carrying, answer.common))
-                vqvae[name].append(compute_correlation(peers[found[k].name], found[k].imprint, answer.common))
-                mean[name].append(compute_correlation(answer.common, found[k].imprint))
+                ours[name].append(score_fit(found[k], answer.transfer, answer.mean_imprint))
+                vqvae[name].append(compute_correlation(peers[found[k].name], found[k].imprint, answer.mean_imprint))
+                mean[name].append(compute_correlation(answer.mean_imprint, found[k].imprint))
     taken = summarize_times([1e3 * s for s in seconds])
     notes = [f"{name}: the mean imprint alone correlates by {np.mean(mean[name]):.2f}" for name in ours if ours[name]]
     return [
@@ -87,26 +87,26 @@ def tiles(folder: Path) -> tuple[list[Measurement], list[str]]:
 
 
 def _peer(folder: Path, name: str, spec) -> np.ndarray:
-    way = ridges(image_files.read_rgb(folder / f"{name}_gelslim.png"), spec).way
-    return rotate_image(image_files.read_rgb(folder / f"{name}_bubble_vqvae.png")[..., 0], way)
+    way = detect_ridges(image_files.read_rgb(folder / f"{name}_gelslim.png"), spec).orientation
+    return orient_image(image_files.read_rgb(folder / f"{name}_bubble_vqvae.png")[..., 0], way)
 
 
 def round_trip() -> tuple[list[Measurement], str]:
     off: dict[str, list[float]] = {"turn": [], "scale": [], "shift": [], "tilt": []}
     in_spread, seconds = [], []
     for turn in np.radians((0, 40, 97, 180, 230, 300)):
-        true = replace(TRUE, turn=float(turn))
+        true = replace(TRUE, rotation_rad=float(turn))
         started = time.process_time()
         found = fit_pairs(simulated(true, 6))
         seconds.append(time.process_time() - started)
-        how = found.carrying
-        turned_by = math.remainder(how.turn - true.turn, 2 * math.pi)
-        off["turn"].append(math.degrees(abs(turned_by)) if how.mirrored == true.mirrored else 180.0)
+        how = found.transfer
+        turned_by = math.remainder(how.rotation_rad - true.rotation_rad, 2 * math.pi)
+        off["turn"].append(math.degrees(abs(turned_by)) if how.is_mirrored == true.is_mirrored else 180.0)
         off["scale"].append(abs(how.scale / true.scale - 1))
         off["shift"].append(math.hypot(how.right - true.right, how.down - true.down))
         off["tilt"].append(math.hypot(how.tilt_right - true.tilt_right, how.tilt_down - true.tilt_down))
         for name in ("log_scale", "right", "down", "tilt_right", "tilt_down"):
-            in_spread.append(abs(getattr(how, name) - getattr(true, name)) <= 2 * found.spread[name])
+            in_spread.append(abs(getattr(how, name) - getattr(true, name)) <= 2 * found.std[name])
     units = {"turn": "deg", "scale": "share", "shift": "tile widths", "tilt": "of the press"}
     bars = {"turn": 1.0, "scale": 0.03, "shift": 0.01, "tilt": 0.05}
     note = f"round trip: {np.mean(in_spread):.0%} of the numbers lie within two of the spreads told"
@@ -125,10 +125,12 @@ def round_trip() -> tuple[list[Measurement], str]:
 
 def recording() -> list[Measurement]:
     translation = open_translation(Request(recording=SAMPLE, source="gelslim", target="soft_bubble"))
-    touches = [t for t in load_paired_touches(translation, range(translation.n_frames), exact=True) if t.overlap][:2]
+    touches = [
+        t for t in load_paired_touches(translation, range(translation.n_frames), exact=True) if t.has_contact_on_both
+    ][:2]
     started = time.process_time()
-    start = align_rigidly(touches, fit_pairs(touch_pairs(touches).pairs).carrying, translation.alignment)
-    found = refine(touches, start).alignment.target_from_source
+    start = align_rigidly(touches, fit_pairs(make_touch_pairs(touches).pairs).transfer, translation.alignment)
+    found = refine_alignment(touches, start).alignment.target_from_source
     taken = summarize_times([1e3 * (time.process_time() - started)])
     exact = translation.alignment.target_from_source
     turn = math.degrees(math.acos(min(1.0, (np.trace(found[:3, :3].T @ exact[:3, :3]) - 1) / 2)))

@@ -20,9 +20,9 @@ from benchmarks.harness.results import BenchmarkResult, Measurement, PlotPoint
 from benchmarks.harness.text_report import print_result
 from benchmarks.harness.timing import Requirement, Timing, build_measurement, summarize_times, time_in_turns
 from pipeline.alignment.nudge import nudge
-from pipeline.alignment.refine import refine
+from pipeline.alignment.refine import refine_alignment
 from pipeline.alignment.score import score_preview
-from pipeline.alignment.target_observation import PREVIEW, observe_target
+from pipeline.alignment.target_observation import PREVIEW_FACTOR, observe_target
 from pipeline.alignment.touches import AlignmentTouch, find_pivot, load_paired_touches
 from pipeline.geometry import rigid
 from pipeline.sensors.alignment import Alignment, correct_alignment
@@ -62,7 +62,7 @@ def drags(source: str, target: str) -> tuple[list[Measurement], list[PlotPoint]]
         return score_preview(touch, nudge(exact, axis, amount, pivot_mm=pivot), side)
 
     sides = {
-        "quarter": observe_target(touch.target, translation.target, factor=PREVIEW),
+        "quarter": observe_target(touch.target, translation.target, factor=PREVIEW_FACTOR),
         "full": observe_target(touch.target, translation.target),
     }
     left = {name: score_preview(touch, exact, side)[1].depth_mm for name, side in sides.items()}
@@ -92,12 +92,12 @@ def measure_refinement(source: str, target: str, exact_depth: bool) -> tuple[lis
     errors, took_ms, weak = [], [], []
     for start in draw_starts(translation.alignment, find_pivot(touches[0], translation.alignment)):
         began = time.perf_counter()
-        answer = refine(touches, start, tolerance=tolerance)
+        answer = refine_alignment(touches, start, tolerance=tolerance)
         took_ms.append(1e3 * (time.perf_counter() - began))
         off = answer.alignment.target_from_source @ rigid.invert(known)
         mm = float(np.linalg.norm(rigid.apply(off, answer.pivot_mm) - answer.pivot_mm))
         errors.append((mm, rigid.rotation_angle_deg(off)))
-        weak.append(len(answer.weak))
+        weak.append(len(answer.weak_directions))
     how = "exact" if exact_depth else "measured"
     asked = f"refining {source} to {target}, {how} depth, {len(touches)} touches"
     asked += f", tolerance {tolerance:g}" if tolerance != 1.0 else ""

@@ -26,7 +26,7 @@ from benchmarks.harness.text_report import print_result
 from benchmarks.harness.timing import Requirement, build_measurement, summarize_times, time_in_turns
 from benchmarks.scenes.depth_helpers import build_reader
 from pipeline.geometry import rigid
-from pipeline.metrics.stage_metrics import iou, mean_abs_mm
+from pipeline.metrics.stage_metrics import compute_mae_mm, iou
 from pipeline.physics import lattice
 from pipeline.recordings import open_recording
 from pipeline.sensors import alignment
@@ -132,7 +132,9 @@ def _felt(depth: DepthMap, touch: _Touch) -> tuple[float, float]:
     cloud = back_project_depth(depth, alignment.resolve_alignment(touch.source, gel), BackProjectionParams())
     felt = render_touch(project_cloud(cloud, gel, SurfaceProjectionParams()), gel, PhysicalRenderParams()).membrane
     truth = touch.truth
-    return 1 - iou(felt.contact, truth.contact), mean_abs_mm(felt.indentation_mm, truth.indentation_mm, truth.contact)
+    return 1 - iou(felt.contact, truth.contact), compute_mae_mm(
+        felt.indentation_mm, truth.indentation_mm, truth.contact
+    )
 
 
 def _membrane(touch: _Touch) -> DepthMap:

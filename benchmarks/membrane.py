@@ -48,7 +48,7 @@ def measure() -> BenchmarkResult:
     notes: list[str] = []
     # 0.34 mm: the dome of 60x50 mm on 175 columns, as a target's own depth image would give it.
     surfaces = {
-        "dome": membrane.make_dome(60.0, 20.0, 30.0, 25.0, 0.34),
+        "dome": membrane.make_dome_membrane(60.0, 20.0, 30.0, 25.0, 0.34),
         "level pad": membrane.make_flat_membrane(20.0, 12.0, 9.0),
     }
     for name, surface in surfaces.items():

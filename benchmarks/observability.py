@@ -141,7 +141,7 @@ def measure() -> BenchmarkResult:
     )
     notes = [
         f"rod: Open3D ends {np.linalg.norm(ended[:3, 3]):.4f} mm off with fitness {peer.fitness:.3f} and "
-        f"rmse {peer.inlier_rmse:.3f} mm; ours says of the same answer: {'; '.join(told.weak)}",
+        f"rmse {peer.inlier_rmse:.3f} mm; ours says of the same answer: {'; '.join(told.weak_directions)}",
         "precision of a method that names nothing is not defined; its recall is 0",
         *(_counts(kind, tally) for kind, tally in tallies.items()),
     ]

@@ -27,7 +27,7 @@ from benchmarks.harness.text_report import print_result
 from benchmarks.harness.timing import Requirement, build_measurement, summarize_times
 from benchmarks.scenes.depth_helpers import build_reader
 from pipeline.geometry import rigid
-from pipeline.metrics.stage_metrics import iou, mean_abs_mm
+from pipeline.metrics.stage_metrics import compute_mae_mm, iou
 from pipeline.physics import optics
 from pipeline.sensors.spec import load_sensor
 from pipeline.simulation import shapes
@@ -91,8 +91,10 @@ def tools(read, name: str):
             if felt is not None:
                 answer, truth, _, ms = felt
                 inside = truth.contact
-                off = [1e3 * mean_abs_mm(answer.indentation_mm, truth.indentation_mm, of) for of in (inside, ~inside)]
-                off.append(1e3 * mean_abs_mm(scale_to_truth(answer, truth), truth.indentation_mm, inside))
+                off = [
+                    1e3 * compute_mae_mm(answer.indentation_mm, truth.indentation_mm, of) for of in (inside, ~inside)
+                ]
+                off.append(1e3 * compute_mae_mm(scale_to_truth(answer, truth), truth.indentation_mm, inside))
                 exact = iou(by_rule(truth.indentation_mm, source), inside)
                 found.append((1 - iou(answer.contact, inside), *off, exact, ms))
         wrong, inside_um, outside_um, shape_um, exact, ms = np.array(found).T
@@ -157,7 +159,7 @@ def recordings(read, name: str):
                 answer = read(replace(frame, beside=touches), source)
                 if touches:
                     taken.append(1e3 * (time.perf_counter() - started))
-                of[depth_mm].append(1e3 * mean_abs_mm(answer.indentation_mm, one.truth.indentation_mm, inside))
+                of[depth_mm].append(1e3 * compute_mae_mm(answer.indentation_mm, one.truth.indentation_mm, inside))
     rows = tuple(
         build_measurement(f"{name}, recordings of {_FRAMES}, {depth_mm:g} mm: depth in contact", peer="each alone",
             ours=summarize_times(taken), ours_error=float(np.mean(pooled[depth_mm])),
@@ -179,7 +181,7 @@ def faces(read, name: str):
                 read, source, unit, box, depth_mm=_FACE_MM, place=(0, 0), turn=0.0, seed=3
             )
             overlap.append(iou(answer.contact, truth.contact))
-            off.append(1e3 * mean_abs_mm(answer.indentation_mm, truth.indentation_mm, truth.contact))
+            off.append(1e3 * compute_mae_mm(answer.indentation_mm, truth.indentation_mm, truth.contact))
             taken.append(ms)
     found = build_measurement(
         f"{name}, flat faces: contact",

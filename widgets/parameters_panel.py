@@ -89,7 +89,7 @@ class ParametersPanel(QScrollArea):
             control.widget.setAccessibleName(told.label)
             control.widget.setObjectName(f"{key}.{name}")
             form.addRow(label, control.widget)
-            if told.only:
+            if told.sensor_kind:
                 self._only.append((key, form, control.widget, told))
         group.setVisible(bool(self._controls[key]))
         self._groups[key] = group
@@ -109,7 +109,7 @@ class ParametersPanel(QScrollArea):
         `kinds` maps a method's key to the kind of its sensor ("" = unknown); settings of other kinds are hidden.
         """
         for key, form, control, told in self._only:
-            form.setRowVisible(control, told.says(kinds.get(key, "")))
+            form.setRowVisible(control, told.applies_to(kinds.get(key, "")))
         for key, group in self._groups.items():
             group.setVisible(key in kinds and bool(self._controls[key]))
 

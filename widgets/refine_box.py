@@ -108,7 +108,7 @@ def _table(answer: Refinement, ink: ThemeColours) -> str:
         f"<tr><td></td><td align='right'>{_in(ink.secondary_text, 'surface mm')}</td>"
         f"<td align='right'>{_in(ink.secondary_text, 'outline mm')}</td></tr>"
     ]
-    for name, pair in (("used", answer.used), ("held out", answer.held_out)):
+    for name, pair in (("used", answer.used_fit), ("held out", answer.held_out_fit)):
         if pair is None:
             continue
         before, after = pair
@@ -128,14 +128,14 @@ def _format_mm(value: float) -> str:
 
 
 def _words(answer: Refinement, target: str, ink: ThemeColours) -> str:
-    turn, shift = answer.spread[:3], answer.spread[3:]
+    turn, shift = answer.std[:3], answer.std[3:]
     lines = [
         f"predicted standard deviation of observable directions, {target} frame: "
         f"{_format_axes(('x', 'y', 'z'), shift, 3)} mm; {_format_axes(('rx', 'ry', 'rz'), turn, 2)}°",
-        *(_in(ink.warning_text, f"not observable: {words}; unchanged") for words in answer.weak),
+        *(_in(ink.warning_text, f"not observable: {words}; unchanged") for words in answer.weak_directions),
         *(_in(ink.warning_text, note) for note in answer.notes),
     ]
-    worse = _worse(answer.held_out)
+    worse = _worse(answer.held_out_fit)
     if worse:
         lines.append(_in(ink.warning_text, worse))
     return "<br>".join(lines)

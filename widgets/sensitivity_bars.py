@@ -8,7 +8,7 @@ from PyQt6.QtCore import QRectF, QSize, Qt
 from PyQt6.QtGui import QPainter, QPaintEvent
 from PyQt6.QtWidgets import QSizePolicy, QWidget
 
-from pipeline.alignment.sensitivity import UNIT_STEP, AlignmentChange, Sensitivity
+from pipeline.alignment.sensitivity import UNIT_STEP, ScoreChange, Sensitivity
 from widgets.styling import shrink_font
 from widgets.theme import get_theme_colours, to_qcolor
 
@@ -81,10 +81,10 @@ class SensitivityBars(QWidget):
                 painter.setPen(ink)
                 self._draw_cell(painter, QRectF(left + i * width, top + 1, width - 4, row - 2), change, i)
 
-    def _draw_cell(self, painter: QPainter, cell: QRectF, change: AlignmentChange, figure: int) -> None:
+    def _draw_cell(self, painter: QPainter, cell: QRectF, change: ScoreChange, figure: int) -> None:
         painter.fillRect(cell, to_qcolor(get_theme_colours(self.palette()).gauge_background))
-        if change.size is not None:
-            share = min(1.0, change.size / self._full[figure])
+        if change.magnitude is not None:
+            share = min(1.0, change.magnitude / self._full[figure])
             painter.fillRect(
                 QRectF(cell.left(), cell.top(), share * cell.width(), cell.height()),
                 to_qcolor(get_theme_colours(self.palette()).sensitivity),
@@ -100,21 +100,21 @@ class SensitivityBars(QWidget):
         return self.fontMetrics().height() + 4
 
 
-def _changes(axis: Sensitivity) -> tuple[AlignmentChange, AlignmentChange, AlignmentChange]:
+def _changes(axis: Sensitivity) -> tuple[ScoreChange, ScoreChange, ScoreChange]:
     return axis.depth_mm, axis.edge_px, axis.iou
 
 
-def _format_change(change: AlignmentChange, figure: int) -> str:
-    if change.size is None:
+def _format_change(change: ScoreChange, figure: int) -> str:
+    if change.magnitude is None:
         return "-"
     *_, digits, more_is_better = _FIGURES[figure]
-    number = f"{change.size:.{digits}f}"
+    number = f"{change.magnitude:.{digits}f}"
     return f"{_better_way(change, more_is_better)} {number}".strip() if float(number) else number
 
 
-def _better_way(change: AlignmentChange, more_is_better: bool) -> str:
+def _better_way(change: ScoreChange, more_is_better: bool) -> str:
     """Return whether raising or lowering the axis improves the metric; "" where both are about as bad."""
-    if change.slope is None or change.size is None or abs(change.slope) < 0.5 * change.size:
+    if change.slope is None or change.magnitude is None or abs(change.slope) < 0.5 * change.magnitude:
         return ""
     raising_helps = (change.slope > 0) == more_is_better
     return _NEARER if raising_helps else _FARTHER

@@ -16,7 +16,7 @@ from vtkmodules.vtkInteractionStyle import vtkInteractorStyleTrackballCamera
 from vtkmodules.vtkRenderingUI import vtkGenericRenderWindowInteractor
 
 from pipeline.base.arrays import Doubles
-from pipeline.base.memo import Memo, size_bytes
+from pipeline.base.memo import Memo, measure_bytes
 from pipeline.previews.layers import Layer, ViewBounds
 from widgets.offscreen_renderer import OffscreenRenderer
 from widgets.scene_renderer import CameraState, Point3, SceneRenderer
@@ -217,7 +217,7 @@ class VtkSceneRenderer(SceneRenderer):
 
 def _bytes(picture: CachedImage) -> int:
     image, layers = picture
-    return image.sizeInBytes() + sum(size_bytes(layer.points_mm) + size_bytes(layer.rgb) for layer in layers)
+    return image.sizeInBytes() + sum(measure_bytes(layer.points_mm) + measure_bytes(layer.rgb) for layer in layers)
 
 
 def _samples() -> int:

@@ -46,7 +46,7 @@ class RefinementController(QObject):
             return
         self._begun, self.proposal = session, None
         self._box.show_progress(0.0, "opening the recording")
-        self._ticket = self._job.submit(lambda report: alignment_jobs.refine_alignment(session, report))
+        self._ticket = self._job.submit(lambda report: alignment_jobs.propose_refinement(session, report))
 
     def accept(self) -> None:
         """Take the answer as one change."""

@@ -12,7 +12,7 @@ from app.window.session_controller import SessionController
 from app.work.basin_jobs import BasinMapResult, BasinPosePreview, run_basin_map
 from app.work.jobs import LatestJob
 from pipeline.base.errors import TouchError
-from pipeline.registration.basin_map import Along
+from pipeline.registration.basin_map import ShiftAxis
 from pipeline.stages.pose.signed_distances import PoseParams
 from widgets.basin_map import BasinCell, get_pose_letter
 from widgets.theme import CATEGORY_COLOURS
@@ -67,7 +67,7 @@ class BasinMapController(QObject):
         method = next((m for m in opened.methods if m.stage == "pose"), None)
         params = PoseParams() if method is None else session.get_params(method)
         params = params if isinstance(params, PoseParams) else PoseParams()
-        results, display, frame, axis = latest.results, session.display, latest.index, cast("Along", along)
+        results, display, frame, axis = latest.results, session.display, latest.index, cast("ShiftAxis", along)
         self._begun, self.result = session, None
         self._panel.map.show_map((), (), (), "")
         self._panel.show_message("registering")
@@ -99,21 +99,24 @@ class BasinMapController(QObject):
             return
         self.result, of = found, found.basins
         self._panel.show_progress(None)
-        self._panel.show_message(f"frame {found.frame}: {of.sentence}; a click goes to an answer")
-        cells = [[self._cell(found, row, col) for col in range(len(of.turns_deg))] for row in range(len(of.shifts_mm))]
-        rows, columns = [f"{mm:+.1f} mm" for mm in of.shifts_mm], [f"{deg:+.0f}°" for deg in of.turns_deg]
-        self._panel.map.show_map(cells, rows, columns, f"{of.along}, turn")
+        self._panel.show_message(f"frame {found.frame}: {of.summary}; a click goes to an answer")
+        cells = [
+            [self._cell(found, row, col) for col in range(len(of.rotations_deg))]
+            for row in range(len(of.translations_mm))
+        ]
+        rows, columns = [f"{mm:+.1f} mm" for mm in of.translations_mm], [f"{deg:+.0f}°" for deg in of.rotations_deg]
+        self._panel.map.show_map(cells, rows, columns, f"{of.shift_axis}, turn")
 
     def _cell(self, found: BasinMapResult, row: int, col: int) -> BasinCell:
         of = found.basins
-        answer, rmse = int(of.answer[row, col]), float(of.rmse_mm[row, col])
-        start = f"turned by {of.turns_deg[col]:+.0f} deg, shifted by {of.shifts_mm[row]:+.1f} mm along {of.along}"
+        answer, rmse = int(of.minimum_index[row, col]), float(of.rmse_mm[row, col])
+        start = f"turned by {of.rotations_deg[col]:+.0f} deg, shifted by {of.translations_mm[row]:+.1f} mm along {of.shift_axis}"
         if answer < 0:
             return BasinCell(pose_index=answer, rmse_mm=math.nan, tooltip=f"{start}: led nowhere")
-        known = of.answers[answer]
-        equal = ", fits as well as the pose" if known.equal and answer else ""
+        known = of.minima[answer]
+        equal = ", fits as well as the pose" if known.fits_equally and answer else ""
         name = f"answer {get_pose_letter(answer)}" if answer < len(CATEGORY_COLOURS) else "a rarer answer"
-        ends = f"{name}{equal}, rmse {rmse:.3f} mm, {known.count} starts end there"
+        ends = f"{name}{equal}, rmse {rmse:.3f} mm, {known.n_starts} starts end there"
         return BasinCell(pose_index=answer, rmse_mm=rmse, tooltip=f"{start}: {ends}")
 
     def _go(self, row: int, col: int) -> None:

@@ -18,7 +18,7 @@ from app.work.evaluator import Evaluator
 from app.work.jobs import JobReporter, LatestJob
 from app.work.requests import make_request
 from app.work.variants import compare_variants
-from pipeline.base.allocator import give_back
+from pipeline.base.allocator import release_free_memory
 from pipeline.base.errors import TouchError
 from pipeline.evaluation.comparison_tiles import ComparisonTiles
 from pipeline.evaluation.method_comparison import compare_methods
@@ -96,7 +96,7 @@ class ComparisonController(QObject):
         for evaluator in (self._own, self._other):
             evaluator.release_caches()
         network_factory.release_networks(self._instrument.evaluator.weights_in_use)
-        self._job.submit(lambda _: give_back())
+        self._job.submit(lambda _: release_free_memory())
 
     def _choose(self) -> None:
         """What the page says is the session's."""

@@ -8,7 +8,7 @@ from PyQt6.QtCore import QBuffer, QIODevice
 from PyQt6.QtWidgets import QWidget
 
 from pipeline.base.errors import FileProblem
-from pipeline.base.files import whole_file
+from pipeline.base.files import open_atomic
 
 
 def write_screenshot(widget: QWidget, path: Path) -> None:
@@ -18,5 +18,5 @@ def write_screenshot(widget: QWidget, path: Path) -> None:
     kind = path.suffix.removeprefix(".") or "png"
     if not widget.grab().save(held, kind):
         raise FileProblem(f"cannot write the picture (there is no way to write {kind!r}, use png)", path)
-    with whole_file(path, "the picture") as file:
+    with open_atomic(path, "the picture") as file:
         file.write(held.data().data())

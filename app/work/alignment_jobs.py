@@ -9,7 +9,7 @@ from app.session.state import Session
 from app.work.evaluator import Evaluator
 from app.work.jobs import JobReporter
 from app.work.requests import get_depth_params, make_request
-from pipeline.alignment.refine import Refinement, refine
+from pipeline.alignment.refine import Refinement, refine_alignment
 from pipeline.alignment.score import AlignmentScore
 from pipeline.alignment.sensitivity import Sensitivity
 from pipeline.alignment.touches import load_paired_touches
@@ -127,7 +127,7 @@ def assess_alignment(evaluator: Evaluator, session: Session, report: JobReporter
     )
 
 
-def refine_alignment(session: Session, report: JobReporter) -> RefinementProposal:
+def propose_refinement(session: Session, report: JobReporter) -> RefinementProposal:
     """The session's alignment refined on all frames that both sensors feel, with a recording of its own.
 
     Every fourth touch is held out where there are enough. Raises TouchError.
@@ -142,7 +142,7 @@ def refine_alignment(session: Session, report: JobReporter) -> RefinementProposa
             raise SettingProblem(f"no frame is felt by both {pair}; an alignment is refined on touches of both sensors")
         used, held = split_held_out(touches, VALIDATION_FRACTION)
         begun = session.offsets.apply_to(translation.alignment)
-        answer = refine(used, begun, held_out=held, progress=report)
+        answer = refine_alignment(used, begun, held_out=held, progress=report)
     about = session.offsets.pivot_mm if any(session.offsets.pivot_mm) else answer.pivot_mm
     return RefinementProposal(
         refinement=answer,

@@ -10,7 +10,7 @@ from pipeline.base.errors import SettingProblem
 from pipeline.engine.graph import StageResult
 from pipeline.previews.display_params import DisplayParams
 from pipeline.previews.preview import Preview
-from pipeline.registration.basin_map import NONE, Along, StartBasins
+from pipeline.registration.basin_map import NO_MINIMUM, ShiftAxis, StartBasins
 from pipeline.stages.pose.basin_map import compute_basin_map
 from pipeline.stages.pose.signed_distances import PoseParams
 from pipeline.stages.stage import PreviewContext
@@ -30,10 +30,10 @@ class BasinMapResult:
 
     def make_preview(self, row: int, col: int) -> Preview:
         """The pose column's picture of where a start ended; raises SettingProblem for one that led nowhere."""
-        if self.basins.answer[row, col] == NONE:
+        if self.basins.minimum_index[row, col] == NO_MINIMUM:
             raise SettingProblem("that start led nowhere")
         pose: ObjectPose = self.results["pose"].output
-        answer = self.basins.answers[int(self.basins.answer[row, col])]
+        answer = self.basins.minima[int(self.basins.minimum_index[row, col])]
         there = replace(
             pose, sensor_from_object=self.basins.poses[row, col], fitness=answer.fitness,
             rmse_mm=float(self.basins.rmse_mm[row, col]),
@@ -56,7 +56,7 @@ class BasinPosePreview:
 
 def run_basin_map(
     translation: Translation, frame: int, results: Mapping[str, StageResult], display: DisplayParams,
-    params: PoseParams, along: Along, report: JobReporter,
+    params: PoseParams, along: ShiftAxis, report: JobReporter,
 ) -> BasinMapResult:  # fmt: skip
     """The map around a frame's pose; raises SettingProblem where there is none."""
     if "touch_depth" not in results or "pose" not in results:

@@ -12,9 +12,9 @@ from app.work.jobs import JobReporter
 from app.work.requests import get_depth_params, make_request, open_request
 from app.work.stage_previews import PreviewCache, SourcePreview, summarise_frame
 from app.work.target_comparison import TargetComparison, build_target_comparison
-from pipeline.base.allocator import give_back
+from pipeline.base.allocator import release_free_memory
 from pipeline.base.errors import SettingProblem, TouchError
-from pipeline.base.memo import Memo, size_bytes
+from pipeline.base.memo import Memo, measure_bytes
 from pipeline.engine.cache import Cache
 from pipeline.engine.graph import Graph, StageResult
 from pipeline.networks.weights import Weights
@@ -140,7 +140,7 @@ class Evaluator:
         """
         if self._opened_anew or any(result.state == "computed" for result in results.values()):
             self._opened_anew = False
-            give_back()
+            release_free_memory()
 
     def open_frame(self, session: Session, report: JobReporter) -> tuple[Translation, int]:
         """What a session opens, moved by its offsets, and which of its frames it means; raises TouchError."""
@@ -272,4 +272,4 @@ class Evaluator:
 
 
 def _weight(values: Mapping[str, object]) -> int:
-    return sum(size_bytes(value) for value in values.values())
+    return sum(measure_bytes(value) for value in values.values())

@@ -35,7 +35,7 @@ def list_sweepable_parameters(
         (method.key, name, f"{method.stage}.{name}", value, told)
         for method in methods
         for name, (value, told) in list_settings(session.get_params(method)).items()
-        if (not isinstance(value, str) or told.choices) and told.says(known.get(method.key, ""))
+        if (not isinstance(value, str) or told.choices) and told.applies_to(known.get(method.key, ""))
     ]
 
 

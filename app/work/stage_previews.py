@@ -10,7 +10,7 @@ import numpy as np
 
 from app.session.state import Session
 from app.work.target_comparison import TargetComparison
-from pipeline.base.memo import Memo, size_bytes
+from pipeline.base.memo import Memo, measure_bytes
 from pipeline.engine.graph import StageResult
 from pipeline.evaluation.truth_view import TruthView, build_observation_view
 from pipeline.evaluation.truth_view import build_truth_view as beside_truth
@@ -114,7 +114,7 @@ class PreviewCache:
         beside = None if truths is None and other is None else self._beside.get(key)
         if beside is not None and beside[0] is other and beside[1] is truths:
             return replace(beside[2], result=result)
-        shown = self._drawn.of(key, lambda: _drawn(slot, result, results, translation, session))
+        shown = self._drawn.get_or_make(key, lambda: _drawn(slot, result, results, translation, session))
         if truths is not None or other is not None:
             shown = _with_others(slot, shown, results, translation, session, other, truths)
             self._beside.put(key, (other, truths, shown))
@@ -138,7 +138,7 @@ def _drawn(
 
 def _weight(shown: StagePreview) -> int:
     """Its result is the graph's to weigh."""
-    return size_bytes(
+    return measure_bytes(
         (shown.preview, shown.layers, shown.truth_view, shown.step_previews, shown.step_layers), shown.result.output
     )
 

@@ -8,7 +8,7 @@ from functools import cached_property
 from pipeline.alignment.nudge import compute_pivot_mm
 from pipeline.alignment.score import AlignmentScore, score_preview
 from pipeline.alignment.sensitivity import Sensitivity, compute_sensitivities
-from pipeline.alignment.target_observation import TargetObservation, observe_target, preview_factor
+from pipeline.alignment.target_observation import TargetObservation, choose_preview_factor, observe_target
 from pipeline.alignment.touches import AlignmentTouch
 from pipeline.base.arrays import Doubles, Floats
 from pipeline.base.errors import TouchError
@@ -43,7 +43,7 @@ class TargetComparison:
     @cached_property
     def preview_downsampling(self) -> int:
         """One preview pixel is this many of the target's along each side."""
-        return preview_factor(self.target)
+        return choose_preview_factor(self.target)
 
     @cached_property
     def coarse_observation(self) -> TargetObservation | None:
@@ -139,6 +139,6 @@ def _paired(
         index=index, source=source, target=felt_there, source_shift_mm=shift_mm,
         target_shift_mm=estimate_camera_shift_mm(seen, spec),
     )  # fmt: skip
-    if not touch.overlap:
+    if not touch.has_contact_on_both:
         return None, f"frame {index} is not felt by both sensors"
     return touch, ""

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.harness.results import BenchmarkResult, Measurement, PlotPoint
-from pipeline.base.files import whole_file
+from pipeline.base.files import open_atomic
 
 _OURS, _BAR = "#0b6e99", "#6b7280"
 _INCHES, _DPI = (8.4, 5.2), 120
@@ -125,5 +125,5 @@ def _zero_line(axes: Any, points: Sequence[PlotPoint], floor: float) -> None:
 
 
 def _save(figure: Any, path: Path) -> None:
-    with whole_file(path, "the plot") as file:
+    with open_atomic(path, "the plot") as file:
         figure.savefig(file, format="png")

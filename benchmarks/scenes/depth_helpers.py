@@ -42,7 +42,7 @@ def build_reader(method: str = "network") -> DepthReader:
             given[found.weights_name] = found.weights(source, source, Path(file) if file else None)
         answer = found.run(*(given.get(name) for name in found.reads), found.params(), SILENT)
         if isinstance(answer, Fallback):  # another method's figures would stand under this one's name
-            raise SettingProblem(answer.why)
+            raise SettingProblem(answer.reason)
         return answer.output if isinstance(answer, Skipped) else answer
 
     return read

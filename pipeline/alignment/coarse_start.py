@@ -6,15 +6,15 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from pipeline.alignment.normal_equations import ResidualNoise, compute_cost, make_view
+from pipeline.alignment.normal_equations import ResidualNoise, compute_cost, compute_touch_distances
 from pipeline.alignment.residuals import Evidence, thin_points
 from pipeline.base.arrays import Doubles
 from pipeline.base.progress import Progress
 from pipeline.geometry import rigid
 from pipeline.sensors.offsets import compose_motion
 
-JUDGED = ResidualNoise(surface_mm=0.2, outline_mm=0.4)  # fixed, so that costs of different places compare
-JUDGED_SCALE = ResidualNoise(surface_mm=1.0, outline_mm=2.0)
+COMPARISON_NOISE = ResidualNoise(surface_mm=0.2, outline_mm=0.4)  # fixed, so that costs of different places compare
+COMPARISON_SCALE = ResidualNoise(surface_mm=1.0, outline_mm=2.0)
 _SHIFTS_MM = np.arange(-4.0, 4.5, 1.0)
 _TURNS_DEG = np.arange(-8.0, 8.5, 4.0)
 _TOUCHES = 4  # that are looked at, spread over all
@@ -38,7 +38,7 @@ def list_initial_alignments(
             progress.step(0.0, "looking for a place to begin")
         motion = compose_motion(pivot_mm, np.deg2rad(turn) * normal, right * x + down * y)
         motion = rigid.translation(*(_lift_mm(few, motion @ start) * normal)) @ motion
-        ranked.append((compute_cost(few, motion @ start, JUDGED, JUDGED_SCALE), n, right, down, motion))
+        ranked.append((compute_cost(few, motion @ start, COMPARISON_NOISE, COMPARISON_SCALE), n, right, down, motion))
     chosen: list[tuple[float, float]] = []
     found = [np.eye(4)]
     for _, _, right, down, motion in sorted(ranked, key=lambda entry: entry[:2]):
@@ -60,6 +60,6 @@ def _grid() -> Iterator[tuple[float, float, float]]:
 def _lift_mm(touches: Sequence[Evidence], target_from_source: Doubles) -> float:
     """How far along the source's axis the surfaces are apart, against the sign that would close the gap."""
     normal = target_from_source[:3, 2]
-    surfaces = [one.surface for one in make_view(touches, target_from_source)]
+    surfaces = [one.surface for one in compute_touch_distances(touches, target_from_source)]
     found = [s.mm / (s.jacobian @ normal) for s in surfaces if s.mm.size]
     return -float(np.median(np.concatenate(found))) if found else 0.0

@@ -12,13 +12,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.alignment.residuals import Distances, Evidence, outline_distances, surface_distances
+from pipeline.alignment.residuals import Distances, Evidence, compute_outline_distances, compute_surface_distances
 from pipeline.base.arrays import Doubles
 from pipeline.geometry import rigid
 
 TOLERANCE_MM = 0.2  # a direction whose predicted spread is wider than this says nothing
 TOLERANCE_DEG = 1.0
-UNITS = np.array([math.radians(TOLERANCE_DEG)] * 3 + [TOLERANCE_MM] * 3)  # (rad, mm) of one unit
+TOLERANCE_UNITS = np.array([math.radians(TOLERANCE_DEG)] * 3 + [TOLERANCE_MM] * 3)  # (rad, mm) of one unit
 _IN_ONE_TOUCH = 8.0  # independent readings of each kind: what is a millimetre apart errs alike
 _SHARED = 4.0  # this many touches are half as good as any number: a sensor errs alike in all of them
 _GROWTH_MM = 0.5  # expected size of an outline's growth from one sensor to the other
@@ -35,37 +35,39 @@ class ResidualNoise:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class NormalSums:
+class NormalEquations:
     """The quadratic model around one alignment: cost, gradient and J^T W J in units of tolerance."""
 
-    compute_cost: float
+    cost: float
     gradient: Doubles  # (6,)
     information: Doubles  # (6, 6)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class RefinementView:
+class TouchDistances:
     """The distances of one touch under one alignment."""
 
     surface: Distances
     outline: Distances
 
 
-def make_view(touches: Sequence[Evidence], target_from_source: Doubles) -> list[RefinementView]:
+def compute_touch_distances(touches: Sequence[Evidence], target_from_source: Doubles) -> list[TouchDistances]:
     """Distances (mm) of all touches under T_S->T of the descriptions."""
-    found: list[RefinementView] = []
+    found: list[TouchDistances] = []
     for touch in touches:
         surface, outline = (
-            rigid.apply(target_from_source, points) - touch.unit_lift_mm
+            rigid.apply(target_from_source, points) - touch.instance_shift_mm
             for points in (touch.surface_mm, touch.outline_mm)
         )
         found.append(
-            RefinementView(surface=surface_distances(touch, surface), outline=outline_distances(touch, outline))
+            TouchDistances(
+                surface=compute_surface_distances(touch, surface), outline=compute_outline_distances(touch, outline)
+            )
         )
     return found
 
 
-def estimate_noise(distances: Sequence[RefinementView]) -> ResidualNoise:
+def estimate_noise(distances: Sequence[TouchDistances]) -> ResidualNoise:
     """From the median absolute deviation over all touches, the outlines' growth taken off."""
     surface = np.concatenate([s.surface.mm for s in distances])
     outline = np.concatenate([s.outline.mm - _middle(s.outline.mm) for s in distances])
@@ -75,7 +77,7 @@ def estimate_noise(distances: Sequence[RefinementView]) -> ResidualNoise:
     )
 
 
-def growth_mm(outline_mm: Doubles, scale_mm: float, noise_mm: float, n_asked: int) -> tuple[float, float]:
+def estimate_growth_mm(outline_mm: Doubles, scale_mm: float, noise_mm: float, n_asked: int) -> tuple[float, float]:
     """How much wider (mm) one touch is than its partner, robustly, and 1 / variance of that estimate."""
     each = _IN_ONE_TOUCH / (max(n_asked, 1) * noise_mm**2)
     growth = _middle(outline_mm)
@@ -88,44 +90,46 @@ def growth_mm(outline_mm: Doubles, scale_mm: float, noise_mm: float, n_asked: in
 
 
 def accumulate_sums(
-    distances: Sequence[RefinementView],
+    distances: Sequence[TouchDistances],
     touches: Sequence[Evidence],
     pivot_mm: Doubles,
     noise: ResidualNoise,
     scale: ResidualNoise,
-) -> NormalSums:
+) -> NormalEquations:
     """Cost, gradient and information over all touches; every touch counts alike."""
     total, gradient, information = 0.0, np.zeros(6), np.zeros((6, 6))
     independent = _IN_ONE_TOUCH / (1.0 + len(touches) / _SHARED)
     for one, touch in zip(distances, touches, strict=True):
-        lift = touch.unit_lift_mm - pivot_mm
+        lift = touch.instance_shift_mm - pivot_mm
         for d, sigma, s, grows in (
             (one.surface, noise.surface_mm, scale.surface_mm, False),
             (one.outline, noise.outline_mm, scale.outline_mm, True),
         ):
-            if d.n_asked == 0:
+            if d.n_points == 0:
                 continue
-            each = independent / (d.n_asked * sigma**2)
-            growth, certainty = growth_mm(d.mm, s, sigma, d.n_asked) if grows else (0.0, math.inf)
+            each = independent / (d.n_points * sigma**2)
+            growth, certainty = estimate_growth_mm(d.mm, s, sigma, d.n_points) if grows else (0.0, math.inf)
             gap = d.mm - growth
             weight = _weights(gap, s)
-            jacobian = np.concatenate([np.cross(d.points_mm + lift, d.jacobian), d.jacobian], axis=1) * UNITS
+            jacobian = np.concatenate([np.cross(d.points_mm + lift, d.jacobian), d.jacobian], axis=1) * TOLERANCE_UNITS
             weighted = jacobian * weight[:, None]
             pull = each * weighted.sum(axis=0)
             gradient += each * (weighted.T @ gap)
             information += each * (weighted.T @ jacobian) - np.outer(pull, pull) / certainty
             # A point that met nothing costs as much as one that is hopelessly off: losing sight is no gain.
-            lost = s * s * (d.n_asked - len(d.mm))
+            lost = s * s * (d.n_points - len(d.mm))
             total += each * (float((s * s * gap * gap / (s * s + gap * gap)).sum()) + lost)
             total += (growth / _GROWTH_MM) ** 2
-    return NormalSums(compute_cost=total, gradient=gradient, information=information)
+    return NormalEquations(cost=total, gradient=gradient, information=information)
 
 
 def compute_cost(
     touches: Sequence[Evidence], target_from_source: Doubles, noise: ResidualNoise, scale: ResidualNoise
 ) -> float:
     """What `sums` minimises, for places to be compared under the same `noise` and `scale`."""
-    return accumulate_sums(make_view(touches, target_from_source), touches, np.zeros(3), noise, scale).compute_cost
+    return accumulate_sums(
+        compute_touch_distances(touches, target_from_source), touches, np.zeros(3), noise, scale
+    ).cost
 
 
 def _weights(gap_mm: Doubles, scale_mm: float) -> Doubles:

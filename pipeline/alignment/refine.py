@@ -7,18 +7,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.alignment.coarse_start import JUDGED, JUDGED_SCALE, list_initial_alignments
+from pipeline.alignment.coarse_start import COMPARISON_NOISE, COMPARISON_SCALE, list_initial_alignments
 from pipeline.alignment.normal_equations import (
     TOLERANCE_DEG,
     TOLERANCE_MM,
-    UNITS,
-    NormalSums,
+    TOLERANCE_UNITS,
+    NormalEquations,
     ResidualNoise,
     accumulate_sums,
     compute_cost,
+    compute_touch_distances,
+    estimate_growth_mm,
     estimate_noise,
-    growth_mm,
-    make_view,
 )
 from pipeline.alignment.residuals import Evidence, collect_evidence, thin_points
 from pipeline.alignment.touches import AlignmentTouch
@@ -49,7 +49,7 @@ class AlignmentFit:
 
     surface_mm: float  # |distance| to the target's surface along its normal
     outline_mm: float  # |distance| to the target's outline, each touch's growth taken off
-    met: float  # share of the points that met something to compare with
+    share_compared: float  # share of the points that met something to compare with
     n_touches: int
 
 
@@ -60,16 +60,16 @@ class Refinement:
     alignment: Alignment
     motion: Doubles  # (4, 4) mm, target frame: what was put after the old T_S->T
     pivot_mm: Doubles  # (3,) target frame
-    spread: Doubles  # (6,) predicted standard deviations (deg about the pivot, mm); 0 along frozen directions
-    weak: tuple[str, ...]  # what the touches do not tell, in words; left as it was
-    used: tuple[AlignmentFit, AlignmentFit]  # before, after
-    held_out: tuple[AlignmentFit, AlignmentFit] | None
-    rounds: int
+    std: Doubles  # (6,) predicted standard deviations (deg about the pivot, mm); 0 along frozen directions
+    weak_directions: tuple[str, ...]  # what the touches do not tell, in words; left as it was
+    used_fit: tuple[AlignmentFit, AlignmentFit]  # before, after
+    held_out_fit: tuple[AlignmentFit, AlignmentFit] | None
+    n_iterations: int
     converged: bool
     notes: tuple[str, ...] = ()
 
 
-def refine(
+def refine_alignment(
     touches: Sequence[AlignmentTouch],
     alignment: Alignment,
     *,
@@ -87,22 +87,22 @@ def refine(
     """
     if not 0.0 < tolerance < np.inf:
         raise SettingProblem(f"the tolerance of a refinement must be positive and finite, got {tolerance:g}")
-    kept = [collect_evidence(t) for t in touches if t.overlap]
+    kept = [collect_evidence(t) for t in touches if t.has_contact_on_both]
     kept = [e for e in kept if len(e.surface_mm) and len(e.outline_mm)]
     if not kept:
         raise SettingProblem("no frame is felt by both sensors; refining needs touches with contact on either side")
-    others = [collect_evidence(t) for t in held_out if t.overlap]
+    others = [collect_evidence(t) for t in held_out if t.has_contact_on_both]
     start = alignment.target_from_source
     pivot = np.mean([rigid.apply(start, e.surface_mm).mean(axis=0) for e in kept], axis=0)
     solver = _Solver(kept, start, pivot, progress)
     rough = _Solver([thin_points(e, _ROUGH_POINTS) for e in kept], start, pivot, progress)
-    motion = rough.best(list_initial_alignments(kept, start, pivot, _BEGINNINGS, progress))
+    motion = rough.solve_from_starts(list_initial_alignments(kept, start, pivot, _BEGINNINGS, progress))
     motion, converged = solver.solve(motion, np.eye(6), _START_NEAR)
-    told = solver.final(motion).information
+    told = solver.build_final_equations(motion).information
     free, lost = _determined(told, tolerance)
     if lost.shape[1]:
-        motion, converged = solver.frozen(motion, free)
-    information = free.T @ solver.final(motion).information @ free
+        motion, converged = solver.solve_within(motion, free)
+    information = free.T @ solver.build_final_equations(motion).information @ free
     spread = np.sqrt(np.diag(free @ np.linalg.inv(information) @ free.T)) if free.shape[1] else np.zeros(6)
     after = motion @ start
     progress.step(1.0, "refined")
@@ -110,35 +110,35 @@ def refine(
         alignment=correct_alignment(alignment, motion, into),
         motion=freeze(motion),
         pivot_mm=freeze(pivot),
-        spread=freeze(spread * np.array([TOLERANCE_DEG] * 3 + [TOLERANCE_MM] * 3)),
-        weak=tuple(
+        std=freeze(spread * np.array([TOLERANCE_DEG] * 3 + [TOLERANCE_MM] * 3)),
+        weak_directions=tuple(
             words
             for words, _ in describe_motions(
                 lost, pivot, float(_RADIUS_MM), lambda v: bool(tolerance**2 * (v @ told @ v) < v @ v)
             )
         ),
-        used=(fit_alignment(kept, start), fit_alignment(kept, after)),
-        held_out=(fit_alignment(others, start), fit_alignment(others, after)) if others else None,
-        rounds=solver.rounds,
+        used_fit=(measure_fit(kept, start), measure_fit(kept, after)),
+        held_out_fit=(measure_fit(others, start), measure_fit(others, after)) if others else None,
+        n_iterations=solver.rounds,
         converged=converged,
         notes=() if converged else (f"stopped after {solver.rounds} rounds while still moving; begin nearer",),
     )
 
 
-def fit_alignment(touches: Sequence[Evidence], target_from_source: Doubles) -> AlignmentFit:
+def measure_fit(touches: Sequence[Evidence], target_from_source: Doubles) -> AlignmentFit:
     """How far `touches` are from agreeing under this T_S->T; NaN where no point met anything."""
-    distances = make_view(touches, target_from_source)
+    distances = compute_touch_distances(touches, target_from_source)
     noise = estimate_noise(distances)
     surface = np.concatenate([s.surface.mm for s in distances])
     outline = np.concatenate(
-        [s.outline.mm - growth_mm(s.outline.mm, noise.outline_mm * _LOSS_SCALE, noise.outline_mm, s.outline.n_asked)[0]
+        [s.outline.mm - estimate_growth_mm(s.outline.mm, noise.outline_mm * _LOSS_SCALE, noise.outline_mm, s.outline.n_points)[0]
          for s in distances]
     )  # fmt: skip
-    asked = sum(s.surface.n_asked + s.outline.n_asked for s in distances)
+    asked = sum(s.surface.n_points + s.outline.n_points for s in distances)
     return AlignmentFit(
         surface_mm=float(np.median(np.abs(surface))) if surface.size else float("nan"),
         outline_mm=float(np.median(np.abs(outline))) if outline.size else float("nan"),
-        met=(surface.size + outline.size) / asked if asked else 0.0,
+        share_compared=(surface.size + outline.size) / asked if asked else 0.0,
         n_touches=len(touches),
     )
 
@@ -150,18 +150,20 @@ class _Solver:
         self._touches, self._start, self._pivot, self._progress = touches, start, pivot_mm, progress
         self.rounds = 0
 
-    def best(self, beginnings: Sequence[Doubles]) -> Doubles:
+    def solve_from_starts(self, beginnings: Sequence[Doubles]) -> Doubles:
         """The solution of least cost from several beginnings."""
         found = [self.solve(b, np.eye(6))[0] for b in beginnings]
-        costs = [compute_cost(self._touches, motion @ self._start, JUDGED, JUDGED_SCALE) for motion in found]
+        costs = [
+            compute_cost(self._touches, motion @ self._start, COMPARISON_NOISE, COMPARISON_SCALE) for motion in found
+        ]
         return found[int(np.argmin(costs))]
 
-    def frozen(self, solution: Doubles, free: Doubles) -> tuple[Doubles, bool]:
+    def solve_within(self, solution: Doubles, free: Doubles) -> tuple[Doubles, bool]:
         """The solution within the span of `free` (6, k) steps from the start: the others stay as they were."""
         if not free.shape[1]:
             return np.eye(4), True
         step = self._as_step(solution)
-        turn, shift = np.split(free @ (free.T @ step) * UNITS, 2)
+        turn, shift = np.split(free @ (free.T @ step) * TOLERANCE_UNITS, 2)
         return self.solve(compose_motion(self._pivot, turn, shift), free, _START_NEAR)
 
     def solve(self, motion: Doubles, free: Doubles, scale: ResidualNoise = _START) -> tuple[Doubles, bool]:
@@ -170,7 +172,7 @@ class _Solver:
         for done in range(_ROUNDS):
             self._progress.step(done / _ROUNDS, f"round {done + 1}: outlines to {scale.outline_mm:.2f} mm")
             self.rounds += 1
-            distances = make_view(self._touches, motion @ self._start)
+            distances = compute_touch_distances(self._touches, motion @ self._start)
             noise = estimate_noise(distances)
             wide = ResidualNoise(
                 surface_mm=max(scale.surface_mm, _LOSS_SCALE * noise.surface_mm),
@@ -184,9 +186,9 @@ class _Solver:
             scale = ResidualNoise(surface_mm=scale.surface_mm * _NARROWER, outline_mm=scale.outline_mm * _NARROWER)
         return motion, False
 
-    def final(self, motion: Doubles) -> NormalSums:
+    def build_final_equations(self, motion: Doubles) -> NormalEquations:
         """The quadratic model at the end, with the noise that is left."""
-        distances = make_view(self._touches, motion @ self._start)
+        distances = compute_touch_distances(self._touches, motion @ self._start)
         noise = estimate_noise(distances)
         narrow = ResidualNoise(surface_mm=_LOSS_SCALE * noise.surface_mm, outline_mm=_LOSS_SCALE * noise.outline_mm)
         return accumulate_sums(distances, self._touches, self._pivot, noise, narrow)
@@ -194,12 +196,12 @@ class _Solver:
     def _as_step(self, motion: Doubles) -> Doubles:
         """The step (6,) in tolerances that `motion_about` makes this motion of."""
         shift = rigid.apply(motion, self._pivot) - self._pivot
-        return np.concatenate([rigid.rotation_vector_rad(motion), shift]) / UNITS
+        return np.concatenate([rigid.rotation_vector_rad(motion), shift]) / TOLERANCE_UNITS
 
     def _step(
         self,
         motion: Doubles,
-        here: NormalSums,
+        here: NormalEquations,
         noise: ResidualNoise,
         scale: ResidualNoise,
         free: Doubles,
@@ -212,12 +214,12 @@ class _Solver:
             step = -free @ np.linalg.solve(information + damping * np.diag(load), gradient)
             length = float(np.linalg.norm(step))
             step *= min(1.0, _LONGEST / max(length, 1e-12))
-            turn, shift = np.split(step * UNITS, 2)
+            turn, shift = np.split(step * TOLERANCE_UNITS, 2)
             moved = compose_motion(self._pivot, turn, shift) @ motion
             there = accumulate_sums(
-                make_view(self._touches, moved @ self._start), self._touches, self._pivot, noise, scale
+                compute_touch_distances(self._touches, moved @ self._start), self._touches, self._pivot, noise, scale
             )
-            if there.compute_cost <= here.compute_cost:
+            if there.cost <= here.cost:
                 return moved, max(damping / 3.0, 1e-6), length
             damping = damping * 5.0
         return motion, damping, 0.0

@@ -35,7 +35,7 @@ class Evidence:
     index: int
     surface_mm: Doubles  # (n, 3) contact points, frame of the described source
     outline_mm: Doubles  # (m, 3) points between a contact pixel and a free one
-    unit_lift_mm: Doubles  # (3,) what the target's own camera reads too little, against the described one
+    instance_shift_mm: Doubles  # (3,) what the target's own camera reads too little, against the described one
     camera: Camera  # of the target
     depth_mm: Doubles  # (rows, cols) of the target in its own camera; NaN outside its contact
     normal: Doubles  # (rows, cols, 3) unit, of the target's surface
@@ -49,7 +49,7 @@ class Distances:
     mm: Doubles  # (k,)
     jacobian: Doubles  # (k, 3) d mm / d point
     points_mm: Doubles  # (k, 3) target frame
-    n_asked: int  # points that there were; those that met nothing to compare with are not among the k
+    n_points: int  # points that there were; those that met nothing to compare with are not among the k
 
 
 def collect_evidence(touch: AlignmentTouch) -> Evidence:
@@ -62,7 +62,7 @@ def collect_evidence(touch: AlignmentTouch) -> Evidence:
         index=touch.index,
         surface_mm=_surface_points(touch.source) + lift,
         outline_mm=_outline_points(touch.source) + lift,
-        unit_lift_mm=np.array([0.0, 0.0, touch.target_shift_mm]),
+        instance_shift_mm=np.array([0.0, 0.0, touch.target_shift_mm]),
         camera=target.camera,
         depth_mm=depth,
         normal=_normals(depth, target.camera),
@@ -76,7 +76,7 @@ def thin_points(touch: Evidence, points: int) -> Evidence:
     return replace(touch, surface_mm=surface, outline_mm=outline)
 
 
-def surface_distances(touch: Evidence, points_mm: Doubles) -> Distances:
+def compute_surface_distances(touch: Evidence, points_mm: Doubles) -> Distances:
     """Of contact points (n, 3) given in the target's camera frame, to the target's surface along its normal."""
     x, y, visible = touch.camera.project(points_mm)
     visible &= points_mm[:, 2] > MIN_DEPTH_MM
@@ -90,10 +90,10 @@ def surface_distances(touch: Evidence, points_mm: Doubles) -> Distances:
     p, depth, normal = p[told], depth[told], normal[told]
     # On the ray through p the surface is at p * depth / p_z: their gap lies along the ray.
     gap = (p * (1.0 - depth / p[:, 2])[:, None] * normal).sum(axis=1)
-    return Distances(mm=gap, jacobian=normal, points_mm=p, n_asked=len(points_mm))
+    return Distances(mm=gap, jacobian=normal, points_mm=p, n_points=len(points_mm))
 
 
-def outline_distances(touch: Evidence, points_mm: Doubles) -> Distances:
+def compute_outline_distances(touch: Evidence, points_mm: Doubles) -> Distances:
     """Of outline points (m, 3) given in the target's camera frame, to the target's outline in its image, in mm."""
     camera = touch.camera
     x, y, visible = camera.project(points_mm)
@@ -107,7 +107,10 @@ def outline_distances(touch: Evidence, points_mm: Doubles) -> Distances:
     ratio = camera.fy_px / camera.fx_px
     jacobian = np.stack([slope_x, slope_y * ratio, -(slope_x * p[:, 0] + slope_y * ratio * p[:, 1]) / p[:, 2]], axis=-1)
     return Distances(
-        mm=sample_bilinear(field, x, y) * p[:, 2] / camera.fx_px, jacobian=jacobian, points_mm=p, n_asked=len(points_mm)
+        mm=sample_bilinear(field, x, y) * p[:, 2] / camera.fx_px,
+        jacobian=jacobian,
+        points_mm=p,
+        n_points=len(points_mm),
     )
 
 

@@ -54,7 +54,7 @@ def score_preview(
     touch: AlignmentTouch, alignment: Alignment, felt: TargetObservation, params: ProjectionParams | None = None
 ) -> tuple[TargetDepth, AlignmentScore]:
     """The touch as the alignment carries it over, on the grid of `felt`, and how well it agrees."""
-    aligned, drawn = touch.place(alignment), params or SurfaceProjectionParams()
+    aligned, drawn = touch.apply_instance_shifts(alignment), params or SurfaceProjectionParams()
     cloud = back_project_depth(touch.source, aligned, BackProjectionParams(stride=_stride(touch, felt)))
     view = project_cloud(cloud, felt.spec, drawn)
     return view, score_alignment(view, felt)
@@ -108,7 +108,7 @@ def _edge_px(view: TargetDepth, felt: TargetObservation) -> float | None:
     drawn, there = find_edge(view.contact) & inside, felt.edge & inside
     if not drawn.any() or not there.any():
         return None
-    onward = float(felt.to_edge_px[drawn].mean())
+    onward = float(felt.edge_distance_px[drawn].mean())
     back = float(compute_distance_px(drawn)[there].mean())
     return 0.5 * (onward + back) * felt.factor
 

@@ -21,11 +21,11 @@ _STEP_PX = 0.5  # masks change by whole pixels: smaller motions than about this 
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class AlignmentChange:
+class ScoreChange:
     """How one figure of the score answers to one axis, per 0.1 mm or 0.1 deg; None where it cannot be told."""
 
     slope: float | None  # signed, toward the axis' positive direction: which way is better
-    size: float | None  # mean |change| to either side: how much the axis matters, also at the best place
+    magnitude: float | None  # mean |change| to either side: how much the axis matters, also at the best place
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -35,9 +35,9 @@ class Sensitivity:
     axis: Axis
     unit: str  # mm or deg
     step: float  # how far it was moved to either side to find out
-    iou: AlignmentChange
-    edge_px: AlignmentChange
-    depth_mm: AlignmentChange  # of the rms difference, which is smooth
+    iou: ScoreChange
+    edge_px: ScoreChange
+    depth_mm: ScoreChange  # of the rms difference, which is smooth
 
 
 def compute_sensitivities(
@@ -79,12 +79,12 @@ def compute_sensitivities(
     return tuple(told)
 
 
-def _change(down: AlignmentScore, here: AlignmentScore, up: AlignmentScore, name: str, step: float) -> AlignmentChange:
+def _change(down: AlignmentScore, here: AlignmentScore, up: AlignmentScore, name: str, step: float) -> ScoreChange:
     a, b, c = (getattr(s, name) for s in (down, here, up))
     per = UNIT_STEP / step
     slope = None if a is None or c is None else 0.5 * (c - a) * per
     sides = [abs(side - b) for side in (a, c) if side is not None] if b is not None else []
-    return AlignmentChange(slope=slope, size=per * sum(sides) / len(sides) if sides else None)
+    return ScoreChange(slope=slope, magnitude=per * sum(sides) / len(sides) if sides else None)
 
 
 def _radius_mm(touch: AlignmentTouch) -> float:

@@ -12,7 +12,7 @@ from pipeline.geometry.camera import Camera
 from pipeline.sensors.spec import SensorSpec
 from pipeline.values.results import DepthMap
 
-PREVIEW = 4  # every n-th pixel along each side while a handle is dragged
+PREVIEW_FACTOR = 4  # every n-th pixel along each side while a handle is dragged
 _FEWEST_ROWS = 64  # of a preview: a coarse image is fast as it is, and shows nothing at a quarter
 
 
@@ -25,7 +25,9 @@ class TargetObservation:
     contact: Mask  # (rows, cols)
     depth_mm: Floats  # (rows, cols) target frame; NaN outside the contact
     edge: Mask  # (rows, cols) the outermost pixels of the contact
-    to_edge_px: Floats  # (rows, cols) distance to the nearest of them, in pixels of this grid; 0 everywhere if none
+    edge_distance_px: (
+        Floats  # (rows, cols) distance to the nearest of them, in pixels of this grid; 0 everywhere if none
+    )
 
 
 def observe_target(target: DepthMap, spec: SensorSpec, *, factor: int = 1) -> TargetObservation:
@@ -47,13 +49,13 @@ def observe_target(target: DepthMap, spec: SensorSpec, *, factor: int = 1) -> Ta
         contact=freeze(contact),
         depth_mm=freeze(depth_mm),
         edge=freeze(edge),
-        to_edge_px=freeze(compute_distance_px(edge)),
+        edge_distance_px=freeze(compute_distance_px(edge)),
     )
 
 
-def preview_factor(spec: SensorSpec) -> int:
+def choose_preview_factor(spec: SensorSpec) -> int:
     """The factor for dragging: `PREVIEW`, less where that would leave hardly an image."""
-    return max(1, min(PREVIEW, min(spec.camera.shape) // _FEWEST_ROWS))
+    return max(1, min(PREVIEW_FACTOR, min(spec.camera.shape) // _FEWEST_ROWS))
 
 
 def find_edge(mask: Mask) -> Mask:

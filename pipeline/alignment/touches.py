@@ -31,14 +31,14 @@ class AlignmentTouch:
     source_shift_mm: float = 0.0  # `pipeline.translate.own_shift_mm` of either side
     target_shift_mm: float = 0.0
 
-    def place(self, alignment: Alignment) -> Alignment:
+    def apply_instance_shifts(self, alignment: Alignment) -> Alignment:
         """The alignment between the very units that recorded this touch."""
         return shift_alignment_along_z(
             alignment, source_shift_mm=self.source_shift_mm, target_shift_mm=self.target_shift_mm
         )
 
     @property
-    def overlap(self) -> bool:
+    def has_contact_on_both(self) -> bool:
         """Whether both sensors say that they were touched."""
         return bool(self.source.contact.any()) and bool(self.target.contact.any())
 
@@ -95,7 +95,7 @@ def load_paired_touches(
     for done, index in enumerate(wanted):
         progress.step(done / len(wanted), f"depth of frame {index} on both sides")
         touch = load_paired_touch(translation, index, params, exact=exact)
-        if touch.overlap:
+        if touch.has_contact_on_both:
             felt.append(touch)
     return tuple(felt)
 

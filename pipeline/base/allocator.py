@@ -10,13 +10,13 @@ _ARENA_MAX = -8  # glibc's number of that setting
 _MOST_ARENAS = 2
 
 
-def few_arenas() -> bool:
+def limit_arenas() -> bool:
     """Let threads share two heaps: each of twenty would keep what its largest moment took. Whether that was done."""
     library = _glibc()
     return library is not None and bool(library.mallopt(_ARENA_MAX, _MOST_ARENAS))
 
 
-def give_back() -> None:
+def release_free_memory() -> None:
     """Return free memory to the system: where a recording is closed, a hundred megabytes may lie about in pieces."""
     library = _glibc()
     if library is not None:

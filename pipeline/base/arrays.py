@@ -26,6 +26,6 @@ def freeze(array: A) -> A:
     return array
 
 
-def for_geometry(array: NDArray[Any]) -> NDArray[Any]:
+def ensure_float(array: NDArray[Any]) -> NDArray[Any]:
     """The array in a type that lengths keep their micrometres in: float64 and float32 as they are, others widened."""
     return array if array.dtype.char in "fd" else array.astype(np.float32)

@@ -17,9 +17,9 @@ config.CACHE_DIR = os.fspath(compiling.kernel_folder())
 
 FAST = {"contract", "arcp", "nsz", "reassoc"}  # not nnan: a NaN has to stay a NaN
 
-inlined: Any = partial(njit, inline="always")  # becomes part of its callers before they are compiled
+inline_kernel: Any = partial(njit, inline="always")  # becomes part of its callers before they are compiled
 # Called by kernels only: compiled into them, without an entry point for Python and without a cache file.
-inner: Any = partial(njit, no_cfunc_wrapper=True, no_cpython_wrapper=True, error_model="numpy")  # type: ignore[reportCallIssue]
+inner_kernel: Any = partial(njit, no_cfunc_wrapper=True, no_cpython_wrapper=True, error_model="numpy")  # type: ignore[reportCallIssue]
 
 
 class _TolerantCache(FunctionCache):

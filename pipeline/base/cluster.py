@@ -55,7 +55,7 @@ class ClusterPool:
 
 
 @contextmanager
-def count_workers(address: str) -> Generator[ClusterPool, None, None]:
+def connect_cluster(address: str) -> Generator[ClusterPool, None, None]:
     """The workers of the scheduler at `address`, as `tcp://host:8786`; raises SettingProblem where there is none."""
     try:
         from distributed import Client

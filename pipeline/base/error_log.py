@@ -8,7 +8,7 @@ import time
 import traceback
 from pathlib import Path
 
-LARGEST_BYTES = 1_000_000  # a longer file of details is put aside, and the one before it goes
+MAX_LOG_BYTES = 1_000_000  # a longer file of details is put aside, and the one before it goes
 
 
 def format_sentence(error: BaseException) -> str:
@@ -29,7 +29,7 @@ def log_error(error: BaseException) -> str:
         path = folder / "tactoscope.log"
         with contextlib.suppress(OSError):
             folder.mkdir(parents=True, exist_ok=True)
-            if path.exists() and path.stat().st_size > LARGEST_BYTES:
+            if path.exists() and path.stat().st_size > MAX_LOG_BYTES:
                 path.replace(path.with_suffix(".old.log"))
             with path.open("a", encoding="utf-8", errors="backslashreplace") as file:
                 file.write(entry)

@@ -30,7 +30,7 @@ class FileProblem(TouchError):
         self._what = what
         super().__init__(f"{what}: '{path}'")
 
-    def at(self, place: Path, instead_of: Path) -> FileProblem:
+    def relocate(self, place: Path, instead_of: Path) -> FileProblem:
         """The same, told of where the file under `instead_of` was to end up; itself for a file elsewhere."""
         if not self.path.is_relative_to(instead_of):
             return self

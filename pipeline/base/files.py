@@ -32,7 +32,7 @@ _numbers = itertools.count()
 
 
 @contextlib.contextmanager
-def whole_file(path: Path, what: str) -> Generator[BinaryIO, None, None]:
+def open_atomic(path: Path, what: str) -> Generator[BinaryIO, None, None]:
     """An open file beside `path`, which takes its place when the block ends without an error and is gone otherwise.
 
     Raises FileProblem "cannot write `what`" with the system's reason, also for an OSError of the block itself, and
@@ -66,7 +66,7 @@ def write_folder(folder: Path, fill: Callable[[Path], None]) -> None:
         fill(part)
         _take_place(part, folder, before)
     except FileProblem as error:
-        raise error.at(folder, instead_of=part) from error
+        raise error.relocate(folder, instead_of=part) from error
     except OSError as error:
         raise FileProblem(f"cannot write the results ({describe_os_error(error)})", folder) from error
     finally:
@@ -112,7 +112,7 @@ def prepare_folder_for(path: Path) -> None:
 
 
 @contextlib.contextmanager
-def file_to_grow(path: Path, what: str) -> Generator[BinaryIO, None, None]:
+def open_growing_file(path: Path, what: str) -> Generator[BinaryIO, None, None]:
     """A new file in its place at once, for what is to be read while it grows.
 
     Nothing is replaced at the end: who writes it keeps it whole at every moment. Raises FileProblem, also for an
@@ -155,7 +155,7 @@ def set_aside(path: Path) -> Path:
 
 def write_text(path: Path, text: str, what: str) -> None:
     """`text` as UTF-8, whole or not at all; raises FileProblem."""
-    with whole_file(path, what) as file:
+    with open_atomic(path, what) as file:
         file.write(text.encode("utf-8"))
 
 
@@ -166,7 +166,7 @@ def write_json(path: Path, value: object, what: str = "the report") -> None:
 
 def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], what: str = "the arrays") -> None:
     """`arrays` as one .npz, lightly compressed; opened again without pickle."""
-    with whole_file(path, what) as file:
+    with open_atomic(path, what) as file:
         np.savez_compressed(file, allow_pickle=False, **arrays)  # type: ignore[arg-type]
 
 
@@ -193,7 +193,7 @@ def read_arrays(path: Path, what: str) -> dict[str, NDArray[Any]]:
         raise FileProblem(f"{what} cannot be read: the file is cut short or damaged, or no .npz", path) from error
 
 
-def pack_arrays(path: Path) -> dict[str, NDArray[Any]] | None:
+def read_cached_arrays(path: Path) -> dict[str, NDArray[Any]] | None:
     """Every array of an .npz that this program can make again; None where there is none, or a damaged one."""
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as opened:

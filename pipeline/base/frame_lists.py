@@ -9,7 +9,7 @@ from pipeline.base.errors import SettingProblem
 _RANGE = re.compile(r"([0-9]{1,12})(?:-([0-9]{1,12}))?")
 
 
-def pick_frame(index: int, n_frames: int) -> int:
+def check_frame_index(index: int, n_frames: int) -> int:
     """`index` if a recording of so many frames has it; raises SettingProblem otherwise, also where it has none."""
     if n_frames < 1:
         raise SettingProblem("the recording holds no frame; choose another")
@@ -20,7 +20,7 @@ def pick_frame(index: int, n_frames: int) -> int:
 
 def parse_frames(listed: str, n_frames: int) -> list[int]:
     """Frame numbers of a text such as `0,3-7`; all of them if it is empty. Raises SettingProblem as `one_of` does."""
-    pick_frame(0, n_frames)
+    check_frame_index(0, n_frames)
     if not listed.strip():
         return list(range(n_frames))
     chosen: set[int] = set()
@@ -29,7 +29,7 @@ def parse_frames(listed: str, n_frames: int) -> list[int]:
         if words is None:
             raise SettingProblem(f"frames are given as numbers and ranges such as 0,3-7, got {listed[:40]!r}")
         first, last = int(words[1]), int(words[2] or words[1])
-        pick_frame(max(first, last), n_frames)
+        check_frame_index(max(first, last), n_frames)
         if last < first:
             raise SettingProblem(f"a range of frames goes from the smaller number to the larger, got {part.strip()!r}")
         chosen.update(range(first, last + 1))

@@ -31,7 +31,7 @@ class Memo(Generic[K, V]):
     ) -> None:
         """Hold `most` answers that weigh `most_bytes` in all; `weigh` None counts the bytes of their arrays."""
         self.most, self.most_bytes = most, most_bytes
-        self._weigh = size_bytes if weigh is None else weigh
+        self._weigh = measure_bytes if weigh is None else weigh
         self._kept: OrderedDict[K, tuple[V, int]] = OrderedDict()
         self._making: dict[K, threading.Event] = {}
         self._n_bytes = 0
@@ -67,7 +67,7 @@ class Memo(Generic[K, V]):
             while self._n_bytes > self.most_bytes or len(self._kept) > self.most:
                 self._n_bytes -= self._kept.popitem(last=False)[1][1]
 
-    def of(self, key: K, make: Callable[[], V]) -> V:
+    def get_or_make(self, key: K, make: Callable[[], V]) -> V:
         """The answer of `key`, kept or made by `make`, which must not ask for the same key; not None.
 
         Who asks while another thread makes it waits for that one; if that one fails, makes it itself.
@@ -113,7 +113,7 @@ def memoise(most: int, *, most_bytes: int = MOST_BYTES) -> Callable[[Callable[P,
 
         @functools.wraps(function)
         def asked(*args: P.args, **kwargs: P.kwargs) -> V:
-            return memo.of((args, *kwargs.items()), lambda: function(*args, **kwargs))
+            return memo.get_or_make((args, *kwargs.items()), lambda: function(*args, **kwargs))
 
         cast("Any", asked).memo = memo
         return asked
@@ -121,7 +121,7 @@ def memoise(most: int, *, most_bytes: int = MOST_BYTES) -> Callable[[Callable[P,
     return wrap
 
 
-def size_bytes(value: object, besides: object = None) -> int:
+def measure_bytes(value: object, besides: object = None) -> int:
     """How much memory the arrays of a value take, each counted once; those that are also in `besides` not at all."""
     counted: set[int] = set()
     _weigh(besides, counted)

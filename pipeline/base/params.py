@@ -32,11 +32,11 @@ class Setting:
     choices: tuple[str, ...] = ()
     help: str = ""
     source: str = ""  # where the equation comes from that it stands in
-    only: str = ""  # the kind of sensor that it says anything of, "" = any
+    sensor_kind: str = ""  # the kind of sensor that it says anything of, "" = any
 
-    def says(self, kind: str) -> bool:
+    def applies_to(self, kind: str) -> bool:
         """Whether it says anything of a sensor of that kind; "" is one that is not known."""
-        return not (self.only and kind) or self.only == kind
+        return not (self.sensor_kind and kind) or self.sensor_kind == kind
 
 
 def is_draft(params: object) -> bool:
@@ -65,7 +65,7 @@ def setting(
     """A dataclass field with a default and its `Setting`; `choices` is the `Literal` that the field is declared as."""
     words = get_args(choices) or tuple(choices)
     told = Setting(
-        label=label, unit=unit, low=low, high=high, step=step, choices=words, help=help, source=source, only=only
+        label=label, unit=unit, low=low, high=high, step=step, choices=words, help=help, source=source, sensor_kind=only
     )  # fmt: skip
     return field(default=default, metadata={"setting": told})
 

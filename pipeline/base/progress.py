@@ -17,17 +17,17 @@ class Progress(Protocol):
         ...
 
 
-class Silent:
+class SilentProgress:
     """A progress that nobody watches and nobody cancels."""
 
     def step(self, fraction: float, text: str) -> None:
         """Do nothing."""
 
 
-SILENT = Silent()
+SILENT = SilentProgress()
 
 
-class Share:
+class SubProgress:
     """The part of a longer progress that begins at `start` and is `part` of the whole, under a title of its own."""
 
     def __init__(self, whole: Progress, start: float, part: float, title: str = "") -> None:

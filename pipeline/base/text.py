@@ -19,7 +19,7 @@ def hint_decimal_comma(text: str) -> str:
     return f"; decimals stand behind a point: {found[0].replace(',', '.')}" if found else ""
 
 
-def is_text(name: str) -> bool:
+def is_utf8_encodable(name: str) -> bool:
     """Whether a file's name can be given to a library that takes nothing but UTF-8."""
     return not any("\ud800" <= c <= "\udfff" for c in name)
 

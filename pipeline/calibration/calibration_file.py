@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pipeline.base.arrays import Doubles, freeze
 from pipeline.base.errors import CalibrationError, FileProblem
-from pipeline.base.files import read_arrays, whole_file
+from pipeline.base.files import open_atomic, read_arrays
 from pipeline.calibration import slope_model
 from pipeline.calibration.calibration_table import BallFit, Calibration, ExpectedError
 from pipeline.calibration.slope_model import SlopeModel
@@ -36,7 +36,7 @@ def save(calibration: Calibration, path: Path) -> None:
     path = path if path.suffix == ".npz" else path.with_name(path.name + ".npz")
     model, error, share = calibration.model, calibration.expected_error, calibration.median_pressure_share
     thumbnail, coverage = calibration.reference_thumbnail, calibration.coverage_map
-    with whole_file(path, "the calibration") as file:
+    with open_atomic(path, "the calibration") as file:
         np.savez_compressed(
             file, version=_VERSION, sensor=calibration.sensor, size=(calibration.rows, calibration.cols),
             pixel_mm=calibration.pixel_mm, coefficients=model.coefficients, colour_degree=model.colour_degree,

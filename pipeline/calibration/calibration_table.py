@@ -15,7 +15,7 @@ from pipeline.calibration import slope_model
 from pipeline.calibration.markers import detect_markers, inpaint_markers, remove_printed_markers
 from pipeline.calibration.slope_model import SlopeModel, SlopeSamples
 from pipeline.engine import disk_store
-from pipeline.engine.digests import content
+from pipeline.engine.digests import compute_cached_digest
 from pipeline.sensors.spec import Markers, SensorSpec
 
 SMOOTHING_PX = 1.0  # of the colour change, the same when the look-up is fitted and when it is used
@@ -161,7 +161,7 @@ def make_built_in(sensor: SensorSpec) -> Calibration:
             residual=fitted.residual, origin="derived from the sensor's optical description",
         )  # fmt: skip
 
-    return _built_in_cache.of(content(sensor), make)
+    return _built_in_cache.get_or_make(compute_cached_digest(sensor), make)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

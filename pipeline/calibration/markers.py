@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pipeline.base.arrays import Floats, Mask, freeze
 from pipeline.base.memo import Memo
-from pipeline.engine.digests import content
+from pipeline.engine.digests import compute_cached_digest
 from pipeline.sensors.spec import Markers
 
 _DARKER = 0.12  # share of the local brightness by which a marker lies below its surroundings
@@ -86,7 +86,9 @@ def remove_printed_markers(still: NDArray[Any], markers: Markers, pixel_mm: floa
 
     Both are kept: the same untouched picture is read with every touch.
     """
-    return _unprinted.of((content(still), markers, pixel_mm), lambda: _without(still, markers, pixel_mm))
+    return _unprinted.get_or_make(
+        (compute_cached_digest(still), markers, pixel_mm), lambda: _without(still, markers, pixel_mm)
+    )
 
 
 def inpaint_markers(change: Floats, hidden: Mask, markers: Markers, pixel_mm: float) -> Floats:

@@ -25,7 +25,7 @@ from pipeline.calibration.shading_field import (
     compute_position_terms,
 )
 from pipeline.engine import disk_store
-from pipeline.engine.digests import content
+from pipeline.engine.digests import compute_cached_digest
 from pipeline.sensors.reference_light import compute_reference_light
 from pipeline.sensors.spec import Optics, SensorSpec
 
@@ -64,7 +64,7 @@ def compute_prior(sensor: SensorSpec, pixel_mm: float, shape: tuple[int, int]) -
             ShadingFieldPrior, made_of, _CODE, lambda: _prior(optics, pixel_mm, shape), "look_ups"
         )
 
-    return _kept_priors.of(content(made_of), make)
+    return _kept_priors.get_or_make(compute_cached_digest(made_of), make)
 
 
 def _prior(optics: Optics, pixel_mm: float, shape: tuple[int, int]) -> ShadingFieldPrior:
@@ -121,7 +121,7 @@ def compute_gains(sensor: SensorSpec) -> Floats:
         made_of = (sensor.camera, sensor.optics, sensor.pixel_mm)
         return disk_store.load_or_make(_Gains, made_of, _CODE, lambda: _Gains(table=_gains(sensor)), "look_ups").table
 
-    return _kept_gains.of(content((sensor.camera, sensor.optics, sensor.pixel_mm)), make)
+    return _kept_gains.get_or_make(compute_cached_digest((sensor.camera, sensor.optics, sensor.pixel_mm)), make)
 
 
 def _gains(sensor: SensorSpec) -> Floats:
@@ -144,7 +144,7 @@ def compute_described_change(sensor: SensorSpec) -> Floats:
 
     As described, from lamps far away, and for small slopes. Needs optics.
     """
-    return _kept_changes.of(content((sensor.camera, sensor.optics)), lambda: _described(sensor))
+    return _kept_changes.get_or_make(compute_cached_digest((sensor.camera, sensor.optics)), lambda: _described(sensor))
 
 
 def _described(sensor: SensorSpec) -> Floats:

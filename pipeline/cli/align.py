@@ -11,9 +11,9 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from pipeline.alignment.refine import AlignmentFit, Refinement, refine
+from pipeline.alignment.refine import AlignmentFit, Refinement, refine_alignment
 from pipeline.alignment.score import AlignmentScore, median_score, score_touches
-from pipeline.alignment.sensitivity import UNIT_STEP, AlignmentChange, Sensitivity, compute_sensitivities
+from pipeline.alignment.sensitivity import UNIT_STEP, ScoreChange, Sensitivity, compute_sensitivities
 from pipeline.alignment.target_observation import observe_target
 from pipeline.alignment.touches import AlignmentTouch, load_paired_touches
 from pipeline.base.errors import FileProblem, SettingProblem
@@ -40,7 +40,7 @@ def show_scores(request: Request, frames: str, exact: bool) -> int:
     return 0
 
 
-def refine_alignment(
+def run_refinement(
     request: Request, out: Path, frames: str, *, hold_out: float, into: AlignmentPart, tolerance: float, exact: bool
 ) -> int:
     """Refine over all touches but those held out, print before and after, and write `out`; returns 0.
@@ -59,7 +59,7 @@ def refine_alignment(
     with closing(open_translation(request)) as translation, create_progress_bar() as bar:
         touches = _touches(translation, frames, exact, ProgressBar(bar))
         used, held = split_held_out(touches, hold_out)
-        answer = refine(
+        answer = refine_alignment(
             used, translation.alignment, held_out=held, into=into, tolerance=tolerance, progress=ProgressBar(bar)
         )
     print_refinement(answer)
@@ -127,23 +127,27 @@ def print_refinement(answer: Refinement) -> None:
     """Print how touches agree before and after, what moved, and what they do not tell."""
     table = Table("touches", "n", "surface mm", "outline mm", "compared")
     parts: list[tuple[str, tuple[AlignmentFit, AlignmentFit] | None]] = [
-        ("used", answer.used),
-        ("held out", answer.held_out),
+        ("used", answer.used_fit),
+        ("held out", answer.held_out_fit),
     ]
     for name, pair in parts:
         for when, f in zip(("before", "after"), pair or (), strict=False):
             table.add_row(
-                f"{name}, {when}", str(f.n_touches), f"{f.surface_mm:.3f}", f"{f.outline_mm:.3f}", f"{f.met:.0%}"
+                f"{name}, {when}",
+                str(f.n_touches),
+                f"{f.surface_mm:.3f}",
+                f"{f.outline_mm:.3f}",
+                f"{f.share_compared:.0%}",
             )
     Console().print(table)
-    turn, shift = answer.spread[:3], answer.spread[3:]
+    turn, shift = answer.std[:3], answer.std[3:]
     moved = answer.motion[:3, :3] @ answer.pivot_mm + answer.motion[:3, 3] - answer.pivot_mm
     print_line(f"moved the contact by {_triple(moved)} mm; predicted spread {_triple(shift)} mm, {_triple(turn)} deg")
     if float(np.max(turn)) > _OPEN_DEG:
         print_line(f"doubtful: a turn is known to {np.max(turn):.1f} deg only; more touches, in other places, tell it")
-    for words in answer.weak:
+    for words in answer.weak_directions:
         print_line(f"not observable: {words}; left as it was")
-    if answer.weak:
+    if answer.weak_directions:
         print_line("a larger --tolerance lets less certain directions move too")
     for note in answer.notes:
         print_line(f"note: {note}")
@@ -153,8 +157,8 @@ def _told(value: float | None, digits: int) -> str:
     return "-" if value is None else f"{value:.{digits}f}"
 
 
-def _change(change: AlignmentChange, digits: int) -> str:
-    return f"{_told(change.size, digits)} ({_told(change.slope, digits)})"
+def _change(change: ScoreChange, digits: int) -> str:
+    return f"{_told(change.magnitude, digits)} ({_told(change.slope, digits)})"
 
 
 def _triple(values: np.ndarray) -> str:

@@ -13,10 +13,10 @@ from rich.console import Console
 from rich.table import Table
 
 from pipeline.alignment.fit.fitting import PairsFit, fit_pairs, score_fit
-from pipeline.alignment.fit.pairs import Pairs, tile_pairs, touch_pairs
+from pipeline.alignment.fit.pairs import ImprintPairs, load_tile_pairs, make_touch_pairs
 from pipeline.alignment.fit.rigid_start import align_rigidly
-from pipeline.alignment.fit.transfer import FREE, ImprintPair
-from pipeline.alignment.refine import refine
+from pipeline.alignment.fit.transfer import FREE_PARAMETERS, ImprintPair
+from pipeline.alignment.refine import refine_alignment
 from pipeline.alignment.touches import load_paired_touches
 from pipeline.base.errors import FileProblem, SettingProblem
 from pipeline.base.files import prepare_folder_for
@@ -31,9 +31,9 @@ from pipeline.translation.translate import Request, open_translation
 _LEAST_AGREEMENT = 0.2  # correlation: real pairs have 0.63, the same pairs shuffled -0.12 (touch2touch tiles)
 _AS_GOOD = 0.5  # of the correlation of the pairs fitted to
 _WORDS = {
-    "turn": ("turn", "deg"), "log_scale": ("scale", "share"), "right": ("shift right", ""), "down": ("shift down", ""),
+    "rotation_rad": ("rotation", "deg"), "log_scale": ("scale", "share"), "right": ("shift right", ""), "down": ("shift down", ""),
     "tilt_right": ("tilt to the right", "of the press"), "tilt_down": ("tilt downward", "of the press"),
-    "fall": ("fall to the sides", "of the press"),
+    "rest_curvature": ("rest curvature", "of the press"),
 }  # fmt: skip
 
 
@@ -47,7 +47,7 @@ def fit_tiles(folder: Path, source: str, target: str, names: tuple[str, str], us
     if use < 2:
         raise SettingProblem(f"--use must be at least 2 pairs, got {use}")
     load_sensor(target)  # an unknown one is refused before the work
-    found = tile_pairs(folder, load_sensor(source), *names)
+    found = load_tile_pairs(folder, load_sensor(source), *names)
     used, others = _split(found.pairs, use, seed)
     with create_progress_bar() as bar:
         answer = fit_pairs(used, ProgressBar(bar))
@@ -73,15 +73,17 @@ def fit_recording(request: Request, out: Path | None, frames: str, use: int, see
     with closing(open_translation(request)) as translation, create_progress_bar() as bar:
         chosen = parse_frames(frames, translation.n_frames)
         touches = [
-            t for t in load_paired_touches(translation, chosen, exact=exact, progress=ProgressBar(bar)) if t.overlap
+            t
+            for t in load_paired_touches(translation, chosen, exact=exact, progress=ProgressBar(bar))
+            if t.has_contact_on_both
         ]
         by_name = {str(t.index): t for t in touches}
-        found = touch_pairs(touches)
+        found = make_touch_pairs(touches)
         used, others = _split(found.pairs, use, seed)
         answer = fit_pairs(used, ProgressBar(bar))
-        start = align_rigidly([by_name[p.name] for p in used], answer.carrying, translation.alignment)
+        start = align_rigidly([by_name[p.name] for p in used], answer.transfer, translation.alignment)
         held = [by_name[p.name] for p in others]
-        refined = refine([by_name[p.name] for p in used], start, held_out=held, progress=ProgressBar(bar))
+        refined = refine_alignment([by_name[p.name] for p in used], start, held_out=held, progress=ProgressBar(bar))
     _print_notes(found, len(used), len(others))
     _print_fit(answer, "mm")
     _print_scores(answer, others)
@@ -106,25 +108,25 @@ def _press_mm(pairs: Sequence[ImprintPair]) -> str:
     return f"{np.median(deepest):.2f} ({deepest[0]:.2f} to {deepest[-1]:.2f})"
 
 
-def _print_notes(found: Pairs, n_used: int, n_others: int) -> None:
+def _print_notes(found: ImprintPairs, n_used: int, n_others: int) -> None:
     for note in found.notes:
         print_line(f"{'doubtful' if isinstance(note, StageWarning) else 'note'}: {note}")
     print_line(f"{n_used} pairs are fitted to, {n_others} are held out")
 
 
 def _print_fit(answer: PairsFit, unit: str) -> None:
-    how = answer.carrying
-    mirror = "mirrored left to right, then " if how.mirrored else ""
-    best, second = answer.beginnings[0], answer.beginnings[1]
+    how = answer.transfer
+    mirror = "mirrored left to right, then " if how.is_mirrored else ""
+    best, second = answer.initial_guesses[0], answer.initial_guesses[1]
     print_line(
-        f"orientation: {mirror}turned by {math.degrees(how.turn):.1f} deg; before fitting, {best[0]} agrees by "
+        f"orientation: {mirror}turned by {math.degrees(how.rotation_rad):.1f} deg; before fitting, {best[0]} agrees by "
         f"{best[1]:.2f}, the next best way to lay the source's picture, {second[0]}, by {second[1]:.2f}"
     )
     table = Table("number", "value", "spread", "unit")
-    values = dict(zip(FREE, how.values(), strict=True))
+    values = dict(zip(FREE_PARAMETERS, how.values(), strict=True))
     for name, (words, of) in _WORDS.items():
-        value, spread = values[name], answer.spread[name]
-        if name == "turn":
+        value, spread = values[name], answer.std[name]
+        if name == "rotation_rad":
             value, spread = math.degrees(value), math.degrees(spread)
         if name == "log_scale" and unit == "mm":
             continue  # it is 1
@@ -137,12 +139,12 @@ def _print_fit(answer: PairsFit, unit: str) -> None:
 
 
 def _print_scores(answer: PairsFit, others: Sequence[ImprintPair]) -> None:
-    less = ", the mean imprint of the pairs used taken away" if answer.common is not None else ""
-    print_line(f"correlation of expected and real imprints{less}: pairs used {_told(answer.used)}")
-    held = [score_fit(p, answer.carrying, answer.common) for p in others]
+    less = ", the mean imprint of the pairs used taken away" if answer.mean_imprint is not None else ""
+    print_line(f"correlation of expected and real imprints{less}: pairs used {_told(answer.correlations)}")
+    held = [score_fit(p, answer.transfer, answer.mean_imprint) for p in others]
     if held:
         print_line(f"  held out: {_told(held)}")
-    if not is_consistent(answer.used, held):
+    if not is_consistent(answer.correlations, held):
         print_line("doubtful: the map carries next to nothing over to touches that it was not fitted to: are the two "
                    "readings of each pair of one touch, and in the same order?")  # fmt: skip
 

@@ -90,10 +90,10 @@ def refine(
     tolerance
         Directions that the touches tell to no better than this times 0.2 mm or 1 degree are left as they were.
     """
-    from pipeline.cli.align import refine_alignment
+    from pipeline.cli.align import run_refinement
 
     request = touches.build_request(recording, alignment)
-    return refine_alignment(
+    return run_refinement(
         request, out, touches.frames, hold_out=hold_out, into=into, tolerance=tolerance, exact=touches.truth
     )
 

@@ -10,10 +10,10 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table as Shown
 
-from pipeline.base.cluster import count_workers
+from pipeline.base.cluster import connect_cluster
 from pipeline.base.files import prepare_folder, prepare_folder_for, write_json
 from pipeline.base.machine import describe_machine, format_machine
-from pipeline.base.progress import Progress, Share
+from pipeline.base.progress import Progress, SubProgress
 from pipeline.cli.interrupts import InterruptibleProgress, interruptible_progress
 from pipeline.cli.terminal import ProgressBar, create_progress_bar, print_line
 from pipeline.evaluation.paper_tables import EvaluationRequest, EvaluationTable, evaluate_tables
@@ -53,11 +53,11 @@ def run_evaluation(
     points: list[SweepPoint] = []
     with ExitStack() as open_now:
         work, bar = open_now.enter_context(interruptible_progress()), open_now.enter_context(create_progress_bar())
-        elsewhere = open_now.enter_context(count_workers(scheduler)).map if scheduler else None
+        elsewhere = open_now.enter_context(connect_cluster(scheduler)).map if scheduler else None
         watched: Progress = _Watched(ProgressBar(bar), work)
-        table = evaluate_tables(wanted, Share(watched, 0.0, 0.5 if sweep else 1.0), elsewhere)
+        table = evaluate_tables(wanted, SubProgress(watched, 0.0, 0.5 if sweep else 1.0), elsewhere)
         if sweep:
-            points = sweep_parameters(wanted, sweep, Share(watched, 0.5, 0.5), elsewhere)
+            points = sweep_parameters(wanted, sweep, SubProgress(watched, 0.5, 0.5), elsewhere)
     _show(table)
     if sweep:
         _show_sweep(points)

@@ -78,7 +78,7 @@ def _build_geometry() -> None:
 
     corners = np.array([[x, y, 20.0] for y in (-5.0, 5.0) for x in (-5.0, 5.0)])
     sheet = Mesh(vertices_mm=corners, triangles=np.array([[0, 1, 2], [1, 3, 2]], np.int32))
-    mesh_membrane.from_mesh(sheet)
+    mesh_membrane.make_mesh_membrane(sheet)
     for mesh in (shapes.make_shape(_TOOL).mesh, sheet):
         distance_grid.build_grid(mesh)
     for name in _PRESS_SENSORS:

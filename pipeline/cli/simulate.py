@@ -10,7 +10,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
-from pipeline.base.cluster import count_workers
+from pipeline.base.cluster import connect_cluster
 from pipeline.base.errors import FileProblem
 from pipeline.base.progress import Cancelled
 from pipeline.cli.interrupts import handle_interrupts
@@ -51,7 +51,7 @@ def simulate_recordings(tools: tuple[str, ...], like: SimulationPlan, out: Path,
         local = open_now.enter_context(
             recorder.make_worker_pool(jobs)
         )  # checks the number; starts no process before there is work
-        pool = open_now.enter_context(count_workers(scheduler)).pool if scheduler else local
+        pool = open_now.enter_context(connect_cluster(scheduler)).pool if scheduler else local
         bar = open_now.enter_context(_bar(total, sum(had)))
         try:
             for plan, path in zip(plans, files, strict=True):

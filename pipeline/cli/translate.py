@@ -14,7 +14,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from pipeline.base import compiling, error_log
-from pipeline.base.cluster import count_workers
+from pipeline.base.cluster import connect_cluster
 from pipeline.base.errors import SettingProblem, TouchError
 from pipeline.base.files import prepare_folder
 from pipeline.base.progress import SILENT
@@ -98,7 +98,7 @@ def translate_frames(
             task = bar.add_task("translating", total=len(indices))
             if scheduler:
                 where, said = out.resolve(), tuple(settings)
-                with count_workers(scheduler) as elsewhere:
+                with connect_cluster(scheduler) as elsewhere:
                     elsewhere.map(
                         _finish, [_Piece(request=request, settings=said, out=where, index=k) for k in indices], work
                     )

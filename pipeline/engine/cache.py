@@ -16,8 +16,8 @@ class CacheEntry:
     output: object
     digest: str
     n_bytes: int
-    skipped: str = ""  # why there was nothing to work out
-    instead: str = ""  # why another method answered
+    skip_reason: str = ""  # why there was nothing to work out
+    fallback: str = ""  # why another method answered
 
 
 class Cache(Memo[str, CacheEntry]):

@@ -61,7 +61,7 @@ class DigestCache:
         return made
 
 
-content = DigestCache(most=128).compute_digest  # of all keys of memos
+compute_cached_digest = DigestCache(most=128).compute_digest  # of all keys of memos
 
 
 def is_frozen(value: object) -> bool:

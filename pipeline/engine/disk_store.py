@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from pipeline.base.arrays import freeze
 from pipeline.base.errors import FileProblem
-from pipeline.base.files import pack_arrays, whole_file
+from pipeline.base.files import open_atomic, read_cached_arrays
 from pipeline.engine.digests import compute_digest
 
 _MOST_FILES = 40  # of one kind; a distance grid takes 16 MB
@@ -64,7 +64,7 @@ def _files(name: str) -> list[Path]:
 
 
 def _read(kind: type[T], path: Path, key: str) -> T | None:
-    found, names = pack_arrays(path), {f.name for f in fields(cast("Any", kind))}
+    found, names = read_cached_arrays(path), {f.name for f in fields(cast("Any", kind))}
     if found is None or str(found.pop("key", "")) != key or set(found) != names:
         return None
     return kind(**{name: _plain(array) for name, array in found.items()})
@@ -79,7 +79,7 @@ def _plain(array: NDArray[Any]) -> object:
 def _write(value: object, path: Path, key: str) -> None:
     arrays: dict[str, Any] = {f.name: np.asarray(getattr(value, f.name)) for f in fields(cast("Any", value))}
     with contextlib.suppress(FileProblem, OSError):
-        with whole_file(path, "a file of the cache") as file:
+        with open_atomic(path, "a file of the cache") as file:
             np.savez(file, key=np.array(key), **arrays)
         newest_last = sorted(path.parent.glob("*.npz"), key=lambda file: file.stat().st_mtime)
         for old in newest_last[:-_MOST_FILES]:

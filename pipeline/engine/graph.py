@@ -17,9 +17,9 @@ import xxhash
 
 from pipeline.base import compiling
 from pipeline.base.errors import SettingProblem
-from pipeline.base.memo import size_bytes
+from pipeline.base.memo import measure_bytes
 from pipeline.base.params import is_draft
-from pipeline.base.progress import SILENT, Progress, Share
+from pipeline.base.progress import SILENT, Progress, SubProgress
 from pipeline.base.stage_warnings import StageWarning, select_warnings
 from pipeline.engine.cache import Cache, CacheEntry
 from pipeline.engine.digests import DigestCache, compute_digest
@@ -32,15 +32,15 @@ class Skipped:
     """What a method returns when the scene needs no work: the exact answer, and why there was nothing to do."""
 
     output: Any
-    why: str
+    reason: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Fallback:
     """What a method returns when it cannot answer and another did: that one's answer, and why."""
 
-    answer: Any  # an output, or `Skipped`
-    why: str
+    result: Any  # an output, or `Skipped`
+    reason: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -95,7 +95,7 @@ def skip_if_exact(exact: Callable[..., Any], run: Callable[..., Any]) -> Callabl
 
     def filled(*args: Any) -> Any:
         output = exact(*args[:-1])
-        return run(*args) if output is None else Skipped(output=output, why=(*output.notes, "nothing to do")[0])
+        return run(*args) if output is None else Skipped(output=output, reason=(*output.notes, "nothing to do")[0])
 
     return filled
 
@@ -133,7 +133,7 @@ class Graph:
         results: dict[str, StageResult] = {}
         fresh, drafts = set[str](), set[str]()
         for index, method in enumerate(order):
-            part = Share(progress, index / len(order), 1.0 / len(order), method.title)
+            part = SubProgress(progress, index / len(order), 1.0 / len(order), method.title)
             part.step(0.0, "")
             if method.stage in inputs:
                 result = _given(method.stage, values[method.stage], digests[method.stage])
@@ -186,26 +186,26 @@ class Graph:
             self.cache.put(key, entry)
             state = "computed"
         notes = tuple(getattr(entry.output, "notes", ()))
-        if entry.skipped:
-            state, notes = "skipped", tuple(dict.fromkeys((entry.skipped, *notes)))
-        if entry.instead:
-            notes = (entry.instead, *notes)
+        if entry.skip_reason:
+            state, notes = "skipped", tuple(dict.fromkeys((entry.skip_reason, *notes)))
+        if entry.fallback:
+            notes = (entry.fallback, *notes)
         ms = 1e3 * (time.perf_counter() - compiling.spent_s() - started)
         return StageResult(
             name=method.stage, method=method, output=entry.output, state=state, ms=ms, notes=notes, digest=entry.digest,
-            fallback=entry.instead,
+            fallback=entry.fallback,
         )  # fmt: skip
 
     def _work(self, method: Method, reads: Sequence[object], params: object, progress: Progress) -> CacheEntry:
         answer = method.run(*reads, params, progress)
-        instead = answer.why if isinstance(answer, Fallback) else ""
-        answer = answer.answer if isinstance(answer, Fallback) else answer
-        why = answer.why if isinstance(answer, Skipped) else ""
+        instead = answer.reason if isinstance(answer, Fallback) else ""
+        answer = answer.result if isinstance(answer, Fallback) else answer
+        why = answer.reason if isinstance(answer, Skipped) else ""
         output = answer.output if isinstance(answer, Skipped) else answer
         # An answer without work may well be the very object that was given before.
         made = self._known.compute_digest(output) if why else compute_digest(output)
-        n_bytes = size_bytes(output, reads)  # what is handed on was weighed where it was made
-        return CacheEntry(output=output, digest=made, n_bytes=n_bytes, skipped=why, instead=instead)
+        n_bytes = measure_bytes(output, reads)  # what is handed on was weighed where it was made
+        return CacheEntry(output=output, digest=made, n_bytes=n_bytes, skip_reason=why, fallback=instead)
 
 
 def _fitting(params: Mapping[str, object], method: Method) -> object:

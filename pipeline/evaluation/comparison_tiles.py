@@ -11,7 +11,7 @@ import numpy as np
 
 from pipeline.base.arrays import Image
 from pipeline.base.errors import FileProblem
-from pipeline.base.files import whole_file, write_folder, write_json
+from pipeline.base.files import open_atomic, write_folder, write_json
 from pipeline.previews.layers import Layer
 from pipeline.previews.tile import Tile
 from pipeline.translation.translate import Translation
@@ -53,7 +53,7 @@ def write_tiles(folder: Path, tiles: Sequence[Tile]) -> None:
             pictures = {"": tile.preview, "_difference": tile.difference}
             made = {f"{name}{end}.png": picture for end, picture in pictures.items() if picture is not None}
             for file, picture in made.items():
-                with whole_file(part / file, "the picture") as png:
+                with open_atomic(part / file, "the picture") as png:
                     png.write(_png(picture.pixels))
             told.append(
                 {"title": tile.title, "problem": tile.problem, "figures": dict(tile.metrics), "pictures": list(made)}

@@ -8,7 +8,7 @@ from typing import Literal
 
 from pipeline.base.errors import FileProblem, SettingProblem
 from pipeline.base.files import set_aside
-from pipeline.base.progress import SILENT, Progress, Share
+from pipeline.base.progress import SILENT, Progress, SubProgress
 from pipeline.engine import disk_store
 from pipeline.engine.digests import compute_digest
 from pipeline.evaluation.published_results import Split
@@ -64,7 +64,7 @@ def load_or_simulate(
     plans = datasets.make_plans(("unseen" if of == "unseen_tools" else "training",), like)
     made: list[PressRecordings] = []
     for index, plan in enumerate(plans):
-        part = Share(progress, index / len(plans), 1.0 / len(plans), f"simulating {plan.object_name}")
+        part = SubProgress(progress, index / len(plans), 1.0 / len(plans), f"simulating {plan.object_name}")
         paths = [_recorded(of, unit, held_out.folder, part) for unit in (plan, replace(plan, vary=0.0))]
         made.append(PressRecordings(object_name=plan.object_name, source=paths[0], target=paths[1]))
     return tuple(made)

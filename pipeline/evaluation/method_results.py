@@ -10,7 +10,7 @@ import numpy as np
 
 from pipeline.base.errors import TouchError
 from pipeline.base.memo import Memo
-from pipeline.base.progress import SILENT, Progress, Share
+from pipeline.base.progress import SILENT, Progress, SubProgress
 from pipeline.engine.cache import Cache
 from pipeline.engine.graph import Graph, Method, StageResult
 from pipeline.evaluation.recorded_touch import (
@@ -102,7 +102,7 @@ def evaluate_methods(
     ways = list_available_methods(translation).translations
     true = _truth(translation, frame)
     for index, (method, way) in enumerate(ways):
-        part = Share(progress, index / len(ways), 1.0 / len(ways), method.title)
+        part = SubProgress(progress, index / len(ways), 1.0 / len(ways), method.title)
         part.step(0.0, "")
         try:
             yield _version(method, way, frame, params, kept, true, part)

@@ -8,7 +8,7 @@ from typing import Any
 
 from pipeline.base.errors import SettingProblem
 from pipeline.base.params import list_settings
-from pipeline.base.progress import SILENT, Progress, Share
+from pipeline.base.progress import SILENT, Progress, SubProgress
 from pipeline.evaluation import touch_features
 from pipeline.evaluation.candidates import select_candidates
 from pipeline.evaluation.held_out import HeldOutOptions, load_or_simulate, select_sensors
@@ -61,18 +61,18 @@ def evaluate_tables(
     asked = dict.fromkeys(select_sensors(*direction) for direction in wanted.directions)
     pressed = {
         sensors: load_or_simulate(
-            wanted.split, wanted.held_out, Share(progress, 0.1 * k / len(asked), 0.1 / len(asked)), sensors
+            wanted.split, wanted.held_out, SubProgress(progress, 0.1 * k / len(asked), 0.1 / len(asked)), sensors
         )
         for k, sensors in enumerate(asked)
     }
     usual = load_or_simulate(
-        "usual", replace(wanted.held_out, grasps=MEAN_TOUCH_GRASPS, vary=0.0), Share(progress, 0.1, 0.05)
+        "usual", replace(wanted.held_out, grasps=MEAN_TOUCH_GRASPS, vary=0.0), SubProgress(progress, 0.1, 0.05)
     )
     found: list[TableRow] = []
     notes: list[str] = [COMPARISON_NOTE]
-    whole = Share(progress, 0.15, 0.85)
+    whole = SubProgress(progress, 0.15, 0.85)
     for index, ((source, target), entrants) in enumerate(zip(wanted.directions, fields, strict=True)):
-        part = Share(whole, index / len(wanted.directions), 1.0 / len(wanted.directions), f"{source} to {target}")
+        part = SubProgress(whole, index / len(wanted.directions), 1.0 / len(wanted.directions), f"{source} to {target}")
         judges, missing = _judges(wanted.pose_methods, load_sensor(source), load_sensor(target))
         notes += [*entrants.excluded, *missing]
         jobs = [
@@ -114,7 +114,7 @@ def _check_settings(wanted: EvaluationRequest) -> None:
 
 
 def _here(jobs: Sequence[ScoringJob], progress: Progress) -> list[list[ScoredTouch]]:
-    return [score_recording(job, Share(progress, k / len(jobs), 1.0 / len(jobs))) for k, job in enumerate(jobs)]
+    return [score_recording(job, SubProgress(progress, k / len(jobs), 1.0 / len(jobs))) for k, job in enumerate(jobs)]
 
 
 def _without_doubles(found: Sequence[TableRow]) -> list[TableRow]:

@@ -9,7 +9,7 @@ from itertools import product
 
 from pipeline.base.errors import SettingProblem, TouchError
 from pipeline.base.params import Value, list_settings, replace_value
-from pipeline.base.progress import SILENT, Progress, Share
+from pipeline.base.progress import SILENT, Progress, SubProgress
 from pipeline.engine.cache import Cache
 from pipeline.engine.graph import Graph, Method, StageResult
 from pipeline.previews.display_params import DisplayParams
@@ -103,7 +103,7 @@ def sweep_grid(
     for n, (row, col) in enumerate(order):
         now = plan.across.apply_value(given, across, plan.across.values[col])
         now = plan.down.apply_value(now, down, plan.down.values[row])
-        part = Share(progress, n / len(order), 1.0 / len(order), f"{n + 1} of {len(order)}")
+        part = SubProgress(progress, n / len(order), 1.0 / len(order), f"{n + 1} of {len(order)}")
         cells.append(_cell(translation, graph, now, display, plan.metric, frame, (row, col), times, part))
         hand_over(cells[-1])
     return tuple(cells)
@@ -124,7 +124,7 @@ def build_tiles(plan: SweepPlan, cells: Sequence[SweepCell]) -> tuple[Tile, ...]
 
 def _cell(
     translation: Translation, graph: Graph, given: MethodParams, display: DisplayParams, figure: str, index: int,
-    place: tuple[int, int], times: dict[tuple[str, str], float], progress: Share,
+    place: tuple[int, int], times: dict[tuple[str, str], float], progress: SubProgress,
 ) -> SweepCell:  # fmt: skip
     row, col = place
     last = figure.partition(".")[0] if figure else _last_but_pose(translation)

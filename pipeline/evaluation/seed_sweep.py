@@ -10,7 +10,7 @@ import numpy as np
 from pipeline.base.arrays import Floats
 from pipeline.base.errors import SettingProblem
 from pipeline.base.params import list_settings, replace_value
-from pipeline.base.progress import SILENT, Progress, Share
+from pipeline.base.progress import SILENT, Progress, SubProgress
 from pipeline.engine.graph import Graph, Method
 from pipeline.evaluation.bias_variance import BiasVariance, estimate_bias_variance
 from pipeline.evaluation.comparison_tiles import ComparisonTiles, TilesCallback, ignore_tiles
@@ -43,7 +43,7 @@ def sweep_seeds(
     found: list[DepthMap] = []
     shown = ComparisonTiles(tiles=(), summary=f"{title}: drawing")
     for n in range(count):
-        part = Share(progress, n / count, 1.0 / count, f"seed {n + 1} of {count}")
+        part = SubProgress(progress, n / count, 1.0 / count, f"seed {n + 1} of {count}")
         seeded = {**told, method.stage: replace_value(params, "seed", first + n)}
         graph = translation.build_graph(like=like)
         results = graph.evaluate(

@@ -84,7 +84,7 @@ def _features(those: Sequence[ScoredTouch]) -> Doubles | None:
 
 
 def _sets(made: Doubles | None, true: Doubles) -> SetDistances | None:
-    if made is None or len(made) != len(true) or len(true) < 2 * set_distances.FEWEST:
+    if made is None or len(made) != len(true) or len(true) < 2 * set_distances.MIN_TOUCHES:
         return None
     measured = {
         name: (set_distances.compare_halves(distance, made, true), set_distances.compute_floor(distance, true))

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.base.errors import SettingProblem
-from pipeline.base.files import whole_file
+from pipeline.base.files import open_atomic
 from pipeline.base.params import list_settings
-from pipeline.base.progress import SILENT, Progress, Share
+from pipeline.base.progress import SILENT, Progress, SubProgress
 from pipeline.evaluation.paper_tables import EvaluationRequest, JobMapper, evaluate_tables
 from pipeline.evaluation.table_rows import TableRow
 from pipeline.sensors.spec import load_sensor
@@ -51,7 +51,7 @@ def sweep_parameters(
     rounds = list(_rounds(plain, parameters))
     points: list[SweepPoint] = []
     for index, (name, value, one) in enumerate(rounds):
-        part = Share(progress, index / len(rounds), 1.0 / len(rounds), f"{name} {value:g}" if name else "")
+        part = SubProgress(progress, index / len(rounds), 1.0 / len(rounds), f"{name} {value:g}" if name else "")
         points += [SweepPoint(parameter=name, value=value, row=row) for row in evaluate_tables(one, part, work).rows]
     return points
 
@@ -115,7 +115,7 @@ def _draw(points: Sequence[SweepPoint], title: str, path: Path) -> None:
     axes.grid(visible=True, which="both", alpha=0.3)
     if axes.get_legend_handles_labels()[0]:
         axes.legend(fontsize=8)
-    with whole_file(path, "the plot") as file:
+    with open_atomic(path, "the plot") as file:
         canvas.print_png(file)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from pipeline.base.arrays import Doubles, Floats, Mask
 from pipeline.evaluation.recorded_touch import RecordedTouch, Region
 from pipeline.metrics.image_similarity import BORDER_PX, compute_similarity_map
-from pipeline.metrics.stage_metrics import PSNR_CAP_DB, Metric, iou, mean_abs_mm
+from pipeline.metrics.stage_metrics import PSNR_CAP_DB, Metric, compute_mae_mm, iou
 from pipeline.values.results import DepthMap
 
 TOUCH_METRICS: Mapping[str, Metric] = {
@@ -59,7 +59,7 @@ def compute_touch_metrics(
             "ssim_exact": _mean(alike_exact, where & inner),
         }
         if membrane is not None:
-            found["error_mm"] = mean_abs_mm(membrane, true.indentation_mm, where)
+            found["error_mm"] = compute_mae_mm(membrane, true.indentation_mm, where)
         if touch_depth is not None and (true.contact & where).any():
             found["iou"] = iou(touch_depth.contact & where, true.contact & where)
         if mean is not None:

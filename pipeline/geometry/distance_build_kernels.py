@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from pipeline.base.cached_kernels import inner, kernel
+from pipeline.base.cached_kernels import inner_kernel, kernel
 from pipeline.geometry.distance_grid_kernels import CELLS, NODES
 
 _SUB = 3  # nodes along the edge of a part of a block that shares a list of triangles
@@ -20,13 +20,13 @@ _STEPS = 3  # from one foot to the next
 # A face is a row of 19: corner, two edges, their three products, unit normal, middle, how far it reaches from there.
 
 
-@inner()
+@inner_kernel()
 def _share(along, whole):
     """Where along an edge a point's foot lies, within the edge."""
     return min(max(along / whole, 0.0), 1.0) if whole > 0.0 else 0.0
 
 
-@inner()
+@inner_kernel()
 def _square(f, m, x, y, z):
     """Squared distance of a point to a face."""
     x, y, z = x - f[m, 0], y - f[m, 1], z - f[m, 2]
@@ -51,13 +51,13 @@ def _square(f, m, x, y, z):
     return min(best, ex * ex + ey * ey + ez * ez)
 
 
-@inner()
+@inner_kernel()
 def _away(f, m, x, y, z):
     """Distance of a point from a face's plane, on the side of its normal."""
     return f[m, 12] * (x - f[m, 0]) + f[m, 13] * (y - f[m, 1]) + f[m, 14] * (z - f[m, 2])
 
 
-@inner()
+@inner_kernel()
 def _beyond(f, m, x, y, z, distance):
     """Whether all of a face is certainly farther from a point than `distance`: of its ball's middle, or its plane."""
     away = _away(f, m, x, y, z)
@@ -65,7 +65,7 @@ def _beyond(f, m, x, y, z, distance):
     return x * x + y * y + z * z > most * most or abs(away) > distance
 
 
-@inner()
+@inner_kernel()
 def _range(a, b, c, reach, step, n):
     """(first, beyond the last) cell along an axis whose middle is within `reach` of corners at a, a + b and a + c."""
     low, high = (a + min(0.0, b, c) - reach) / step - 0.5, (a + max(0.0, b, c) + reach) / step - 0.5
@@ -105,7 +105,7 @@ def visit_cells(all_faces, cells, step, reach, best, number, limit, count, first
                         count[number[at]] += 1
 
 
-@inner()
+@inner_kernel()
 def _near_part(all_faces, candidates, x, y, z, twice_radius, near, squares):
     """Those candidates that can be nearest to a node of a part of a block around (x, y, z): into `near`, their number.
 
@@ -160,7 +160,7 @@ def measure_blocks(all_faces, chosen, first, faces_of, fine_step, start, room, m
                 coarse_nearest[i, j, k] = nearest[n, a * CELLS, b * CELLS, c * CELLS]
 
 
-@inner()
+@inner_kernel()
 def _nearest(all_faces, near, n_near, last, x, y, z):
     """(squared distance, face) of the nearest of a list of faces, `last` being the first guess."""
     best, face = _square(all_faces, last, x, y, z), last
@@ -175,7 +175,7 @@ def _nearest(all_faces, near, n_near, last, x, y, z):
     return best, face
 
 
-@inner()
+@inner_kernel()
 def _better(all_faces, step, nearest, square, i, j, k, face):
     """Take over a neighbour's face if it is nearer."""
     if face >= 0 and face != nearest[i, j, k]:
@@ -185,7 +185,7 @@ def _better(all_faces, step, nearest, square, i, j, k, face):
 
 
 @kernel()
-def sweep(all_faces, step, nearest, square):
+def sweep_nearest_faces(all_faces, step, nearest, square):
     """Squared distances of all coarse nodes (in place), each to the best of the faces that its neighbours know."""
     nx, ny, nz = nearest.shape
     for turn in range(8):
@@ -204,7 +204,7 @@ def sweep(all_faces, step, nearest, square):
                         _better(all_faces, step, nearest, square, i, j, k, np.int64(nearest[i, j, k - c]))
 
 
-@inner()
+@inner_kernel()
 def _foot(f, m, x, y, z):
     """The point of a face that is nearest to a point."""
     x, y, z = x - f[m, 0], y - f[m, 1], z - f[m, 2]
@@ -227,14 +227,14 @@ def _foot(f, m, x, y, z):
     return f[m, 0] + v * f[m, 3] + w * f[m, 6], f[m, 1] + v * f[m, 4] + w * f[m, 7], f[m, 2] + v * f[m, 5] + w * f[m, 8]
 
 
-@inner()
+@inner_kernel()
 def _cell_of(x, y, z, step, cells):
     i, j, k = (min(int(x / step), cells[0] - 1), min(int(y / step), cells[1] - 1), min(int(z / step), cells[2] - 1))
     return (max(i, 0) * cells[1] + max(j, 0)) * cells[2] + max(k, 0)
 
 
 @kernel()
-def settle(all_faces, step, cells, number, first, faces_of, nearest, square):
+def refine_nearest_faces(all_faces, step, cells, number, first, faces_of, nearest, square):
     """Each coarse node's face exchanged for a nearer one around its foot, if there is one, until there is none."""
     nx, ny, nz = nearest.shape
     for i in range(nx):

@@ -18,7 +18,7 @@ from pipeline.base.errors import MeshProblem
 from pipeline.base.progress import SILENT, Progress
 from pipeline.geometry.meshes import Mesh
 
-OPEN = "the mesh is not closed: inside and outside are told by the sides of its triangles"
+OPEN_MESH_NOTE = "the mesh is not closed: inside and outside are told by the sides of its triangles"
 _CELLS = 8  # fine cells along a block's edge, as in the kernels
 _SMALLEST_MM = 0.8  # coarse step: 0.1 mm at the surface, where a registration is within 1.2 of what is possible
 _MOST_CELLS, _MOST_BLOCKS = 600_000, 7_000  # 5 MB and 10 MB
@@ -64,18 +64,18 @@ def build_grid(mesh: Mesh, progress: Progress = SILENT) -> DistanceGrid:
     corners = _corners(mesh)
     origin, step_mm, cells = _lattice(corners)
     progress.step(0.0, "finding inside and outside of the object")
-    surface = _Surface.of((corners - origin) / (step_mm / _CELLS), step_mm, cells)
+    surface = _Surface.from_triangles((corners - origin) / (step_mm / _CELLS), step_mm, cells)
     progress.step(0.2, "finding the surface's blocks")
-    chosen, lists = surface.blocks()
+    chosen, lists = surface.list_blocks()
     quantum_mm = step_mm * (math.sqrt(3.0) + _BAND + 0.25) / np.iinfo(np.int16).max
     fine = np.empty((len(chosen), *(_CELLS + 1,) * 3), dtype=np.int16)
     sweeping = surface.begin_sweep()
     for k in range(0, len(chosen), _BATCH):
         progress.step(0.25 + 0.65 * k / len(chosen), "measuring distances to the object")
-        lengths = surface.measure_error(chosen[k : k + _BATCH], lists, k, sweeping)
+        lengths = surface.measure_block_distances(chosen[k : k + _BATCH], lists, k, sweeping)
         fine[k : k + _BATCH] = np.rint(lengths / quantum_mm)
     progress.step(0.9, "measuring distances around the object")
-    coarse = surface.swept(lists, sweeping)
+    coarse = surface.sweep_coarse_nodes(lists, sweeping)
     kept = np.abs(fine).reshape(len(chosen), -1).min(axis=1) <= _BAND * step_mm / quantum_mm
     block = np.full(cells, -1, dtype=np.int32)
     block[tuple(chosen[kept].T)] = np.arange(int(kept.sum()), dtype=np.int32)
@@ -129,7 +129,7 @@ class _Surface:
     notes: tuple[str, ...]
 
     @classmethod
-    def of(cls, corners: Doubles, step_mm: float, cells: tuple[int, int, int]) -> _Surface:
+    def from_triangles(cls, corners: Doubles, step_mm: float, cells: tuple[int, int, int]) -> _Surface:
         """From triangles (m, 3, 3) in fine steps."""
         shape = np.array([_CELLS * n + 1 for n in cells])
         lines = [_crossed(corners, axis, shape) for axis in range(3)]
@@ -138,10 +138,10 @@ class _Surface:
         return cls(
             faces=_faces(corners * (step_mm / _CELLS)), lines=() if is_open else tuple(lines),
             by_parity=bool(unbalanced > _OPEN_SHARE * max(int(crossed), 1)), step_mm=step_mm, cells=cells,
-            notes=(OPEN,) if is_open else (),
+            notes=(OPEN_MESH_NOTE,) if is_open else (),
         )  # fmt: skip
 
-    def blocks(self) -> tuple[NDArray[np.int64], tuple[Any, Any, Any]]:
+    def list_blocks(self) -> tuple[NDArray[np.int64], tuple[Any, Any, Any]]:
         """Coarse cells (n, 3) that the surface's band can reach, and (number of each cell, first, faces).
 
         The lists hold the faces that can be nearest to some node of a cell.
@@ -170,7 +170,7 @@ class _Surface:
         shape = tuple(n + 1 for n in self.cells)
         return np.full(shape, -1, dtype=np.int32), np.full(shape, np.inf)
 
-    def measure_error(
+    def measure_block_distances(
         self, chosen: NDArray[np.int64], lists: tuple[Any, Any, Any], start: int, sweeping: tuple[Indices, Doubles]
     ) -> Doubles:
         """Signed distances (n, 9, 9, 9) of the blocks `chosen`, the first of which has number `start`."""
@@ -185,26 +185,26 @@ class _Surface:
         nodes = (_CELLS * chosen[:, None] + _lattice_nodes((0, 0, 0), size[1:])[None]).reshape(-1, 3)
         return np.where(self._inside(nodes, nearest.reshape(-1)).reshape(size), -lengths, lengths)
 
-    def swept(self, lists: tuple[Any, Any, Any], sweeping: tuple[Indices, Doubles]) -> Doubles:
+    def sweep_coarse_nodes(self, lists: tuple[Any, Any, Any], sweeping: tuple[Indices, Doubles]) -> Doubles:
         """Signed distances of all coarse nodes, from those that were measured on outwards."""
-        from pipeline.geometry.distance_build_kernels import settle, sweep
+        from pipeline.geometry.distance_build_kernels import refine_nearest_faces, sweep_nearest_faces
 
         nearest, square = sweeping
-        sweep(self.faces, self.step_mm, nearest, square)
-        settle(self.faces, self.step_mm, self.cells, *lists, nearest, square)
+        sweep_nearest_faces(self.faces, self.step_mm, nearest, square)
+        refine_nearest_faces(self.faces, self.step_mm, self.cells, *lists, nearest, square)
         nodes = _CELLS * _lattice_nodes((0, 0, 0), nearest.shape)
         inside = self._inside(nodes, nearest.reshape(-1)).reshape(nearest.shape)
         return np.where(inside, -1.0, 1.0) * np.sqrt(square)
 
     def _inside(self, nodes: NDArray[np.int64], nearest: Indices) -> NDArray[np.bool_]:
-        from pipeline.geometry.distance_grid_kernels import inside
+        from pipeline.geometry.distance_grid_kernels import vote_inside
 
         if not self.lines:
             face = self.faces[nearest]
             return np.einsum("ij,ij->i", face[:, 12:15], nodes * (self.step_mm / _CELLS) - face[:, :3]) < 0.0
         votes, shape = np.zeros(len(nodes), dtype=np.int8), np.array([_CELLS * n + 1 for n in self.cells])
         for axis, (first, where, sign) in enumerate(self.lines):
-            inside(nodes, axis, shape, first, where, sign, self.by_parity, votes)
+            vote_inside(nodes, axis, shape, first, where, sign, self.by_parity, votes)
         return votes >= 2
 
 
@@ -221,15 +221,15 @@ def _faces(corners: Doubles) -> Doubles:
 
 def _crossed(corners: Doubles, axis: int, shape: NDArray[np.int64]) -> tuple[Indices, Floats, NDArray[np.int8]]:
     """(first (lines + 1,), where, sign) of what the lattice's lines along an axis cross of triangles in fine steps."""
-    from pipeline.geometry.distance_grid_kernels import crossings
+    from pipeline.geometry.distance_grid_kernels import find_crossings
 
     count = np.zeros(int(shape[axis - 2] * shape[axis - 1]), np.int32)
     none, shift = (np.zeros(0, np.int32), np.zeros(0, np.float32), np.zeros(0, np.int8)), np.array(_SHIFT)
-    crossings(corners, axis, shape, shift, count, *none)
+    find_crossings(corners, axis, shape, shift, count, *none)
     first = np.concatenate([[0], np.cumsum(count)]).astype(np.int32)
     where, sign = np.empty(first[-1], np.float32), np.empty(first[-1], np.int8)
     count[:] = 0
-    crossings(corners, axis, shape, shift, count, first, where, sign)
+    find_crossings(corners, axis, shape, shift, count, first, where, sign)
     return first, where, sign
 
 

@@ -7,13 +7,13 @@ import math
 
 import numpy as np
 
-from pipeline.base.cached_kernels import inner, kernel
+from pipeline.base.cached_kernels import inner_kernel, kernel
 
 CELLS = 8  # fine cells along a block's edge
 NODES = CELLS + 1
 
 
-@inner()
+@inner_kernel()
 def _cell(v, at, over_y, over_x, a, b, c):
     """Value and slopes per cell of a flat lattice at its node `at` plus (a, b, c), strides (over_x, over_y, 1)."""
     # Unsigned places are not tested for counting from the end, which would cost as much as the reading.
@@ -30,7 +30,7 @@ def _cell(v, at, over_y, over_x, a, b, c):
     return y0 + (y1 - y0) * c, e0 + (e1 - e0) * c, f0 + (f1 - f0) * c, y1 - y0
 
 
-@inner()
+@inner_kernel()
 def look_up(x, y, z, grid):
     """Signed distance (mm) and its gradient at one point of the object frame; lattices are flat, C order."""
     origin, step, shape, coarse, block, fine, quantum = grid
@@ -72,7 +72,7 @@ def look_up_all(points, grid, out):
             out[n, 0] = out[n, 1] = out[n, 2] = out[n, 3] = math.nan
 
 
-@inner()
+@inner_kernel()
 def _crossing(corners, m, p, q, axis):
     """(+1, -1 or 0 for a miss, where along `axis`) of the line at (p, q) of the two other axes through a triangle."""
     s, t = (axis + 1) % 3, (axis + 2) % 3
@@ -87,7 +87,7 @@ def _crossing(corners, m, p, q, axis):
 
 
 @kernel()
-def crossings(corners, axis, shape, shift, count, first, where, sign):
+def find_crossings(corners, axis, shape, shift, count, first, where, sign):
     """What triangles (m, 3, 3), in lattice units, cut of each line along an axis: into `count`, and after `first`.
 
     Without room in `where` they are only counted.
@@ -110,7 +110,7 @@ def crossings(corners, axis, shape, shift, count, first, where, sign):
 
 
 @kernel()
-def inside(nodes, axis, shape, first, where, sign, by_parity, votes):
+def vote_inside(nodes, axis, shape, first, where, sign, by_parity, votes):
     """Add 1 to `votes` (n,) of each lattice node (n, 3) that its line along `axis` holds to be inside."""
     s, t = (axis + 1) % 3, (axis + 2) % 3
     for n in range(nodes.shape[0]):

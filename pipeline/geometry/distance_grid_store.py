@@ -30,4 +30,4 @@ def load_distance_grid(mesh: Mesh, progress: Progress = SILENT, folder: Path | N
             DistanceGrid, made_of, _CODE, lambda: build_grid(mesh, progress), folder or "distance_grids"
         )
 
-    return _grids.of(made_of, make) if folder is None else make()
+    return _grids.get_or_make(made_of, make) if folder is None else make()

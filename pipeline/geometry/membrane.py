@@ -61,11 +61,13 @@ class Membrane:
         flat_points = np.ascontiguousarray(points_mm).reshape(-1)
         level_mm = self.level_mm
         if level_mm is not None:
-            membrane_kernels.level_distance(flat_points, level_mm, out)
+            membrane_kernels.measure_level_distance(flat_points, level_mm, out)
         else:
             ny, nx = self.z_mm.shape
             surface = np.ascontiguousarray(self.z_mm).reshape(-1)
-            membrane_kernels.signed_distance(flat_points, self.x0_mm, self.y0_mm, self.step_mm, surface, nx, ny, out)
+            membrane_kernels.measure_signed_distance(
+                flat_points, self.x0_mm, self.y0_mm, self.step_mm, surface, nx, ny, out
+            )
         return out.reshape(points_mm.shape[:-1])
 
     def rest_depth_mm(self, camera: Camera) -> Doubles:
@@ -113,7 +115,7 @@ def make_flat_membrane(z_mm: float, half_width_mm: float, half_height_mm: float)
     )
 
 
-def make_dome(
+def make_dome_membrane(
     rim_z_mm: float, height_mm: float, half_width_mm: float, half_height_mm: float, step_mm: float = 0.5
 ) -> Membrane:
     """An inflated membrane over an elliptic rim, its apex farthest from the camera.

@@ -7,11 +7,11 @@ import math
 
 import numpy as np
 
-from pipeline.base.cached_kernels import inlined, kernel
+from pipeline.base.cached_kernels import inline_kernel, kernel
 
 
-@inlined()
-def sample(surface, nx, ny, u, v):
+@inline_kernel()
+def sample_height(surface, nx, ny, u, v):
     """(z, its change per node to the right, per node down) at lattice place (u, v): bilinear, level beyond the border.
 
     `surface` holds z (ny, nx), flat. Without branches, so that it runs on vectors of points; NaN counts as node 0.
@@ -30,7 +30,7 @@ def sample(surface, nx, ny, u, v):
 
 
 @kernel()
-def signed_distance(flat, x0, y0, step, surface, nx, ny, out):
+def measure_signed_distance(flat, x0, y0, step, surface, nx, ny, out):
     """Write into `out` (n,) the distance of the points of `flat` (3 n) to the height field, negative camera's side.
 
     `surface` holds z (ny, nx), flat. NaN stays NaN.
@@ -38,14 +38,14 @@ def signed_distance(flat, x0, y0, step, surface, nx, ny, out):
     per_mm = 1.0 / step
     for k in range(out.shape[0]):
         x, y, z = np.float64(flat[3 * k]), np.float64(flat[3 * k + 1]), np.float64(flat[3 * k + 2])
-        h, right, down = sample(surface, nx, ny, (x - x0) / step, (y - y0) / step)
+        h, right, down = sample_height(surface, nx, ny, (x - x0) / step, (y - y0) / step)
         hx, hy = right * per_mm, down * per_mm
         distance = (z - h) / math.sqrt(1.0 + hx * hx + hy * hy)
         out[k] = distance if (x == x) & (y == y) else np.nan
 
 
 @kernel()
-def level_distance(flat, height, out):
+def measure_level_distance(flat, height, out):
     """As `signed_distance`, of a level pad: z - height."""
     for k in range(out.shape[0]):
         x, y, z = flat[3 * k], flat[3 * k + 1], flat[3 * k + 2]
@@ -53,7 +53,7 @@ def level_distance(flat, height, out):
 
 
 @kernel(fastmath={"contract", "arcp", "nsz", "reassoc"})
-def along_rays(surface, nx, ny, x0, y0, step, ray_x, ray_y, far, out):
+def intersect_rays(surface, nx, ny, x0, y0, step, ray_x, ray_y, far, out):
     """z at which each camera ray meets the height field, from the guesses in `out` (rows, cols).
 
     Newton kept inside a bracket that shrinks from the lens and `far`.
@@ -64,7 +64,7 @@ def along_rays(surface, nx, ny, x0, y0, step, ray_x, ray_y, far, out):
             high = far
             z = out[r, c]
             for _ in range(60):
-                h, right, down = sample(surface, nx, ny, (ray_x[c] * z - x0) / step, (ray_y[r] * z - y0) / step)
+                h, right, down = sample_height(surface, nx, ny, (ray_x[c] * z - x0) / step, (ray_y[r] * z - y0) / step)
                 above = h - z
                 if above > 0.0:
                     low = z

@@ -19,7 +19,7 @@ from pipeline.geometry.camera import MIN_DEPTH_MM
 from pipeline.geometry.membrane import Membrane
 from pipeline.geometry.meshes import Mesh, load_mesh
 
-MOST_ERROR_MM = 0.05  # of a lattice against its mesh: far below the noise of a bubble's depth reading
+MAX_ERROR_MM = 0.05  # of a lattice against its mesh: far below the noise of a bubble's depth reading
 _USUAL = 95  # percent of the cells that must be followed so well; creases, such as a rim, take the rest
 _MOST_NODES = 1_000_000
 _SAME = 1e-5  # of a step: vertices of a float32 file lie beside the lattice that made them
@@ -30,12 +30,12 @@ def load_membrane(path: Path, unit: str = "auto", step_mm: float = 0.5) -> Membr
     """The rest surface of an STL, PLY or OBJ file; raises FileProblem or MeshProblem in one sentence."""
     mesh = load_mesh(path, unit)
     try:
-        return from_mesh(mesh, step_mm)
+        return make_mesh_membrane(mesh, step_mm)
     except MeshProblem as error:
         raise MeshProblem(f"{error}: '{path}'") from error
 
 
-def from_mesh(mesh: Mesh, step_mm: float = 0.5) -> Membrane:
+def make_mesh_membrane(mesh: Mesh, step_mm: float = 0.5) -> Membrane:
     """The mesh's nearest surface, seen along z, on a lattice of `step_mm`; level beyond the mesh's outline.
 
     Raises MeshProblem when the mesh reaches behind the camera, folds over itself, or is not followed to MOST_ERROR_MM
@@ -54,8 +54,8 @@ def from_mesh(mesh: Mesh, step_mm: float = 0.5) -> Membrane:
     if not np.isfinite(heights).any():
         raise MeshProblem("the rest surface stands on edge: seen along z it covers nothing; check its axes")
     surface = Membrane(x0_mm=float(x[0]), y0_mm=float(y[0]), step_mm=step_mm, z_mm=freeze(_continued(heights)))
-    error_mm = usual_error_mm(mesh, surface)
-    if error_mm > MOST_ERROR_MM:
+    error_mm = compute_lattice_error_mm(mesh, surface)
+    if error_mm > MAX_ERROR_MM:
         raise MeshProblem(
             f"a lattice of {step_mm:g} mm follows the rest surface to {error_mm:.2g} mm only; use a smaller step"
         )
@@ -64,10 +64,10 @@ def from_mesh(mesh: Mesh, step_mm: float = 0.5) -> Membrane:
 
 def _heights(mesh: Mesh, x_mm: Doubles, y_mm: Doubles, step_mm: float) -> Doubles:
     """Z of the mesh's nearest surface at each (x, y), NaN where there is none; raises MeshProblem where it folds."""
-    from pipeline.geometry.mesh_membrane_kernels import heights
+    from pipeline.geometry.mesh_membrane_kernels import sample_mesh_heights
 
     nearest, farthest = np.full(x_mm.size, np.nan), np.full(x_mm.size, np.nan)
-    heights(
+    sample_mesh_heights(
         np.ascontiguousarray(mesh.vertices_mm), np.ascontiguousarray(mesh.triangles), x_mm.ravel(), y_mm.ravel(),
         (float(x_mm[0, 0]), float(y_mm[0, 0])), step_mm, x_mm.shape, nearest, farthest,
     )  # fmt: skip
@@ -91,7 +91,7 @@ def _continued(heights: Doubles) -> Doubles:
     return heights[tuple(nearest)]
 
 
-def usual_error_mm(mesh: Mesh, surface: Membrane) -> float:
+def compute_lattice_error_mm(mesh: Mesh, surface: Membrane) -> float:
     """Difference along z between a mesh and its height field that 95 % of the cells stay within, at their middles."""
     ny, nx = surface.z_mm.shape
     x_mm, y_mm = np.meshgrid(

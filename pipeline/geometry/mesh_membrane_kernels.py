@@ -11,7 +11,7 @@ _SLACK = 1e-9  # barycentric: nodes on a common edge belong to both triangles
 
 
 @kernel()
-def heights(vertices, triangles, x, y, first, step, shape, nearest, farthest):
+def sample_mesh_heights(vertices, triangles, x, y, first, step, shape, nearest, farthest):
     """Write z of the nearest and of the farthest triangle at each node; both come as NaN = none."""
     rows, cols = shape
     for t in range(triangles.shape[0]):

@@ -54,12 +54,12 @@ def load_mesh(path: Path, unit: str = "auto") -> Mesh:
     if read is None:
         raise FileProblem(f"meshes are read from STL, PLY and OBJ files, not from {path.suffix or 'this'!r}", path)
     vertices, triangles = read(read_bytes(path, "the mesh"), path)
-    require_watertight(vertices, triangles, path)
+    validate_mesh(vertices, triangles, path)
     scale = _scale(vertices[triangles.ravel()], unit, path)
     return _tidied(vertices * scale, triangles, path)
 
 
-def require_watertight(vertices: Doubles, triangles: NDArray[np.integer], path: Path) -> None:
+def validate_mesh(vertices: Doubles, triangles: NDArray[np.integer], path: Path) -> None:
     """Raise MeshProblem unless there are triangles, each between three vertices that are there and finite."""
     if not triangles.size:
         raise MeshProblem(f"the mesh has no triangles: '{path}'")

@@ -15,7 +15,7 @@ from pipeline.base.arrays import Doubles
 from pipeline.base.errors import CalibrationError
 
 ORTHONORMAL_TOLERANCE = 1e-5  # largest entry of R^T R - I; float32 files keep 1e-6, hand-typed ones less
-FARTHEST_MM = 1000.0  # between two sensors that feel the same touch, or one and what it touches
+MAX_TRANSLATION_MM = 1000.0  # between two sensors that feel the same touch, or one and what it touches
 _SMALL_ANGLE_RAD = 1e-4  # below it the series is exact to double precision
 
 
@@ -104,8 +104,8 @@ def validate_within_reach(matrix: ArrayLike, what: str) -> Doubles:
     """`checked`, and no farther than anything that is touched; for what files say. Raises CalibrationError."""
     m = validate_rigid(matrix, what)
     far = float(np.abs(m[:3, 3]).max())
-    if far > FARTHEST_MM:
-        raise CalibrationError(f"{what} shifts by {far:.3g} mm, it must lie within {FARTHEST_MM:g} mm")
+    if far > MAX_TRANSLATION_MM:
+        raise CalibrationError(f"{what} shifts by {far:.3g} mm, it must lie within {MAX_TRANSLATION_MM:g} mm")
     return m
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from pipeline.base.arrays import Doubles
 
-SLIDE = 0.05  # share of turning in a motion of unit size below which it is a slide
+SLIDE_ROTATION_LIMIT = 0.05  # share of turning in a motion of unit size below which it is a slide
 _HARDLY = 0.2  # share of turning in what is a slide as well where the slide alone is not shown either
 _EXACT = 0.9994  # cosine, 2 degrees, from which a slide does: farther off, the object leaves the sensor's plane
 _PURE = 0.995  # cosine, 6 degrees, from which a direction earns the name of an axis
@@ -34,7 +34,7 @@ def describe_motions(
     _, turning, mix = np.linalg.svd(lost[:3], full_matrices=True)
     turning = np.concatenate([turning, np.zeros(mix.shape[0] - len(turning))])
     basis = lost @ mix.T
-    straight = turning <= SLIDE
+    straight = turning <= SLIDE_ROTATION_LIMIT
     for k in np.flatnonzero(~straight & (turning <= _HARDLY)):
         alone = np.concatenate([np.zeros(3), basis[3:, k] / np.linalg.norm(basis[3:, k])])
         if is_lost(alone):

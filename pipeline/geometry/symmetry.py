@@ -31,7 +31,7 @@ class Symmetry:
             return 0
         return sum(abs(float(turn[2, 2]) - 1.0) < _SAME for turn in self.rotations)
 
-    def group(self, step: float = 0.01) -> Doubles:
+    def sample_rotations(self, step: float = 0.01) -> Doubles:
         """All rotations (m, 3, 3), the identity first, for the MSSD of the BOP challenge (Hodan et al. 2020).
 
         Between neighbouring turns about the axis no point of the object moves more than `step` of its diameter.

@@ -13,7 +13,7 @@ import numpy as np
 
 from pipeline.base.arrays import Doubles
 
-FEWEST = 4  # touches of a set: below, there is no spread to speak of
+MIN_TOUCHES = 4  # touches of a set: below, there is no spread to speak of
 Distance = Callable[[Doubles, Doubles], float]
 
 
@@ -23,7 +23,7 @@ def frechet_distance(a: Doubles, b: Doubles) -> float:
     tr((S T)^1/2) of two covariances is the nuclear norm of the product of their factors, exact also where there are
     fewer touches than features; NaN for fewer than `FEWEST`.
     """
-    if min(len(a), len(b)) < FEWEST:
+    if min(len(a), len(b)) < MIN_TOUCHES:
         return math.nan
     shift = a.mean(axis=0) - b.mean(axis=0)
     one, other = (_factor(x) for x in (a, b))
@@ -38,7 +38,7 @@ def _factor(x: Doubles) -> Doubles:
 
 def kernel_distance(a: Doubles, b: Doubles) -> float:
     """Unbiased squared maximum mean discrepancy with the kernel (x.y / features + 1)^3 (Binkowski et al. 2018)."""
-    if min(len(a), len(b)) < FEWEST:
+    if min(len(a), len(b)) < MIN_TOUCHES:
         return math.nan
     d = a.shape[1]
 

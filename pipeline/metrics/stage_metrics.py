@@ -54,10 +54,12 @@ METRICS: Mapping[str, Metric] = {
         better="lower",
         meaning="mean absolute difference to the recorded depth image",
     ),
-    "translation_mm": Metric(title="shift", unit="mm", better="lower", meaning="shift of the object at the contact"),
-    "rotation_deg": Metric(title="turn", unit="deg", better="lower", meaning="turn of the object"),
+    "translation_mm": Metric(
+        title="translation error", unit="mm", better="lower", meaning="shift of the object at the contact"
+    ),
+    "rotation_deg": Metric(title="rotation error", unit="deg", better="lower", meaning="turn of the object"),
     "mssd_mm": Metric(
-        title="surface off",
+        title="MSSD",
         unit="mm",
         better="lower",
         meaning="largest shift of the object's surface, after its symmetry",
@@ -74,11 +76,11 @@ METRICS: Mapping[str, Metric] = {
     "observable_deg": Metric(
         title="determined turn", unit="deg", better="lower", meaning="turn about what the contact determines"
     ),
-    "answers": Metric(
-        title="answers", unit="", better="neither", meaning="poses that fit equally well, up to symmetry"
+    "n_poses": Metric(
+        title="n_poses", unit="", better="neither", meaning="poses that fit equally well, up to symmetry"
     ),
-    "answers_apart_mm": Metric(
-        title="answers apart", unit="mm", better="neither", meaning="largest distance (MSSD) between two of them"
+    "pose_spread_mm": Metric(
+        title="pose ambiguity", unit="mm", better="neither", meaning="largest distance (MSSD) between two of them"
     ),
 }
 """Name of a figure, as it stands behind the slot's (`pose.mssd_mm`) -> what it is."""
@@ -91,7 +93,7 @@ def describe_metric(figure: str) -> str:
     return f"{slot}: {metric.title}{', ' if metric.unit else ''}{metric.unit}"
 
 
-def mean_abs_mm(estimate: NDArray[np.floating], truth: NDArray[np.floating], where: Mask) -> float:
+def compute_mae_mm(estimate: NDArray[np.floating], truth: NDArray[np.floating], where: Mask) -> float:
     """Mean absolute difference in mm over `where`, pixels without a value left out; NaN if none is left."""
     gap = np.abs(np.asarray(estimate, dtype=np.float64) - truth)[where]
     gap = gap[np.isfinite(gap)]
@@ -118,9 +120,9 @@ def compute_surface_metrics(indentation_mm: NDArray[np.floating], contact: Mask,
         figures["contact_iou"] = iou(contact, truth.contact)
     if truth.indentation_mm is not None and truth.indentation_mm.shape == indentation_mm.shape:
         everywhere = np.ones(contact.shape, dtype=np.bool_)
-        figures["mae_mm"] = mean_abs_mm(indentation_mm, truth.indentation_mm, everywhere)
+        figures["mae_mm"] = compute_mae_mm(indentation_mm, truth.indentation_mm, everywhere)
         if truth.contact is not None and truth.contact.any():
-            figures["contact_mae_mm"] = mean_abs_mm(indentation_mm, truth.indentation_mm, truth.contact)
+            figures["contact_mae_mm"] = compute_mae_mm(indentation_mm, truth.indentation_mm, truth.contact)
     return figures
 
 
@@ -131,7 +133,9 @@ def compute_image_metrics(image: Image | Floats, frame: TactileFrame) -> dict[st
     if frame.is_depth:
         everywhere = np.ones(image.shape, dtype=np.bool_)
         return {
-            "depth_mae_mm": mean_abs_mm(np.asarray(image, np.float64), np.asarray(frame.image, np.float64), everywhere)
+            "depth_mae_mm": compute_mae_mm(
+                np.asarray(image, np.float64), np.asarray(frame.image, np.float64), everywhere
+            )
         }
     return {"psnr_db": psnr_db(image, frame.image, 255.0)}
 
@@ -158,5 +162,5 @@ def compute_pose_metrics(
         )  # fmt: skip
         figures |= {f"{name}": value for name, value in asdict(felt).items() if math.isfinite(value)}
         several = compute_ambiguity((pose.sensor_from_object, *pose.alternatives), mesh, symmetry, _SAME_MM)
-        figures |= {"answers": float(several.n_distinct), "answers_apart_mm": several.spread_mm}
+        figures |= {"n_poses": float(several.n_distinct), "pose_spread_mm": several.spread_mm}
     return figures

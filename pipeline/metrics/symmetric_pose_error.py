@@ -21,7 +21,7 @@ from pipeline.geometry.meshes import Mesh
 if TYPE_CHECKING:
     from pipeline.geometry.symmetry import Symmetry
 
-STEP = 0.01  # of the diameter, between neighbouring turns about an axis
+SYMMETRY_STEP = 0.01  # of the diameter, between neighbouring turns about an axis
 _FEW = 500  # vertices below which their convex hull is not worth its time
 _ROUGH, _AT_ONCE = 48, 8  # vertices that rank the symmetries, and symmetries that are then looked at together
 _GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
@@ -30,7 +30,7 @@ _SMALL_RAD = 1e-4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SymmetricError:
+class SymmetricPoseError:
     """How far an estimate is from the truth, as far as that can be felt."""
 
     mssd_mm: float  # largest displacement of a vertex, least over the symmetries
@@ -55,23 +55,27 @@ def compute_symmetric_error(
     symmetry: Symmetry | None,
     at_mm: Doubles,
     observable: Doubles | None = None,
-) -> SymmetricError:
+) -> SymmetricPoseError:
     """All errors of sensor_from_object (4, 4) at the contact's middle `at_mm` (3,) in the sensor frame.
 
     `symmetry` None = not known: the object is taken as asymmetric. `observable` is that of `ObjectPose`.
     """
-    mssd, turn = _nearest(estimate, truth, hull(mesh), symmetry)
+    mssd, turn = _nearest(estimate, truth, compute_hull(mesh), symmetry)
     same = truth @ turn
-    shift, angle = in_plane(estimate, _unrolled(estimate, same, symmetry), symmetry, at_mm)
+    shift, angle = compute_in_plane_error(estimate, remove_axis_rotation(estimate, same, symmetry), symmetry, at_mm)
     seen, seen_angle = math.nan, math.nan
     if observable is not None:
-        seen, seen_angle = on_observable(estimate, _unrolled(estimate, same, symmetry), observable, at_mm)
-    return SymmetricError(
+        seen, seen_angle = compute_observable_error(
+            estimate, remove_axis_rotation(estimate, same, symmetry), observable, at_mm
+        )
+    return SymmetricPoseError(
         mssd_mm=mssd, se2_mm=shift, se2_deg=angle, observable_mm=seen, observable_deg=seen_angle
     )  # fmt: skip
 
 
-def in_plane(estimate: Doubles, truth: Doubles, symmetry: Symmetry | None, at_mm: Doubles) -> tuple[float, float]:
+def compute_in_plane_error(
+    estimate: Doubles, truth: Doubles, symmetry: Symmetry | None, at_mm: Doubles
+) -> tuple[float, float]:
     """(mm, deg) in the sensor's x-y plane, as the paper scores poses, for a truth already reduced by symmetry.
 
     The shift is that of the object's point at `at_mm`. A body of revolution is compared by its axis alone: slides
@@ -86,7 +90,9 @@ def in_plane(estimate: Doubles, truth: Doubles, symmetry: Symmetry | None, at_mm
     return float(np.hypot(shift[0], shift[1])), abs(math.degrees(turn_rad))
 
 
-def on_observable(estimate: Doubles, truth: Doubles, observable: Doubles, at_mm: Doubles) -> tuple[float, float]:
+def compute_observable_error(
+    estimate: Doubles, truth: Doubles, observable: Doubles, at_mm: Doubles
+) -> tuple[float, float]:
     """(mm, deg) of the motion from truth to estimate that lies in the directions the estimate calls determined.
 
     The motion is taken as a screw about `at_mm` (the logarithm in SE(3)), so that a long slide and a full roll along a
@@ -100,7 +106,7 @@ def on_observable(estimate: Doubles, truth: Doubles, observable: Doubles, at_mm:
 
 def compute_ambiguity(poses: Sequence[Doubles], mesh: Mesh, symmetry: Symmetry | None, same_mm: float) -> Ambiguity:
     """Of the minima that a registration reports: those within `same_mm` of MSSD of an earlier one count once."""
-    corners, kept, spread = hull(mesh), list[Doubles](), 0.0
+    corners, kept, spread = compute_hull(mesh), list[Doubles](), 0.0
     for pose in poses:
         apart = [_nearest(pose, other, corners, symmetry)[0] for other in kept]
         if all(mm > same_mm for mm in apart):
@@ -109,7 +115,7 @@ def compute_ambiguity(poses: Sequence[Doubles], mesh: Mesh, symmetry: Symmetry |
     return Ambiguity(n_distinct=len(kept), spread_mm=spread)
 
 
-def hull(mesh: Mesh) -> Doubles:
+def compute_hull(mesh: Mesh) -> Doubles:
     """The vertices (n, 3) that can be displaced most: displacement is convex, so that none within them can."""
     return mesh.vertices_mm if len(mesh.vertices_mm) <= _FEW else _hull_of(mesh.vertices_mm.tobytes())
 
@@ -133,7 +139,7 @@ def _nearest(estimate: Doubles, truth: Doubles, points: Doubles, symmetry: Symme
     """
     if symmetry is None:
         return _farthest(estimate, truth, np.eye(3)[None], points)[0], np.eye(4)
-    group = symmetry.group(STEP)
+    group = symmetry.sample_rotations(SYMMETRY_STEP)
     at_least = _farthest(estimate, truth, group, points[:: max(1, len(points) // _ROUGH)])
     best, turn = math.inf, group[0]
     for part in np.array_split(np.argsort(at_least, kind="stable"), math.ceil(len(group) / _AT_ONCE)):
@@ -165,7 +171,7 @@ def _between_steps(
         turned = turn @ rigid.rotation(angle * axis)[:3, :3]
         return float(_farthest(estimate, truth, turned[None], points)[0]), turned
 
-    low, high = -2.0 * STEP, 2.0 * STEP
+    low, high = -2.0 * SYMMETRY_STEP, 2.0 * SYMMETRY_STEP
     found = (best, turn)
     for _ in range(_NARROWED):
         left, right = at(high - _GOLDEN * (high - low)), at(low + _GOLDEN * (high - low))
@@ -177,7 +183,7 @@ def _between_steps(
     return found
 
 
-def _unrolled(estimate: Doubles, truth: Doubles, symmetry: Symmetry | None) -> Doubles:
+def remove_axis_rotation(estimate: Doubles, truth: Doubles, symmetry: Symmetry | None) -> Doubles:
     """The truth after the turn about the axis of symmetry that leaves least to turn: the swing of swing and twist."""
     if symmetry is None or symmetry.axis is None:
         return truth

@@ -51,7 +51,7 @@ def load_network(weights: Weights | NoWeights) -> nn.Module:
     """
     if isinstance(weights, NoWeights):
         raise ModelMissing(weights.why)
-    return _loaded_networks.of(weights.content_digest, lambda: _loaded(weights))
+    return _loaded_networks.get_or_make(weights.content_digest, lambda: _loaded(weights))
 
 
 def load_predictor(weights: Weights | NoWeights) -> Callable[..., Any]:
@@ -61,7 +61,7 @@ def load_predictor(weights: Weights | NoWeights) -> Callable[..., Any]:
     """
     if isinstance(weights, NoWeights) or weights.kind not in ONNX_KINDS:
         return load_network(weights)
-    return _predictors.of(weights.content_digest, lambda: _load_predictor(weights))
+    return _predictors.get_or_make(weights.content_digest, lambda: _load_predictor(weights))
 
 
 def release_networks(keep: Container[str] = ()) -> None:

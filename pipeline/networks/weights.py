@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from pipeline.base.arrays import Floats, freeze
 from pipeline.base.errors import FileProblem
-from pipeline.base.files import read_bytes, whole_file, write_text
+from pipeline.base.files import open_atomic, read_bytes, write_text
 from pipeline.base.params import Value
 from pipeline.engine.digests import UNDIGESTED, compute_digest
 
@@ -141,7 +141,7 @@ def save_weights(path: Path, weights: Weights, *, use_float16: bool = False) -> 
         _MARK: _VERSION, "kind": weights.kind,
         "config": json.dumps(dict(weights.config)), "card": json.dumps(dict(weights.card)),
     }  # fmt: skip
-    with whole_file(path, _WHAT) as file:
+    with open_atomic(path, _WHAT) as file:
         file.write(to_bytes(stored, header))
     write_text(path.with_suffix(".md"), _card(path.stem, weights), "the card of the weights")
 

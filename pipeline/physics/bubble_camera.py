@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pipeline.base.arrays import Doubles, Floats, freeze
 from pipeline.base.memo import Memo
-from pipeline.engine.digests import content
+from pipeline.engine.digests import compute_cached_digest
 from pipeline.geometry.camera import Camera
 from pipeline.geometry.normals import compute_area_vectors
 from pipeline.physics import lattice
@@ -76,8 +76,8 @@ def compute_incidence_cosine(camera: Camera, depth_mm: NDArray[np.floating]) -> 
 def compute_rest_cosine(sensor: SensorSpec) -> Doubles:
     """`incidence_cosine` of the untouched membrane; kept for the last few units."""
     rest = sensor.rest_depth_mm
-    return _rest_cosines.of(
-        (content(rest), sensor.camera), lambda: freeze(compute_incidence_cosine(sensor.camera, rest))
+    return _rest_cosines.get_or_make(
+        (compute_cached_digest(rest), sensor.camera), lambda: freeze(compute_incidence_cosine(sensor.camera, rest))
     )
 
 

@@ -72,13 +72,13 @@ def render_mesh_depth(vertices_mm: Doubles, triangles: Indices, camera: Camera) 
 
 def intersect_rays(camera: Camera, z_mm: Doubles, on: Lattice, guess_mm: NDArray[np.floating]) -> Doubles:
     """Z (rows, cols) where each camera ray meets the surface `z_mm` (ny, nx), level beyond the lattice."""
-    from pipeline.geometry.membrane_kernels import along_rays
+    from pipeline.geometry.membrane_kernels import intersect_rays
 
     z = np.array(guess_mm, dtype=np.float64)
     ray_x, ray_y = camera.rays()
     ny, nx = z_mm.shape
     surface = np.ascontiguousarray(z_mm, dtype=np.float64).reshape(-1)
-    along_rays(surface, nx, ny, on.x0_mm, on.y0_mm, on.step_mm, ray_x, ray_y, float(z_mm.max()) + 1.0, z)
+    intersect_rays(surface, nx, ny, on.x0_mm, on.y0_mm, on.step_mm, ray_x, ray_y, float(z_mm.max()) + 1.0, z)
     return freeze(z)
 
 

@@ -5,10 +5,10 @@ import math
 
 import numpy as np
 
-from pipeline.base.cached_kernels import inner, kernel
+from pipeline.base.cached_kernels import inner_kernel, kernel
 
 
-@inner()
+@inner_kernel()
 def _triangle(xa, ya, za, xb, yb, zb, xc, yc, zc, height):
     """Lower `height` to one triangle (lattice coordinates) at the nodes that it covers."""
     area = (xb - xa) * (yc - ya) - (xc - xa) * (yb - ya)

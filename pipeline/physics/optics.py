@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pipeline.base.arrays import Floats, Image, freeze
 from pipeline.base.errors import SettingProblem, ShapeError
 from pipeline.base.memo import Memo, memoise
-from pipeline.engine.digests import content
+from pipeline.engine.digests import compute_cached_digest
 from pipeline.geometry.camera import Camera
 from pipeline.physics.optics_markers import check_surface, compute_marker_motion_px, draw_markers
 from pipeline.sensors.parts import Markers, Optics
@@ -161,8 +161,8 @@ _scenes: Memo[str, _Scene] = Memo(16)
 def _scene(sensor: SensorSpec) -> _Scene:
     """What the kernels need to light a surface of this sensor, after the surface itself."""
     camera, optics = sensor.camera, require_optics(sensor)
-    return _scenes.of(
-        content(sensor),
+    return _scenes.get_or_make(
+        compute_cached_digest(sensor),
         lambda: (np.float32(sensor.pixel_mm), compute_reference_light(camera, optics).reshape(camera.rows, -1),
                  *pack_leds(optics, camera), np.float32(optics.vignette)),
     )  # fmt: skip

@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 
-from pipeline.base.cached_kernels import FAST, inlined, kernel
+from pipeline.base.cached_kernels import FAST, inline_kernel, kernel
 from pipeline.physics.slope_kernels import write_row_slopes
 
 # What is called is inlined before it is compiled: as functions of their own, with sums free to be contracted, they come
@@ -34,7 +34,7 @@ def render_light(height, pixel, glow, leds, strength, vignette, slope, part, lig
             _row_greys(glow[r], change, picture[r])
 
 
-@inlined()
+@inline_kernel()
 def _row_change(gx, gy, r, rows, leds, strength, vignette, part, out):
     """What all lamps change in row `r`, three lamps at a time: `out` (3 cols,), a pixel's colours beside each other."""
     y = (np.float32(r) + np.float32(0.5)) * np.float32(2.0 / rows) - np.float32(1.0)
@@ -48,7 +48,7 @@ def _row_change(gx, gy, r, rows, leds, strength, vignette, part, out):
             _add(part, out)
 
 
-@inlined()
+@inline_kernel()
 def _lamp(led, strength, r):
     """Direction (3), its share of light at the row's first pixel, the share's change per pixel, colour (3)."""
     per_flat = np.float32(1.0) - led[2]
@@ -60,7 +60,7 @@ def _lamp(led, strength, r):
 # from the end and has to be looked for at every pixel.
 
 
-@inlined()
+@inline_kernel()
 def _row_of_three(gx, gy, y, to_x, vignette, one, two, three, out):
     third, next_one = np.uint64(3), np.uint64(1)
     nothing, unit, half = np.float32(0.0), np.float32(1.0), np.float32(0.5)
@@ -85,14 +85,14 @@ def _row_of_three(gx, gy, y, to_x, vignette, one, two, three, out):
         out[third * c + next_one + next_one] = a * a_blue + b * b_blue + d * c_blue
 
 
-@inlined()
+@inline_kernel()
 def _add(more, out):
     for i in range(out.shape[0]):
         n = np.uint64(i)
         out[n] += more[n]
 
 
-@inlined()
+@inline_kernel()
 def _row_greys(glow, change, out):
     for i in range(out.shape[0]):
         n = np.uint64(i)
@@ -123,7 +123,7 @@ def cast_shadow(height, to_x, to_y, drop, soft, lines, cover):
         line[cols + 2] = line[cols + 3] = line[cols + 1]
 
 
-@inlined()
+@inline_kernel()
 def _shaded_row(low, high, share, sink, soft, height, line, cover):
     nothing, one = np.float32(0.0), np.float32(1.0)
     per_soft = one / soft
@@ -144,7 +144,7 @@ def darken(image, cover, loss):
         _darken_row(flat[r], cover[r], loss[0], loss[1], loss[2])
 
 
-@inlined()
+@inline_kernel()
 def _darken_row(out, cover, red, green, blue):
     three, one = np.uint64(3), np.uint64(1)
     whole = np.float32(1.0)
@@ -198,7 +198,7 @@ def darken_markers(image, move_x, move_y, pitch, radius, half_twin, darkness, ji
                     image[r, c, k] *= share
 
 
-@inlined()
+@inline_kernel()
 def _mixed(n):
     """Sixty-four well-mixed bits of a number (the finaliser of splitmix64)."""
     n = (n ^ (n >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pipeline.base.arrays import Doubles, Image
 from pipeline.base.memo import Memo
-from pipeline.engine.digests import content
+from pipeline.engine.digests import compute_cached_digest
 from pipeline.physics.optics import render_reference
 from pipeline.sensors.spec import SensorSpec, list_sensor_names, load_sensor
 
@@ -43,8 +43,9 @@ def compare_colours(seen: Image, spec: SensorSpec) -> ColourComparison:
     Swapped channels, a mirrored or turned picture, another sensor's and one without colours are told. Raises
     SettingProblem for a sensor whose lights are not described.
     """
-    return _compared.of(
-        (content(seen), content(render_reference(spec))), lambda: _made(seen, render_reference(spec), spec.name)
+    return _compared.get_or_make(
+        (compute_cached_digest(seen), compute_cached_digest(render_reference(spec))),
+        lambda: _made(seen, render_reference(spec), spec.name),
     )
 
 

@@ -3,7 +3,7 @@
 
 import numpy as np
 
-from pipeline.base.cached_kernels import inlined, kernel
+from pipeline.base.cached_kernels import inline_kernel, kernel
 
 
 @kernel()
@@ -26,7 +26,7 @@ def write_slopes(height, per_px, gx, gy):
             gx[image, r, last] = (height[image, r, last] - height[image, r, max(cols - 2, 0)]) * per_px
 
 
-@inlined()
+@inline_kernel()
 def write_row_slopes(height, r, per_px, gx, gy):
     """The same for row `r` of one image (rows, cols)."""
     rows, cols = height.shape
@@ -39,7 +39,7 @@ def write_row_slopes(height, r, per_px, gx, gy):
     gx[last] = (here[last] - here[max(last - 1, 0)]) * per_px
 
 
-@inlined()
+@inline_kernel()
 def _scaled_difference(plus, minus, scale, out):
     for i in range(out.shape[0]):
         c = np.uint64(i)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pipeline.base.arrays import Doubles, Floats, Image, Indices, Mask, freeze
 from pipeline.base.memo import Memo
-from pipeline.engine.digests import content
+from pipeline.engine.digests import compute_cached_digest
 from pipeline.geometry.camera import Camera
 from pipeline.geometry.meshes import Mesh
 from pipeline.geometry.normals import compute_area_vectors
@@ -82,7 +82,7 @@ def _pairs(count: int) -> Indices:
 
 def make_membrane_layer(sensor: SensorSpec) -> Layer:
     """Return the rest surface within the image, faint; cached, so that it is rendered once."""
-    return _membranes.of(content(sensor), lambda: _membrane(sensor))
+    return _membranes.get_or_make(compute_cached_digest(sensor), lambda: _membrane(sensor))
 
 
 def _membrane(sensor: SensorSpec) -> Layer:
@@ -100,7 +100,7 @@ def _membrane(sensor: SensorSpec) -> Layer:
 
 def make_object_layer(mesh: Mesh, sensor_from_object: Doubles) -> Layer:
     """Return the object at its estimated pose."""
-    points, triangles, normals = _meshes.of(content(mesh), lambda: _mesh_arrays(mesh))
+    points, triangles, normals = _meshes.get_or_make(compute_cached_digest(mesh), lambda: _mesh_arrays(mesh))
     return Layer(
         name="object",
         points_mm=points,

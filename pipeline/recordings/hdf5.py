@@ -16,7 +16,7 @@ from pipeline.base.files import require_file
 from pipeline.base.text import escape_text
 from pipeline.geometry import rigid
 from pipeline.geometry.camera import Camera, make_camera
-from pipeline.geometry.meshes import Mesh, require_watertight
+from pipeline.geometry.meshes import Mesh, validate_mesh
 from pipeline.recordings import hdf5_layout as layout
 from pipeline.recordings import hdf5_symmetry
 from pipeline.recordings import hdf5_validation as validation
@@ -184,7 +184,7 @@ def _read_mesh(group: Any, path: Path) -> Mesh:
     triangles = validation.require_dataset(group, "triangles", "1", validation.INTEGER_KINDS, (None, 3), path)[
         ()
     ].astype(np.int64)
-    require_watertight(vertices, triangles, path)
+    validate_mesh(vertices, triangles, path)
     return Mesh(vertices_mm=freeze(vertices), triangles=freeze(triangles.astype(np.int32)),
                 name=validation.read_text_line(group, "name", path))  # fmt: skip
 

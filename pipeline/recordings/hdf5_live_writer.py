@@ -12,7 +12,7 @@ from types import TracebackType
 from typing import BinaryIO
 
 from pipeline.base.errors import FileProblem
-from pipeline.base.files import file_to_grow, prepare_folder_for
+from pipeline.base.files import open_growing_file, prepare_folder_for
 from pipeline.recordings import hdf5_layout as layout
 from pipeline.recordings.hdf5_layout import Coding
 from pipeline.recordings.hdf5_writer import RecordingWriter
@@ -32,7 +32,7 @@ class LiveRecordingWriter(RecordingWriter):
         self._flushed_s = 0.0
 
     def _open_place(self, path: Path) -> BinaryIO:
-        return self._place.enter_context(file_to_grow(path, "the recording"))
+        return self._place.enter_context(open_growing_file(path, "the recording"))
 
     def append(self, stream: str, frame: TactileFrame, truth: Truth | None = None) -> None:
         """Add one frame to the only stream; raises ShapeError where it differs in shape from the first."""

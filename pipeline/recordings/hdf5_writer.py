@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.errors import FileProblem, ShapeError, TouchError
-from pipeline.base.files import whole_file
+from pipeline.base.files import open_atomic
 from pipeline.geometry.meshes import Mesh
 from pipeline.recordings import hdf5, hdf5_symmetry
 from pipeline.recordings import hdf5_layout as layout
@@ -91,7 +91,7 @@ class RecordingWriter:
 
     def _open_place(self, path: Path) -> BinaryIO:
         """The file that is written, open until the writer ends."""
-        return self._place.enter_context(whole_file(path, "the recording"))
+        return self._place.enter_context(open_atomic(path, "the recording"))
 
     def _open(self, mode: str) -> None:
         import h5py

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pipeline.base.arrays import Image, freeze
 from pipeline.base.errors import FileProblem
 from pipeline.base.files import describe_os_error, require_file
-from pipeline.base.text import is_text
+from pipeline.base.text import is_utf8_encodable
 from pipeline.recordings.formats import RecordingFiles
 
 _ZIP_SIGNATURE, _PICKLE_SIGNATURE = b"PK\x03\x04", b"\x80"  # first bytes; the second is a pickle's protocol mark
@@ -47,7 +47,7 @@ def load_tensors(path: Path) -> Mapping[str, Any]:
         raise FileProblem(f"cannot read the tensors ({describe_os_error(error)})", path) from error
     if head != _ZIP_SIGNATURE and head[:1] != _PICKLE_SIGNATURE:
         raise FileProblem("this is not a PyTorch file, or it is cut short", path)
-    is_mapped = head == _ZIP_SIGNATURE and is_text(str(path))
+    is_mapped = head == _ZIP_SIGNATURE and is_utf8_encodable(str(path))
     try:
         tensors = torch.load(path, map_location="cpu", weights_only=True, mmap=is_mapped)
     except Exception as error:  # torch raises many unrelated classes for damaged files

@@ -14,7 +14,7 @@ import numpy as np
 from pipeline.base.arrays import Image, freeze
 from pipeline.base.errors import FileProblem
 from pipeline.base.stage_warnings import StageWarning
-from pipeline.base.text import is_text
+from pipeline.base.text import is_utf8_encodable
 from pipeline.recordings import difference_images, image_files
 from pipeline.recordings.formats import ReadOptions, RecordingFiles
 from pipeline.recordings.gel_images import make_gel_converter
@@ -97,7 +97,7 @@ class _Video:
         os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # quiet: this module raises its own errors
         import cv2
 
-        if not is_text(str(path)):
+        if not is_utf8_encodable(str(path)):
             raise FileProblem("the name of a video must be UTF-8; rename it", path)
         self._cv2: Any = cv2
         self._path, self._lock, self._next = path, threading.Lock(), 0

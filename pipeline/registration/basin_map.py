@@ -12,13 +12,13 @@ from typing import Literal
 import numpy as np
 
 from pipeline.base.arrays import Doubles, Indices, Mask, freeze
-from pipeline.base.progress import SILENT, Progress, Share
+from pipeline.base.progress import SILENT, Progress, SubProgress
 from pipeline.geometry import rigid
-from pipeline.registration.pose_selection import unseen
-from pipeline.registration.search import PoseMinimum, Search
+from pipeline.registration.pose_selection import find_unobservable_motions
+from pipeline.registration.search import PoseMinimum, PoseSearch
 
-Along = Literal["x", "y"]
-NONE = -1
+ShiftAxis = Literal["x", "y"]
+NO_MINIMUM = -1
 _LEAST_FITNESS = 0.05  # share of the contact on the object below which a start led nowhere
 _PREPARED = 0.1  # of the time until the starts are on their way
 
@@ -31,42 +31,42 @@ class BasinMinimum:
     rmse_mm: float
     fitness: float
     misfit_mm: float  # by what was felt and by what was not
-    count: int  # of the starts
-    equal: bool  # whether the touch does not tell it from the pose that the map is about
+    n_starts: int  # of the starts
+    fits_equally: bool  # whether the touch does not tell it from the pose that the map is about
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StartBasins:
     """A map of starts (rows: shifts, columns: turns) and of what became of each; the first answer is the pose's own."""
 
-    turns_deg: Doubles  # (cols,) about the contact's normal
-    shifts_mm: Doubles  # (rows,) in the contact's plane,
-    along: Along  # toward this axis of the sensor
-    answer: Indices  # (rows, cols) index of `answers`, NONE = the start led nowhere
+    rotations_deg: Doubles  # (cols,) about the contact's normal
+    translations_mm: Doubles  # (rows,) in the contact's plane,
+    shift_axis: ShiftAxis  # toward this axis of the sensor
+    minimum_index: Indices  # (rows, cols) index of `answers`, NONE = the start led nowhere
     rmse_mm: Doubles  # (rows, cols) NaN where it led nowhere
     poses: Doubles  # (rows, cols, 4, 4)
-    answers: tuple[BasinMinimum, ...]
+    minima: tuple[BasinMinimum, ...]
 
     @property
-    def safe(self) -> tuple[float, float]:
+    def safe_range(self) -> tuple[float, float]:
         """(deg, mm) within which every start ends in the first answer or one that fits as well: the largest box."""
-        own = np.isin(self.answer, [k for k, answer in enumerate(self.answers) if answer.equal])
+        own = np.isin(self.minimum_index, [k for k, answer in enumerate(self.minima) if answer.fits_equally])
         best, most = (0.0, 0.0), 0
-        for turn in np.unique(np.abs(self.turns_deg)):
-            for shift in np.unique(np.abs(self.shifts_mm)):
-                inside: Mask = own[np.abs(self.shifts_mm) <= shift][:, np.abs(self.turns_deg) <= turn]
+        for turn in np.unique(np.abs(self.rotations_deg)):
+            for shift in np.unique(np.abs(self.translations_mm)):
+                inside: Mask = own[np.abs(self.translations_mm) <= shift][:, np.abs(self.rotations_deg) <= turn]
                 if inside.all() and inside.size > most:
                     best, most = (float(turn), float(shift)), inside.size
         return best
 
     @property
-    def sentence(self) -> str:
+    def summary(self) -> str:
         """What the map says."""
-        share = float((self.answer == 0).mean())
-        equal = sum(answer.equal for answer in self.answers)
-        turn, shift = self.safe
+        share = float((self.minimum_index == 0).mean())
+        equal = sum(answer.fits_equally for answer in self.minima)
+        turn, shift = self.safe_range
         parts = [
-            f"{len(self.answers)} answers from {self.answer.size} starts; {share:.0%} end in the pose itself",
+            f"{len(self.minima)} answers from {self.minimum_index.size} starts; {share:.0%} end in the pose itself",
             f"safe within {turn:.0f} deg and {shift:.1f} mm",
         ]
         if equal > 1:
@@ -75,14 +75,19 @@ class StartBasins:
 
 
 def map_basins(
-    search: Search, pose: Doubles, turns_deg: Doubles, shifts_mm: Doubles, along: Along, progress: Progress = SILENT
+    search: PoseSearch,
+    pose: Doubles,
+    turns_deg: Doubles,
+    shifts_mm: Doubles,
+    along: ShiftAxis,
+    progress: Progress = SILENT,
 ) -> StartBasins:
     """Every start of the grid around `pose` (4, 4) registered to its end; answers beside the first are best first."""
     begun = make_start_grid(search, pose, turns_deg, shifts_mm, along)
     flat = begun.reshape(-1, 4, 4)
     progress.step(0.0, "registering the starts roughly")
-    rough = search.roughly(flat)
-    part = Share(progress, _PREPARED, 1.0 - _PREPARED)
+    rough = search.register_roughly(flat)
+    part = SubProgress(progress, _PREPARED, 1.0 - _PREPARED)
     minima: list[PoseMinimum | None] = []
     for k, start in enumerate(rough):
         part.step(k / len(rough), f"start {k + 1} of {len(rough)}")
@@ -95,13 +100,15 @@ def map_basins(
     rmse = np.array([np.nan if m is None else m.fit.rmse_mm for m in minima])
     ends = np.array([start if m is None else m.fit.sensor_from_object for m, start in zip(minima, flat, strict=True)])
     return StartBasins(
-        turns_deg=freeze(np.asarray(turns_deg, np.float64)), shifts_mm=freeze(np.asarray(shifts_mm, np.float64)),
-        along=along, answer=freeze(which.reshape(shape)), rmse_mm=freeze(rmse.reshape(shape)),
-        poses=freeze(ends.reshape(*shape, 4, 4)), answers=answers,
+        rotations_deg=freeze(np.asarray(turns_deg, np.float64)), translations_mm=freeze(np.asarray(shifts_mm, np.float64)),
+        shift_axis=along, minimum_index=freeze(which.reshape(shape)), rmse_mm=freeze(rmse.reshape(shape)),
+        poses=freeze(ends.reshape(*shape, 4, 4)), minima=answers,
     )  # fmt: skip
 
 
-def make_start_grid(search: Search, pose: Doubles, turns_deg: Doubles, shifts_mm: Doubles, along: Along) -> Doubles:
+def make_start_grid(
+    search: PoseSearch, pose: Doubles, turns_deg: Doubles, shifts_mm: Doubles, along: ShiftAxis
+) -> Doubles:
     """(rows, cols, 4, 4): the pose turned about the contact's normal through its middle, and shifted in its plane."""
     normal = search.scene.normals.mean(axis=0)
     normal /= np.linalg.norm(normal)
@@ -115,34 +122,36 @@ def make_start_grid(search: Search, pose: Doubles, turns_deg: Doubles, shifts_mm
 
 
 def _grouped(
-    search: Search, first: Doubles, minima: list[PoseMinimum | None]
+    search: PoseSearch, first: Doubles, minima: list[PoseMinimum | None]
 ) -> tuple[Indices, tuple[BasinMinimum, ...]]:
     """Which answer each start ended in, and the answers: the first is the pose's own, the others best first."""
-    free = unseen(search, first)
+    free = find_unobservable_motions(search, first)
     known = [minimum for minimum in minima if minimum is not None]
     places: list[tuple[Doubles, list[PoseMinimum]]] = [(first, [])]
     at: dict[int, int] = {}
     for minimum in sorted(known, key=lambda m: m.misfit_mm):
         pose = minimum.fit.sensor_from_object
-        index = next((i for i, (there, _) in enumerate(places) if not search.differ(there, pose, free)), len(places))
+        index = next(
+            (i for i, (there, _) in enumerate(places) if not search.poses_differ_beyond(there, pose, free)), len(places)
+        )
         if index == len(places):
             places.append((pose, []))
         places[index][1].append(minimum)
         at[id(minimum)] = index
     kept = [i for i, (_, ended) in enumerate(places) if ended or i == 0]
-    fine = search.fine()
+    fine = search.make_fine_judge()
     answers = tuple(
-        _answer(places[i], equal=i == 0 or not fine.tells_apart(first, places[i][0]), own=search) for i in kept
+        _answer(places[i], equal=i == 0 or not fine.distinguishes(first, places[i][0]), own=search) for i in kept
     )
-    which = np.array([NONE if m is None else at[id(m)] for m in minima], np.int32)
+    which = np.array([NO_MINIMUM if m is None else at[id(m)] for m in minima], np.int32)
     return which, answers
 
 
-def _answer(place: tuple[Doubles, list[PoseMinimum]], *, equal: bool, own: Search) -> BasinMinimum:
+def _answer(place: tuple[Doubles, list[PoseMinimum]], *, equal: bool, own: PoseSearch) -> BasinMinimum:
     pose, ended = place
     best = ended[0] if ended else own.polish(pose)
     return BasinMinimum(
         sensor_from_object=freeze(pose if best is None else best.fit.sensor_from_object),
         rmse_mm=float("nan") if best is None else best.fit.rmse_mm, fitness=0.0 if best is None else best.fit.fitness,
-        misfit_mm=float("nan") if best is None else best.misfit_mm, count=len(ended), equal=equal,
+        misfit_mm=float("nan") if best is None else best.misfit_mm, n_starts=len(ended), fits_equally=equal,
     )  # fmt: skip

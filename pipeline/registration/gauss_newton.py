@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 from pipeline.base.arrays import Doubles, freeze
 from pipeline.geometry import rigid
 from pipeline.geometry.distance_grid import DistanceGrid
-from pipeline.registration.observability import NOTHING_LASTS, TOLERANCES, SystematicError, Tolerances
+from pipeline.registration.observability import NO_SYSTEMATIC_STD, TOLERANCES, SystematicStd, Tolerances
 from pipeline.values.results import PoseStep
 
-FEWEST_POINTS = 6  # as many as there are unknowns
+MIN_POINTS = 6  # as many as there are unknowns
 TOO_FEW = "fewer than 6 points are finite; a pose has six unknowns"
-ONE_PLACE = "all points lie in one place, or too far away to tell"
+COINCIDENT_POINTS = "all points lie in one place, or too far away to tell"
 _ONE_PLACE = 1e-12  # of the distance to the frame's origin: rounding
 _MANY, _FEW = 2000, 500  # from so many points on, as few find the neighbourhood of the pose first
 _ROUGHLY_MM = 5e-3  # how well they find it
@@ -35,9 +35,9 @@ class FitOptions:
 
     max_distance_mm: float = 2.0  # points farther off do not count as on the object
     noise_mm: float = 1e-3  # of the points at least; keeps a perfect fit from claiming certainty
-    lasting: SystematicError = NOTHING_LASTS  # that no number of points averages away
+    systematic_error: SystematicStd = NO_SYSTEMATIC_STD  # that no number of points averages away
     tolerances: Tolerances = TOLERANCES  # a direction that is known less well is held
-    settled_mm: float = 1e-4  # a smaller motion ends the iterations
+    convergence_mm: float = 1e-4  # a smaller motion ends the iterations
     n_iterations: int = 30
     keep_steps: bool = False
 
@@ -49,7 +49,7 @@ class PoseFit:
     sensor_from_object: Doubles  # (4, 4) mm
     rmse_mm: float  # of the points within the search distance
     fitness: float  # their share of all
-    stopped: str = ""  # why it ended there, in words
+    stop_reason: str = ""  # why it ended there, in words
     steps: tuple[PoseStep, ...] = ()
 
 
@@ -57,24 +57,24 @@ class PoseFit:
 class NotDetermined:
     """That, and why, no pose can be told."""
 
-    why: str
+    reason: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Points:
+class CentredPoints:
     """Felt points about their middle, with their size: what the kernels work on."""
 
     centred_mm: Doubles  # (n, 3)
-    about_mm: Doubles  # (3,)
+    centre_mm: Doubles  # (3,)
     radius_mm: float
 
     @classmethod
-    def of(cls, points_mm: NDArray[np.floating]) -> Points | NotDetermined:
+    def from_points(cls, points_mm: NDArray[np.floating]) -> CentredPoints | NotDetermined:
         """The finite ones of points (n, 3)."""
         given = np.asarray(points_mm, dtype=np.float64).reshape(-1, 3)
         given = given[np.isfinite(given).all(axis=1)]
-        if len(given) < FEWEST_POINTS:
-            return NotDetermined(why=TOO_FEW)
+        if len(given) < MIN_POINTS:
+            return NotDetermined(reason=TOO_FEW)
         # The sum of coordinates near the largest number is not finite; nothing is felt out there.
         with np.errstate(over="ignore", invalid="ignore"):
             centred = given - given[0]  # from the first point on, so that a frame far away costs no digits
@@ -83,10 +83,10 @@ class Points:
             radius = float(np.sqrt((centred**2).sum(axis=1).mean()))
             together = not _ONE_PLACE * (1.0 + float(np.abs(about).max())) < radius < math.inf
         if together:
-            return NotDetermined(why=ONE_PLACE)
-        return cls(centred_mm=centred, about_mm=about, radius_mm=radius)
+            return NotDetermined(reason=COINCIDENT_POINTS)
+        return cls(centred_mm=centred, centre_mm=about, radius_mm=radius)
 
-    def thin(self, n: int) -> Points:
+    def thin(self, n: int) -> CentredPoints:
         """About `n` of the points, every so many."""
         step = max(1, len(self.centred_mm) // n)
         return replace(self, centred_mm=np.ascontiguousarray(self.centred_mm[::step]))
@@ -99,47 +99,51 @@ def register_points(
 
     Raises CalibrationError when `start` is no rigid transform.
     """
-    points = Points.of(points_mm)
+    points = CentredPoints.from_points(points_mm)
     if isinstance(points, NotDetermined):
         return points
     return fit_pose(points, grid, start, how or FitOptions())
 
 
-def fit_pose(points: Points, grid: DistanceGrid, start: Doubles, how: FitOptions) -> PoseFit | NotDetermined:
+def fit_pose(points: CentredPoints, grid: DistanceGrid, start: Doubles, how: FitOptions) -> PoseFit | NotDetermined:
     """`register` of points that are centred already."""
     rows = _rows(rigid.validate_rigid(start, "the start of the registration")[None], points)
     history, scale_mm = np.empty((0, 14)), how.max_distance_mm
     if len(points.centred_mm) >= _MANY:
         few = points.thin(_FEW)
-        history, found_mm = _fit(few, rows, grid, replace(how, settled_mm=_ROUGHLY_MM), scale_mm)
+        history, found_mm = _fit(few, rows, grid, replace(how, convergence_mm=_ROUGHLY_MM), scale_mm)
         scale_mm = min(_WIDER * found_mm, scale_mm)
     rest, _ = _fit(points, rows, grid, how, scale_mm)
     if rest[-1, 13] == 0:
-        return NotDetermined(why=NOTHING_NEAR)
+        return NotDetermined(reason=NOTHING_NEAR)
     poses = np.concatenate([history[:-1], rest])
     return PoseFit(
-        sensor_from_object=freeze(_pose(rest[-1], points.about_mm)), rmse_mm=float(rest[-1, 12]),
-        fitness=float(rest[-1, 13]), stopped=_stopped(rest, points.radius_mm, how),
+        sensor_from_object=freeze(_pose(rest[-1], points.centre_mm)), rmse_mm=float(rest[-1, 12]),
+        fitness=float(rest[-1, 13]), stop_reason=_stopped(rest, points.radius_mm, how),
         steps=_steps(poses, points, how) if how.keep_steps else (),
     )  # fmt: skip
 
 
-def way(points: Points, grid: DistanceGrid, start: Doubles, how: FitOptions) -> tuple[PoseStep, ...]:
+def trace_iterations(
+    points: CentredPoints, grid: DistanceGrid, start: Doubles, how: FitOptions
+) -> tuple[PoseStep, ...]:
     """The iterations of one of those that `registered` makes at once."""
     rows, _ = _fit(points, _rows(start[None], points), grid, how, how.max_distance_mm)
     return _steps(rows, points, how)
 
 
-def register_from_starts(points: Points, grid: DistanceGrid, starts: Doubles, how: FitOptions) -> Doubles:
+def register_from_starts(points: CentredPoints, grid: DistanceGrid, starts: Doubles, how: FitOptions) -> Doubles:
     """Where each start (n, 4, 4) leads, (n, 4, 4)."""
     rows = _rows(starts, points)
     _fit(points, rows, grid, how, how.max_distance_mm)
-    return np.array([_pose(row, points.about_mm) for row in rows]).reshape(-1, 4, 4)
+    return np.array([_pose(row, points.centre_mm) for row in rows]).reshape(-1, 4, 4)
 
 
-def _fit(points: Points, rows: Doubles, grid: DistanceGrid, how: FitOptions, scale_mm: float) -> tuple[Doubles, float]:
+def _fit(
+    points: CentredPoints, rows: Doubles, grid: DistanceGrid, how: FitOptions, scale_mm: float
+) -> tuple[Doubles, float]:
     """The way (k, 14) of the last of the rows (n, 12), which move in place, and the scale that it ended with."""
-    from pipeline.registration.gauss_newton_kernels import N_BINS, N_SUMS, fit
+    from pipeline.registration.gauss_newton_kernels import N_BINS, N_SUMS, fit_poses
 
     history, ended = np.empty((how.n_iterations + 1, 14)), np.zeros((len(rows), 2))
     arrays = (
@@ -151,17 +155,17 @@ def _fit(points: Points, rows: Doubles, grid: DistanceGrid, how: FitOptions, sca
     )
     told, radius_mm = how.tolerances, points.radius_mm
     rule = (
-        (how.lasting.turn_mm**2, (math.radians(told.deg) * radius_mm) ** -2),
-        (how.lasting.shift_mm**2, told.mm**-2), math.radians(told.normal_error_deg) ** 2,
+        (how.systematic_error.rotation_mm**2, (math.radians(told.deg) * radius_mm) ** -2),
+        (how.systematic_error.translation_mm**2, told.mm**-2), math.radians(told.normal_error_deg) ** 2,
     )  # fmt: skip
-    size, limits = (radius_mm, how.max_distance_mm, scale_mm), (how.noise_mm, how.settled_mm)
-    fit(points.centred_mm, rows, grid.lattice, size, limits, rule, arrays, history, ended)
+    size, limits = (radius_mm, how.max_distance_mm, scale_mm), (how.noise_mm, how.convergence_mm)
+    fit_poses(points.centred_mm, rows, grid.lattice, size, limits, rule, arrays, history, ended)
     return history[: int(ended[-1, 0])].copy(), float(ended[-1, 1])
 
 
-def _rows(poses: Doubles, points: Points) -> Doubles:
+def _rows(poses: Doubles, points: CentredPoints) -> Doubles:
     """Rotations and shifts (n, 12) about the points' middle."""
-    return np.hstack([poses[:, :3, :3].reshape(-1, 9), poses[:, :3, 3] - points.about_mm])
+    return np.hstack([poses[:, :3, :3].reshape(-1, 9), poses[:, :3, 3] - points.centre_mm])
 
 
 def _pose(row: Doubles, about_mm: Doubles) -> Doubles:
@@ -171,10 +175,10 @@ def _pose(row: Doubles, about_mm: Doubles) -> Doubles:
     return pose
 
 
-def _steps(rows: Doubles, points: Points, how: FitOptions) -> tuple[PoseStep, ...]:
+def _steps(rows: Doubles, points: CentredPoints, how: FitOptions) -> tuple[PoseStep, ...]:
     return tuple(
         PoseStep(
-            sensor_from_object=freeze(_pose(row, points.about_mm)), rmse_mm=float(row[12]), fitness=float(row[13]),
+            sensor_from_object=freeze(_pose(row, points.centre_mm)), rmse_mm=float(row[12]), fitness=float(row[13]),
             max_correspondence_mm=how.max_distance_mm,
         )
         for row in rows
@@ -188,7 +192,7 @@ def _stopped(rows: Doubles, radius_mm: float, how: FitOptions) -> str:
     turned = rows[-1, :9].reshape(3, 3).T @ rows[-2, :9].reshape(3, 3)
     angle = math.asin(min(1.0, float(np.linalg.norm(turned - turned.T)) / math.sqrt(8.0)))
     moved_mm = math.hypot(radius_mm * angle, float(np.linalg.norm(rows[-1, 9:12] - rows[-2, 9:12])))
-    if len(rows) <= how.n_iterations or moved_mm <= how.settled_mm:
-        return f"settled: the last iteration moved the contact by less than {how.settled_mm:g} mm"
+    if len(rows) <= how.n_iterations or moved_mm <= how.convergence_mm:
+        return f"settled: the last iteration moved the contact by less than {how.convergence_mm:g} mm"
     told = f"ended after {len(rows) - 1} iterations, as many as are allowed: the last one still moved the contact by"
     return f"{told} {moved_mm:.2g} mm"

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import math
 
-from pipeline.base.cached_kernels import inner, kernel
+from pipeline.base.cached_kernels import inner_kernel, kernel
 from pipeline.geometry.distance_grid_kernels import look_up
-from pipeline.registration.step_kernels import move, step
+from pipeline.registration.step_kernels import apply_motion, solve_step
 
 N_SUMS = 30  # 21 of H, 6 of g, weight, squares within reach, points within reach
 N_BINS = 1024
@@ -19,8 +19,8 @@ _BENDS_AT = 5.0  # spreads at which a residual counts a quarter: 1.5 % less effi
 _SHRINK = 0.3  # smallest factor from one iteration's scale to the next
 
 
-@inner()
-def gather(points, poses, n, grid, radius, scale, reach, bins, sums):
+@inner_kernel()
+def accumulate_normal_equations(points, poses, n, grid, radius, scale, reach, bins, sums):
     """Normal equations in the object's axes about the points' middle, rotations times `radius`: into `sums`."""
     r00, r01, r02 = poses[n, 0], poses[n, 1], poses[n, 2]
     r10, r11, r12 = poses[n, 3], poses[n, 4], poses[n, 5]
@@ -75,8 +75,8 @@ def gather(points, poses, n, grid, radius, scale, reach, bins, sums):
         sums[27] += weight
 
 
-@inner()
-def spread(bins, n, reach):
+@inner_kernel()
+def estimate_robust_std(bins, n, reach):
     """Robust standard deviation of the n residuals that were counted within `reach`; it where there are none."""
     passed = 0
     for k in range(bins.size):
@@ -88,7 +88,7 @@ def spread(bins, n, reach):
 
 
 @kernel()
-def fit(points, poses, grid, size, limits, rule, arrays, history, ended):
+def fit_poses(points, poses, grid, size, limits, rule, arrays, history, ended):
     """Register points (n, 3) about their middle from each pose (k, 12) of rotation and shift, which moves in place.
 
     `size`: the points' radius, search distance, first scale. `limits`: noise at least, motion that ends the iterations.
@@ -102,7 +102,7 @@ def fit(points, poses, grid, size, limits, rule, arrays, history, ended):
     for start in range(poses.shape[0]):
         scale, last, n = size[2], 1e300, 0
         while True:
-            gather(points, poses, start, grid, radius, scale, reach, bins, sums)
+            accumulate_normal_equations(points, poses, start, grid, radius, scale, reach, bins, sums)
             for k in range(12):
                 history[n, k] = poses[start, k]
             history[n, 12] = math.sqrt(sums[28] / max(sums[29], 1.0))
@@ -110,7 +110,7 @@ def fit(points, poses, grid, size, limits, rule, arrays, history, ended):
             # A start may lie off by more than the search distance: as long as the weights tell a way, it is gone.
             if n + 1 == history.shape[0] or not sums[27] > 0.0:
                 break
-            noise = max(spread(bins, sums[29], reach), floor)
+            noise = max(estimate_robust_std(bins, sums[29], reach), floor)
             bend = min(scale, max(_BENDS_AT * noise, _SHRINK * scale))
             if last <= settled and bend > 0.9 * scale:
                 break
@@ -120,8 +120,8 @@ def fit(points, poses, grid, size, limits, rule, arrays, history, ended):
             for k in range(6):
                 lasting, per_mm2 = rule[0] if k < 3 else rule[1]
                 asked[k] = rule[2] + (variance + lasting) * per_mm2
-            step(sums, asked, work, motion)
+            solve_step(sums, asked, work, motion)
             scale = bend
-            last = move(poses, start, motion, radius, reach)
+            last = apply_motion(poses, start, motion, radius, reach)
             n += 1
         ended[start, 0], ended[start, 1] = n + 1, scale

@@ -22,14 +22,14 @@ class ObjectModel:
 
     points_mm: Doubles  # (n, 3)
     normals: Doubles  # (n, 3)
-    crooked_sq: Doubles  # (n,) mean squares, in rad, of how far the facet's normal is off that of a round surface
+    facet_error_sq: Doubles  # (n,) mean squares, in rad, of how far the facet's normal is off that of a round surface
     area_mm2: float  # of the surface that they stand for
 
-    def part(self, which: Mask) -> ObjectModel:
+    def select(self, which: Mask) -> ObjectModel:
         """The points that are marked, standing for their share of the area."""
         share = float(which.mean()) if which.size else 0.0
         return ObjectModel(
-            points_mm=self.points_mm[which], normals=self.normals[which], crooked_sq=self.crooked_sq[which],
+            points_mm=self.points_mm[which], normals=self.normals[which], facet_error_sq=self.facet_error_sq[which],
             area_mm2=self.area_mm2 * share,
         )  # fmt: skip
 
@@ -38,7 +38,7 @@ class ObjectModel:
         step = max(1, len(self.points_mm) // n)
         return ObjectModel(
             points_mm=np.ascontiguousarray(self.points_mm[::step]), normals=np.ascontiguousarray(self.normals[::step]),
-            crooked_sq=self.crooked_sq[::step], area_mm2=self.area_mm2,
+            facet_error_sq=self.facet_error_sq[::step], area_mm2=self.area_mm2,
         )  # fmt: skip
 
 
@@ -67,7 +67,7 @@ def sample_model(mesh: Mesh, n_points: int, seed: int) -> ObjectModel:
     unit = across / np.maximum(twice_area, 1e-300)[:, None]
     return ObjectModel(
         points_mm=points[mixed], normals=(sign * unit[triangle])[mixed],
-        crooked_sq=_crooked_sq(mesh, unit)[triangle[mixed]], area_mm2=total / 2.0,
+        facet_error_sq=_crooked_sq(mesh, unit)[triangle[mixed]], area_mm2=total / 2.0,
     )  # fmt: skip
 
 

@@ -38,4 +38,4 @@ def prepare_object(mesh: Mesh, seed: int, progress: Progress = SILENT) -> Prepar
         middle_mm = (mesh.vertices_mm.min(axis=0) + mesh.vertices_mm.max(axis=0)).astype(np.float64) / 2
         return PreparedObject(grid=load_distance_grid(mesh, progress), model=model, middle_mm=middle_mm)
 
-    return _objects.of(key, make)
+    return _objects.get_or_make(key, make)

@@ -44,17 +44,17 @@ TOLERANCES = Tolerances()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SystematicError:
+class SystematicStd:
     """Errors that no number of points averages away.
 
     A turn feels of a smooth error what differs across the contact, a shift what does not.
     """
 
-    shift_mm: float = 0.0
-    turn_mm: float = 0.0  # at the points' rms distance from the middle
+    translation_mm: float = 0.0
+    rotation_mm: float = 0.0  # at the points' rms distance from the middle
 
 
-NOTHING_LASTS = SystematicError()
+NO_SYSTEMATIC_STD = SystematicStd()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,9 +63,9 @@ class Observability:
 
     covariance: Doubles  # (6, 6) of (rotation rad, translation mm); large, never infinite, where nothing is determined
     observable: Doubles  # (6, 6) idempotent: takes a motion to the part that the data determine
-    weak: tuple[str, ...]  # what is left, in words
+    weak_directions: tuple[str, ...]  # what is left, in words
     weak_motions: Doubles  # (k, 6) of (rotation rad, translation mm) that go with them, each of 1 mm rms
-    estimate_systematic_error: SystematicError = NOTHING_LASTS
+    systematic_error: SystematicStd = NO_SYSTEMATIC_STD
     tolerances: Tolerances = TOLERANCES  # that they were asked with
 
 
@@ -75,7 +75,7 @@ def assess_observability(
     about_mm: Doubles,
     noise_mm: float,
     *,
-    lasting: SystematicError = NOTHING_LASTS,
+    lasting: SystematicStd = NO_SYSTEMATIC_STD,
     tolerances: Tolerances = TOLERANCES,
 ) -> Observability:
     """From matched points (n, 3) with the object's normals there, the scene's centroid, and the spread of residuals.
@@ -87,7 +87,7 @@ def assess_observability(
     jacobian, radius_mm = _jacobian(points_mm, normals, about_mm)
     information = jacobian.T @ jacobian / len(points_mm)
     alone = max(noise_mm, MIN_NOISE_MM) ** 2 / len(points_mm)
-    shift_mm2, turn_mm2 = alone + lasting.shift_mm**2, alone + lasting.turn_mm**2
+    shift_mm2, turn_mm2 = alone + lasting.translation_mm**2, alone + lasting.rotation_mm**2
     fake = _along_surface(arms / radius_mm, information) * math.radians(tolerances.normal_error_deg) ** 2
     asked = fake + _allowed(turn_mm2, shift_mm2, radius_mm, tolerances)
     lost = _undetermined(information, asked)
@@ -99,9 +99,9 @@ def assess_observability(
     return Observability(
         covariance=_covariance(information, projector, max(turn_mm2, shift_mm2)) / np.outer(to_mm, to_mm),
         observable=projector * to_mm[None, :] / to_mm[:, None],
-        weak=tuple(words for words, _ in named),
+        weak_directions=tuple(words for words, _ in named),
         weak_motions=np.array([motion / to_mm for _, motion in named]).reshape(-1, 6),
-        estimate_systematic_error=lasting,
+        systematic_error=lasting,
         tolerances=tolerances,
     )
 
@@ -134,7 +134,7 @@ def compute_correlated_covariance(
 
 def estimate_systematic_error(
     points_mm: Doubles, normals: Doubles, about_mm: Doubles, error: DepthErrorModel
-) -> SystematicError:
+) -> SystematicStd:
     """What an error that hangs together leaves of turns about a point, and of shifts, however many points there are.
 
     Over all three of each: the variance that the error gives the pulls on them, over what the points see of them.
@@ -143,7 +143,7 @@ def estimate_systematic_error(
     seen = (jacobian**2).mean(axis=0)
     pulled = np.diag(_pulls(points_mm, jacobian, error.correlation_mm, _FEW_PAIRED))
     turn, shift = (float(pulled[k].sum() / max(seen[k].sum(), _NOTHING)) for k in (np.s_[:3], np.s_[3:]))
-    return SystematicError(shift_mm=error.rms_mm * math.sqrt(shift), turn_mm=error.rms_mm * math.sqrt(turn))
+    return SystematicStd(translation_mm=error.rms_mm * math.sqrt(shift), rotation_mm=error.rms_mm * math.sqrt(turn))
 
 
 def _jacobian(points_mm: Doubles, normals: Doubles, about_mm: Doubles) -> tuple[Doubles, float]:

@@ -15,7 +15,7 @@ _STRAIGHT_RAD = 1e-9  # a smaller turn is a shift within rounding
 _NOTICED_SHARE, _NOTICED_MM = 0.05, 0.01  # growth of the misfit
 
 
-def align_outline(pose: Doubles, weak_motions: Doubles, about_mm: Doubles, by: PoseJudge) -> Doubles:
+def align_to_outline(pose: Doubles, weak_motions: Doubles, about_mm: Doubles, by: PoseJudge) -> Doubles:
     """`pose` moved along the weak motions (k, 6) to the least misfit: pattern search, the step halved when stuck."""
     if len(weak_motions) == 0:
         return pose

@@ -20,7 +20,7 @@ from pipeline.geometry import rigid
 from pipeline.values.results import PoseStep
 
 N_MODEL = 5000  # points that the model's surface is sampled at
-FEWEST = 4  # felt points; with fewer the start is the answer
+MIN_POINTS = 4  # felt points; with fewer the start is the answer
 INLIER_MM = 15.0  # distance within which fitness and rmse count a pair: wide enough to count nearly all
 SWEEP_DEG = tuple(-22.5 + 5.0 * k for k in range(10))
 
@@ -32,7 +32,7 @@ class PlanarFit:
     scene_from_model: Doubles  # (4, 4) mm
     fitness: float  # share of model points with a felt point within `INLIER_MM`, in 3D
     inlier_rmse_mm: float  # of those; the chosen start has the least
-    stopped: str = ""  # why the chosen start's iterations ended, in words
+    stop_reason: str = ""  # why the chosen start's iterations ended, in words
     steps: tuple[
         PoseStep, ...
     ] = ()  # of the chosen start; rmse over all felt points, to those that they were paired with
@@ -58,7 +58,7 @@ def register_planar(
     than one iteration.
     """
     _check(model_points_mm, scene_points_mm, n_iterations)
-    if len(scene_points_mm) < FEWEST:
+    if len(scene_points_mm) < MIN_POINTS:
         note = f"only {len(scene_points_mm)} felt points: the start is kept"
         return PlanarFit(scene_from_model=freeze(placed.copy()), fitness=0.0, inlier_rmse_mm=math.nan, notes=(note,))
     from scipy.spatial import KDTree
@@ -78,7 +78,7 @@ def register_planar(
     kept = steps if keep_steps else []
     return PlanarFit(
         scene_from_model=freeze(pose @ placed), fitness=fitness, inlier_rmse_mm=rmse_mm,
-        stopped=_stopped(len(steps), n_iterations),
+        stop_reason=_stopped(len(steps), n_iterations),
         steps=tuple(
             PoseStep(sensor_from_object=freeze(_lifted(motion) @ placed), rmse_mm=off_mm, fitness=fitness)
             for motion, off_mm in kept

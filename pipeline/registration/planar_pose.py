@@ -30,6 +30,6 @@ def estimate_planar_pose(
     return ObjectPose(
         sensor_from_object=freeze(fit.scene_from_model), covariance=None, observable=None, weak_directions=(),
         rmse_mm=fit.inlier_rmse_mm, fitness=fit.fitness, scene_mm=freeze(scene.points_mm.astype(np.float32)),
-        source_index=freeze(scene.pixel), steps=fit.steps, stop_reason=fit.stopped, starts_tried=len(SWEEP_DEG),
+        source_index=freeze(scene.pixel), steps=fit.steps, stop_reason=fit.stop_reason, starts_tried=len(SWEEP_DEG),
         notes=notes,
     )  # fmt: skip

@@ -12,7 +12,7 @@ from pipeline.geometry import rigid
 from pipeline.geometry.distance_grid import DistanceGrid
 from pipeline.registration.observability import (
     Observability,
-    SystematicError,
+    SystematicStd,
     Tolerances,
     assess_observability,
     compute_correlated_covariance,
@@ -24,7 +24,9 @@ from pipeline.values.results import DepthErrorModel
 _OF_SPREAD = 1.16  # standard error of a spread that the median tells, times the root of how many points
 _SAME_SURFACE = 0.5  # cosine of felt and modelled normal from which on both show one surface
 _FEWEST = 20  # points that observability rests on
-LASTING_MM = 0.0006  # of all depths together: between nodes 0.1 mm apart a sphere of 5 mm radius sags by half of it
+SYSTEMATIC_STD_MM = (
+    0.0006  # of all depths together: between nodes 0.1 mm apart a sphere of 5 mm radius sags by half of it
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,16 +46,16 @@ class MatchedPoints:
         found = estimate_systematic_error(self.points_mm, self.normals, middle_mm, self.error)
         return assess_observability(
             self.points_mm, self.normals, middle_mm, self.noise_mm, tolerances=tolerances,
-            lasting=SystematicError(
-                shift_mm=math.hypot(found.shift_mm, LASTING_MM), turn_mm=math.hypot(found.turn_mm, LASTING_MM)
+            lasting=SystematicStd(
+                translation_mm=math.hypot(found.translation_mm, SYSTEMATIC_STD_MM), rotation_mm=math.hypot(found.rotation_mm, SYSTEMATIC_STD_MM)
             ),
         )  # fmt: skip
 
-    def covariance(self, middle_mm: Doubles, known: Observability) -> Doubles:
+    def compute_covariance(self, middle_mm: Doubles, known: Observability) -> Doubles:
         """(6, 6) of (rotation rad, translation mm at `middle_mm`) of what is known, as the errors go together."""
         return compute_correlated_covariance(
             self.points_mm, self.normals, middle_mm, known.observable,
-            noise_mm=self.noise_mm, error=self.error, lasting_mm=LASTING_MM,
+            noise_mm=self.noise_mm, error=self.error, lasting_mm=SYSTEMATIC_STD_MM,
         )  # fmt: skip
 
 

@@ -43,7 +43,7 @@ class PoseJudge:
         means, _ = self._unexplained(np.array(poses, dtype=np.float64).reshape(-1, 4, 4))
         return np.sqrt(means[:, 0] + means[:, 1] * (self.model.area_mm2 / self.scene.area_mm2))
 
-    def tells_apart(self, better: Doubles, other: Doubles) -> bool:
+    def distinguishes(self, better: Doubles, other: Doubles) -> bool:
         """Whether the touch fits one pose better than the other by more than the touch's own error can make up.
 
         A membrane that is off by e in one independent place (their area: 2 pi l^2) changes the difference of squared

@@ -6,14 +6,14 @@ Everything runs on one thread and adds up in the order of the points.
 
 from __future__ import annotations
 
-from pipeline.base.cached_kernels import inner, kernel
+from pipeline.base.cached_kernels import inner_kernel, kernel
 from pipeline.geometry.distance_grid_kernels import look_up
 
 _FACING = -0.1  # largest cosine, object's normal to felt normal, below which a match is the far side of a thin wall
 _NEAREST_MM = 1e-6  # before the camera
 
 
-@inner()
+@inner_kernel()
 def _felt(poses, n, felt, felt_normals, grid, limit, out):
     """Mean squared distance, at most limit^2, of the felt points to the placed object; the limit on its far side."""
     r00, r01, r02, t0 = poses[n, 0, 0], poses[n, 0, 1], poses[n, 0, 2], poses[n, 0, 3]
@@ -33,7 +33,7 @@ def _felt(poses, n, felt, felt_normals, grid, limit, out):
     return total / max(felt.shape[0], 1)
 
 
-@inner()
+@inner_kernel()
 def _unfelt(poses, n, model, view, limit, out, pixel):
     """Mean squared length, at most limit^2, by which points should have been felt but were not; and their pixels."""
     points, normals = model

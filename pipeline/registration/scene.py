@@ -118,4 +118,4 @@ def select_in_reach(
     low, high = scene.points_mm.min(axis=0) - reach_mm, scene.points_mm.max(axis=0) + reach_mm
     for along, least, most in zip(placed.T, low, high, strict=True):
         near &= (along >= least) & (along <= most)
-    return model.part(near) if near.sum() >= _MIN_PART else model
+    return model.select(near) if near.sum() >= _MIN_PART else model

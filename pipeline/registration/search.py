@@ -15,23 +15,23 @@ import numpy as np
 from pipeline.base.arrays import Doubles
 from pipeline.base.progress import SILENT, Progress
 from pipeline.geometry import rigid
-from pipeline.geometry.screws import SLIDE
+from pipeline.geometry.screws import SLIDE_ROTATION_LIMIT
 from pipeline.registration.gauss_newton import (
+    CentredPoints,
     FitOptions,
     NotDetermined,
-    Points,
     PoseFit,
     fit_pose,
     register_from_starts,
-    way,
+    trace_iterations,
 )
 from pipeline.registration.object_preparation import PreparedObject
 from pipeline.registration.observability import NORMAL_ERROR_DEG, Observability, Tolerances
-from pipeline.registration.outline import align_outline, apply_screw
+from pipeline.registration.outline import align_to_outline, apply_screw
 from pipeline.registration.point_matching import MatchedPoints, match_points
 from pipeline.registration.ranking import LEAST_SPREAD_MM, PoseJudge, make_judge, poses_differ
 from pipeline.registration.scene import ContactScene, select_in_reach
-from pipeline.registration.starts import Start
+from pipeline.registration.starts import InitialPose
 from pipeline.values.results import PoseStep
 
 # Half or double of any count below finds no more poses, nor as many in clearly less time: benchmarks/search_counts.py.
@@ -75,11 +75,11 @@ class PoseMinimum:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Search:
+class PoseSearch:
     """A touch and an object, ready to be compared."""
 
     scene: ContactScene
-    points: Points
+    points: CentredPoints
     object: PreparedObject
     outward: tuple[float, float, float] | None  # of the face that is toward the sensor; None = any
     max_distance_mm: float
@@ -89,13 +89,13 @@ class Search:
     @property
     def middle_mm(self) -> Doubles:
         """Of the contact, which errors and motions are told at."""
-        return self.points.about_mm
+        return self.points.centre_mm
 
-    def promising(self, starts: Doubles) -> list[Doubles]:
+    def find_promising(self, starts: Doubles) -> list[Doubles]:
         """Where starts (n, 4, 4) lead, best first, the distinct ones."""
-        return self._distinct(self.roughly(starts))
+        return self._distinct(self.register_roughly(starts))
 
-    def likeliest(self, tried: Sequence[Start]) -> Doubles:
+    def select_likeliest(self, tried: Sequence[InitialPose]) -> Doubles:
         """The best places of each orientation (n, 4, 4), best first."""
         n_model = int(np.clip(self.object.model.area_mm2 / _COARSE_MM2, *_COARSE_MODEL))
         by = make_judge(self.scene, self.object.grid, self.object.model, _COARSE_FELT, n_model, self.max_distance_mm)
@@ -108,35 +108,35 @@ class Search:
                 chosen.append(int(k))
         return poses[chosen[:_N_REGISTERED]]
 
-    def follow(self, starts: Sequence[Doubles]) -> list[PoseMinimum]:
+    def track_previous_poses(self, starts: Sequence[Doubles]) -> list[PoseMinimum]:
         """The minima that poses of the touch before lead to, best first; none where not even the best one fits.
 
         From within the whole search distance or, where that leads astray, from near by.
         """
-        for tried in (list(self.roughly(np.array(starts))), starts):
-            found = self.best(tried)
+        for tried in (list(self.register_roughly(np.array(starts))), starts):
+            found = self.find_minima(tried)
             if found and self.explains(found[0]) and found[0].misfit_mm <= self.limit_mm:
                 return found
         return []
 
-    def roughly(self, poses: Doubles) -> Doubles:
+    def register_roughly(self, poses: Doubles) -> Doubles:
         """Where poses (n, 4, 4) lead within the whole search distance, by a few of the points."""
         return register_from_starts(self.points.thin(_QUICK_POINTS), self.object.grid, poses, self._quick)
 
     @property
     def _quick(self) -> FitOptions:
         return FitOptions(
-            max_distance_mm=self.max_distance_mm, n_iterations=_QUICK_ITERATIONS, settled_mm=_QUICK_SETTLED_MM
+            max_distance_mm=self.max_distance_mm, n_iterations=_QUICK_ITERATIONS, convergence_mm=_QUICK_SETTLED_MM
         )
 
-    def way_to(self, starts: Doubles, steps: tuple[PoseStep, ...]) -> tuple[PoseStep, ...]:
+    def prepend_history(self, starts: Doubles, steps: tuple[PoseStep, ...]) -> tuple[PoseStep, ...]:
         """The steps of a registration after those of whichever start (n, 4, 4) led to where it begins."""
         if not steps or not len(starts):
             return steps
         first = steps[0].sensor_from_object
-        off_mm = [self.between_mm(first, end) for end in self.roughly(starts)]
+        off_mm = [self.measure_distance_mm(first, end) for end in self.register_roughly(starts)]
         begun = starts[int(np.argmin(off_mm))]
-        return (*way(self.points.thin(_QUICK_POINTS), self.object.grid, begun, self._quick), *steps)
+        return (*trace_iterations(self.points.thin(_QUICK_POINTS), self.object.grid, begun, self._quick), *steps)
 
     def _distinct(self, poses: Doubles) -> list[Doubles]:
         misfits_mm = self._middle().misfit_mm(poses)
@@ -152,15 +152,17 @@ class Search:
         """Set by the outline where the surface is silent, then registered on all points; None where that fails."""
         known = self.assess_observability(pose)
         if len(known.weak_motions):
-            pose = align_outline(pose, known.weak_motions, self.middle_mm, self.outline(pose, dense=dense))
+            pose = align_to_outline(
+                pose, known.weak_motions, self.middle_mm, self.make_outline_judge(pose, dense=dense)
+            )
         how = FitOptions(
             max_distance_mm=self.max_distance_mm / _POLISHED_SHARE, n_iterations=self.n_iterations,
-            keep_steps=self.keep_steps, lasting=known.estimate_systematic_error, tolerances=known.tolerances,
+            keep_steps=self.keep_steps, systematic_error=known.systematic_error, tolerances=known.tolerances,
         )  # fmt: skip
         fit = fit_pose(self.points if dense else self.points.thin(_POLISH_POINTS), self.object.grid, pose, how)
         if isinstance(fit, NotDetermined):
             return None
-        return PoseMinimum(fit=fit, misfit_mm=float(self.fine().misfit_mm([fit.sensor_from_object])[0]))
+        return PoseMinimum(fit=fit, misfit_mm=float(self.make_fine_judge().misfit_mm([fit.sensor_from_object])[0]))
 
     def explains(self, minimum: PoseMinimum) -> bool:
         """Whether what is left of a fit is no more than the depth's own error, and most of the contact is on it."""
@@ -171,7 +173,7 @@ class Search:
         """Largest rms distance that the error of the depth makes up."""
         return _FAR * math.hypot(self.scene.noise_mm, self.scene.error.rms_mm, LEAST_SPREAD_MM)
 
-    def equals(
+    def find_equal_poses(
         self, first: Doubles, found: Sequence[Doubles], free: Doubles, progress: Progress, *, explained: bool
     ) -> list[Doubles]:
         """Poses that the touch does not tell from the `first`: of those found, turned over, and by what joins them.
@@ -180,7 +182,7 @@ class Search:
         touch, any number fit as badly: a few of them are looked for.
         """
         left = _MOST_TURNED if explained else _FEW_TURNED
-        fine, rough = self.fine(), self._middle()
+        fine, rough = self.make_fine_judge(), self._middle()
         limit_mm = _NEAR * float(rough.misfit_mm([first])[0]) + LEAST_SPREAD_MM
         way = None if self.outward is None else np.array(self.outward)
         turns = [turn for turn in _TURNED_OVER if way is None or way @ turn @ way > 0]
@@ -192,13 +194,13 @@ class Search:
                 pose = turned
                 if len(equal) == _MOST_EQUAL or left == 0:
                     break
-                new = all(self.differ(pose, other, free) for other in (first, *equal))
-                if new and fine.tells_apart(first, pose):
+                new = all(self.poses_differ_beyond(pose, other, free) for other in (first, *equal))
+                if new and fine.distinguishes(first, pose):
                     left -= 1
                     better = self.polish(pose, dense=True)  # turned over, it may lie better a little farther on
                     pose = pose if better is None else better.fit.sensor_from_object
-                    new = all(self.differ(pose, other, free) for other in (first, *equal))
-                if new and not fine.tells_apart(first, pose):
+                    new = all(self.poses_differ_beyond(pose, other, free) for other in (first, *equal))
+                if new and not fine.distinguishes(first, pose):
                     equal.append(pose)
             if len(equal) == n_before:
                 break
@@ -207,16 +209,16 @@ class Search:
             tried = [first @ a @ b for a in joined for b in joined]
         return equal
 
-    def between_mm(self, a: Doubles, b: Doubles) -> float:
+    def measure_distance_mm(self, a: Doubles, b: Doubles) -> float:
         """How far two poses are from each other at the contact: turned about its middle, and shifted there."""
         relative = b @ rigid.invert(a)
         shift_mm = np.linalg.norm(rigid.apply(relative, self.middle_mm) - self.middle_mm)
         return math.radians(rigid.rotation_angle_deg(relative)) * self.points.radius_mm + float(shift_mm)
 
-    def differ(self, a: Doubles, b: Doubles, free: Doubles) -> bool:
+    def poses_differ_beyond(self, a: Doubles, b: Doubles, free: Doubles) -> bool:
         """Whether two poses differ by more than the motions (k, 6) of (rotation rad, translation mm) at the middle."""
         turning_mm, sliding_mm = (np.linalg.norm(free[:, k : k + 3], axis=1) for k in (0, 3))
-        straight = turning_mm * self.points.radius_mm <= SLIDE * sliding_mm
+        straight = turning_mm * self.points.radius_mm <= SLIDE_ROTATION_LIMIT * sliding_mm
         turns, slides = free[~straight], np.linalg.qr(free[straight, 3:].T)[0]
         if len(turns):
             turn = rigid.rotation_vector_rad(b @ rigid.invert(a))
@@ -243,16 +245,16 @@ class Search:
         near = select_in_reach(self.scene, self.object.model, pose, _FACETS_REACH_MM)
         short_sq = 1.0 - slopes**2
         lattice_sq = float(np.where(short_sq > _BENT_SQ, short_sq, 0.0).mean()) / 2.0
-        deg = _TOGETHER * math.degrees(math.sqrt(float(near.crooked_sq.mean()) + lattice_sq))
+        deg = _TOGETHER * math.degrees(math.sqrt(float(near.facet_error_sq.mean()) + lattice_sq))
         return Tolerances(normal_error_deg=float(np.clip(deg, _STRAIGHT_DEG, NORMAL_ERROR_DEG)))
 
-    def fine(self) -> PoseJudge:
+    def make_fine_judge(self) -> PoseJudge:
         """A judge on the whole object."""
         return make_judge(
             self.scene, self.object.grid, self.object.model, _FINE_FELT, _FINE_MODEL, self.max_distance_mm
         )
 
-    def best(self, starts: Sequence[Doubles], progress: Progress = SILENT) -> list[PoseMinimum]:
+    def find_minima(self, starts: Sequence[Doubles], progress: Progress = SILENT) -> list[PoseMinimum]:
         """The minima that the starts lead to, best first; the best are set by the outline more exactly, to the end."""
         found: list[PoseMinimum] = []
         for k, start in enumerate(starts):
@@ -268,7 +270,7 @@ class Search:
                 again = self.polish(again.fit.sensor_from_object, dense=True) if gains else None
         return sorted(found, key=lambda m: m.misfit_mm)
 
-    def outline(self, pose: Doubles, *, dense: bool = False) -> PoseJudge:
+    def make_outline_judge(self, pose: Doubles, *, dense: bool = False) -> PoseJudge:
         """A judge on the part of the object around the contact, so that its points lie dense there."""
         part = select_in_reach(self.scene, self.object.model, pose, _OUTLINE_REACH_MM)
         n_felt, n_model = (_DENSE_FELT, _DENSE_MODEL) if dense else (_OUTLINE_FELT, _OUTLINE_MODEL)

@@ -29,20 +29,20 @@ _MIN_LAYER_MM = 0.3  # how deep below the outermost point a face still counts as
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Start:
+class InitialPose:
     """One first guess; guesses of one `group` differ only in the place of the face."""
 
     sensor_from_object: Doubles  # (4, 4) mm
     group: tuple[str, int]  # face, edge or corner; number of the angle
 
 
-def list_starts(scene: ContactScene, model: ObjectModel, face: str, n_starts: int) -> list[Start]:
+def list_starts(scene: ContactScene, model: ObjectModel, face: str, n_starts: int) -> list[InitialPose]:
     """`n_starts` orientations spread over the faces and the angles in the contact plane, each at several places."""
     ways = FACES if face == "auto" else {face: FACES[face]}
     return _spread_over(scene, model, ways, max(1, n_starts // len(ways)))
 
 
-def list_edge_starts(scene: ContactScene, model: ObjectModel, face: str, n_starts: int) -> list[Start]:
+def list_edge_starts(scene: ContactScene, model: ObjectModel, face: str, n_starts: int) -> list[InitialPose]:
     """As many angles as `starts` gives each face, for the edges and corners (of the one face) toward the sensor."""
     ways = {n: way for n, way in EDGES.items() if face == "auto" or np.dot(way, FACES[face]) > 0}
     return _spread_over(scene, model, ways, max(1, n_starts // (len(FACES) if face == "auto" else 1)))
@@ -50,14 +50,14 @@ def list_edge_starts(scene: ContactScene, model: ObjectModel, face: str, n_start
 
 def _spread_over(
     scene: ContactScene, model: ObjectModel, ways: Mapping[str, tuple[float, float, float]], n_angles: int
-) -> list[Start]:  # fmt: skip
+) -> list[InitialPose]:  # fmt: skip
     normal = scene.normals.mean(axis=0)
     normal /= np.linalg.norm(normal)
     middle = scene.points_mm.mean(axis=0)
     layer_mm = max(_MIN_LAYER_MM, float(np.ptp(scene.points_mm @ normal)))
     extent_mm = float(np.sqrt(((scene.points_mm - middle) ** 2).sum(axis=1).mean()))
     few = model.thin(_N_MODEL)
-    found: list[Start] = []
+    found: list[InitialPose] = []
     for name, way in ways.items():
         outward = np.array(way, dtype=np.float64) / np.linalg.norm(way)
         anchors = _anchors(few, outward, layer_mm, extent_mm)
@@ -67,7 +67,7 @@ def _spread_over(
             for anchor in anchors:
                 pose = turn.copy()
                 pose[:3, 3] = middle - turn[:3, :3] @ anchor
-                found.append(Start(sensor_from_object=pose, group=(name, k)))
+                found.append(InitialPose(sensor_from_object=pose, group=(name, k)))
     return found
 
 

@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import math
 
-from pipeline.base.cached_kernels import inner, kernel
+from pipeline.base.cached_kernels import inner_kernel, kernel
 
 _MOST_TURN_RAD = 0.3  # of one step: within it, a rotation vector is nearly what the normal equations mean by a turn
 _DAMPING = 1e-9  # share of the trace (methods 5.3)
 _SWEEPS, _ROUNDING = 30, 1e-30  # Jacobi's end: rounding squared, after six or seven sweeps
 
 
-@inner()
+@inner_kernel()
 def factorise(low):
     """Cholesky's factor in the lower triangle (in place); whether the matrix is positive definite."""
     for i in range(low.shape[0]):
@@ -33,8 +33,8 @@ def factorise(low):
     return True
 
 
-@inner()
-def eigen(a, vectors):
+@inner_kernel()
+def compute_eigenvectors(a, vectors):
     """Eigenvectors in the columns of `vectors` and values on the diagonal of the symmetric `a`: Jacobi's rotations."""
     n = a.shape[0]
     for p in range(n):
@@ -67,7 +67,7 @@ def eigen(a, vectors):
 
 
 @kernel()
-def step(sums, asked, work, motion):
+def solve_step(sums, asked, work, motion):
     """How many directions are held; `motion` (6,) becomes the step along the others.
 
     A motion v is held where v^T H v / weight < v^T diag(asked) v (`pipeline.registration.observability`), and the step
@@ -102,12 +102,12 @@ def step(sums, asked, work, motion):
     return _held_step(low, vectors, asked, motion)
 
 
-@inner()
+@inner_kernel()
 def _held_step(h, vectors, asked, motion):
     for i in range(6):
         for j in range(6):
             h[i, j] /= math.sqrt(asked[i] * asked[j])
-    eigen(h, vectors)
+    compute_eigenvectors(h, vectors)
     n_held = 0
     for k in range(6):
         along = 0.0
@@ -126,8 +126,8 @@ def _held_step(h, vectors, asked, motion):
     return n_held
 
 
-@inner()
-def move(poses, n, motion, radius, most):
+@inner_kernel()
+def apply_motion(poses, n, motion, radius, most):
     """Pose n of rows (rotation, shift) after a motion of the object's axes about the points' middle; its size in mm."""
     wx, wy, wz = motion[0] / radius, motion[1] / radius, motion[2] / radius
     angle = math.sqrt(wx * wx + wy * wy + wz * wz)

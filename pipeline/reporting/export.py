@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.base.errors import FileProblem, SettingProblem
-from pipeline.base.files import prepare_folder_for, whole_file, write_arrays
+from pipeline.base.files import open_atomic, prepare_folder_for, write_arrays
 from pipeline.base.frame_lists import parse_frames
 from pipeline.base.progress import SILENT, Progress
 from pipeline.engine.cache import Cache
@@ -118,7 +118,7 @@ class _Work:
 def _picture(work: _Work) -> None:
     kind = work.asked.path.suffix.lower().removeprefix(".")
     drawn = work.draw_figure(work.translation.check_index(work.asked.frame))
-    with whole_file(work.asked.path, "the picture") as file:
+    with open_atomic(work.asked.path, "the picture") as file:
         drawn.savefig(file, format=kind, metadata=dict(_UNDATED[kind]))
 
 
@@ -135,7 +135,7 @@ def _points(work: _Work) -> None:
     )
     rows: Any = np.empty(len(shown.points_mm), dtype=[("xyz", "<f4", 3), ("rgb", "u1", 3)])
     rows["xyz"], rows["rgb"] = shown.points_mm, shown.rgb
-    with whole_file(work.asked.path, "the points") as file:
+    with open_atomic(work.asked.path, "the points") as file:
         file.write(head.encode("ascii", "replace"))
         file.write(rows.tobytes())
 
@@ -161,7 +161,7 @@ def _table(work: _Work) -> None:
     table.writerow(["frame", "time_s", *names])
     for index, time_s, metrics in rows:
         table.writerow([index, _number(time_s), *(_number(metrics.get(name, np.nan)) for name in names)])
-    with whole_file(work.asked.path, "the table") as file:
+    with open_atomic(work.asked.path, "the table") as file:
         file.write(text.getvalue().encode())
 
 
@@ -182,7 +182,7 @@ def _section(work: _Work) -> None:
     fields = cross_section.collect_height_maps(translation, translation.read_ground_truth(index), shown)
     if not fields:
         raise SettingProblem(f"{work.asked.pane} of frame {index} has no heights to be cut; name another pane")
-    with whole_file(work.asked.path, "the section") as file:
+    with open_atomic(work.asked.path, "the section") as file:
         file.write(cross_section.format_csv(cross_section.cut_section(line, fields)).encode())
 
 
@@ -207,7 +207,7 @@ def _video(work: _Work) -> None:
         writer.release()
         if _n_frames(made) < len(indices):  # it says nothing of a full disk
             raise FileProblem(f"cannot write the video (no room for it in {folder!r}?)", work.asked.path)
-        with made.open("rb") as video, whole_file(work.asked.path, "the video") as file:
+        with made.open("rb") as video, open_atomic(work.asked.path, "the video") as file:
             shutil.copyfileobj(video, file)
 
 

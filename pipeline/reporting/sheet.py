@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pipeline.base.files import whole_file
+from pipeline.base.files import open_atomic
 from pipeline.engine.graph import StageResult
 from pipeline.previews.colours import ColourScale, get_colour_table
 from pipeline.previews.display_params import DisplayParams
@@ -30,7 +30,7 @@ _CONTACT, _FELT = "#E6550D", "#FFFFFF"
 def write_sheet(path: Path, frame: TactileFrame, report: FrameReport, translation: Translation) -> None:
     """Draw the columns of the window as one PNG."""
     drawn = draw_sheet(frame, report, translation)
-    with whole_file(path, "the sheet") as file:
+    with open_atomic(path, "the sheet") as file:
         drawn.savefig(file, format="png")
 
 

@@ -21,7 +21,7 @@ from pipeline.geometry import rigid
 from pipeline.sensors.alignment import ALIGNMENT_PARTS, Alignment
 
 ALIGNMENT_SUFFIX = ".toml"
-_LIMITS = {"translation_mm": rigid.FARTHEST_MM, "rotation_deg": 360.0}
+_LIMITS = {"translation_mm": rigid.MAX_TRANSLATION_MM, "rotation_deg": 360.0}
 _COMMENTS = {
     "alignment_from_source": "the paper's T_S->A: maps points from the source frame to the alignment frame",
     "target_from_alignment": "the paper's T_A->T: maps points from the alignment frame to the target frame",

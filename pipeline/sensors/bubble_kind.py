@@ -30,7 +30,7 @@ def parse_membrane(section: GetSection, _camera: Camera, parts: dict[str, Any]) 
     """A dome over the rim at the depth of [rest]."""
     bubble: Bubble = parts["bubble"]
     rim_mm = section("rest").read_number("rim_depth", "mm", 1.0, 1000.0)
-    return membrane.make_dome(rim_mm, bubble.height_mm, bubble.half_width_mm, bubble.half_height_mm)
+    return membrane.make_dome_membrane(rim_mm, bubble.height_mm, bubble.half_width_mm, bubble.half_height_mm)
 
 
 def render_reference(sensor: SensorSpec) -> Floats:

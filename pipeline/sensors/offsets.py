@@ -16,7 +16,7 @@ Axis = Literal["x", "y", "z", "rx", "ry", "rz"]
 AXES: tuple[Axis, ...] = ("x", "y", "z", "rx", "ry", "rz")
 Triple = tuple[float, float, float]
 ZERO_TRIPLE: Triple = (0.0, 0.0, 0.0)
-_LIMITS = {"translation_mm": rigid.FARTHEST_MM, "rotation_deg": 360.0, "pivot_mm": rigid.FARTHEST_MM}
+_LIMITS = {"translation_mm": rigid.MAX_TRANSLATION_MM, "rotation_deg": 360.0, "pivot_mm": rigid.MAX_TRANSLATION_MM}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

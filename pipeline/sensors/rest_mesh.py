@@ -46,4 +46,4 @@ def load_rest_membrane(data: Mapping[str, Any], path: Path) -> Membrane | None:
 
     mesh, step = path.parent / file, float(step_mm)
     key = (mesh, compute_digest(read_bytes(mesh, "the mesh")), str(unit), step)
-    return _membranes.of(key, lambda: load_membrane(mesh, str(unit), step))
+    return _membranes.get_or_make(key, lambda: load_membrane(mesh, str(unit), step))

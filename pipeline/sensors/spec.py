@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pipeline.base.arrays import Doubles, freeze
 from pipeline.base.errors import CalibrationError, SettingProblem
 from pipeline.base.memo import Memo
-from pipeline.engine.digests import UNDIGESTED, content
+from pipeline.engine.digests import UNDIGESTED, compute_cached_digest
 from pipeline.geometry import rigid
 from pipeline.geometry.camera import Camera
 from pipeline.geometry.membrane import Membrane
@@ -68,8 +68,8 @@ class SensorSpec:
         """
         if camera == self.camera:
             return self
-        return _with_cameras.of(
-            (content(self), camera),
+        return _with_cameras.get_or_make(
+            (compute_cached_digest(self), camera),
             lambda: replace(self, camera=camera, rest_depth_mm=self.membrane.rest_depth_mm(camera)),
         )
 
@@ -101,7 +101,9 @@ def load_sensor(name_or_file: str) -> SensorSpec:
         path = known[name_or_file]
     data = read_description(path)
     surface = load_rest_membrane(data, path)
-    return _loaded.of((path, repr(data), content(surface)), lambda: _build(path.stem, data, path, surface))
+    return _loaded.get_or_make(
+        (path, repr(data), compute_cached_digest(surface)), lambda: _build(path.stem, data, path, surface)
+    )
 
 
 def _build(name: str, data: dict[str, Any], path: Path, surface: Membrane | None) -> SensorSpec:
@@ -122,7 +124,7 @@ def _build(name: str, data: dict[str, Any], path: Path, surface: Membrane | None
     parts = kind.parse_parts(section, data, path)
     if surface is None:
         surface = kind.parse_membrane(section, camera, parts)
-    shift_mm = align.read_vector("translation", "mm", -rigid.FARTHEST_MM, rigid.FARTHEST_MM)
+    shift_mm = align.read_vector("translation", "mm", -rigid.MAX_TRANSLATION_MM, rigid.MAX_TRANSLATION_MM)
     pose = rigid.from_parts(shift_mm, align.read_vector("rotation_vector", "deg", -360.0, 360.0))
     return SensorSpec(
         name=name,

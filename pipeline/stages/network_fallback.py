@@ -24,7 +24,8 @@ def fall_back_without_weights(run: Callable[..., Any], fallback: Method) -> Call
         except ModelMissing as problem:
             told = params if isinstance(params, fallback.params) else fallback.params()
             return Fallback(
-                answer=fallback.run(*reads, told, progress), why=f"{problem}; {fallback.title.lower()} answers instead"
+                result=fallback.run(*reads, told, progress),
+                reason=f"{problem}; {fallback.title.lower()} answers instead",
             )
         return run(*reads, ready, params, progress)
 

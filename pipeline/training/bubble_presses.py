@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 
 from pipeline.base.arrays import Doubles, Floats, Mask, freeze
-from pipeline.base.files import pack_arrays, whole_file
+from pipeline.base.files import open_atomic, read_cached_arrays
 from pipeline.geometry import membrane, rigid
 from pipeline.geometry.meshes import Mesh
 from pipeline.physics import bubble_camera, lattice
@@ -40,7 +40,7 @@ class BubblePress:
 
     sensor: SensorSpec  # the unit
     indentation_mm: Floats  # (rows, cols) rest - depth of the membrane
-    gap_mm: Floats  # (rows, cols) from the membrane to the object behind it along z, >= 0, at most FARTHEST_MM
+    gap_mm: Floats  # (rows, cols) from the membrane to the object behind it along z, >= 0, at most MAX_TRANSLATION_MM
     contact: Mask  # (rows, cols) pressure > 0
     incidence_cosine: Floats  # (rows, cols) of the angle at which the camera looks at the membrane
 
@@ -76,7 +76,9 @@ def _bubble(geometry: int) -> SensorSpec:
         like.bubble, half_width_mm=wide * like.bubble.half_width_mm, half_height_mm=high * like.bubble.half_height_mm,
         height_mm=flat * like.bubble.height_mm,
     )  # fmt: skip
-    surface = membrane.make_dome(80.0 - shape.height_mm, shape.height_mm, shape.half_width_mm, shape.half_height_mm)
+    surface = membrane.make_dome_membrane(
+        80.0 - shape.height_mm, shape.height_mm, shape.half_width_mm, shape.half_height_mm
+    )
     eye = replace(like.camera, fx_px=near * like.camera.fx_px, fy_px=near * like.camera.fy_px)
     return replace(
         like, bubble=shape, membrane=surface, camera=eye, rest_depth_mm=surface.rest_depth_mm(eye),
@@ -128,12 +130,12 @@ def _keep(path: Path, found: BubblePress) -> None:
     np.savez(content, moved=found.indentation_mm, contact=found.contact,
              gap=found.gap_mm.astype(np.float16), cosine=found.incidence_cosine.astype(np.float16))  # fmt: skip
     path.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(path, "a press to learn from") as file:
+    with open_atomic(path, "a press to learn from") as file:
         file.write(content.getbuffer())
 
 
 def _kept(path: Path, unit: SensorSpec) -> BubblePress | None:
-    kept = pack_arrays(path)
+    kept = read_cached_arrays(path)
     if kept is None or not {"moved", "gap", "contact", "cosine"} <= set(kept):
         return None  # not there yet, or damaged: it is worked out again
     moved, gap, contact, cosine = (kept[key] for key in ("moved", "gap", "contact", "cosine"))

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from pipeline.base.files import whole_file, write_text
+from pipeline.base.files import open_atomic, write_text
 from pipeline.training.state import TrainingState
 
 _INCHES, _DPI = (9.0, 3.0), 110
@@ -56,5 +56,5 @@ def draw_curves(folder: Path, state: TrainingState) -> None:
     for own in axes:
         own.grid(visible=True, color="#e5e7eb", lw=0.8)
         own.spines[["top", "right"]].set_visible(False)
-    with whole_file(folder / "curve.png", "the learning curves") as file:
+    with open_atomic(folder / "curve.png", "the learning curves") as file:
         figure.savefig(file, format="png")

@@ -40,7 +40,7 @@ class PartialTouch:
 
 def simulate_partial_touch(things: PairedDataSplit, seed: int, index: int, folder: str = "") -> PartialTouch:
     """A part of that paired touch, of an object of the catalogue: the same each time. `folder` keeps it."""
-    return _in_memory.of((things, seed, index), lambda: _kept_or_made(things, seed, index, folder))
+    return _in_memory.get_or_make((things, seed, index), lambda: _kept_or_made(things, seed, index, folder))
 
 
 def _kept_or_made(things: PairedDataSplit, seed: int, index: int, folder: str) -> PartialTouch:

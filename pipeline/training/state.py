@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.base.errors import FileProblem, SettingProblem
-from pipeline.base.files import read_bytes, whole_file
+from pipeline.base.files import open_atomic, read_bytes
 from pipeline.training.recipe import Recipe
 
 _FILE = "state.pt"
@@ -54,7 +54,7 @@ def save_state(folder: Path, state: TrainingState) -> None:
 
     content = io.BytesIO()
     torch.save({f.name: getattr(state, f.name) for f in fields(state)}, content)
-    with whole_file(folder / _FILE, _WHAT) as file:
+    with open_atomic(folder / _FILE, _WHAT) as file:
         file.write(content.getbuffer())
 
 

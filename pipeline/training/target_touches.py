@@ -16,7 +16,7 @@ from typing import Any, Literal, TypeVar, cast
 import numpy as np
 
 from pipeline.base.arrays import Doubles, Floats, Mask, freeze
-from pipeline.base.files import pack_arrays, whole_file
+from pipeline.base.files import open_atomic, read_cached_arrays
 from pipeline.base.memo import Memo
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh
@@ -63,7 +63,9 @@ def simulate_target_touch(
     target: str, things: DataSplit, seed: int, index: int, folder: str = ""
 ) -> TargetTouchSample | None:
     """Touch `index` of a seed: the same each time; None where nothing is told. `folder` keeps it."""
-    found = _in_memory.of((target, things, seed, index), lambda: _kept_or_made(target, things, seed, index, folder))
+    found = _in_memory.get_or_make(
+        (target, things, seed, index), lambda: _kept_or_made(target, things, seed, index, folder)
+    )
     return found if found.observed.any() else None
 
 
@@ -168,13 +170,13 @@ def save_arrays(path: Path, found: object) -> None:
     content = io.BytesIO()
     np.savez(content, **{k: a.astype(np.float16) if a.dtype == np.float32 else a for k, a in arrays.items()})
     path.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(path, "a touch to learn from") as file:
+    with open_atomic(path, "a touch to learn from") as file:
         file.write(content.getbuffer())
 
 
 def load_arrays(path: Path, kind: type[T]) -> T | None:
     """What `keep` wrote; None where it is not there yet, or cut short: it is worked out again."""
-    arrays = pack_arrays(path)
+    arrays = read_cached_arrays(path)
     if arrays is None or set(arrays) != {f.name for f in fields(cast("Any", kind))}:
         return None
     return kind(**{k: freeze(a.astype(np.float32) if a.dtype == np.float16 else a) for k, a in arrays.items()})

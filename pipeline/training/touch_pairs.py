@@ -69,7 +69,7 @@ def place_nominal_sensors(deeper_mm: float) -> tuple[SensorSpec, SensorSpec]:
 
 def simulate_touch_pair(things: DataSplit, seed: int, index: int, folder: str = "") -> TouchPair | None:
     """Pair `index` of a seed: the same each time; None where the gel feels nothing. `folder` keeps it."""
-    found = _in_memory.of((things, seed, index), lambda: _kept_or_made(things, seed, index, folder))
+    found = _in_memory.get_or_make((things, seed, index), lambda: _kept_or_made(things, seed, index, folder))
     return found if found.gel_contact.any() else None
 
 

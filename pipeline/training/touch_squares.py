@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from pipeline.base.arrays import Doubles, Floats, freeze
 from pipeline.base.errors import SettingProblem
-from pipeline.base.files import pack_arrays, whole_file
+from pipeline.base.files import open_atomic, read_cached_arrays
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh
 from pipeline.networks.square_images import compute_change, resize_to_square
@@ -149,7 +149,7 @@ def _keep(path: Path, found: TouchSquares) -> None:
         exact=found.exact_imprint_mm.astype(np.float16), pose=found.alignment_from_object, thing=np.array(found.object_name),
     )  # fmt: skip
     path.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(path, "a touch to learn from") as file:
+    with open_atomic(path, "a touch to learn from") as file:
         file.write(content.getbuffer())
 
 
@@ -167,7 +167,7 @@ def _kept(path: Path) -> TouchSquares | None:
 @lru_cache(maxsize=_MOST_KEPT)
 def _load_packed(path: Path) -> tuple[NDArray[Any], ...]:
     """The arrays of a file, kept small in memory: every touch is drawn many times. Raises FileNotFoundError."""
-    kept = pack_arrays(path)
+    kept = read_cached_arrays(path)
     if kept is None or not set(_KEYS) <= set(kept):
         raise FileNotFoundError(path)
     return tuple(kept[key] for key in _KEYS)

@@ -90,9 +90,7 @@ class VqVaeTask:
 
     def _example(self, touch: TouchSquares) -> Example:
         """The source as any unit records it, the target as the described unit does; a bubble's without noise."""
-        kinds: tuple[str, str] = (
-            ("gel", "bubble") if self.direction == "gel_to_bubble" else ("bubble", "gel")
-        )
+        kinds: tuple[str, str] = ("gel", "bubble") if self.direction == "gel_to_bubble" else ("bubble", "gel")
         if kinds[0] == "gel":
             source, target = touch.gel_change, touch.exact_imprint_mm
         else:

@@ -14,7 +14,7 @@ import numpy as np
 
 from pipeline.base.arrays import Mask, freeze
 from pipeline.base.errors import SettingProblem
-from pipeline.base.progress import SILENT, Progress, Share
+from pipeline.base.progress import SILENT, Progress, SubProgress
 from pipeline.engine.graph import Graph, StageResult
 from pipeline.metrics.stage_metrics import METRICS
 from pipeline.translation.translate import Translation
@@ -83,7 +83,7 @@ def attribute_error(
     truths = translation.read_true_outputs(frame)
     before = translation.stages[: translation.stages.index(slot)]
     each = 1.0 / (2 + len(before))
-    results, total = evaluate_metric(inputs, Share(progress, 0.0, each))
+    results, total = evaluate_metric(inputs, SubProgress(progress, 0.0, each))
     if total is None:
         return None
     steps = tuple(_steps(translation, {name: truths[name] for name in before if name in truths}, results))
@@ -91,7 +91,7 @@ def attribute_error(
     left = total
     for index, (of, title, value) in enumerate(steps, start=1):
         inputs[of] = value
-        _, now = evaluate_metric(inputs, Share(progress, index * each, each, title))
+        _, now = evaluate_metric(inputs, SubProgress(progress, index * each, each, title))
         if now is None:
             break
         parts.append(ErrorShare(stage=of, title=title, share=left - now, remaining=now))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pipeline.base.arrays import Floats, Image
 from pipeline.base.errors import TouchError
-from pipeline.engine.digests import content
+from pipeline.engine.digests import compute_cached_digest
 from pipeline.values.frames import Stream, TactileFrame
 
 _MOST_FRAMES = 24
@@ -47,7 +47,7 @@ def select_context_frames(stream: Stream) -> tuple[TactileFrame, ...]:
     for frame, change in _compared(stream):
         if frame.is_depth or frame.image.dtype != np.uint8:
             return ()
-        if not found or content(frame.reference) == content(found[0][0].reference):
+        if not found or compute_cached_digest(frame.reference) == compute_cached_digest(found[0][0].reference):
             found.append((frame, change))
     chosen: list[TactileFrame] = []
     while found and len(chosen) < _MOST_TELLING:

@@ -12,7 +12,7 @@ import numpy as np
 
 from pipeline.base.arrays import Image
 from pipeline.base.errors import SettingProblem
-from pipeline.base.frame_lists import pick_frame
+from pipeline.base.frame_lists import check_frame_index
 from pipeline.calibration.calibration_file import load as load_calibration
 from pipeline.calibration.calibration_table import Calibration
 from pipeline.engine.graph import Graph, Method, StageResult
@@ -189,7 +189,7 @@ class Translation:
 
     def check_index(self, index: int) -> int:
         """`index` if there is such a frame; raises SettingProblem otherwise."""
-        return pick_frame(index, self.n_frames)
+        return check_frame_index(index, self.n_frames)
 
 
 def open_translation(request: Request, catalogue: Catalogue = BUILT_IN) -> Translation:

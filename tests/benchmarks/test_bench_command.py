@@ -6,8 +6,7 @@ import json
 
 import pytest
 
-from benchmarks.harness import command
-from benchmarks.harness import runner
+from benchmarks.harness import command, runner
 from pipeline.cli.main import EXIT_USER_ERROR, build_app, run_app
 
 SOURCE = '''"""How fast is nothing? A second sentence."""

@@ -47,15 +47,15 @@ FIRST_DEPTH = """
 import json, sys
 import numpy as np
 from pipeline.base.progress import SILENT
-from pipeline.physics.optics import untouched
-from pipeline.sensors.spec import sensor
-from pipeline.stages.depth.photometric import DepthParams, depth
+from pipeline.physics.optics import render_reference
+from pipeline.sensors.spec import load_sensor
+from pipeline.stages.depth.photometric import DepthParams, estimate_depth
 from pipeline.values.frames import TactileFrame
-digit = sensor("digit")
-still = untouched(digit)
-image = still.copy()
+digit = load_sensor("digit")
+reference = render_reference(digit)
+image = reference.copy()
 image[100:160, 80:160] = 255 - image[100:160, 80:160]
-depth(TactileFrame(sensor="digit", image=image.astype(np.uint8), reference=still), digit, None, DepthParams(), SILENT)
+estimate_depth(TactileFrame(sensor="digit", image=image.astype(np.uint8), reference=reference), digit, None, DepthParams(), SILENT)
 print(json.dumps(sorted(sys.modules)))
 """
 

@@ -130,7 +130,7 @@ def test_rest_depth(fx, z_mm, domed):
     half = 2 * z_mm * (COLS + ROWS) / fx + 1e-9
     surface = membrane.make_flat_membrane(z_mm, half, half)
     if domed:
-        surface = membrane.make_dome(z_mm, 0.2 * min(z_mm, half), half, half, step_mm=half / 20)
+        surface = membrane.make_dome_membrane(z_mm, 0.2 * min(z_mm, half), half, half, step_mm=half / 20)
     rest = surface.rest_depth_mm(camera)
     assert np.isfinite(rest).all()
     assert (rest > 0).all()

@@ -80,7 +80,7 @@ def test_flattening_patch(flatness, noise_mm, seed):
     # Normals that lean less than the model's own error show nothing of a slide; ten times that, with this noise, all.
     if flatness < np.deg2rad(TOLERANCES.normal_error_deg) / 3:
         assert seen.max() <= 0.2
-        assert len(told.weak) >= 3
+        assert len(told.weak_directions) >= 3
     if flatness > 10 * np.deg2rad(TOLERANCES.normal_error_deg) and noise_mm < 0.05:
         assert seen.min() >= 0.9
 
@@ -93,6 +93,6 @@ def test_turns_with_the_scene(flatness, motion, seed):
     here = assess_observability(points, normals, points.mean(axis=0), 0.02)
     there_points = rigid.apply(motion, points)
     there = assess_observability(there_points, normals @ motion[:3, :3].T, there_points.mean(axis=0), 0.02)
-    assert len(here.weak) == len(there.weak)
+    assert len(here.weak_directions) == len(there.weak_directions)
     turn = np.kron(np.eye(2), motion[:3, :3])
     assert np.abs(turn @ here.observable @ turn.T - there.observable).max() <= 1e-6

@@ -197,5 +197,5 @@ def test_observability(n, place, seed):
     assert np.isfinite(told.observable).all()
     scale = max(1.0, float(np.abs(told.observable).max())) ** 2
     assert np.abs(told.observable @ told.observable - told.observable).max() <= DETERMINED_IDEMPOTENT * scale
-    assert len(told.weak) == len(told.weak_motions) == 6 - round(float(np.trace(told.observable)))
-    assert len(told.weak) >= max(1, 6 - n)
+    assert len(told.weak_directions) == len(told.weak_motions) == 6 - round(float(np.trace(told.observable)))
+    assert len(told.weak_directions) >= max(1, 6 - n)

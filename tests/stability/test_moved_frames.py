@@ -128,7 +128,7 @@ def test_observability_under_a_motion(motion, power, seed):
     here = assess_observability(points, normals, points.mean(axis=0), 0.03)
     there_points = rigid.apply(motion, points)
     there = assess_observability(there_points, normals @ motion[:3, :3].T, there_points.mean(axis=0), 0.03)
-    assert len(here.weak) == len(there.weak)
+    assert len(here.weak_directions) == len(there.weak_directions)
     turn = np.kron(np.eye(2), motion[:3, :3])
     limit = 1e-9 + 1e4 * EPS64 * 10.0**power
     assert np.abs(turn @ here.observable @ turn.T - there.observable).max() <= limit * 10

@@ -58,6 +58,6 @@ def test_observability_in_any_order(n, seed):
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     order = rng.permutation(n)
     a, b = (assess_observability(points[k], normals[k], points.mean(axis=0), 0.03) for k in (np.arange(n), order))
-    assert a.weak == b.weak
+    assert a.weak_directions == b.weak_directions
     assert np.abs(a.covariance - b.covariance).max() <= 1e3 * SUMS * np.abs(a.covariance).max()
     assert np.abs(a.observable - b.observable).max() <= 1e3 * SUMS

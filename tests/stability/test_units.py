@@ -89,7 +89,7 @@ def test_observability(n, k, seed):
     theirs = assess_observability(
         points * k, normals, k * points.mean(axis=0), 0.03 * k, tolerances=Tolerances(mm=0.2 * k, deg=1.0)
     )
-    assert len(ours.weak) == len(theirs.weak)
+    assert len(ours.weak_directions) == len(theirs.weak_directions)
     units = np.array([1.0] * 3 + [k] * 3)
     back = theirs.covariance / np.outer(units, units)
     assert np.abs(back - ours.covariance).max() <= SAME * np.abs(ours.covariance).max()

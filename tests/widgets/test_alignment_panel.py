@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from pipeline.alignment.score import AlignmentScore
-from pipeline.alignment.sensitivity import AlignmentChange, Sensitivity
+from pipeline.alignment.sensitivity import ScoreChange, Sensitivity
 from pipeline.sensors.offsets import AXES
 from widgets.alignment_panel import AlignmentPanel
 
@@ -84,8 +84,8 @@ def test_gauges_have_units_and_survive_figures_beyond_their_limits(panel):
 
 
 def test_bars_say_which_way_is_better(panel):
-    def one(slope: float | None, size: float | None) -> AlignmentChange:
-        return AlignmentChange(slope=slope, size=size)
+    def one(slope: float | None, size: float | None) -> ScoreChange:
+        return ScoreChange(slope=slope, magnitude=size)
 
     axis = Sensitivity(
         axis="x", unit="mm", step=0.1, iou=one(-0.02, 0.02), edge_px=one(-0.5, 0.5), depth_mm=one(None, None)

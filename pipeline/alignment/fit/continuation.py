@@ -18,7 +18,7 @@ _CLEAR = 0.3  # mean touching along it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ContinuationStep:
+class BoundaryRidges:
     """Ridges that leave a picture: (n,) each, in pixels, directions outward."""
 
     x_px: Doubles
@@ -28,7 +28,7 @@ class ContinuationStep:
     strength: Doubles  # 0..1
 
 
-def continue_fit(touching: Floats) -> ContinuationStep:
+def detect_boundary_ridges(touching: Floats) -> BoundaryRidges:
     """The ridges that leave a picture (rows, cols) of what touches; directions are those with most of it behind."""
     import cv2
 
@@ -48,7 +48,7 @@ def continue_fit(touching: Floats) -> ContinuationStep:
         if clear > _CLEAR:
             found.append((float(x[k]), float(y[k]), -right, -down, min(1.0, float(profile[k]) / _STRONG)))
     table = np.array(found, np.float64).reshape(-1, 5).T
-    return ContinuationStep(x_px=table[0], y_px=table[1], right=table[2], down=table[3], strength=table[4])
+    return BoundaryRidges(x_px=table[0], y_px=table[1], right=table[2], down=table[3], strength=table[4])
 
 
 def _inward(smooth: Floats, x_px: float, y_px: float) -> tuple[float, float, float]:

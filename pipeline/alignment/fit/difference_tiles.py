@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.alignment.fit.image_rotation import WAYS, is_upside_down, rotate_image
+from pipeline.alignment.fit.image_rotation import ORIENTATIONS, orient_image, rotate_half_turn
 from pipeline.base.arrays import Doubles, Floats, Image, freeze
 from pipeline.base.errors import SettingProblem
 from pipeline.sensors.spec import SensorSpec
@@ -29,13 +29,13 @@ _FULL = 0.6  # share of that from which it does
 class Ridges:
     """What presses into a gel, as far as a tile tells."""
 
-    touching: Floats  # (rows, cols) 0..1
-    way: int  # how the tile was laid before it lay as the sensor's camera sees: `turned(tile, way)`
+    contact: Floats  # (rows, cols) 0..1
+    orientation: int  # how the tile was laid before it lay as the sensor's camera sees: `turned(tile, way)`
     curl_free: float  # share of the slopes' energy that a surface explains
     next_best: float  # the same of the best way that is not this or half a turn from it
 
 
-def slopes_of_colours(spec: SensorSpec) -> Doubles:
+def compute_colour_to_slope(spec: SensorSpec) -> Doubles:
     """(2, 3): what makes a change of colour a slope (right, down), up to one factor; from the described lights."""
     if spec.optics is None:
         raise SettingProblem(f"{spec.name} has no lights to read slopes from; it measures depth itself")
@@ -47,17 +47,17 @@ def slopes_of_colours(spec: SensorSpec) -> Doubles:
     return inverse / np.abs(inverse).max()
 
 
-def ridges(tile: Image, spec: SensorSpec, way: int | None = None) -> Ridges:
+def detect_ridges(tile: Image, spec: SensorSpec, way: int | None = None) -> Ridges:
     """The ridges of a tile (rows, cols, 3), laid as the sensor's camera sees them; `way` None = the tile tells it."""
-    matrix = slopes_of_colours(spec)
-    explained = [_curl_free(*_slopes(rotate_image(tile, k), matrix)) for k in WAYS]
+    matrix = compute_colour_to_slope(spec)
+    explained = [_curl_free(*_slopes(orient_image(tile, k), matrix)) for k in ORIENTATIONS]
     best = int(np.argmax(explained)) if way is None else way
-    if way is None and _skewness(_peaks(rotate_image(tile, best), matrix)) < 0:
-        best = is_upside_down(best)
-    peaks = np.maximum(_peaks(rotate_image(tile, best), matrix), 0.0)
+    if way is None and _skewness(_peaks(orient_image(tile, best), matrix)) < 0:
+        best = rotate_half_turn(best)
+    peaks = np.maximum(_peaks(orient_image(tile, best), matrix), 0.0)
     strongest = max(float(np.percentile(peaks, _STRONG)), 1e-9)
-    others = [e for k, e in enumerate(explained) if k not in (best, is_upside_down(best))]
-    return Ridges(touching=freeze(np.minimum(peaks / (strongest * _FULL), 1.0).astype(np.float32)), way=best,
+    others = [e for k, e in enumerate(explained) if k not in (best, rotate_half_turn(best))]
+    return Ridges(contact=freeze(np.minimum(peaks / (strongest * _FULL), 1.0).astype(np.float32)), orientation=best,
                   curl_free=explained[best], next_best=max(others))  # fmt: skip
 
 

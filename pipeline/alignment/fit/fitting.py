@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pipeline.alignment.fit.agreement import compute_correlation, compute_mean_imprint, compute_residual
-from pipeline.alignment.fit.transfer import FREE, ImprintPair, TransferModel, transfer_imprint
+from pipeline.alignment.fit.transfer import FREE_PARAMETERS, ImprintPair, TransferModel, transfer_imprint
 from pipeline.base.arrays import Doubles, Floats
 from pipeline.base.errors import SettingProblem
 from pipeline.base.progress import SILENT, Progress
@@ -21,12 +21,18 @@ _BEGUN_DEG = 30  # between two turns that are tried
 _BEGUN, _HOPEFUL = 3, 0.7  # beginnings that are followed at most, and how near to the best one they must do
 _BEGUN_ON = 6  # pairs that they are judged by
 _STEPS = {
-    "turn": 0.05, "log_scale": 0.1, "tilt_right": 0.2, "tilt_down": 0.2, "fall": 0.1, "log_reach": 0.15,
-    "log_width": 0.3, "log_stiff": 0.5, "log_leak": 0.5,
+    "rotation_rad": 0.05, "log_scale": 0.1, "tilt_right": 0.2, "tilt_down": 0.2, "rest_curvature": 0.1, "log_reach": 0.15,
+    "log_width": 0.3, "log_stiffness": 0.5, "log_leak": 0.5,
 }  # fmt: skip
 _SHIFT_STEP = 0.02  # of the target's width
 _ROUNDS = 10
-_TOLD = {"turn": math.radians(5.0), "log_scale": 0.1, "tilt_right": 0.3, "tilt_down": 0.3, "fall": 0.3}  # still tells
+_TOLD = {
+    "rotation_rad": math.radians(5.0),
+    "log_scale": 0.1,
+    "tilt_right": 0.3,
+    "tilt_down": 0.3,
+    "rest_curvature": 0.3,
+}  # still tells
 _SHIFT_TOLD = 0.05  # of the target's width
 
 
@@ -34,12 +40,12 @@ _SHIFT_TOLD = 0.05  # of the target's width
 class PairsFit:
     """A carrying, what it rests on, and how it does."""
 
-    carrying: TransferModel
-    spread: dict[str, float]  # standard deviations by field, from how single touches pull
+    transfer: TransferModel
+    std: dict[str, float]  # standard deviations by field, from how single touches pull
     undetermined: tuple[str, ...]  # fields whose spread is beyond use
-    common: Doubles | None  # mean imprint of the pairs used, at their pictures' size; None = not taken away
-    used: tuple[float, ...]  # correlation a pair, less `common` where there is one
-    beginnings: tuple[tuple[str, float], ...]  # ways of laying that were tried, best first, and how they did
+    mean_imprint: Doubles | None  # mean imprint of the pairs used, at their pictures' size; None = not taken away
+    correlations: tuple[float, ...]  # correlation a pair, less `common` where there is one
+    initial_guesses: tuple[tuple[str, float], ...]  # ways of laying that were tried, best first, and how they did
 
 
 def fit_pairs(pairs: Sequence[ImprintPair], progress: Progress = SILENT) -> PairsFit:
@@ -48,12 +54,12 @@ def fit_pairs(pairs: Sequence[ImprintPair], progress: Progress = SILENT) -> Pair
     Where there are enough pairs, their mean imprint is taken away first, so that only what differs between touches
     counts. Raises SettingProblem for fewer than two pairs, or where none has anything that touches.
     """
-    kept = [p for p in pairs if p.touching.any() and float(np.ptp(p.imprint)) > 0]
+    kept = [p for p in pairs if p.contact.any() and float(np.ptp(p.imprint)) > 0]
     if len(kept) < 2:
         raise SettingProblem(f"an alignment needs at least two touches felt by both, got {len(kept)}")
-    less_mean = len(kept) >= _FEWEST_FOR_A_MEAN and not kept[0].metric
-    common = compute_mean_imprint([p.coarse for p in kept]) if less_mean else None
-    real = [compute_residual(p.coarse, common) for p in kept]
+    less_mean = len(kept) >= _FEWEST_FOR_A_MEAN and not kept[0].is_metric
+    common = compute_mean_imprint([p.coarse_imprint for p in kept]) if less_mean else None
+    real = [compute_residual(p.coarse_imprint, common) for p in kept]
     begun = _beginnings(kept[:_BEGUN_ON], real[:_BEGUN_ON], common, progress)
     best: tuple[float, TransferModel] | None = None
     hopeful = [how for score, how in begun[:_BEGUN] if score >= _HOPEFUL * begun[0][0]]
@@ -65,7 +71,7 @@ def fit_pairs(pairs: Sequence[ImprintPair], progress: Progress = SILENT) -> Pair
             best = (score, found)
     assert best is not None
     how = best[1]
-    spread = _Problem(kept, real, common).spread(how)
+    spread = _Problem(kept, real, common).std(how)
     width = kept[0].target_size[0]
     limits = {**_TOLD, "right": _SHIFT_TOLD * width, "down": _SHIFT_TOLD * width}
     whole = compute_mean_imprint([p.imprint for p in kept]) if less_mean else None
@@ -73,8 +79,8 @@ def fit_pairs(pairs: Sequence[ImprintPair], progress: Progress = SILENT) -> Pair
     for score, start in begun:
         ways.setdefault(_said(start), score)
     return PairsFit(
-        carrying=how, spread=spread, undetermined=tuple(n for n, most in limits.items() if not spread[n] <= most),
-        common=whole, used=tuple(score_fit(p, how, whole) for p in kept), beginnings=tuple(ways.items()),
+        transfer=how, std=spread, undetermined=tuple(n for n, most in limits.items() if not spread[n] <= most),
+        mean_imprint=whole, correlations=tuple(score_fit(p, how, whole) for p in kept), initial_guesses=tuple(ways.items()),
     )  # fmt: skip
 
 
@@ -92,8 +98,8 @@ def enlarge(coarse: Floats, pair: ImprintPair) -> Floats:
 
 
 def _said(how: TransferModel) -> str:
-    turn = round(math.degrees(how.turn)) % 360
-    return f"{'mirrored, ' if how.mirrored else ''}turned by {turn} deg"
+    turn = round(math.degrees(how.rotation_rad)) % 360
+    return f"{'mirrored, ' if how.is_mirrored else ''}turned by {turn} deg"
 
 
 def _scores(
@@ -106,12 +112,14 @@ def _beginnings(
     pairs: Sequence[ImprintPair], real: Sequence[Doubles], common: Doubles | None, progress: Progress
 ) -> list[tuple[float, TransferModel]]:
     """Every way of laying the source's picture, at the shift where the pairs agree best; best first."""
-    scales = (1.0,) if pairs[0].metric else _SCALES
+    scales = (1.0,) if pairs[0].is_metric else _SCALES
     found: list[tuple[float, TransferModel]] = []
     ways = list(itertools.product((False, True), range(0, 360, _BEGUN_DEG), scales))
     for k, (mirrored, turn, scale) in enumerate(ways):
         progress.step(0.3 * k / len(ways), "looking for a way to begin")
-        how = TransferModel(mirrored=mirrored, turn=math.radians(turn), log_scale=math.log(scale), log_stiff=0.5)
+        how = TransferModel(
+            is_mirrored=mirrored, rotation_rad=math.radians(turn), log_scale=math.log(scale), log_stiffness=0.5
+        )
         how = _shifted(pairs, real, common, how)
         found.append((float(np.mean(_scores(pairs, real, common, how))), how))
     return sorted(found, key=lambda one: -one[0])
@@ -140,7 +148,7 @@ class _Problem:
         self._pairs, self._real, self._common = pairs, real, common
         width = pairs[0].target_size[0]
         # In millimetres a membrane's bridging would pass for another scale: it is 1 where both sides are metric.
-        self._free = [n for n in FREE if n != "log_scale" or not pairs[0].metric]
+        self._free = [n for n in FREE_PARAMETERS if n != "log_scale" or not pairs[0].is_metric]
         self._unit = np.array([_STEPS.get(n, _SHIFT_STEP * width) for n in self._free])
 
     def residuals(self, how: TransferModel) -> list[Doubles]:
@@ -175,7 +183,7 @@ class _Problem:
                 break
         return how
 
-    def spread(self, how: TransferModel) -> dict[str, float]:
+    def std(self, how: TransferModel) -> dict[str, float]:
         """Standard deviation of every number of the carrying: how differently the touches pull at it (sandwich)."""
         rest = self.residuals(how)
         slopes = self._slopes(how, rest)
@@ -187,7 +195,7 @@ class _Problem:
         deviations = np.sqrt(np.maximum(np.diag(covariance), 0.0)) * self._unit
         felt = np.diag(normal) > 1e-9
         told = {n: float(d) if f else math.inf for n, d, f in zip(self._free, deviations, felt, strict=True)}
-        return {n: told.get(n, 0.0) for n in FREE}
+        return {n: told.get(n, 0.0) for n in FREE_PARAMETERS}
 
     def _moved(self, how: TransferModel, step: Doubles) -> TransferModel:
         at = {n: getattr(how, n) + float(s) for n, s in zip(self._free, step * self._unit, strict=True)}

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.alignment.fit.difference_tiles import Ridges, ridges
-from pipeline.alignment.fit.image_rotation import describe_rotation, rotate_image
+from pipeline.alignment.fit.difference_tiles import Ridges, detect_ridges
+from pipeline.alignment.fit.image_rotation import describe_orientation, orient_image
 from pipeline.alignment.fit.transfer import ImprintPair
 from pipeline.alignment.touches import AlignmentTouch
 from pipeline.base.arrays import Floats, freeze
@@ -26,14 +26,14 @@ _TILE = (1.0, 1.0)  # width and height: the unit of tiles is the tile
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Pairs:
+class ImprintPairs:
     """What was found, and what to say of it."""
 
     pairs: tuple[ImprintPair, ...]
     notes: tuple[str, ...]
 
 
-def tile_pairs(folder: Path, source: SensorSpec, source_names: str, target_names: str) -> Pairs:
+def load_tile_pairs(folder: Path, source: SensorSpec, source_names: str, target_names: str) -> ImprintPairs:
     """Pictures of `folder` whose names fit both patterns (one `*` each), which stands for the same word in a pair.
 
     A source's tile is a difference picture, a target's an imprint in grey. Where tiles were turned, each tells how;
@@ -43,16 +43,17 @@ def tile_pairs(folder: Path, source: SensorSpec, source_names: str, target_names
     names = sorted(found[0].keys() & found[1].keys(), key=lambda n: image_files.natural_sort_key(Path(n)))
     if not names:
         raise FileProblem(f"no two pictures are named {source_names} and {target_names}", folder)
-    read = {name: ridges(image_files.read_rgb(found[0][name]), source) for name in names}
-    way, often = Counter(r.way for r in read.values()).most_common(1)[0]
+    read = {name: detect_ridges(image_files.read_rgb(found[0][name]), source) for name in names}
+    way, often = Counter(r.orientation for r in read.values()).most_common(1)[0]
     alike = often >= _ALL_ALIKE * len(names)
     if alike:
         read = {
-            n: r if r.way == way else ridges(image_files.read_rgb(found[0][n]), source, way) for n, r in read.items()
+            n: r if r.orientation == way else detect_ridges(image_files.read_rgb(found[0][n]), source, way)
+            for n, r in read.items()
         }
-        note = f"the {source.name} tiles lie alike: {describe_rotation(way)}"
+        note = f"the {source.name} tiles lie alike: {describe_orientation(way)}"
     else:
-        ways = len({r.way for r in read.values()})
+        ways = len({r.orientation for r in read.values()})
         note = (
             f"the {source.name} tiles lie in {ways} ways, each told by its own colours; imprints are turned with them"
         )
@@ -64,16 +65,16 @@ def tile_pairs(folder: Path, source: SensorSpec, source_names: str, target_names
         f"their colours read as slopes are {clear[0]:.0%} a surface's (the next best way to lay them: {clear[1]:.0%})"
     )
     pairs = tuple(_tiles(n, read[n], found[1][n]) for n in names)
-    return Pairs(pairs=pairs, notes=(note, said, *_doubts(pairs)))
+    return ImprintPairs(pairs=pairs, notes=(note, said, *_doubts(pairs)))
 
 
-def touch_pairs(touches: Sequence[AlignmentTouch]) -> Pairs:
+def make_touch_pairs(touches: Sequence[AlignmentTouch]) -> ImprintPairs:
     """Moments that both sensors felt, in millimetres on either one's rest surface."""
-    made = tuple(_touch(t) for t in touches if t.overlap)
-    return Pairs(pairs=made, notes=(f"{len(made)} of {len(touches)} moments are felt by both", *_doubts(made)))
+    made = tuple(_touch(t) for t in touches if t.has_contact_on_both)
+    return ImprintPairs(pairs=made, notes=(f"{len(made)} of {len(touches)} moments are felt by both", *_doubts(made)))
 
 
-def pixel_mm(depth: DepthMap) -> float:
+def compute_pixel_mm(depth: DepthMap) -> float:
     """Width of a pixel where the sensor is touched, or at rest."""
     seen = depth.depth_mm[np.isfinite(depth.depth_mm)]
     return float(np.median(seen)) / depth.camera.fx_px
@@ -82,7 +83,7 @@ def pixel_mm(depth: DepthMap) -> float:
 def _doubts(pairs: Sequence[ImprintPair]) -> tuple[StageWarning, ...]:
     """What speaks against these being pairs of one touch each."""
     order = compare_signatures(
-        [compute_signature(pair.touching) for pair in pairs], [compute_signature(pair.imprint) for pair in pairs]
+        [compute_signature(pair.contact) for pair in pairs], [compute_signature(pair.imprint) for pair in pairs]
     )
     return () if order is None or order.warning is None else (order.warning,)
 
@@ -98,14 +99,14 @@ def _named(folder: Path, pattern: str) -> dict[str, Path]:
 
 def _tiles(name: str, source: Ridges, target: Path) -> ImprintPair:
     grey = image_files.read_rgb(target).astype(np.float32).mean(axis=2)
-    return ImprintPair(name=name, touching=source.touching, source_size=_TILE, target_size=_TILE,
-                imprint=freeze(np.ascontiguousarray(rotate_image(grey, source.way))))  # fmt: skip
+    return ImprintPair(name=name, contact=source.contact, source_size=_TILE, target_size=_TILE,
+                imprint=freeze(np.ascontiguousarray(orient_image(grey, source.orientation))))  # fmt: skip
 
 
 def _touch(touch: AlignmentTouch) -> ImprintPair:
     def size(depth: DepthMap) -> tuple[float, float]:
-        return depth.camera.cols * pixel_mm(depth), depth.camera.rows * pixel_mm(depth)
+        return depth.camera.cols * compute_pixel_mm(depth), depth.camera.rows * compute_pixel_mm(depth)
 
     imprint: Floats = np.nan_to_num(touch.target.indentation_mm).astype(np.float32)
-    return ImprintPair(name=str(touch.index), touching=freeze(touch.source.contact.astype(np.float32)), metric=True,
+    return ImprintPair(name=str(touch.index), contact=freeze(touch.source.contact.astype(np.float32)), is_metric=True,
                 source_size=size(touch.source), imprint=freeze(imprint), target_size=size(touch.target))  # fmt: skip

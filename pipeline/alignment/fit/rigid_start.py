@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pipeline.alignment.fit.pairs import pixel_mm
+from pipeline.alignment.fit.pairs import compute_pixel_mm
 from pipeline.alignment.fit.transfer import TransferModel
 from pipeline.alignment.touches import AlignmentTouch
 from pipeline.base.arrays import Doubles, freeze
@@ -21,11 +21,11 @@ def align_rigidly(touches: Sequence[AlignmentTouch], how: TransferModel, describ
 
     Raises SettingProblem for a mirrored carrying, which no motion of two sensors makes.
     """
-    if how.mirrored:
+    if how.is_mirrored:
         raise SettingProblem(
             "the pictures of the two sensors agree only when one is mirrored; flip one sensor's pictures and try again"
         )
-    cos, sin = np.cos(how.turn), np.sin(how.turn)
+    cos, sin = np.cos(how.rotation_rad), np.sin(how.rotation_rad)
     turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
     middles = [np.median([_middle_mm(d) for d in side], axis=0) for side in
                ([t.source for t in touches], [t.target for t in touches])]  # fmt: skip
@@ -42,7 +42,7 @@ def _middle_mm(depth: DepthMap) -> Doubles:
     """Where a picture's middle lies from its optical axis, (3,) with z = 0."""
     camera = depth.camera
     off_px = np.array([(camera.cols - 1) / 2 - camera.cx_px, (camera.rows - 1) / 2 - camera.cy_px, 0.0])
-    return off_px * pixel_mm(depth)
+    return off_px * compute_pixel_mm(depth)
 
 
 def _contact_z(depth: DepthMap) -> float:

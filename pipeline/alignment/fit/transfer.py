@@ -14,7 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
-from pipeline.alignment.fit.continuation import ContinuationStep, continue_fit
+from pipeline.alignment.fit.continuation import BoundaryRidges, detect_boundary_ridges
 from pipeline.base.arrays import Doubles, Floats
 
 GRID = 24  # cells across the target's picture
@@ -28,17 +28,17 @@ _WIDEST = 0.75  # of a cell, by which what touches is spread so that no thin rid
 class TransferModel:
     """How touches of a source become a target's; lengths in the unit of the pictures, angles in radians."""
 
-    mirrored: bool = False  # the source's picture is flipped left to right first
-    turn: float = 0.0  # then turned, from right towards down
+    is_mirrored: bool = False  # the source's picture is flipped left to right first
+    rotation_rad: float = 0.0  # then turned, from right towards down
     log_scale: float = 0.0  # then made larger by exp of this
     right: float = 0.0  # then shifted
     down: float = 0.0
     tilt_right: float = 0.0  # slope of what touches, in heights of the contact per half a picture of the target
     tilt_down: float = 0.0
-    fall: float = 0.1  # how much lower it stands half a picture away, for the rest surface's own curvature
+    rest_curvature: float = 0.1  # how much lower it stands half a picture away, for the rest surface's own curvature
     log_reach: float = 0.45  # how far from its view's middle what the source feels goes on, in its view's widths
     log_width: float = -0.2  # of what is continued, in cells
-    log_stiff: float = 1.2  # how firmly the membrane is held up
+    log_stiffness: float = 1.2  # how firmly the membrane is held up
     log_leak: float = -2.4  # how soon it falls back to rest
 
     @property
@@ -48,10 +48,10 @@ class TransferModel:
 
     def values(self) -> Doubles:
         """The numbers, in the order of `FREE`."""
-        return np.array([getattr(self, name) for name in FREE])
+        return np.array([getattr(self, name) for name in FREE_PARAMETERS])
 
 
-FREE = tuple(f.name for f in fields(TransferModel) if f.name != "mirrored")
+FREE_PARAMETERS = tuple(f.name for f in fields(TransferModel) if f.name != "is_mirrored")
 
 
 @dataclass(frozen=True, kw_only=True)  # no slots: the continuation is worked out once, when it is asked for
@@ -59,16 +59,16 @@ class ImprintPair:
     """One touch as both sensors felt it, in pictures whose middles are the origin."""
 
     name: str
-    touching: Floats  # (rows, cols) 0..1, of the source
+    contact: Floats  # (rows, cols) 0..1, of the source
     source_size: tuple[float, float]  # (width, height) of that picture
     imprint: Floats  # (rows, cols) of the target, positive where pushed in; any unit where `metric` is False
     target_size: tuple[float, float]
-    metric: bool = False
+    is_metric: bool = False
 
     @cached_property
-    def beyond(self) -> ContinuationStep:
+    def boundary_ridges(self) -> BoundaryRidges:
         """What leaves the source's view."""
-        return continue_fit(self.touching)
+        return detect_boundary_ridges(self.contact)
 
     @property
     def cells(self) -> tuple[int, int]:
@@ -77,7 +77,7 @@ class ImprintPair:
         return max(8, round(GRID * height / width)), GRID
 
     @cached_property
-    def coarse(self) -> Floats:
+    def coarse_imprint(self) -> Floats:
         """The imprint on that grid."""
         import cv2
 
@@ -90,8 +90,8 @@ def transfer_imprint(pair: ImprintPair, how: TransferModel) -> Floats:
     right, down = _places(pair)
     support = _support(pair, how, right, down)
     across, along = (2 * right / pair.target_size[0], 2 * down / pair.target_size[1])
-    height = 1.0 + how.tilt_right * across + how.tilt_down * along - how.fall * (across**2 + along**2)
-    firm = math.exp(how.log_stiff) * support**2 * (height > 0)
+    height = 1.0 + how.tilt_right * across + how.tilt_down * along - how.rest_curvature * (across**2 + along**2)
+    firm = math.exp(how.log_stiffness) * support**2 * (height > 0)
     draped = _draped(firm, height, math.exp(how.log_leak))
     inside = slice(_MARGIN, -_MARGIN)
     return np.asarray(draped[inside, inside], np.float32)
@@ -111,27 +111,27 @@ def _support(pair: ImprintPair, how: TransferModel, right: Doubles, down: Double
     """How far what touches reaches every cell, 0..1."""
     import cv2
 
-    cos, sin = math.cos(how.turn) / how.scale, math.sin(how.turn) / how.scale
+    cos, sin = math.cos(how.rotation_rad) / how.scale, math.sin(how.rotation_rad) / how.scale
     back_right = cos * (right - how.right) + sin * (down - how.down)
     back_down = -sin * (right - how.right) + cos * (down - how.down)
-    back_right = -back_right if how.mirrored else back_right
-    rows, cols = pair.touching.shape
+    back_right = -back_right if how.is_mirrored else back_right
+    rows, cols = pair.contact.shape
     width, height = pair.source_size
     x_px = (back_right / width + 0.5) * cols - 0.5
     y_px = (back_down / height + 0.5) * rows - 0.5
     cell_px = pair.target_size[0] / GRID / how.scale / width * cols
-    known = np.asarray(cv2.GaussianBlur(pair.touching, (0, 0), max(_WIDEST * cell_px / 2, 0.5)))
+    known = np.asarray(cv2.GaussianBlur(pair.contact, (0, 0), max(_WIDEST * cell_px / 2, 0.5)))
     known = np.minimum(known / max(float(np.percentile(known, 98.5)), 0.05), 1.0).astype(np.float32)
     here = cv2.remap(known, x_px.astype(np.float32), y_px.astype(np.float32), cv2.INTER_LINEAR)
     seen_x, seen_y = _VIEW * cols, _VIEW * rows
     seen = (x_px >= seen_x) & (x_px <= cols - 1 - seen_x) & (y_px >= seen_y) & (y_px <= rows - 1 - seen_y)
     far = np.hypot(x_px - (cols - 1) / 2, y_px - (rows - 1) / 2)
     fades = np.clip((math.exp(how.log_reach) * cols - far) / (_ENDS_OVER * cols) + 0.5, 0.0, 1.0)
-    beyond = _continued(pair.beyond, x_px, y_px, math.exp(how.log_width) * cell_px) * fades
+    beyond = _continued(pair.boundary_ridges, x_px, y_px, math.exp(how.log_width) * cell_px) * fades
     return np.where(seen, np.asarray(here, np.float64), beyond)
 
 
-def _continued(rays: ContinuationStep, x_px: Doubles, y_px: Doubles, width_px: float) -> Doubles:
+def _continued(rays: BoundaryRidges, x_px: Doubles, y_px: Doubles, width_px: float) -> Doubles:
     """What the rays add at places of the source's picture, or rather beyond it."""
     out = np.zeros_like(x_px)
     for x, y, right, down, strength in zip(

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.base.arrays import Doubles, Floats, Indices, for_geometry, freeze
+from pipeline.base.arrays import Doubles, Floats, Indices, ensure_float, freeze
 from pipeline.base.errors import ShapeError
 from pipeline.base.params import setting
 from pipeline.base.progress import SILENT, Progress
@@ -96,7 +96,7 @@ def _points(depth: DepthMap, target_from_source: Doubles, stride: int) -> tuple[
     points = np.empty((at_most + 1, 3), dtype=np.float32)  # one to spare: a point is written before it is judged
     pixel, wanted = np.empty(at_most + 1, dtype=np.int32), np.empty(contact.shape[1] + 1, dtype=np.int32)
     ray_x, ray_y = depth.camera.rays()
-    depth_mm = np.ascontiguousarray(for_geometry(surface_mm))
+    depth_mm = np.ascontiguousarray(ensure_float(surface_mm))
     n, n_wanted = kernels.back_project(
         depth_mm, contact, stride, ray_x, ray_y, target_from_source[:3], MIN_DEPTH_MM, wanted, points, pixel
     )

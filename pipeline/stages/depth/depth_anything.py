@@ -76,7 +76,7 @@ def estimate_depth(
     """
     still = photometric.skip_without_contact(frame, source, calibration, photometric.DepthParams())
     if still is not None:
-        return Skipped(output=still, why=still.notes[0])
+        return Skipped(output=still, reason=still.notes[0])
     physical = photometric.estimate_depth(frame, source, calibration, photometric.DepthParams(), progress)
     progress.step(0.5, "asking the network")
     assert frame.reference is not None  # the physical reading has it

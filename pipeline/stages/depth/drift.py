@@ -19,7 +19,7 @@ import numpy as np
 from pipeline.base.arrays import Doubles, Floats, Image, freeze
 from pipeline.base.memo import Memo
 from pipeline.base.stage_warnings import StageWarning
-from pipeline.engine.digests import content
+from pipeline.engine.digests import compute_cached_digest
 
 _BLOCKS_ALONG = 54  # the longer side of a picture: more say no more about what is smooth
 _LEAST_BLOCK_PX = 8
@@ -95,7 +95,9 @@ class _Blocks:
 
 def apply_estimated_drift(image: Image, reference: Image) -> DriftedReference:
     """The reference (rows, cols, 3) with the light and the place of `image`, as far as untouched parts tell them."""
-    return _stilled.of((content(image), content(reference)), lambda: _made(image, reference))
+    return _stilled.get_or_make(
+        (compute_cached_digest(image), compute_cached_digest(reference)), lambda: _made(image, reference)
+    )
 
 
 _stilled: Memo[tuple[str, str], DriftedReference] = Memo(2)  # the short cut and the stage ask for the same
@@ -126,8 +128,8 @@ def fit_drift(image: Image, reference: Image) -> tuple[Drift | None, bool]:
     block = max(_LEAST_BLOCK_PX, round(max(image.shape) / _BLOCKS_ALONG))
     if min(image.shape[:2]) < 4 * block:
         return None, False
-    now, still = compute_block_means(image, block), _references.of(
-        (content(reference), block), lambda: _blocks(reference.astype(np.float32), block)
+    now, still = compute_block_means(image, block), _references.get_or_make(
+        (compute_cached_digest(reference), block), lambda: _blocks(reference.astype(np.float32), block)
     )  # fmt: skip
     agrees = max(_AGREES_GREY, _NOISES * _noise(now - still.mean.reshape(now.shape)))
     change = np.abs(now - still.mean.reshape(now.shape)).max(axis=2)

@@ -25,7 +25,7 @@ from pipeline.base.params import setting
 from pipeline.base.progress import SILENT, Progress
 from pipeline.base.stage_warnings import AT_BORDER, StageWarning
 from pipeline.calibration.calibration_table import Calibration
-from pipeline.engine.digests import content
+from pipeline.engine.digests import compute_cached_digest
 from pipeline.networks.gel_depth_prediction import PHYSICS_CONTACT_LOGIT, GelDepthPrediction
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import (
@@ -185,7 +185,7 @@ def estimate_physical_depth(
     seen_by = match_pixel_size(source if frame.camera is None else source.with_camera(frame.camera), calibration)
     image, reference = cast("Image", frame.image), cast("Image", frame.reference)
     reference = drift.apply_estimated_drift(image, reference).image
-    described = _described_lights.of(content(seen_by), lambda: gel_network_input.describe_light(seen_by))
+    described = _described_lights.get_or_make(compute_cached_digest(seen_by), lambda: gel_network_input.describe_light(seen_by))
     inputs = gel_network_input.prepare_input(
         image, reference, physical.indentation_mm, physical.contact, seen_by, described
     )

@@ -13,7 +13,7 @@ from pipeline.base.memo import Memo
 from pipeline.base.stage_warnings import StageWarning
 from pipeline.calibration import reference_thumbnail
 from pipeline.calibration.calibration_table import Calibration
-from pipeline.engine.digests import content
+from pipeline.engine.digests import compute_cached_digest
 from pipeline.stages.depth import drift
 
 # Half of the picture differs by more. One simulated unit after drift: 0.2; two: 1.2 to 1.8 (Minis with lamps all alike,
@@ -31,8 +31,9 @@ def check_sensor_instance(calibration: Calibration, reference: Image) -> tuple[s
     still = calibration.reference_thumbnail
     if still is None:
         return ()
-    off, likely = _compared.of(
-        (content(reference), content(still)), lambda: _differ(reference_thumbnail.make_thumbnail(reference), still)
+    off, likely = _compared.get_or_make(
+        (compute_cached_digest(reference), compute_cached_digest(still)),
+        lambda: _differ(reference_thumbnail.make_thumbnail(reference), still),
     )
     if off <= _ANOTHER_GREY and likely:
         return ()

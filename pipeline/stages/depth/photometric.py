@@ -20,7 +20,7 @@ from pipeline.base.progress import SILENT, Progress
 from pipeline.base.stage_warnings import StageWarning
 from pipeline.calibration import quality_notes
 from pipeline.calibration.calibration_table import Calibration, make_built_in
-from pipeline.engine.digests import content
+from pipeline.engine.digests import compute_cached_digest
 from pipeline.geometry.camera import Camera
 from pipeline.physics.reference_colours import compare_colours
 from pipeline.sensors.spec import SensorSpec
@@ -270,8 +270,8 @@ def _at_rest(frame: TactileFrame, source: SensorSpec) -> DepthMap:
     """The result for an untouched frame: the very same for one view of a gel, and for one reference of a bubble."""
     rest = frame.reference if frame.is_depth and frame.reference is not None else source.rest_depth_mm
     shape = source.camera.shape
-    return _rests.of(
-        (content(rest), source.camera),
+    return _rests.get_or_make(
+        (compute_cached_digest(rest), source.camera),
         lambda: DepthMap(
             indentation_mm=freeze(np.zeros(shape, np.float32)),
             depth_mm=freeze(np.where(rest > 0, rest, np.nan).astype(np.float32)),
@@ -285,7 +285,12 @@ def _at_rest(frame: TactileFrame, source: SensorSpec) -> DepthMap:
 
 def _pictures(frame: TactileFrame, source: SensorSpec) -> tuple[str, ...]:
     """What a light belongs to: the touch as it was seen, however it is read."""
-    return source.name, content(frame.image), content(frame.reference), content(frame.context_frames)
+    return (
+        source.name,
+        compute_cached_digest(frame.image),
+        compute_cached_digest(frame.reference),
+        compute_cached_digest(frame.context_frames),
+    )
 
 
 _rests: Memo[tuple[str, Camera], DepthMap] = Memo(16)

@@ -13,7 +13,7 @@ from pipeline.base.arrays import Doubles, Image, freeze
 from pipeline.base.memo import Memo
 from pipeline.base.progress import Progress
 from pipeline.engine import disk_store
-from pipeline.engine.digests import content
+from pipeline.engine.digests import compute_cached_digest
 from pipeline.physics import optics
 from pipeline.sensors.parts import Led, Optics
 from pipeline.stages.depth import change_detection, drift, gel_surface, led_calibration, surface_refinement
@@ -57,8 +57,13 @@ def fit_recording_leds(
             led_calibration.fit_leds(like.source, found) if len(found) >= _FEWEST else None
         )
 
-    made_of = (content(touches), content(reference), content(like.source), content(like.calibration))
-    return _cache.of(
+    made_of = (
+        compute_cached_digest(touches),
+        compute_cached_digest(reference),
+        compute_cached_digest(like.source),
+        compute_cached_digest(like.calibration),
+    )
+    return _cache.get_or_make(
         made_of,
         lambda: _Known(
             optics=disk_store.load_or_make(_StoredOptics, made_of, _CODE, fit_to_touches, "lamps").to_optics(described)

@@ -3,11 +3,11 @@
 
 import numpy as np
 
-from pipeline.base.cached_kernels import FAST, inlined, kernel
+from pipeline.base.cached_kernels import FAST, inline_kernel, kernel
 from pipeline.stages.depth.slope_step_kernels import accumulate_normal_equations, solve_slope_step
 
 
-@inlined()
+@inline_kernel()
 def _slant(sx, sy):
     one = np.float32(1.0)
     return one / np.sqrt(one + sx * sx + sy * sy)

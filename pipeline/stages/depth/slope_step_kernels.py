@@ -5,14 +5,14 @@ import math
 
 import numpy as np
 
-from pipeline.base.cached_kernels import inlined
+from pipeline.base.cached_kernels import inline_kernel
 
 _DARK, _BRIGHT = np.float32(0.5), np.float32(254.0)  # a camera tells nothing beyond
 _NOISE = np.float32(1.5)  # grey levels
 _LONGEST = np.float32(0.3)  # mm/mm of one step: the light is linear in the slope for about that far
 
 
-@inlined()
+@inline_kernel()
 def accumulate_normal_equations(sums, jx, jy, off, seen, huber):
     """The normal equations (xx, xy, yy, to x, to y) and what is left, with a colour that is `off` by grey levels.
 
@@ -28,7 +28,7 @@ def accumulate_normal_equations(sums, jx, jy, off, seen, huber):
     return xx + wx * jx, xy + wx * jy, yy + wy * jy, to_x + wx * off, to_y + wy * off, left
 
 
-@inlined()
+@inline_kernel()
 def solve_slope_step(sx, sy, sums, steepest):
     """The slopes after the step that solves the equations, no longer than `_LONGEST`, nor steeper than `steepest`."""
     one = np.float32(1.0)

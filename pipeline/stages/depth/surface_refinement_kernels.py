@@ -6,7 +6,7 @@ A part of a row at a time, lamp by lamp, in loops without branches, so that they
 
 import numpy as np
 
-from pipeline.base.cached_kernels import FAST, inlined, kernel
+from pipeline.base.cached_kernels import FAST, inline_kernel, kernel
 from pipeline.stages.depth.slope_step_kernels import accumulate_normal_equations, solve_slope_step
 
 TILE_PX = 128  # pixels of a row at a time: lines that lie as far apart as the compiler knows are no hindrance to it
@@ -14,12 +14,12 @@ _ONE, _TWO, _THREE, _FOUR, _FIVE = (np.uint64(k * TILE_PX) for k in range(1, 6))
 _COLOURS, _GREEN, _BLUE = np.uint64(3), np.uint64(1), np.uint64(2)
 
 
-@inlined()
+@inline_kernel()
 def _strength(strength, led, lens, x, y):
     return lens * (strength[0] + strength[1] * x + strength[2] * y) / (np.float32(1.0) - led[2])
 
 
-@inlined()
+@inline_kernel()
 def _lens(x, y, cols, rows, vignette):
     """The share of light that the lens leaves at a pixel of a picture of `cols` x `rows`."""
     one, two, half = np.float32(1.0), np.float32(2.0), np.float32(0.5)
@@ -28,7 +28,7 @@ def _lens(x, y, cols, rows, vignette):
     return one - vignette * corner * corner
 
 
-@inlined()
+@inline_kernel()
 def _change(more, r, n, light, out):
     still, bright, share = light
     dark = still[r, n]

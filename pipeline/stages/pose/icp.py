@@ -15,7 +15,7 @@ from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh, sample_surface
 from pipeline.registration.model import ObjectModel
 from pipeline.registration.scene import ContactScene
-from pipeline.registration.starts import Start, list_starts
+from pipeline.registration.starts import InitialPose, list_starts
 from pipeline.values.results import ObjectPose, PoseStep
 
 NOTE = "icp: the start of most points near the object, then of least rmse; nothing says what is open"
@@ -89,7 +89,7 @@ def register_icp(
     )  # fmt: skip
 
 
-def _best_way(icp: _Icp, tried: list[Start], n_iterations: int, progress: Progress) -> list[PoseStep]:
+def _best_way(icp: _Icp, tried: list[InitialPose], n_iterations: int, progress: Progress) -> list[PoseStep]:
     """A few iterations from each start, then on from the best of these, one by one."""
     quick: list[PoseStep] = []
     for k, start in enumerate(tried):
@@ -110,9 +110,9 @@ def _worth(step: PoseStep) -> tuple[float, float]:
     return -step.fitness, step.rmse_mm
 
 
-def _one_a_group(tried: list[Start]) -> list[Start]:
+def _one_a_group(tried: list[InitialPose]) -> list[InitialPose]:
     """The first start of each orientation, the middle of its face on the contact's."""
-    groups: dict[tuple[str, int], Start] = {}
+    groups: dict[tuple[str, int], InitialPose] = {}
     for start in tried:
         groups.setdefault(start.group, start)
     return list(groups.values())

@@ -53,7 +53,7 @@ def predict_pose(
     nothing = signed_distances.skip_without_contact(touch_depth, mesh, params)
     if nothing is not None or mesh is None:
         assert nothing is not None
-        return Skipped(output=nothing, why=nothing.notes[0])
+        return Skipped(output=nothing, reason=nothing.notes[0])
     untouched = target.render_reference()
     shown = normalise(resize_to_square(compute_change(target.kind, touch.image, untouched)), target.kind)
     x, y, turn = _told(network, shown, mesh)
@@ -113,7 +113,7 @@ def _registered(
 ) -> ObjectPose | Skipped:
     nothing = signed_distances.skip_without_contact(touch_depth, mesh, params)
     if nothing is not None:
-        return Skipped(output=nothing, why=nothing.notes[0])
+        return Skipped(output=nothing, reason=nothing.notes[0])
     return signed_distances.estimate_pose(touch_depth, mesh, params, progress)
 
 

@@ -16,15 +16,15 @@ import numpy as np
 from pipeline.base.arrays import Doubles, Floats, Indices, freeze
 from pipeline.base.errors import SettingProblem
 from pipeline.base.params import setting
-from pipeline.base.progress import SILENT, Progress, Share
+from pipeline.base.progress import SILENT, Progress, SubProgress
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh
-from pipeline.registration.gauss_newton import NotDetermined, Points
+from pipeline.registration.gauss_newton import CentredPoints, NotDetermined
 from pipeline.registration.object_preparation import prepare_object
 from pipeline.registration.planar_pose import estimate_planar_pose
 from pipeline.registration.pose_selection import SelectedPose, select_pose
 from pipeline.registration.scene import ContactScene, extract_scene
-from pipeline.registration.search import PoseMinimum, Search
+from pipeline.registration.search import PoseMinimum, PoseSearch
 from pipeline.registration.starts import FACES, list_edge_starts, list_starts
 from pipeline.stages.pose.icp import register_icp
 from pipeline.values.results import DepthMap, ObjectPose
@@ -106,10 +106,12 @@ def track_pose(
     if isinstance(ready, ObjectPose):
         return ready
     search, checked = ready
-    found = search.follow([rigid.validate_rigid(start, "the previous pose") for start in (previous, *alternatives)])
+    found = search.track_previous_poses(
+        [rigid.validate_rigid(start, "the previous pose") for start in (previous, *alternatives)]
+    )
     if found:
         told = _told(search, checked, found, 0, ("followed from the touch before",), previous, progress)
-        return replace(told, steps=search.way_to(np.array([previous, *alternatives]), told.steps))
+        return replace(told, steps=search.prepend_history(np.array([previous, *alternatives]), told.steps))
     return _searched(search, checked, params, progress, previous)
 
 
@@ -176,7 +178,7 @@ def skip_without_contact(touch_depth: DepthMap, mesh: Mesh | None, params: PoseP
 
 def prepare_search(
     touch_depth: DepthMap, mesh: Mesh | None, params: PoseParams, progress: Progress = SILENT
-) -> ObjectPose | tuple[Search, Mesh]:  # fmt: skip
+) -> ObjectPose | tuple[PoseSearch, Mesh]:  # fmt: skip
     """What a search needs, or the answer where there is nothing to search."""
     early = skip_without_contact(touch_depth, mesh, params)
     if early is not None or mesh is None:
@@ -186,14 +188,14 @@ def prepare_search(
     few = f"only {len(scene.points_mm)} contact points show a surface; a pose needs at least {_MIN_POINTS}"
     if len(scene.points_mm) < _MIN_POINTS:
         return _unknown(few, scene)
-    points = Points.of(scene.points_mm)
+    points = CentredPoints.from_points(scene.points_mm)
     if isinstance(points, NotDetermined):
-        return _unknown(points.why, scene)
+        return _unknown(points.reason, scene)
     if len(mesh.vertices_mm) and _size_mm(mesh) > _LARGEST * points.radius_mm:
         return _unknown(_not_laid(mesh), scene)
     progress.step(0.0, "measuring the object")
-    ready = prepare_object(mesh, params.seed, Share(progress, 0.0, 0.2))
-    return Search(
+    ready = prepare_object(mesh, params.seed, SubProgress(progress, 0.0, 0.2))
+    return PoseSearch(
         scene=scene, points=points, object=ready, outward=FACES.get(params.face),
         max_distance_mm=params.max_distance_mm, n_iterations=params.n_iterations, keep_steps=params.keep_steps,
     ), mesh  # fmt: skip
@@ -205,27 +207,27 @@ def _check(params: PoseParams) -> None:
 
 
 def _searched(
-    search: Search, mesh: Mesh, params: PoseParams, progress: Progress, near: Doubles | None
+    search: PoseSearch, mesh: Mesh, params: PoseParams, progress: Progress, near: Doubles | None
 ) -> ObjectPose:  # fmt: skip
     """The answer from all first guesses."""
     progress.step(0.2, "comparing first guesses")
     tried = list_starts(search.scene, search.object.model, params.face, params.n_starts)
     progress.step(0.21, "registering the most promising")
-    firsts = search.likeliest(tried)
-    found = search.best(search.promising(firsts), Share(progress, 0.3, 0.4))
+    firsts = search.select_likeliest(tried)
+    found = search.find_minima(search.find_promising(firsts), SubProgress(progress, 0.3, 0.4))
     if not (found and search.explains(found[0])):
         progress.step(0.7, "comparing first guesses on edges and corners")
         further = list_edge_starts(search.scene, search.object.model, params.face, params.n_starts)
-        edges = search.likeliest(further)
-        more = search.best(search.promising(edges), Share(progress, 0.75, 0.25))
+        edges = search.select_likeliest(further)
+        more = search.find_minima(search.find_promising(edges), SubProgress(progress, 0.75, 0.25))
         firsts = np.concatenate([firsts, edges])
         tried, found = [*tried, *further], sorted([*found, *more], key=lambda m: m.misfit_mm)
     told = _told(search, mesh, found, len(tried), (), near, progress)
-    return replace(told, steps=search.way_to(firsts, told.steps))
+    return replace(told, steps=search.prepend_history(firsts, told.steps))
 
 
 def _told(
-    search: Search,
+    search: PoseSearch,
     mesh: Mesh,
     found: list[PoseMinimum],
     n_tried: int,
@@ -239,19 +241,19 @@ def _told(
         return _unknown(_not_laid(mesh), search.scene)
     if near is not None and best.alternatives:
         equal = (best.minimum.fit.sensor_from_object, *best.alternatives)
-        nearest = min(equal, key=lambda pose: search.between_mm(near, pose))
+        nearest = min(equal, key=lambda pose: search.measure_distance_mm(near, pose))
         other = None if nearest is equal[0] else search.polish(nearest, dense=True)
         best = (select_pose(search, [other, *found], progress) if other is not None else None) or best
     return _pose_of(search, best, n_tried, notes)
 
 
-def _pose_of(search: Search, best: SelectedPose, n_tried: int, notes: tuple[str, ...]) -> ObjectPose:
-    fit, known = best.minimum.fit, best.known
+def _pose_of(search: PoseSearch, best: SelectedPose, n_tried: int, notes: tuple[str, ...]) -> ObjectPose:
+    fit, known = best.minimum.fit, best.observability
     points, pixel = _frozen(search.scene)
     return ObjectPose(
         sensor_from_object=freeze(fit.sensor_from_object), covariance=freeze(known.covariance),
-        observable=freeze(known.observable), weak_directions=known.weak, rmse_mm=fit.rmse_mm, fitness=fit.fitness,
-        scene_mm=points, source_index=pixel, steps=fit.steps, stop_reason=fit.stopped, starts_tried=n_tried,
+        observable=freeze(known.observable), weak_directions=known.weak_directions, rmse_mm=fit.rmse_mm, fitness=fit.fitness,
+        scene_mm=points, source_index=pixel, steps=fit.steps, stop_reason=fit.stop_reason, starts_tried=n_tried,
         notes=(*best.notes, *search.object.grid.notes, *notes), alternatives=best.alternatives,
     )  # fmt: skip
 

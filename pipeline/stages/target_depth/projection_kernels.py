@@ -15,12 +15,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.base.cached_kernels import inner, kernel
+from pipeline.base.cached_kernels import inner_kernel, kernel
 
 MIN_INVERSE_Z = 1.0 / float(np.finfo(np.float32).max)  # 1/mm
 
 
-@inner()
+@inner_kernel()
 def project_to_pixel(x, y, z, lens):
     """Where a point is seen (u, v), px, its 1/z, and the pixel that it falls on, -1 = not in view.
 
@@ -113,7 +113,7 @@ def mark_hidden_points(flat, depth, lens, tolerance, pixel):
     return hidden
 
 
-@inner()
+@inner_kernel()
 def sample_rest_surface(x, y, rest):
     """The rest surface at (x, y): bilinear, level beyond the border."""
     x0, y0, per_mm, z = rest

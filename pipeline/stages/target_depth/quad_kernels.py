@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.base.cached_kernels import inner, kernel
+from pipeline.base.cached_kernels import inner_kernel, kernel
 
 SLACK = 1e-9  # barycentric and px: neighbours share the pixels on their common edge, so that no crack opens
 NO_POINT = np.uint32(0xFFFFFFFF)  # no point
@@ -27,7 +27,7 @@ HAS_TRIANGLE, NEEDS_DRAWING, RIM, BEHIND = (
 )  # bits of a quad: three corners or more, a centre near them; see `tell_apart`
 
 
-@inner()
+@inner_kernel()
 def bracket_pixel_centres(u, size):
     """The pixel centres that a coordinate lies between, as first not before + last not after.
 
@@ -39,7 +39,7 @@ def bracket_pixel_centres(u, size):
     return np.int32(np.ceil(near - SLACK)) + np.int32(np.floor(near + SLACK))
 
 
-@inner()
+@inner_kernel()
 def project_corners(lens, n, corners, state):
     """Write where the first `n` points are seen, and which are; anything, harmlessly, for the others."""
     flat, _, screen, between_px = corners
@@ -74,7 +74,7 @@ def measure_neighbour_distances(flat, index, stride, every, behind, squares):
     return n
 
 
-@inner()
+@inner_kernel()
 def place_corners(index, starts, bounds, strip, state, corners, cells, alone):
     """Put the corners of a strip in its cells.
 
@@ -122,7 +122,7 @@ def place_corners(index, starts, bounds, strip, state, corners, cells, alone):
             centres_at[at] = (np.int64(down[k]) << 32) ^ np.int64(across[k])
 
 
-@inner()
+@inner_kernel()
 def classify_quads(cells, todo, late):
     """Say of each quad what is to be done with it, and list row by row those of the strip itself that want a look.
 
@@ -167,7 +167,7 @@ def classify_quads(cells, todo, late):
     return n, n_behind
 
 
-@inner()
+@inner_kernel()
 def mark_isolated_points(cells, start, alone):
     """Set in `alone` the points, from `start` on, without neighbours to form a triangle with, drawn or not."""
     corner, state, _, quad = cells

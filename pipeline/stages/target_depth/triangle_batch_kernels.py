@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.base.cached_kernels import inner
+from pipeline.base.cached_kernels import inner_kernel
 from pipeline.stages.target_depth.quad_kernels import SLACK
 
 # What becomes of a triangle. From GRAZING on it is drawn: that one as a veil, which is not seen and hides.
@@ -33,7 +33,7 @@ BATCH_SIZE = 64  # triangles on a desk
 BATCH_LENGTH = 31 * BATCH_SIZE
 
 
-@inner()
+@inner_kernel()
 def classify_triangles(batch, limits):
     """Find the fate, and what the first pixel sees, of all triangles; no branches, so that it runs on vectors.
 
@@ -78,7 +78,7 @@ def classify_triangles(batch, limits):
         batch[t + POINT] = c_point if wc > largest else point
 
 
-@inner()
+@inner_kernel()
 def rasterise_triangle(batch, t, rows, cols, image, counts):
     """Draw one triangle in the pixels of its box that it covers; it counts if there is one, or if the box is large."""
     inverse_z, veil, source = image
@@ -121,7 +121,7 @@ def rasterise_triangle(batch, t, rows, cols, image, counts):
                 source[p] = np.int32(batch[t + C_POINT] if wc > largest else point)
 
 
-@inner()
+@inner_kernel()
 def _columns(weights, slopes, first, last):
     """The columns of a row in which no weight is negative, to a pixel more on either side.
 

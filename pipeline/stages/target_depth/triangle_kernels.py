@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.base.cached_kernels import inner, kernel
+from pipeline.base.cached_kernels import inner_kernel, kernel
 from pipeline.stages.target_depth import triangle_batch_kernels as on
 from pipeline.stages.target_depth.quad_kernels import (
     NO_POINT,
@@ -120,7 +120,7 @@ def rasterise_grid(points, bounds, lens, limits, corners, cells, lists, image, c
                     drawn[p] = np.int32(desk[t + on.POINT])
 
 
-@inner()
+@inner_kernel()
 def _lay(todo, turn, corner, corners, lens, limits, desk, start, counts):
     """Lay triangles on the desk, of the quads from `turn` on; which turn is next, and how many triangles there are."""
     at, width = corner.reshape(-1), corner.shape[1]
@@ -196,13 +196,13 @@ def _lay(todo, turn, corner, corners, lens, limits, desk, start, counts):
     return turn, t
 
 
-@inner()
+@inner_kernel()
 def _between(place, i, j, k, o):
     """The first and the last pixel centre between corners."""
     return (min(place[i], place[j], place[k], place[o]) + 1) >> 1, max(place[i], place[j], place[k], place[o]) >> 1
 
 
-@inner()
+@inner_kernel()
 def _length_sq(flat, i, j):
     """Of an edge, in the precision of the points."""
     i, j = 3 * i, 3 * j
@@ -210,7 +210,7 @@ def _length_sq(flat, i, j):
     return dx * dx + dy * dy + dz * dz
 
 
-@inner()
+@inner_kernel()
 def _three(a, b, c, d):
     """The corners that are there, of a quad that lacks one."""
     if a == NO_POINT:
@@ -220,7 +220,7 @@ def _three(a, b, c, d):
     return (a, b, d) if c == NO_POINT else (a, b, c)
 
 
-@inner()
+@inner_kernel()
 def _place_of(flat, extra, i, n_points):
     """x, y, z of a corner: of a point, or of the room beyond them."""
     if i < n_points:
@@ -229,7 +229,7 @@ def _place_of(flat, extra, i, n_points):
     return extra[FOUR * i], extra[FOUR * i + ONE], extra[FOUR * i + TWO]
 
 
-@inner()
+@inner_kernel()
 def _extend(g, there, at, width, flat, extra, screen, between_px, lens, longest_sq):
     """Lay down what a quad's rim hangs on: the corners half a step beyond those of the quad, and itself where none is.
 
@@ -257,13 +257,13 @@ def _extend(g, there, at, width, flat, extra, screen, between_px, lens, longest_
         between_px[0, spare], between_px[1, spare] = bracket_pixel_centres(u, cols), bracket_pixel_centres(v, rows)
 
 
-@inner()
+@inner_kernel()
 def _round(g, width, k):
     """The k-th corner round a quad, from its upper left to the right, and on; -1 and 4 are the last and the first."""
     return np.uint64(g + (((k ^ (k >> 1)) & 1) + ((k >> 1) & 1) * width))
 
 
-@inner()
+@inner_kernel()
 def _three_of(rims, there, first, g, at, width, n_points):
     """The corners of a triangle of a rim."""
     i, j, k = rims[there, first], rims[there, first + 1], rims[there, first + 2]
@@ -274,6 +274,6 @@ def _three_of(rims, there, first, g, at, width, n_points):
     )
 
 
-@inner()
+@inner_kernel()
 def _corner(k, g, at, width, n_points):
     return at[_round(g, width, k)] if k < 4 else np.uint32(n_points + np.uint64(k - 4))

@@ -12,7 +12,7 @@ import numpy as np
 
 from pipeline.base.arrays import Floats, Mask, freeze
 from pipeline.base.memo import Memo
-from pipeline.engine.digests import content
+from pipeline.engine.digests import compute_cached_digest
 from pipeline.sensors.spec import SensorSpec
 
 CONDITION_CHANNELS = 6
@@ -34,7 +34,9 @@ def make_working_sensor(target: SensorSpec) -> SensorSpec:
     coarser = WORKING_GRID_FACTOR[target.kind]
     if coarser == 1:
         return target
-    return _coarser.of(content(target), lambda: target.with_camera(target.camera.scale(1.0 / coarser)))
+    return _coarser.get_or_make(
+        compute_cached_digest(target), lambda: target.with_camera(target.camera.scale(1.0 / coarser))
+    )
 
 
 _coarser: Memo[str, SensorSpec] = Memo(8)

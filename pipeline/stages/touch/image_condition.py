@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from pipeline.base.arrays import Doubles, Floats, Mask, freeze
 from pipeline.base.memo import Memo
-from pipeline.engine.digests import content
+from pipeline.engine.digests import compute_cached_digest
 from pipeline.geometry import rigid
 from pipeline.geometry.camera import MIN_DEPTH_MM, Camera
 from pipeline.networks.square_images import normalise
@@ -97,8 +97,8 @@ def _drawn(field: Floats, places: _Places) -> Floats:
 
 
 def _places(source: SensorSpec, source_camera: Camera, target: SensorSpec, alignment: Alignment, finer: int) -> _Places:
-    key = *map(content, (source, source_camera, target, alignment.target_from_source)), str(finer)
-    return _known_places.of(key, lambda: _found_places(source, source_camera, target, alignment, finer))
+    key = *map(compute_cached_digest, (source, source_camera, target, alignment.target_from_source)), str(finer)
+    return _known_places.get_or_make(key, lambda: _found_places(source, source_camera, target, alignment, finer))
 
 
 def _found_places(

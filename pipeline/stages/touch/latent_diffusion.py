@@ -109,7 +109,7 @@ def generate_touch(
     if frame.reference is None:
         raise ShapeError(f"the touch by latent diffusion needs {source.name}'s untouched reading; give --reference")
     if depth.skip_without_contact(frame, source, calibration, depth.DepthParams()) is not None:
-        return Skipped(output=physical_render.make_reference_touch(target), why=physical_render.NO_CONTACT)
+        return Skipped(output=physical_render.make_reference_touch(target), reason=physical_render.NO_CONTACT)
     net: Any = network
     changed = resize_to_square(compute_change(source.kind, frame.image, frame.reference), net.side)
     if params.raw_condition == "yes" or (params.raw_condition == "as trained" and net.raw_condition):

@@ -19,7 +19,7 @@ from pipeline.base.memo import Memo
 from pipeline.base.params import setting
 from pipeline.base.progress import SILENT, Progress
 from pipeline.base.stage_warnings import StageWarning
-from pipeline.engine.digests import content
+from pipeline.engine.digests import compute_cached_digest
 from pipeline.geometry.camera import MIN_DEPTH_MM
 from pipeline.physics import bubble, bubble_camera, gel, lattice, optics
 from pipeline.sensors.spec import SensorSpec
@@ -98,7 +98,7 @@ def skip_without_contact(view: TargetDepth, target: SensorSpec, params: Physical
 
 def make_reference_touch(target: SensorSpec) -> GeneratedTouch:
     """The target's untouched reading; kept per sensor."""
-    return _untouched_touches.of(content(target), lambda: _untouched(target))
+    return _untouched_touches.get_or_make(compute_cached_digest(target), lambda: _untouched(target))
 
 
 _untouched_touches: Memo[str, GeneratedTouch] = Memo(8)

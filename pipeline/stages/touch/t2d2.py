@@ -15,8 +15,8 @@ import numpy as np
 
 from pipeline.base.arrays import Floats
 from pipeline.base.memo import Memo
-from pipeline.base.progress import SILENT, Progress, Share
-from pipeline.engine.digests import content
+from pipeline.base.progress import SILENT, Progress, SubProgress
+from pipeline.engine.digests import compute_cached_digest
 from pipeline.networks import weights_registry
 from pipeline.networks.weights import NoWeights, Weights
 from pipeline.sensors.spec import SensorSpec
@@ -74,14 +74,18 @@ def generate_touch(
     view: TargetDepth, target: SensorSpec, network: nn.Module, params: DiffusionParams, progress: Progress = SILENT
 ) -> GeneratedTouch:
     """What `target` would have recorded of `view`; raises ShapeError when the view is of another image size."""
-    rendering = Share(progress, 0.0, 0.3) if params.steps else progress
+    rendering = SubProgress(progress, 0.0, 0.3) if params.steps else progress
     physical = _render(view, target, PhysicalRenderParams(add_noise=params.add_noise, seed=params.seed), rendering)
     at_first = physical.membrane
     if not params.steps or at_first is None or not at_first.contact.any():
         return physical
     learned = target.kind == "bubble"
     found = sample_residual(
-        network, build_condition(view, at_first, target), params, Share(progress, 0.3, 0.7), draw_last_noise=learned
+        network,
+        build_condition(view, at_first, target),
+        params,
+        SubProgress(progress, 0.3, 0.7),
+        draw_last_noise=learned,
     )
     if learned:  # a gel that felt the object did so for certain
         felt = np.where(
@@ -117,8 +121,8 @@ def _told_mm(view: TargetDepth, target: SensorSpec) -> float:
 
 def _render(view: TargetDepth, target: SensorSpec, params: PhysicalRenderParams, progress: Progress) -> GeneratedTouch:
     """The physical render; the last few are kept, so that a dragged slider costs passes of the network alone."""
-    key = content(view), content(target), params
-    return _rendered.of(key, lambda: physical_render.render_touch(view, target, params, progress))
+    key = compute_cached_digest(view), compute_cached_digest(target), params
+    return _rendered.get_or_make(key, lambda: physical_render.render_touch(view, target, params, progress))
 
 
 _rendered: Memo[tuple[str, str, PhysicalRenderParams], GeneratedTouch] = Memo(4)

@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Any, cast
 from pipeline.base.arrays import Floats
 from pipeline.base.errors import ShapeError
 from pipeline.base.memo import Memo
-from pipeline.base.progress import SILENT, Progress, Share
+from pipeline.base.progress import SILENT, Progress, SubProgress
 from pipeline.base.stage_warnings import StageWarning, select_warnings
 from pipeline.calibration.calibration_table import Calibration
-from pipeline.engine.digests import content
+from pipeline.engine.digests import compute_cached_digest
 from pipeline.engine.graph import Method, Skipped
 from pipeline.networks import network_factory, weights_registry
 from pipeline.networks.weights import NoWeights, Weights
@@ -78,15 +78,15 @@ def generate_touch(
     depth.check_frame(frame, source)
     rest, seed = physical_render.make_reference_touch(target), params.seed if params.add_noise else None
     if depth.skip_without_contact(frame, source, calibration, depth.DepthParams()) is not None:
-        return Skipped(output=rest, why=physical_render.NO_CONTACT)
+        return Skipped(output=rest, reason=physical_render.NO_CONTACT)
     careful = params.steps == 1 and params.confidence_weighting > 0.0
     physical = rest
     if careful or not params.steps:
         wanted = physical_render.PhysicalRenderParams(add_noise=params.add_noise, seed=params.seed)
-        physical = _physical(frame, source, calibration, alignment, target, wanted, Share(progress, 0.0, 0.8))
+        physical = _physical(frame, source, calibration, alignment, target, wanted, SubProgress(progress, 0.0, 0.8))
     if not params.steps:
         return physical
-    asked = Share(progress, 0.8, 0.2) if careful else progress
+    asked = SubProgress(progress, 0.8, 0.2) if careful else progress
     found = sample_residual(
         network,
         build_condition(frame, source, alignment, target),
@@ -137,7 +137,7 @@ def _physical(*reads: Any) -> GeneratedTouch:
         made = render_from_frame(*reads)
         return made.output if isinstance(made, Skipped) else made
 
-    return _rendered.of(content(reads[:-1]), render)
+    return _rendered.get_or_make(compute_cached_digest(reads[:-1]), render)
 
 
 _rendered: Memo[str, GeneratedTouch] = Memo(4)
@@ -168,13 +168,13 @@ def render_from_frame(
     plain = depth.DepthParams()
     exact = depth.skip_without_contact(frame, source, calibration, plain)
     if exact is not None:
-        return Skipped(output=physical_render.make_reference_touch(target), why=physical_render.NO_CONTACT)
-    felt = _felt(frame, source, calibration, Share(progress, 0.0, 0.5))
+        return Skipped(output=physical_render.make_reference_touch(target), reason=physical_render.NO_CONTACT)
+    felt = _felt(frame, source, calibration, SubProgress(progress, 0.0, 0.5))
     cloud = adaptation.skip_without_contact(felt, alignment, adaptation.BackProjectionParams())
     if cloud is None:
         cloud = adaptation.back_project_depth(felt, alignment, adaptation.BackProjectionParams())
     view = projection.project_cloud(cloud, target, projection.SurfaceProjectionParams())
-    made = physical_render.render_touch(view, target, params, Share(progress, 0.6, 0.4))
+    made = physical_render.render_touch(view, target, params, SubProgress(progress, 0.6, 0.4))
     return replace(made, notes=(*select_warnings((*felt.notes, *view.notes)), *made.notes))
 
 

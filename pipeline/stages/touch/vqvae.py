@@ -69,7 +69,7 @@ def generate_touch(
     if frame.reference is None:
         raise ShapeError(f"the touch by VQ-VAE needs {source.name}'s untouched reading; give --reference")
     if depth.skip_without_contact(frame, source, calibration, depth.DepthParams()) is not None:
-        return Skipped(output=physical_render.make_reference_touch(target), why=physical_render.NO_CONTACT)
+        return Skipped(output=physical_render.make_reference_touch(target), reason=physical_render.NO_CONTACT)
     changed = resize_to_square(compute_change(source.kind, frame.image, frame.reference))
     drawn = getattr(network, "reprojects_input", False)
     shown = reproject_square(changed, source, target, alignment) if drawn else normalise(changed, source.kind)

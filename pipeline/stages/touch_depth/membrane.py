@@ -29,7 +29,7 @@ def use_membrane(
 ) -> DepthMap | Fallback:
     """The membrane that the touch was made with; where its method knows only the picture, that is read."""
     if touch.membrane is None:
-        return Fallback(answer=estimate_from_image(touch, target, DepthParams(), progress), why=NO_MEMBRANE)
+        return Fallback(result=estimate_from_image(touch, target, DepthParams(), progress), reason=NO_MEMBRANE)
     return replace(touch.membrane, in_view=touch.in_view)
 
 

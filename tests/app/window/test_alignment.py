@@ -206,7 +206,7 @@ def test_refining_shows_before_and_after_and_accepting_is_one_step(aligned, qtbo
     qtbot.waitUntil(lambda: refining.proposal is not None, timeout=WAIT_MS)
     assert "→" in panel.refine.text
     assert "surface mm" in panel.refine.text
-    before, after = refining.proposal.refinement.used
+    before, after = refining.proposal.refinement.used_fit
     assert after.outline_mm < before.outline_mm
     assert aligned.undo_stack.count() == steps
     panel.refine.accept.click()

@@ -41,7 +41,7 @@ def test_a_click_goes_to_what_a_start_ended_in(window, qtbot):
     of, view = tab.result.basins, window.window.columns["pose"].view
     assert [len(row) for row in panel.map.cells] == [4, 4, 4]
     own = view.picture
-    row, col = next(zip(*np.nonzero(of.answer > 0), strict=True))
+    row, col = next(zip(*np.nonzero(of.minimum_index > 0), strict=True))
     at = panel.map._room(int(row), int(col)).center().toPoint()
     qtbot.mouseClick(panel.map, Qt.MouseButton.LeftButton, pos=at)
     qtbot.waitUntil(lambda: view.picture is not own, timeout=LIMIT_MS)

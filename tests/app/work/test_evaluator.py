@@ -24,7 +24,7 @@ def test_memory_is_given_back_after_every_frame_that_is_worked_out_anew(
     touch_file: Path, monkeypatch: pytest.MonkeyPatch
 ):
     given_back: list[int] = []
-    monkeypatch.setattr(evaluator, "give_back", lambda: given_back.append(shown))
+    monkeypatch.setattr(evaluator, "release_free_memory", lambda: given_back.append(shown))
     asked = evaluator.Evaluator()
     for shown in (1, 2, 1, 2):
         asked.evaluate_frame(Session(recording=touch_file, target="gelslim", frame=shown), ("depth",), Unheard())  # pyright: ignore[reportArgumentType]

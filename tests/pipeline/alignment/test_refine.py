@@ -5,9 +5,9 @@ import pytest
 
 from pipeline.alignment import refine as refining
 from pipeline.alignment import residuals
-from pipeline.alignment.normal_equations import NormalSums
-from pipeline.alignment.refine import refine
-from pipeline.alignment.residuals import collect_evidence, outline_distances, surface_distances
+from pipeline.alignment.normal_equations import NormalEquations
+from pipeline.alignment.refine import refine_alignment
+from pipeline.alignment.residuals import collect_evidence, compute_outline_distances, compute_surface_distances
 from pipeline.alignment.touches import AlignmentTouch, find_pivot
 from pipeline.base.arrays import freeze
 from pipeline.base.errors import SettingProblem
@@ -66,10 +66,10 @@ def test_under_the_exact_alignment_surfaces_meet_and_outlines_are_the_gels_growt
     for touch in touches:
         made = collect_evidence(touch)
         on = rigid.apply(ALIGNED.target_from_source, made.surface_mm)
-        surface = surface_distances(made, on)
-        assert len(surface.mm) > 0.5 * surface.n_asked
+        surface = compute_surface_distances(made, on)
+        assert len(surface.mm) > 0.5 * surface.n_points
         assert np.median(np.abs(surface.mm)) < 0.005  # both gels lie on one rigid object; what is left is sampling
-        outline = outline_distances(made, rigid.apply(ALIGNED.target_from_source, made.outline_mm))
+        outline = compute_outline_distances(made, rigid.apply(ALIGNED.target_from_source, made.outline_mm))
         assert np.median(np.abs(outline.mm)) < NEAR_MM
 
 
@@ -82,27 +82,29 @@ def test_outlines_are_compared_up_to_the_same_distance_from_every_border(touches
     y = np.array([rows / 2, rows / 2, near, rows - 1 - near])
     camera, z = made.camera, 20.0
     points = np.stack([(x - camera.cx_px) / camera.fx_px * z, (y - camera.cy_px) / camera.fy_px * z, 0 * x + z], axis=1)
-    told = outline_distances(made, points)
-    assert (told.n_asked, len(told.mm)) == (4, n_left)
+    told = compute_outline_distances(made, points)
+    assert (told.n_points, len(told.mm)) == (4, n_left)
 
 
 def test_no_step_is_longer_than_the_longest(touches, monkeypatch):
     """Asked for a step of a thousand tolerances, of information that is nearly none, and told that it is a good one."""
-    better = NormalSums(compute_cost=0.0, gradient=np.zeros(6), information=np.eye(6))
-    monkeypatch.setattr(refining, "sums", lambda *_: better)
+    better = NormalEquations(cost=0.0, gradient=np.zeros(6), information=np.eye(6))
+    monkeypatch.setattr(refining, "accumulate_sums", lambda *_: better)
     solver = refining._Solver([], np.eye(4), np.array([0.0, 0.0, 20.0]), SILENT)
     for size in (1e-3, 1e3):
-        here = NormalSums(compute_cost=1.0, gradient=np.full(6, size), information=np.eye(6))
+        here = NormalEquations(cost=1.0, gradient=np.full(6, size), information=np.eye(6))
         moved, _, length = solver._step(np.eye(4), here, None, None, np.eye(6), 0.0)
         assert length == pytest.approx(size * np.sqrt(6))
         taken = np.linalg.norm(solver._as_step(moved))
         assert taken == pytest.approx(min(length, refining._LONGEST), rel=1e-6)
 
 
-@pytest.mark.parametrize("kind", [surface_distances, outline_distances])
+@pytest.mark.parametrize("kind", [compute_surface_distances, compute_outline_distances])
 def test_jacobians_are_those_of_finite_differences(touches, kind):
     made = collect_evidence(touches[0])
-    points = rigid.apply(ALIGNED.target_from_source, made.surface_mm if kind is surface_distances else made.outline_mm)
+    points = rigid.apply(
+        ALIGNED.target_from_source, made.surface_mm if kind is compute_surface_distances else made.outline_mm
+    )
     points = points + np.array([0.3, 0.2, 0.05])
     here = kind(made, points)
     compared = 0
@@ -123,14 +125,14 @@ def test_jacobians_are_those_of_finite_differences(touches, kind):
 )
 def test_refining_finds_the_exact_alignment_again(touches, turn_deg, shift_mm):
     start = disturbed(touches[0], turn_deg, shift_mm)
-    answer = refine(touches[:2], start, held_out=touches[2:])
+    answer = refine_alignment(touches[:2], start, held_out=touches[2:])
     mm, deg = error(answer)
     assert mm < NEAR_MM
     assert deg < NEAR_DEG
     assert answer.converged
-    assert answer.weak == ()
+    assert answer.weak_directions == ()
     np.testing.assert_array_equal(answer.alignment.alignment_from_source, start.alignment_from_source)
-    before, after = answer.held_out
+    before, after = answer.held_out_fit
     assert after.surface_mm < 0.01  # mm, on a touch that it has never seen
     assert after.outline_mm < NEAR_MM
     if any(shift_mm):
@@ -139,7 +141,7 @@ def test_refining_finds_the_exact_alignment_again(touches, turn_deg, shift_mm):
 
 def test_the_other_transform_can_take_the_change(touches):
     start = disturbed(touches[0], (0.0, 0.0, 2.0), (0.5, 0.0, 0.2))
-    answer = refine(touches, start, into="alignment_from_source")
+    answer = refine_alignment(touches, start, into="alignment_from_source")
     np.testing.assert_array_equal(answer.alignment.target_from_alignment, start.target_from_alignment)
     assert error(answer)[0] < NEAR_MM
 
@@ -148,8 +150,8 @@ def test_what_a_bar_does_not_show_is_named_and_left_as_it_was():
     outline = np.array([[-25.0, -1.5], [25.0, -1.5], [25.0, 1.5], [-25.0, 1.5]])
     across = pressed(shapes.make_chamfered_prism(outline, 5.0, 0.1, "bar"), rigid.from_parts((0.0, 0.0, -0.35)), 0)
     start = disturbed(across, (0.0, 0.0, 2.0), (0.7, 0.5, 0.1))
-    answer = refine([across], start)
-    assert "slides along x" in answer.weak
+    answer = refine_alignment([across], start)
+    assert "slides along x" in answer.weak_directions
     off = answer.alignment.target_from_source @ rigid.invert(ALIGNED.target_from_source)
     shift = rigid.apply(off, answer.pivot_mm) - answer.pivot_mm
     assert abs(shift[0] - 0.7) < 0.1  # nothing moved it along the bar: what was off stays off
@@ -159,7 +161,7 @@ def test_what_a_bar_does_not_show_is_named_and_left_as_it_was():
 
 def test_the_same_touches_give_the_same_bytes(touches):
     start = disturbed(touches[0], (1.0, 0.0, 3.0), (1.0, 0.5, 0.1))
-    a, b = refine(touches[:2], start), refine(touches[:2], start)
+    a, b = refine_alignment(touches[:2], start), refine_alignment(touches[:2], start)
     assert a.motion.tobytes() == b.motion.tobytes()
 
 
@@ -169,7 +171,7 @@ def test_refining_stops_when_nobody_wants_it(touches):
             raise Cancelled
 
     with pytest.raises(Cancelled):
-        refine(touches, ALIGNED, progress=Impatient())
+        refine_alignment(touches, ALIGNED, progress=Impatient())
 
 
 def test_without_a_touch_on_both_sides_there_is_nothing_to_refine(touches):
@@ -179,6 +181,6 @@ def test_without_a_touch_on_both_sides_there_is_nothing_to_refine(touches):
         contact=freeze(np.zeros_like(nothing.contact)), source_index=nothing.source_index,
     )  # fmt: skip
     with pytest.raises(SettingProblem, match="tolerance of a refinement must be positive"):
-        refine([touches[0]], ALIGNED, tolerance=0.0)
+        refine_alignment([touches[0]], ALIGNED, tolerance=0.0)
     with pytest.raises(SettingProblem, match="no frame is felt by both"):
-        refine([AlignmentTouch(index=0, source=empty, target=touches[0].target)], ALIGNED)
+        refine_alignment([AlignmentTouch(index=0, source=empty, target=touches[0].target)], ALIGNED)

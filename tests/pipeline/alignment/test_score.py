@@ -6,7 +6,7 @@ import pytest
 from pipeline.alignment.nudge import nudge
 from pipeline.alignment.score import median_score, score_preview, score_touches
 from pipeline.alignment.sensitivity import UNIT_STEP, compute_sensitivities
-from pipeline.alignment.target_observation import find_edge, observe_target, preview_factor
+from pipeline.alignment.target_observation import choose_preview_factor, find_edge, observe_target
 from pipeline.alignment.touches import AlignmentTouch, find_pivot, load_paired_touch
 from pipeline.base.arrays import freeze
 from pipeline.base.errors import SettingProblem
@@ -76,9 +76,9 @@ def test_sensitivity_says_which_axis_matters_and_which_way_is_better(touch):
     assert told["z"].depth_mm.slope == pytest.approx(
         -UNIT_STEP, rel=0.2
     )  # too near: 0.1 mm farther is better by as much
-    assert told["z"].depth_mm.size > 3.0 * told["x"].depth_mm.size
+    assert told["z"].depth_mm.magnitude > 3.0 * told["x"].depth_mm.magnitude
     at_best = {s.axis: s for s in compute_sensitivities(touch, ALIGNED, side)}
-    assert at_best["x"].iou.size > 0.0
+    assert at_best["x"].iou.magnitude > 0.0
     assert (told["rz"].unit, told["x"].unit) == ("deg", "mm")
 
 
@@ -89,7 +89,7 @@ def test_where_nothing_meets_there_is_no_distance_and_no_error(touch):
     assert (lost.edge_px, lost.depth_mm, lost.overlap_px) == (None, None, 0)
     for one in compute_sensitivities(touch, away, side):
         assert one.depth_mm.slope is None
-        assert one.depth_mm.size is None
+        assert one.depth_mm.magnitude is None
 
 
 def test_the_border_of_the_image_is_no_edge():
@@ -112,7 +112,7 @@ def test_scores_of_all_frames_and_what_is_typical(touch):
 def test_a_factor_below_one_is_refused_and_a_coarse_image_is_shrunk_less(touch):
     with pytest.raises(SettingProblem, match="at least 1"):
         observe_target(touch.target, TARGET, factor=0)
-    assert (preview_factor(load_sensor("gelslim")), preview_factor(load_sensor("soft_bubble"))) == (4, 2)
+    assert (choose_preview_factor(load_sensor("gelslim")), choose_preview_factor(load_sensor("soft_bubble"))) == (4, 2)
 
 
 def test_a_recording_without_the_target_is_refused_in_words():

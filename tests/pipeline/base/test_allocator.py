@@ -8,17 +8,17 @@ import sys
 
 import pytest
 
-from pipeline.base.allocator import give_back
+from pipeline.base.allocator import release_free_memory
 
 CODE = """
 import threading
 from pathlib import Path
-from pipeline.base.allocator import few_arenas, give_back
+from pipeline.base.allocator import limit_arenas, release_free_memory
 
 def resident_mb():
     return int(Path("/proc/self/statm").read_text().split()[1]) * 4096 / 2**20
 
-assert few_arenas()
+assert limit_arenas()
 kept = []
 
 def work():
@@ -30,7 +30,7 @@ for _ in range(4):
     thread.start()
     thread.join()
 before = resident_mb()
-give_back()
+release_free_memory()
 assert resident_mb() < before - 30, (before, resident_mb())
 """
 
@@ -41,4 +41,4 @@ def test_what_threads_have_let_go_of_goes_back_to_the_system():
 
 
 def test_it_may_be_asked_anywhere():
-    give_back()
+    release_free_memory()

@@ -3,18 +3,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.base.arrays import for_geometry, freeze
+from pipeline.base.arrays import ensure_float, freeze
 
 
 @pytest.mark.parametrize("kind", [np.float32, np.float64])
 def test_lengths_in_a_type_that_keeps_micrometres_are_left_alone(kind):
     lengths = np.array([80.001], kind)
-    assert for_geometry(lengths) is lengths
+    assert ensure_float(lengths) is lengths
 
 
 @pytest.mark.parametrize("kind", [np.float16, np.int32, np.uint8])
 def test_other_types_are_widened(kind):
-    widened = for_geometry(np.array([3], kind))
+    widened = ensure_float(np.array([3], kind))
     assert widened.dtype == np.float32
     assert widened[0] == 3
 

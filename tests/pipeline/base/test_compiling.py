@@ -17,11 +17,11 @@ KERNEL_CALL = """
 import json
 import numpy as np
 from pipeline.base import compiling
-from pipeline.geometry.membrane_kernels import level_distance
+from pipeline.geometry.membrane_kernels import measure_level_distance
 sentences = []
 with compiling.report_compiling(sentences.append) as spent_s:
     for _ in range(2):
-        level_distance(np.zeros(6, np.float32), 1.0, np.empty(2))
+        measure_level_distance(np.zeros(6, np.float32), 1.0, np.empty(2))
 print(json.dumps([sentences, spent_s(), compiling.count_compiled(), str(compiling.kernel_folder())]))
 """
 
@@ -46,7 +46,7 @@ def test_a_kernel_is_compiled_once_reported_and_loaded_by_the_next_process(tmp_p
 
 def test_damaged_cache_files_are_compiled_again(tmp_path):
     folder = call_kernel(tmp_path)[3]
-    files = [path for path in folder.rglob("*") if path.is_file() and "level_distance" in path.name]
+    files = [path for path in folder.rglob("*") if path.is_file() and "measure_level_distance" in path.name]
     assert files
     for path in files:
         path.write_bytes(path.read_bytes()[:40])
@@ -112,7 +112,7 @@ def test_a_folder_that_cannot_be_written_is_replaced_by_a_temporary_one(package,
 
 def test_every_kernel_uses_the_tolerant_cache():
     from pipeline.base.cached_kernels import _TolerantCache
-    from pipeline.geometry.membrane_kernels import level_distance
+    from pipeline.geometry.membrane_kernels import measure_level_distance
 
-    level_distance(np.zeros(6, np.float32), 1.0, np.empty(2))
-    assert isinstance(level_distance._cache, _TolerantCache)
+    measure_level_distance(np.zeros(6, np.float32), 1.0, np.empty(2))
+    assert isinstance(measure_level_distance._cache, _TolerantCache)

@@ -16,12 +16,12 @@ from hypothesis import strategies as st
 
 from pipeline.base.errors import FileProblem
 from pipeline.base.files import (
-    pack_arrays,
+    open_atomic,
     read_bytes,
+    read_cached_arrays,
     read_json,
     read_toml,
     set_aside,
-    whole_file,
     write_arrays,
     write_folder,
     write_json,
@@ -111,7 +111,7 @@ def test_a_file_that_fails_half_way_leaves_the_old_one_and_nothing_else(tmp_path
     path.write_bytes(b"old")
 
     def fails(error):
-        with whole_file(path, "the thing") as file:
+        with open_atomic(path, "the thing") as file:
             file.write(b"half")
             raise error
 
@@ -205,7 +205,7 @@ def test_what_is_kept_and_damaged_in_any_way_is_as_good_as_not_there(tmp_path, d
     path = tmp_path / "kept.npz"
     np.savez_compressed(path, a=np.arange(999.0), b=np.ones(3))
     whole = path.read_bytes()
-    assert np.array_equal(pack_arrays(path)["a"], np.arange(999.0))
+    assert np.array_equal(read_cached_arrays(path)["a"], np.arange(999.0))
     if damage == "a folder":
         path = tmp_path
     elif damage == "missing":
@@ -217,9 +217,9 @@ def test_what_is_kept_and_damaged_in_any_way_is_as_good_as_not_there(tmp_path, d
         rng = np.random.default_rng(1)
         for at in rng.permutation(len(whole))[:300]:
             path.write_bytes(whole[:at] + bytes([int(rng.integers(256))]) + whole[at + 1 :])
-            found = pack_arrays(path)
+            found = read_cached_arrays(path)
             assert found is None or all(len(array) in (3, 999) for array in found.values())
         path.write_bytes(rng.bytes(len(whole)))
     else:
         path.write_bytes({"empty": b"", "zeroed": bytes(len(whole)), "cut": whole[: len(whole) // 2]}[damage])
-    assert pack_arrays(path) is None
+    assert read_cached_arrays(path) is None

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.base.memo import Memo, memoise, size_bytes
+from pipeline.base.memo import Memo, measure_bytes, memoise
 
 
 @given(st.lists(st.tuples(st.integers(0, 9), st.integers(0, 120)), max_size=60), st.integers(1, 6))
@@ -17,7 +17,7 @@ def test_a_memo_never_holds_more_than_allowed_and_answers_as_if_it_held_nothing(
     memo: Memo[int, tuple[int, int]] = Memo(most, most_bytes=200, weigh=lambda answer: answer[1])
     weights = dict(asked)  # one weight a key
     for key, _ in asked:
-        assert memo.of(key, lambda key=key: (key, weights[key])) == (key, weights[key])
+        assert memo.get_or_make(key, lambda key=key: (key, weights[key])) == (key, weights[key])
         assert len(memo) <= most
         assert memo.n_bytes <= 200
     memo.clear()
@@ -44,7 +44,7 @@ def test_an_answer_is_made_once_however_many_threads_ask_for_it():
 
     with ThreadPoolExecutor(8) as pool:
         keys = [0, 1, 2] * 20
-        assert list(pool.map(lambda key: memo.of(key, lambda: make(key)), keys)) == [str(key) for key in keys]
+        assert list(pool.map(lambda key: memo.get_or_make(key, lambda: make(key)), keys)) == [str(key) for key in keys]
     assert sorted(made) == [0, 1, 2]
 
 
@@ -58,9 +58,9 @@ def test_a_failure_is_the_asker_s_own_and_the_next_one_makes_the_answer():
         raise ValueError("not this time")
 
     with ThreadPoolExecutor(2) as pool:
-        first = pool.submit(memo.of, "key", fail)
+        first = pool.submit(memo.get_or_make, "key", fail)
         started.wait(5.0)
-        second = pool.submit(memo.of, "key", lambda: 7)
+        second = pool.submit(memo.get_or_make, "key", lambda: 7)
         waiting.set()
         with pytest.raises(ValueError, match="not this time"):
             first.result(5.0)
@@ -84,5 +84,5 @@ def test_a_function_remembers_its_last_answers_within_their_bytes():
 
 def test_an_array_is_weighed_once_and_where_it_was_made():
     made, own = np.zeros(1000, np.float32), np.zeros(500, np.float32)
-    assert size_bytes((made, made)) == 4000
-    assert size_bytes((made, own), besides=[made]) == 2000
+    assert measure_bytes((made, made)) == 4000
+    assert measure_bytes((made, own), besides=[made]) == 2000

@@ -6,7 +6,7 @@ import pytest
 from pipeline.base.errors import MeshProblem
 from pipeline.base.progress import Cancelled
 from pipeline.geometry import distance_grid_store, rigid
-from pipeline.geometry.distance_grid import OPEN, build_grid
+from pipeline.geometry.distance_grid import OPEN_MESH_NOTE, build_grid
 from pipeline.geometry.distance_grid_store import load_distance_grid
 from pipeline.geometry.meshes import Mesh, sample_surface
 from pipeline.simulation.shapes import prisms, solids
@@ -88,7 +88,7 @@ def test_an_open_sheet_is_told_apart_by_its_sides_and_says_so(block):
     )
     lidless = Mesh(vertices_mm=block.vertices_mm, triangles=block.triangles[normals[:, 2] < 0.5])
     grid = build_grid(lidless)
-    assert grid.notes == (OPEN,)
+    assert grid.notes == (OPEN_MESH_NOTE,)
     np.testing.assert_allclose(grid.at(np.array([[4.0, 2.5, -0.4], [4.0, 2.5, 0.4]]))[0], [0.4, -0.4], atol=QUANTUM_MM)
 
 

@@ -9,7 +9,7 @@ from pipeline.geometry import membrane
 from pipeline.geometry.camera import Camera
 
 CAMERA = Camera(rows=35, cols=44, fx_px=46.0, fy_px=46.0, cx_px=21.5, cy_px=17.0)
-DOME = membrane.make_dome(60.0, 20.0, 60.0, 50.0)
+DOME = membrane.make_dome_membrane(60.0, 20.0, 60.0, 50.0)
 BILINEAR_MM = 1e-3  # 0.5 mm cells on a curvature of 2 * 20 / 50^2 per mm: h^2 / 8 * curvature, both ways
 
 
@@ -44,7 +44,7 @@ def test_distance_near_the_surface_is_that_of_a_sphere_to_first_order():
 @settings(max_examples=20, deadline=None)
 @given(st.floats(5.0, 40.0), st.floats(40.0, 90.0))
 def test_rest_depth_lies_on_the_surface_and_on_the_ray(height_mm, rim_mm):
-    surface = membrane.make_dome(rim_mm, height_mm, 60.0, 50.0)
+    surface = membrane.make_dome_membrane(rim_mm, height_mm, 60.0, 50.0)
     points = CAMERA.back_project(surface.rest_depth_mm(CAMERA))
     np.testing.assert_allclose(surface.depth_at(points[..., 0], points[..., 1]), points[..., 2], atol=1e-6)
 

@@ -6,11 +6,11 @@ import pytest
 from benchmarks.scenes.rest_mesh import rest_mesh
 from pipeline.base.errors import CalibrationError, MeshProblem
 from pipeline.geometry import membrane
-from pipeline.geometry.mesh_membrane import MOST_ERROR_MM, from_mesh, load_membrane, usual_error_mm
+from pipeline.geometry.mesh_membrane import MAX_ERROR_MM, compute_lattice_error_mm, load_membrane, make_mesh_membrane
 from pipeline.geometry.meshes import Mesh
 from pipeline.sensors.spec import load_sensor
 
-DOME = membrane.make_dome(60.0, 12.0, 30.0, 25.0)
+DOME = membrane.make_dome_membrane(60.0, 12.0, 30.0, 25.0)
 BILINEAR_MM = 2e-3  # a cell of 0.5 mm split into triangles against a bilinear one, and cells that straddle
 
 
@@ -26,20 +26,20 @@ def write_stl(path, mesh):
 
 
 def test_the_mesh_of_a_dome_is_the_dome():
-    found = from_mesh(rest_mesh(DOME))
+    found = make_mesh_membrane(rest_mesh(DOME))
     np.testing.assert_allclose(found.z_mm, DOME.z_mm, atol=1e-9)
-    assert usual_error_mm(rest_mesh(DOME), found) < BILINEAR_MM
+    assert compute_lattice_error_mm(rest_mesh(DOME), found) < BILINEAR_MM
     points = np.random.default_rng(0).uniform((-25, -20, 50), (25, 20, 80), (3000, 3))
     one, two = found.signed_distance_mm(points), DOME.signed_distance_mm(points)
     np.testing.assert_allclose(one, two, atol=1e-9)
 
 
 def test_another_lattice_stays_within_the_error_that_is_allowed():
-    found = from_mesh(rest_mesh(DOME), step_mm=0.37)
-    error_mm = usual_error_mm(rest_mesh(DOME), found)
+    found = make_mesh_membrane(rest_mesh(DOME), step_mm=0.37)
+    error_mm = compute_lattice_error_mm(rest_mesh(DOME), found)
     x, y = np.random.default_rng(1).uniform(-17, 17, (2, 500))
     assert np.abs(found.depth_at(x, y) - DOME.depth_at(x, y)).max() < error_mm + BILINEAR_MM
-    assert error_mm < 0.01 < MOST_ERROR_MM
+    assert error_mm < 0.01 < MAX_ERROR_MM
 
 
 def test_a_file_in_metres_is_read_in_its_unit(tmp_path):
@@ -58,7 +58,7 @@ def test_a_file_in_metres_is_read_in_its_unit(tmp_path):
 )
 def test_a_mesh_that_cannot_rest_before_a_camera_is_refused(vertices, words):
     with pytest.raises(MeshProblem, match=words):
-        from_mesh(sheet(vertices, [(0, 1, 2)]))
+        make_mesh_membrane(sheet(vertices, [(0, 1, 2)]))
 
 
 def test_a_mesh_that_folds_and_one_too_fine_for_its_lattice_are_refused(tmp_path):
@@ -71,9 +71,9 @@ def test_a_mesh_that_folds_and_one_too_fine_for_its_lattice_are_refused(tmp_path
     with pytest.raises(MeshProblem, match=r"folds over itself .*folded\.stl'$"):
         load_membrane(tmp_path / "folded.stl", unit="mm")
     with pytest.raises(MeshProblem, match="smaller step"):
-        from_mesh(mesh, step_mm=7.0)
+        make_mesh_membrane(mesh, step_mm=7.0)
     with pytest.raises(MeshProblem, match="larger step"):
-        from_mesh(mesh, step_mm=1e-3)
+        make_mesh_membrane(mesh, step_mm=1e-3)
 
 
 def described(tmp_path, rest):

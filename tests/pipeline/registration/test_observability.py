@@ -12,11 +12,11 @@ from benchmarks.scenes.observability_patches import KINDS, draw_patch
 from pipeline.geometry import rigid
 from pipeline.registration.observability import (
     MIN_NOISE_MM,
-    SystematicError,
+    SystematicStd,
     Tolerances,
     assess_observability,
     compute_correlated_covariance,
-    estimate_systematic_error,
+    systematic_error,
 )
 from pipeline.values.results import DepthErrorModel
 
@@ -49,7 +49,7 @@ def test_every_motion_nobody_can_feel_is_named_and_no_other(kind, seed, noise_mm
         crooked(felt.normals, seed),
         middle,
         noise_mm,
-        lasting=SystematicError(shift_mm=together, turn_mm=together),
+        lasting=SystematicStd(translation_mm=together, rotation_mm=together),
     )
     truth = observability_score.compute_true_motions(
         patch(kind, seed, pose, 5 * N),
@@ -60,7 +60,7 @@ def test_every_motion_nobody_can_feel_is_named_and_no_other(kind, seed, noise_mm
     score = observability_score.score_named_motions(told.weak_motions, middle, truth)
     assert score.n_named == score.n_weak >= len(felt.free)
     assert score.n_false == 0
-    assert len(told.weak) == len(told.weak_motions)
+    assert len(told.weak_directions) == len(told.weak_motions)
     np.testing.assert_allclose(told.observable @ told.observable, told.observable, atol=1e-8)
 
 
@@ -79,16 +79,16 @@ def test_words_tell_the_axis_and_a_point_on_it():
     rod = patch("rod", 2).transform(rigid.translation(1.0, 2.0, 20.0))
     told = assess_observability(rod.points_mm, rod.normals, rod.points_mm.mean(axis=0), NOISE_MM)
     x_mm = rod.points_mm[:, 0].mean()  # the point of the axis that is nearest to the contact
-    assert told.weak == ("slides along x", f"turns about x through ({x_mm:.1f}, 2.0, 20.0) mm")
+    assert told.weak_directions == ("slides along x", f"turns about x through ({x_mm:.1f}, 2.0, 20.0) mm")
     ball = patch("sphere", 2).transform(rigid.translation(0.0, 0.0, 30.0))
     told = assess_observability(ball.points_mm, ball.normals, ball.points_mm.mean(axis=0), NOISE_MM)
-    assert told.weak == tuple(f"turns about {axis} through (0.0, 0.0, 30.0) mm" for axis in "xyz")
+    assert told.weak_directions == tuple(f"turns about {axis} through (0.0, 0.0, 30.0) mm" for axis in "xyz")
     plate = patch("plane", 2)
     told = assess_observability(plate.points_mm, plate.normals, plate.points_mm.mean(axis=0), NOISE_MM)
-    assert told.weak == ("slides along x", "slides along y", "turns about z")
+    assert told.weak_directions == ("slides along x", "slides along y", "turns about z")
     skew = rod.transform(rigid.rotation([0.0, 0.0, math.radians(30.0)]))
     told = assess_observability(skew.points_mm, skew.normals, skew.points_mm.mean(axis=0), NOISE_MM)
-    assert told.weak[0] == "slides along (0.87, 0.50, 0.00)"
+    assert told.weak_directions[0] == "slides along (0.87, 0.50, 0.00)"
 
 
 def test_a_helix_is_a_turn_with_a_slide():
@@ -101,7 +101,7 @@ def test_a_helix_is_a_turn_with_a_slide():
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     points = away[:, None] * out + pitch_mm * angle[:, None] * np.eye(3)[2]
     told = assess_observability(points, normals, points.mean(axis=0), 1e-3)
-    assert told.weak == ("turns about z while sliding along z",)
+    assert told.weak_directions == ("turns about z while sliding along z",)
 
 
 def test_a_fine_screw_keeps_the_slide_that_goes_with_its_turn():
@@ -114,7 +114,7 @@ def test_a_fine_screw_keeps_the_slide_that_goes_with_its_turn():
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     points = away[:, None] * out + pitch_mm * angle[:, None] * np.eye(3)[2]
     told = assess_observability(points, normals, points.mean(axis=0), 1e-3)
-    assert "turns about z while sliding along z" in told.weak[-1]
+    assert "turns about z while sliding along z" in told.weak_directions[-1]
 
 
 @pytest.mark.parametrize("sides", [64, 96, 200])
@@ -124,7 +124,7 @@ def test_facets_of_a_round_rod_do_not_pass_for_knowledge_of_its_roll(sides):
     angle = (np.floor(np.arctan2(made.normals[:, 1], made.normals[:, 2]) / step) + 0.5) * step
     facets = np.stack([np.zeros_like(angle), np.sin(angle), np.cos(angle)], axis=1)
     told = assess_observability(made.points_mm, facets, made.points_mm.mean(axis=0), 0.0)
-    assert len(told.weak) == 2
+    assert len(told.weak_directions) == 2
     roll = np.concatenate([[1.0, 0.0, 0.0], np.cross([1.0, 0.0, 0.0], made.points_mm.mean(axis=0))])
     assert np.linalg.norm(told.observable @ roll) < 0.05 * np.linalg.norm(roll)
 
@@ -137,7 +137,7 @@ def test_gradients_that_are_wrong_cell_by_cell_do_not_pass_for_knowledge_either(
     normals = felt.normals + off[cell]
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     told = assess_observability(felt.points_mm, normals, felt.points_mm.mean(axis=0), 0.0)
-    assert len(told.weak) == len(felt.free)
+    assert len(told.weak_directions) == len(felt.free)
 
 
 def test_a_hexagonal_rod_knows_its_roll():
@@ -147,7 +147,7 @@ def test_a_hexagonal_rod_knows_its_roll():
     normals = np.stack([np.zeros(N), np.sin(angle), np.cos(angle)], axis=1)
     points = 3.0 * (normals + across[:, None] * np.cross(normals, [1.0, 0.0, 0.0])) + along[:, None] * np.eye(3)[0]
     told = assess_observability(points, normals, points.mean(axis=0), NOISE_MM)
-    assert told.weak == ("slides along x",)
+    assert told.weak_directions == ("slides along x",)
 
 
 def test_no_variance_is_claimed_where_only_crooked_normals_see_something():
@@ -163,7 +163,7 @@ def test_a_bias_widens_the_covariance_as_it_should():
     middle = tool.points_mm.mean(axis=0)
     plain = assess_observability(tool.points_mm, tool.normals, middle, NOISE_MM)
     biased = assess_observability(
-        tool.points_mm, tool.normals, middle, NOISE_MM, lasting=SystematicError(shift_mm=0.005, turn_mm=0.005)
+        tool.points_mm, tool.normals, middle, NOISE_MM, lasting=SystematicStd(translation_mm=0.005, rotation_mm=0.005)
     )
     grown = 1 + 0.005**2 * N / NOISE_MM**2
     np.testing.assert_allclose(biased.covariance, grown * plain.covariance, rtol=1e-9)
@@ -178,12 +178,12 @@ def test_what_lasts_of_a_smooth_error_is_what_planes_through_drawn_ones_are_off(
     middle = points.mean(axis=0)
     x, y = (points - middle)[:, 0], (points - middle)[:, 1]
     shift, along_x, along_y = np.linalg.lstsq(np.column_stack([np.ones(120), x, y]), drawn_mm, rcond=None)[0]
-    told = estimate_systematic_error(points, np.tile([0.0, 0.0, 1.0], (120, 1)), middle, error)
-    assert told.shift_mm == pytest.approx(float(np.sqrt((shift**2).mean())), rel=0.05)
+    told = systematic_error(points, np.tile([0.0, 0.0, 1.0], (120, 1)), middle, error)
+    assert told.translation_mm == pytest.approx(float(np.sqrt((shift**2).mean())), rel=0.05)
     seen_mm2 = 0.5 * ((x**2).mean() + (y**2).mean())  # a turn of 1 rad moves the contact by its square root
     tilts = np.sqrt(0.5 * ((along_x**2).mean() + (along_y**2).mean()) * seen_mm2)
-    assert told.turn_mm == pytest.approx(float(tilts), rel=0.08)
-    assert told.turn_mm < 0.5 * told.shift_mm
+    assert told.rotation_mm == pytest.approx(float(tilts), rel=0.08)
+    assert told.rotation_mm < 0.5 * told.translation_mm
 
 
 def test_the_answer_does_not_depend_on_the_frame():
@@ -202,7 +202,7 @@ def test_too_little_of_anything_leaves_everything_open():
     told = assess_observability(point, np.tile([0.0, 0.0, 1.0], (3, 1)), point.mean(axis=0), 0.05)
     assert np.isfinite(told.covariance).all()
     assert np.isfinite(told.weak_motions).all()
-    assert len(told.weak) == 5
+    assert len(told.weak_directions) == 5
 
 
 @pytest.mark.parametrize("correlation_mm", [0.2, 1.5, 8.0])

@@ -125,7 +125,7 @@ def test_too_little_is_told_and_never_a_number():
     ):  # fmt: skip
         found = register_points(points, grid, np.eye(4))
         assert isinstance(found, NotDetermined)
-        assert found.why
+        assert found.reason
     with pytest.raises(CalibrationError, match="start"):
         register_points(np.random.default_rng(0).uniform(-1, 1, (50, 3)), grid, np.full((4, 4), np.nan))
 
@@ -142,14 +142,14 @@ def test_steps_begin_at_the_start_and_end_at_the_answer(wedge):
 
 def held_by_the_kernel(information, asked):
     """(how many directions are held, (6, 6) that takes the motion the points ask for to the step)."""
-    from pipeline.registration.step_kernels import step
+    from pipeline.registration.step_kernels import solve_step
 
     sums, columns = np.zeros(28), []
     sums[:21], sums[27] = information[np.triu_indices(6)], 1.0
     for k in range(6):
         motion = np.empty(6)
         sums[21:27] = information[:, k]
-        n_held = step(sums, asked, (np.empty((6, 6)), np.empty((6, 6))), motion)
+        n_held = solve_step(sums, asked, (np.empty((6, 6)), np.empty((6, 6))), motion)
         columns.append(motion)
     return n_held, np.array(columns).T
 
@@ -167,7 +167,7 @@ def test_the_iterations_hold_as_many_directions_as_observability_calls_weak(seed
     fake, variance = np.deg2rad(3.0) ** 2, 0.06**2 / 200
     asked = np.repeat([fake + variance / (np.deg2rad(1.0) * radius_mm) ** 2, fake + variance / 0.2**2], 3)
     n_held, step = held_by_the_kernel(rows.T @ rows / 200, asked)
-    assert n_held == len(assess_observability(arms, normals, np.zeros(3), 0.06).weak)
+    assert n_held == len(assess_observability(arms, normals, np.zeros(3), 0.06).weak_directions)
     np.testing.assert_allclose(step @ step, step, atol=1e-6)
     assert round(float(np.trace(step))) == 6 - n_held
 

@@ -107,7 +107,7 @@ def test_curved_faces_are_within_two_micrometres_of_much_finer_ones(name, monkey
 def test_symmetries_map_the_surface_onto_itself_and_are_a_group(name):
     found = shapes.make_shape(name)
     points, _normals = sample_surface(found.mesh, 150, seed=1)
-    turns = found.symmetry.group(0.3)
+    turns = found.symmetry.sample_rotations(0.3)
     assert np.allclose(turns[0], np.eye(3))
     for turn in turns:
         assert np.linalg.det(turn) == pytest.approx(1.0)
@@ -119,7 +119,7 @@ def test_symmetries_map_the_surface_onto_itself_and_are_a_group(name):
 def test_no_shape_has_more_symmetry_than_it_says(name):
     found = shapes.make_shape(name)
     points, _normals = sample_surface(found.mesh, 300, seed=1)
-    known = found.symmetry.group(1 / 60)  # turns about an axis at most 2 / 60 rad apart
+    known = found.symmetry.sample_rotations(1 / 60)  # turns about an axis at most 2 / 60 rad apart
     for axis in np.eye(3):
         for part in (2, 3, 4, 5, 6):
             turn = rigid.rotation(2.0 * np.pi / part * axis)[:3, :3]
@@ -131,7 +131,7 @@ def test_no_shape_has_more_symmetry_than_it_says(name):
 @pytest.mark.parametrize("name", ["ring", "cylinder", "marble"])
 def test_neighbouring_turns_move_no_point_by_more_than_a_hundredth_of_the_diameter(name):
     found = shapes.make_shape(name)
-    turns = found.symmetry.group()
+    turns = found.symmetry.sample_rotations()
     n = len(turns) // len(found.symmetry.rotations)
     points, _normals = sample_surface(found.mesh, 500, seed=2)
     diameter = np.linalg.norm(points[:, None] - points[None], axis=2).max()
@@ -141,10 +141,10 @@ def test_neighbouring_turns_move_no_point_by_more_than_a_hundredth_of_the_diamet
 
 
 def test_a_shape_without_symmetry_has_the_identity_alone():
-    assert shapes.make_shape("letters").symmetry.group().shape == (1, 3, 3)
-    assert shapes.make_shape("marble").symmetry.group().shape[0] > 1
+    assert shapes.make_shape("letters").symmetry.sample_rotations().shape == (1, 3, 3)
+    assert shapes.make_shape("marble").symmetry.sample_rotations().shape[0] > 1
     with pytest.raises(SettingProblem):
-        shapes.make_shape("ring").symmetry.group(0.0)
+        shapes.make_shape("ring").symmetry.sample_rotations(0.0)
 
 
 @pytest.mark.parametrize("face", ["-x", "+x", "-y", "+y", "-z", "+z"])
@@ -156,7 +156,7 @@ def test_a_users_mesh_is_laid_on_the_face_that_was_chosen(tmp_path, face):
     path.write_text("\n".join(lines) + "\n")
     found = shapes.load_mesh_shape(path, face=face)
     v = found.mesh.vertices_mm
-    assert found.symmetry.group().shape == (1, 3, 3)
+    assert found.symmetry.sample_rotations().shape == (1, 3, 3)
     assert v[:, 2].min() == 0.0
     assert np.allclose(v[:, :2].min(axis=0), -v[:, :2].max(axis=0))
     heights = np.sort(-sign * corners[:, axis])

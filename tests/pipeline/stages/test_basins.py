@@ -8,7 +8,7 @@ import pytest
 from pipeline.base.errors import SettingProblem
 from pipeline.base.progress import Cancelled
 from pipeline.geometry import rigid
-from pipeline.registration.basin_map import NONE, make_start_grid, map_basins
+from pipeline.registration.basin_map import NO_MINIMUM, make_start_grid, map_basins
 from pipeline.stages.pose.basin_map import compute_basin_map
 from pipeline.stages.pose.signed_distances import PoseParams, estimate_pose, prepare_search, skip_without_contact
 from tests.pipeline.registration.solids import extruded, felt, l_bar
@@ -41,24 +41,24 @@ def test_starts_are_turned_about_the_normal_and_shifted_in_the_plane():
 
 def test_a_square_has_four_answers_that_fit_equally_well():
     of = mapped(extruded(SQUARE, [SQUARE], 0.0, 4.0), lying(0.3, -0.2, 0.6, 4.0, 10.0))
-    at = of.answer[1]
+    at = of.minimum_index[1]
     assert at[2] == 0
     assert {int(at[0]), int(at[2]), int(at[4])} == {0, int(at[0]), int(at[4])}
     assert len({int(at[0]), int(at[2]), int(at[4])}) == 3  # a quarter of a turn away is another pose,
-    assert all(of.answers[int(k)].equal for k in (at[0], at[4]))  # which the touch does not tell from the first
+    assert all(of.minima[int(k)].fits_equally for k in (at[0], at[4]))  # which the touch does not tell from the first
     assert of.rmse_mm[1, [0, 2, 4]] == pytest.approx(of.rmse_mm[1, 2], abs=2e-3)
-    assert "fit equally well" in of.sentence
+    assert "fit equally well" in of.summary
     turned = of.poses[1, 4] @ rigid.invert(of.poses[1, 2])
     assert rigid.rotation_angle_deg(turned) == pytest.approx(90.0, abs=1.0)
 
 
 def test_an_l_bar_is_safe_near_its_pose_and_counts_add_up():
     of = mapped(l_bar(), lying(1.0, -0.5, 0.6, 4.0, 20.0, tilt_deg=(1.5, -2.0), origin_mm=(5.0, 3.5)))
-    assert of.safe[0] >= 15.0
-    assert of.safe[1] >= 0.5
-    assert sum(answer.equal for answer in of.answers) == 1
-    assert sum(answer.count for answer in of.answers) == np.count_nonzero(of.answer != NONE)
-    assert np.isfinite(of.rmse_mm[of.answer != NONE]).all()
+    assert of.safe_range[0] >= 15.0
+    assert of.safe_range[1] >= 0.5
+    assert sum(answer.fits_equally for answer in of.minima) == 1
+    assert sum(answer.n_starts for answer in of.minima) == np.count_nonzero(of.minimum_index != NO_MINIMUM)
+    assert np.isfinite(of.rmse_mm[of.minimum_index != NO_MINIMUM]).all()
 
 
 def test_without_a_pose_it_says_why_and_it_can_be_stopped():

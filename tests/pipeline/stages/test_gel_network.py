@@ -13,7 +13,7 @@ from pipeline.base.progress import SILENT
 from pipeline.base.stage_warnings import AT_BORDER
 from pipeline.calibration.calibration_table import BallFit, make_built_in
 from pipeline.geometry import rigid
-from pipeline.metrics.stage_metrics import mean_abs_mm
+from pipeline.metrics.stage_metrics import compute_mae_mm
 from pipeline.networks import weights_registry
 from pipeline.networks.gel_depth_prediction import GelDepthPrediction
 from pipeline.networks.network_factory import load_predictor
@@ -206,7 +206,7 @@ def test_shipped_weights_are_nearer_than_physics_on_instances_that_differ_as_a_l
                 estimate_depth(touched, load_sensor(name), None, network, NetworkParams()),
                 photometric.estimate_depth_with_notes(touched, load_sensor(name), None, photometric.DepthParams()),
             ):
-                errors.append(mean_abs_mm(depth.indentation_mm, truth.indentation_mm, truth.contact))
+                errors.append(compute_mae_mm(depth.indentation_mm, truth.indentation_mm, truth.contact))
                 predicted.append(depth.error.rms_mm)
     by_network, by_physics = np.array(errors).reshape(-1, 2).T
     gaussian_rms_over_mean = 1.25

@@ -177,9 +177,9 @@ def test_without_weights_physics_answers_and_says_so():
     view = view_of(BUBBLE)
     answer = T2D2.run(view, BUBBLE, NoWeights(why="none at hand"), taking_all(), SILENT)
     assert isinstance(answer, Fallback)
-    assert "none at hand" in answer.why
+    assert "none at hand" in answer.reason
     physics = PHYSICS.run(view, BUBBLE, physical_render.PhysicalRenderParams(), SILENT)
-    assert answer.answer.image.tobytes() == physics.image.tobytes()
+    assert answer.result.image.tobytes() == physics.image.tobytes()
 
 
 def test_kept_states_are_pictures_and_the_last_of_them_is_the_touch():
@@ -288,8 +288,8 @@ def test_without_weights_touch_to_touch_goes_by_depth_and_render(felt):
     frame, between = felt[0], alignment.resolve_alignment(GEL, BUBBLE)
     answer = T2T.run(frame, GEL, None, between, BUBBLE, NoWeights(why="none"), taking_all(), SILENT)
     assert isinstance(answer, Fallback)
-    assert answer.answer.membrane.contact.any()
-    assert answer.answer.membrane.indentation_mm.max() > 1.0
+    assert answer.result.membrane.contact.any()
+    assert answer.result.membrane.indentation_mm.max() > 1.0
 
 
 def test_which_weights_serve_which_sensors():

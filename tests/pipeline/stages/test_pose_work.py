@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.registration.search import Search
+from pipeline.registration.search import PoseSearch
 from pipeline.simulation import shapes
 from pipeline.stages.pose.signed_distances import PoseParams, estimate_pose
 from tests.pipeline.registration.solids import CAMERA, REST_MM, touch_of
@@ -13,8 +13,8 @@ MOST_POLISHED = 2 * 6 + 4 + 12  # two sets of first guesses, the best again, and
 
 
 def test_a_touch_that_nothing_explains_is_not_searched_for_all_that_fits_as_badly(monkeypatch):
-    polished, tried = Search.polish, []
-    monkeypatch.setattr(Search, "polish", lambda *a, **k: tried.append(1) or polished(*a, **k))
+    polished, tried = PoseSearch.polish, []
+    monkeypatch.setattr(PoseSearch, "polish", lambda *a, **k: tried.append(1) or polished(*a, **k))
     y, x = np.mgrid[-1 : 1 : CAMERA.rows * 1j, -1 : 1 : CAMERA.cols * 1j]
     bowl = touch_of((REST_MM - 3.0 + 2.0 * (x**2 + y**2)).astype(np.float32), np.ones(CAMERA.shape, np.bool_))
     found = estimate_pose(bowl, shapes.make_shape("cross").mesh, PoseParams())

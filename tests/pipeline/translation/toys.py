@@ -37,7 +37,7 @@ class MeltParams:
 def brightness(frame, params, progress):
     share = np.asarray(frame.image, np.float32).reshape(*frame.image.shape[:2], -1).mean(axis=-1) / 255.0
     made = Brightness(share=freeze(share), source_index=make_pixel_index(share.shape))
-    return Skipped(output=made, why="it was dark") if not share.any() else made
+    return Skipped(output=made, reason="it was dark") if not share.any() else made
 
 
 def melt(brightness, target, params, progress):

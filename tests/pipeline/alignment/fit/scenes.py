@@ -33,8 +33,8 @@ def pairs(how: TransferModel, many: int, *, noise: float = 0.05, metric: bool = 
         sizes = {"source_size": (18.0, 18.0), "target_size": (60.0, 60.0)} if metric else {
             "source_size": (1.0, 1.0), "target_size": (1.0, 1.0)}  # fmt: skip
         blank = np.zeros((SIDE_PX, SIDE_PX), np.float32)
-        empty = ImprintPair(name=str(k), touching=strokes(k), imprint=blank, metric=metric, **sizes)
+        empty = ImprintPair(name=str(k), contact=strokes(k), imprint=blank, is_metric=metric, **sizes)
         true = enlarge(transfer_imprint(empty, how), empty)
         real = (true + noise * rng.normal(size=true.shape)).astype(np.float32)
-        out.append(ImprintPair(name=str(k), touching=empty.touching, imprint=real, metric=metric, **sizes))
+        out.append(ImprintPair(name=str(k), contact=empty.contact, imprint=real, is_metric=metric, **sizes))
     return out

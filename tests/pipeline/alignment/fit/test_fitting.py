@@ -9,51 +9,51 @@ import numpy as np
 import pytest
 
 from pipeline.alignment.fit.agreement import compute_correlation, compute_mean_imprint
-from pipeline.alignment.fit.continuation import continue_fit
+from pipeline.alignment.fit.continuation import detect_boundary_ridges
 from pipeline.alignment.fit.fitting import fit_pairs, score_fit
 from pipeline.alignment.fit.transfer import ImprintPair, TransferModel, transfer_imprint
 from pipeline.base.errors import SettingProblem
 from tests.pipeline.alignment.fit.scenes import SIDE_PX, pairs
 
-TRUE = TransferModel(mirrored=True, turn=math.radians(40.0), log_scale=math.log(0.36), right=0.06, down=-0.05,
+TRUE = TransferModel(is_mirrored=True, rotation_rad=math.radians(40.0), log_scale=math.log(0.36), right=0.06, down=-0.05,
                 tilt_right=0.3, tilt_down=-0.2)  # fmt: skip
 SPREADS = 4.0  # standard deviations; and never nearer asked than
-LEAST = {"turn": math.radians(1.0), "log_scale": 0.02, "right": 0.005, "down": 0.005, "tilt_right": 0.03,
+LEAST = {"rotation_rad": math.radians(1.0), "log_scale": 0.02, "right": 0.005, "down": 0.005, "tilt_right": 0.03,
          "tilt_down": 0.03}  # fmt: skip
 
 
 def test_a_known_carrying_is_found_within_the_spread_told():
     found = fit_pairs(pairs(TRUE, 6))
-    assert found.carrying.mirrored
+    assert found.transfer.is_mirrored
     for name, least in LEAST.items():
-        off = getattr(found.carrying, name) - getattr(TRUE, name)
-        off = math.remainder(off, 2 * math.pi) if name == "turn" else off
-        assert abs(off) <= max(least, SPREADS * found.spread[name]), name
+        off = getattr(found.transfer, name) - getattr(TRUE, name)
+        off = math.remainder(off, 2 * math.pi) if name == "rotation_rad" else off
+        assert abs(off) <= max(least, SPREADS * found.std[name]), name
     others = pairs(TRUE, 10)[6:]
-    assert np.mean([score_fit(p, found.carrying, found.common) for p in others]) > 0.9
-    assert found.beginnings[0][0].startswith("mirrored")
+    assert np.mean([score_fit(p, found.transfer, found.mean_imprint) for p in others]) > 0.9
+    assert found.initial_guesses[0][0].startswith("mirrored")
 
 
 def test_what_the_touches_do_not_tell_is_named():
     level = replace(TRUE, tilt_right=0.0, tilt_down=0.0)
     dots = []
     for pair in pairs(level, 4):
-        y, x = np.indices(pair.touching.shape) - (SIDE_PX - 1) / 2
+        y, x = np.indices(pair.contact.shape) - (SIDE_PX - 1) / 2
         spot = np.clip(6.0 - np.hypot(x, y), 0.0, 1.0).astype(np.float32)  # round: alike from every side
         empty = ImprintPair(
-            name="dot", touching=spot, source_size=(1.0, 1.0), imprint=pair.imprint, target_size=(1.0, 1.0)
+            name="dot", contact=spot, source_size=(1.0, 1.0), imprint=pair.imprint, target_size=(1.0, 1.0)
         )
         real = transfer_imprint(empty, level)
         dots.append(replace(empty, imprint=real + 0.2 * np.random.default_rng(3).normal(size=real.shape).astype("f4")))
-    assert "turn" in fit_pairs(dots).undetermined
+    assert "rotation_rad" in fit_pairs(dots).undetermined
 
 
 def test_metric_pairs_keep_their_scale():
-    true = TransferModel(turn=math.radians(180.0), right=2.0, down=-1.0)
+    true = TransferModel(rotation_rad=math.radians(180.0), right=2.0, down=-1.0)
     found = fit_pairs(pairs(true, 3, metric=True))
-    assert found.carrying.log_scale == 0.0
-    assert abs(math.remainder(found.carrying.turn - math.pi, 2 * math.pi)) < math.radians(2.0)
-    assert (found.carrying.right, found.carrying.down) == pytest.approx((2.0, -1.0), abs=0.5)
+    assert found.transfer.log_scale == 0.0
+    assert abs(math.remainder(found.transfer.rotation_rad - math.pi, 2 * math.pi)) < math.radians(2.0)
+    assert (found.transfer.right, found.transfer.down) == pytest.approx((2.0, -1.0), abs=0.5)
 
 
 def test_too_few_pairs_are_refused():
@@ -78,6 +78,6 @@ def test_a_stroke_goes_on_where_it_pointed():
     along, beside = ((x - 32) * math.cos(angle) + (y - 32) * math.sin(angle),
                      (x - 32) * math.sin(angle) - (y - 32) * math.cos(angle))  # fmt: skip
     picture[(np.abs(beside) < 3) & (along > -5)] = 1.0
-    rays = continue_fit(picture)
+    rays = detect_boundary_ridges(picture)
     assert len(rays.x_px) == 1
     assert math.degrees(math.atan2(rays.down[0], rays.right[0])) == pytest.approx(25.0, abs=2.0)

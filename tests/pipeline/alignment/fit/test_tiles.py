@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 
 from pipeline.alignment.fit.agreement import compute_correlation
-from pipeline.alignment.fit.difference_tiles import ridges
-from pipeline.alignment.fit.image_rotation import WAYS, is_upside_down, rotate_image
-from pipeline.alignment.fit.pairs import tile_pairs
+from pipeline.alignment.fit.difference_tiles import detect_ridges
+from pipeline.alignment.fit.image_rotation import ORIENTATIONS, orient_image, rotate_half_turn
+from pipeline.alignment.fit.pairs import load_tile_pairs
 from pipeline.base.errors import FileProblem, SettingProblem
 from pipeline.physics.optics import compute_colour_change
 from pipeline.sensors.spec import load_sensor
 from tests.pipeline.alignment.fit.scenes import strokes
 
 SPEC = load_sensor("gelslim")
-BACK = {k: next(j for j in WAYS if np.array_equal(rotate_image(rotate_image(np.arange(9).reshape(3, 3), k), j),
-                                                  np.arange(9).reshape(3, 3))) for k in WAYS}  # fmt: skip
+BACK = {k: next(j for j in ORIENTATIONS if np.array_equal(orient_image(orient_image(np.arange(9).reshape(3, 3), k), j),
+                                                  np.arange(9).reshape(3, 3))) for k in ORIENTATIONS}  # fmt: skip
 
 
 def tile(seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -41,41 +41,41 @@ def change_of(touching: np.ndarray, seed: int) -> np.ndarray:
 
 def test_half_a_turn_twice_is_none():
     picture = np.arange(12).reshape(3, 4)
-    for way in WAYS:
-        assert is_upside_down(is_upside_down(way)) == way
+    for way in ORIENTATIONS:
+        assert rotate_half_turn(rotate_half_turn(way)) == way
         np.testing.assert_array_equal(
-            rotate_image(picture, is_upside_down(way)), rotate_image(picture, way)[::-1, ::-1]
+            orient_image(picture, rotate_half_turn(way)), orient_image(picture, way)[::-1, ::-1]
         )
 
 
-@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("way", ORIENTATIONS)
 def test_a_tile_tells_how_it_was_laid_and_where_it_is_touched(way: int):
     touching, picture = tile(way)
-    found = ridges(np.ascontiguousarray(rotate_image(picture, way)), SPEC)
-    assert found.way == BACK[way]
+    found = detect_ridges(np.ascontiguousarray(orient_image(picture, way)), SPEC)
+    assert found.orientation == BACK[way]
     assert found.curl_free > found.next_best
-    assert compute_correlation(found.touching, touching) > 0.7
+    assert compute_correlation(found.contact, touching) > 0.7
 
 
 def test_a_sensor_without_lights_has_no_tiles():
     with pytest.raises(SettingProblem, match="has no lights"):
-        ridges(tile(0)[1], load_sensor("soft_bubble"))
+        detect_ridges(tile(0)[1], load_sensor("soft_bubble"))
 
 
 def write(folder: Path, *, turns: bool) -> None:
     for k in range(4):
         touching, picture = tile(k)
         way = k if turns else 0
-        cv2.imwrite(str(folder / f"{k}_gelslim.png"), np.ascontiguousarray(rotate_image(picture, way))[..., ::-1])
+        cv2.imwrite(str(folder / f"{k}_gelslim.png"), np.ascontiguousarray(orient_image(picture, way))[..., ::-1])
         cv2.imwrite(
-            str(folder / f"{k}_bubble_gt.png"), np.ascontiguousarray(rotate_image((200 * touching).astype("u1"), way))
+            str(folder / f"{k}_bubble_gt.png"), np.ascontiguousarray(orient_image((200 * touching).astype("u1"), way))
         )
 
 
 @pytest.mark.parametrize("turns", [False, True])
 def test_tiles_are_paired_by_name_and_laid_alike(tmp_path: Path, turns: bool):
     write(tmp_path, turns=turns)
-    found = tile_pairs(tmp_path, SPEC, "*_gelslim.png", "*_bubble_gt.png")
+    found = load_tile_pairs(tmp_path, SPEC, "*_gelslim.png", "*_bubble_gt.png")
     assert [p.name for p in found.pairs] == ["0", "1", "2", "3"]
     for k, pair in enumerate(found.pairs):
         np.testing.assert_allclose(pair.imprint, (200 * tile(k)[0]).astype("u1"))
@@ -85,9 +85,9 @@ def test_tiles_are_paired_by_name_and_laid_alike(tmp_path: Path, turns: bool):
 def test_tiles_that_do_not_pair_are_refused(tmp_path: Path):
     write(tmp_path, turns=False)
     with pytest.raises(FileProblem, match=r"no two pictures are named \*_gelslim\.png and \*_other\.png"):
-        tile_pairs(tmp_path, SPEC, "*_gelslim.png", "*_other.png")
+        load_tile_pairs(tmp_path, SPEC, "*_gelslim.png", "*_other.png")
     with pytest.raises(FileProblem, match=r"one '\*'"):
-        tile_pairs(tmp_path, SPEC, "gelslim.png", "*_other.png")
+        load_tile_pairs(tmp_path, SPEC, "gelslim.png", "*_other.png")
 
 
 @pytest.mark.parametrize("late", [0, 5])
@@ -99,5 +99,5 @@ def test_tiles_that_are_paired_with_those_of_other_touches_are_doubted(tmp_path,
         other = (number + late) % len(spots)
         cv2.imwrite(str(tmp_path / f"{number:02d}_gel.png"), change_of(touching, number)[..., ::-1])
         cv2.imwrite(str(tmp_path / f"{other:02d}_imprint.png"), 255 * cv2.GaussianBlur(touching, (0, 0), 4))
-    told = " ".join(tile_pairs(tmp_path, SPEC, "*_gel.png", "*_imprint.png").notes)
+    told = " ".join(load_tile_pairs(tmp_path, SPEC, "*_gel.png", "*_imprint.png").notes)
     assert ("are these pairs of one touch each?" in told) is bool(late)

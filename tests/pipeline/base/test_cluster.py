@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.base.cluster import count_workers
+from pipeline.base.cluster import connect_cluster
 from pipeline.base.errors import SettingProblem
 from pipeline.cli.main import EXIT_USER_ERROR, build_app, run_app
 from pipeline.recordings import hdf5
@@ -65,7 +65,7 @@ def test_a_killed_worker_loses_nothing_and_what_is_here_is_not_done_again(cluste
                 self.done = len(list(tmp_path.iterdir()))
 
     watching = KillsOne()
-    with count_workers(cluster.scheduler_address) as elsewhere:
+    with connect_cluster(cluster.scheduler_address) as elsewhere:
         found = elsewhere.map(noted, [(n, str(tmp_path)) for n in range(12)], watching)
     assert watching.killed
     assert found == [n * n for n in range(12)]
@@ -126,7 +126,7 @@ def test_single_frames_stay_here(capsys):
 
 def test_an_address_without_a_scheduler_is_one_sentence(capsys, monkeypatch):
     monkeypatch.setattr("pipeline.base.cluster.CONNECT_S", 0.3)
-    with pytest.raises(SettingProblem, match="no scheduler answers"), count_workers("tcp://127.0.0.1:1"):
+    with pytest.raises(SettingProblem, match="no scheduler answers"), connect_cluster("tcp://127.0.0.1:1"):
         pass
     tokens = [
         "simulate",

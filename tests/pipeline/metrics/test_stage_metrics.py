@@ -14,10 +14,10 @@ from pipeline.geometry.symmetry import cyclic
 from pipeline.metrics.stage_metrics import (
     METRICS,
     PSNR_CAP_DB,
+    compute_mae_mm,
     compute_pose_metrics,
     describe_metric,
     iou,
-    mean_abs_mm,
     psnr_db,
 )
 from pipeline.values.frames import Truth
@@ -36,8 +36,8 @@ def test_iou_is_symmetric_and_one_only_for_equal_masks(a, b):
 def test_mean_error_leaves_out_missing_values_and_says_nan_when_none_is_left():
     estimate = np.array([[1.0, np.nan]])
     truth = np.array([[0.5, 0.0]])
-    assert mean_abs_mm(estimate, truth, np.array([[True, True]])) == 0.5
-    assert math.isnan(mean_abs_mm(estimate, truth, np.array([[False, True]])))
+    assert compute_mae_mm(estimate, truth, np.array([[True, True]])) == 0.5
+    assert math.isnan(compute_mae_mm(estimate, truth, np.array([[False, True]])))
 
 
 @given(st.integers(1, 50))
@@ -96,6 +96,6 @@ def test_pose_errors_after_symmetry_stand_beside_the_plain_ones_once_the_mesh_is
 
 
 def test_figures_have_a_name_for_people_and_no_two_have_one():
-    assert describe_metric("touch_depth.contact_mae_mm") == "felt: error in contact, mm"
-    assert describe_metric("touch_depth.contact_iou") == "felt: IoU of contact"
+    assert describe_metric("touch_depth.contact_mae_mm") == "touch_depth: error in contact, mm"
+    assert describe_metric("touch_depth.contact_iou") == "touch_depth: IoU of contact"
     assert len({metric.title for metric in METRICS.values()}) == len(METRICS)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.linalg import sqrtm
 
-from pipeline.metrics.set_distances import FEWEST, compare_halves, compute_floor, frechet_distance, kernel_distance
+from pipeline.metrics.set_distances import MIN_TOUCHES, compare_halves, compute_floor, frechet_distance, kernel_distance
 
 
 def sets(n=60, d=6, shift=0.0, seed=0):
@@ -37,7 +37,7 @@ def test_the_kernel_distance_has_no_bias_of_its_own_and_sees_a_shift():
 
 
 def test_too_few_touches_have_no_distance():
-    few = np.ones((FEWEST - 1, 3))
+    few = np.ones((MIN_TOUCHES - 1, 3))
     assert math.isnan(frechet_distance(few, few))
     assert math.isnan(kernel_distance(few, few))
 
