@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.base.arrays import Doubles, Floats, freeze
+from pipeline.base.arrays import Doubles, Floats, Mask, freeze
 from pipeline.base.errors import CalibrationError
 from pipeline.base.memo import Memo
 from pipeline.calibration import slope_model
@@ -45,6 +45,7 @@ _AMBIENT_SPREAD, _AMBIENT_TILT = 0.3, 0.3  # between colours, and over half of t
 _MISFIT, _MISFIT_REACH = 0.2, 0.7  # of the field's size, and halves of the picture over which it hangs together
 _SURE = 1e-9
 _GAINS = (0.05, 3.0)  # beyond, a colour tells nothing, or the middle of units rests on a few
+_WEAK_SHADING = 0.8  # of the median: balls on a real Mini are wrong by 60 % below, by 12 % elsewhere
 _SMALL_SLOPE = 1e-3  # mm/mm: the light is linear there
 _CODE = (
     "pipeline.calibration.near_led_prior", "pipeline.calibration.shading_field", "pipeline.calibration.slope_model",
@@ -158,6 +159,27 @@ def _described(sensor: SensorSpec) -> Floats:
         optics.compute_colour_change(sensor, *g)[row, col] / _SMALL_SLOPE for g in ((steep, level), (level, steep))
     ]
     return freeze(np.stack(change, axis=-1).reshape(*_GRID, 3, 2).astype(np.float32))
+
+
+def has_weak_shading(contact: Mask, reference: Floats, sensor: SensorSpec) -> bool:
+    """Whether a contact (rows, cols) lies where near LEDs hardly shade slopes, by the reference image (rows, cols, 3).
+
+    The slope direction with the weakest shading counts, relative to the median over the image.
+    """
+    import cv2
+
+    if not contact.any():
+        return False
+    table, change = compute_gains(sensor), compute_described_change(sensor)
+    rows, cols = table.shape[:2]
+    here = np.asarray(cv2.resize(reference, (cols, rows), interpolation=cv2.INTER_AREA), np.float32)
+    offset = np.float32(slope_model.OFFSET_GREY)
+    gain = table * (here + offset) / (here.reshape(-1, 3).mean(axis=0) + offset)
+    by_slope = gain[..., None] * change  # (rows, cols, colours, 2)
+    least = np.linalg.eigvalsh(np.einsum("rcki,rckj->rcij", by_slope, by_slope))[..., 0]
+    share = np.sqrt(np.maximum(least, 0.0) / max(float(np.median(least)), 1e-6)).astype(np.float32)
+    full = np.asarray(cv2.resize(share, contact.shape[::-1], interpolation=cv2.INTER_LINEAR), np.float32)
+    return float(np.median(full[contact])) < _WEAK_SHADING
 
 
 class _Lamps:

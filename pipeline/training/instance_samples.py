@@ -108,7 +108,7 @@ def _read(
     at, deep = gel_network_input.make_grid(source.camera.shape), gel_network_input.compute_depth_px(seen)
     depth_mm = source.pixel_mm * at.pixels_per_cell * deep
     return InstanceSample(
-        fields=illumination_channels.compute_all_channels(seen, source, measured.light),
+        fields=illumination_channels.compute_all_channels(seen, source, measured.illumination),
         indentation=at.resample_to_grid(pressed) / np.float32(depth_mm),
         contact=at.resample_to_grid(touched.astype(np.float32)) > np.float32(0.5), depth_mm=np.asarray(depth_mm),
     )  # fmt: skip

@@ -14,9 +14,8 @@ import numpy as np
 
 from pipeline.base.ranks import percentile
 from pipeline.physics.slopes import compute_slopes
-from pipeline.sensors.parts import Optics
 from pipeline.sensors.spec import SensorSpec
-from pipeline.stages.depth.adaptive_illumination import Illumination
+from pipeline.stages.depth.illumination.light import Illumination
 from pipeline.values.results import DepthErrorModel, DepthMap
 
 _UNEXPLAINED = 2.6
@@ -24,16 +23,16 @@ _STEEP = 95  # percentile of the contact's slopes
 _STEEPNESS = 0.2, 1.6  # mm/mm: what presses had
 
 
-def predict_gel_error(found: DepthMap, source: SensorSpec, light: Illumination | None) -> DepthErrorModel | None:
+def predict_gel_error(found: DepthMap, source: SensorSpec, illumination: Illumination | None) -> DepthErrorModel | None:
     """The error of a gel's answer that was read by `light`, None for a look-up's own; None where it is not known."""
     limits = source.limits
     if not limits.depth_rms_mm:
         return None
     other_mm = limits.depth_rms_other_instance_mm or limits.depth_rms_mm
-    if isinstance(light, Optics):
-        rms_mm = limits.depth_rms_mm if light == source.optics else other_mm
+    if illumination is not None and illumination.model == "leds":
+        rms_mm = other_mm if illumination.is_fitted_leds else limits.depth_rms_mm
     else:
-        rms_mm = other_mm if light is None else _UNEXPLAINED * other_mm
+        rms_mm = other_mm if illumination is None else _UNEXPLAINED * other_mm
     steep = _steepness(found, source.pixel_mm)
     return DepthErrorModel(rms_mm=steep * rms_mm, correlation_mm=limits.depth_correlation_mm)
 

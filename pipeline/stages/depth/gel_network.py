@@ -29,7 +29,6 @@ from pipeline.engine.digests import compute_cached_digest
 from pipeline.networks.gel_depth_prediction import PHYSICS_CONTACT_LOGIT, GelDepthPrediction
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import (
-    adaptive_illumination,
     contact,
     draft_resolution,
     drift,
@@ -38,6 +37,7 @@ from pipeline.stages.depth import (
     photometric,
 )
 from pipeline.stages.depth.gel_depth import MeasuredSurface
+from pipeline.stages.depth.illumination.light import Illumination
 from pipeline.values.frames import TactileFrame
 from pipeline.values.results import DepthErrorModel, DepthMap
 
@@ -96,7 +96,8 @@ def estimate_depth(
         small = draft_resolution.downsample_frame(frame, seen_by.camera, factor)
         depth = _estimate(
             small, source, draft_resolution.downsample_calibration(calibration, factor), network,
-            photometric.scale_params(params, factor), progress, photometric.get_cached_light(frame, source),
+            photometric.scale_params(params, factor), progress,
+            photometric.estimate_illumination(frame, source, calibration, progress),
         )  # fmt: skip
         depth = draft_resolution.upsample_depth(depth, seen_by, factor)
     return photometric.add_calibration_notes(depth, frame, source, calibration)
@@ -104,15 +105,15 @@ def estimate_depth(
 
 def _estimate(
     frame: TactileFrame, source: SensorSpec, calibration: Calibration | None, network: GelNetwork,
-    params: NetworkParams, progress: Progress, light: adaptive_illumination.Illumination | None = None,
+    params: NetworkParams, progress: Progress, illumination: Illumination | None = None,
 ) -> DepthMap:  # fmt: skip
     """The photometric depth, corrected where the network applies."""
-    physical, measured, inputs = estimate_physical_depth(frame, source, progress, calibration, params, light)
+    physical, measured, inputs = estimate_physical_depth(frame, source, progress, calibration, params, illumination)
     if measured is None or not physical.contact.any():
         return physical
     progress.step(0.9, "correcting by the network")
     seen_by = match_pixel_size(source if frame.camera is None else source.with_camera(frame.camera), calibration)
-    reason = illumination_channels.explain_exclusion(seen_by, measured.light)
+    reason = illumination_channels.explain_exclusion(seen_by, measured.illumination)
     if reason:
         return replace(physical, notes=(*physical.notes, reason))
     return correct_depth(
@@ -139,7 +140,7 @@ def correct_depth(
     grid = gel_network_input.make_grid(source.camera.shape)
     cell_mm = np.float32(source.pixel_mm * grid.pixels_per_cell)
     unit_px = np.float32(gel_network_input.compute_depth_px(inputs))  # unit of the network's lengths
-    channels = illumination_channels.compute_all_channels(inputs, source, measured.light)
+    channels = illumination_channels.compute_all_channels(inputs, source, measured.illumination)
     prediction = GelDepthPrediction(*network(channels))
     limit = math.log(params.certainty / (1.0 - params.certainty))
     logit = grid.resample_to_image(prediction.contact_logit_correction)
@@ -174,14 +175,14 @@ def estimate_physical_depth(
     progress: Progress = SILENT,
     calibration: Calibration | None = None,
     params: photometric.DepthParams | None = None,
-    light: adaptive_illumination.Illumination | None = None,
+    illumination: Illumination | None = None,
 ) -> tuple[DepthMap, MeasuredSurface | None, gel_network_input.NetworkInput]:
     """The photometric depth of a frame, the surface it was made of, and the network's input from both.
 
-    A `light` that is given is used instead of an estimate.
+    `illumination` None: the one estimated from the frame itself.
     """
     params = params or photometric.DepthParams()
-    physical, measured = photometric.estimate_gel_depth(frame, source, calibration, params, progress, light)
+    physical, measured = photometric.estimate_gel_depth(frame, source, calibration, params, progress, illumination)
     seen_by = match_pixel_size(source if frame.camera is None else source.with_camera(frame.camera), calibration)
     image, reference = cast("Image", frame.image), cast("Image", frame.reference)
     reference = drift.apply_estimated_drift(image, reference).image

@@ -17,8 +17,9 @@ from pipeline.calibration.calibration_table import Calibration
 from pipeline.physics.reference_colours import MirrorDirection, mirror_image
 from pipeline.physics.slopes import compute_slopes
 from pipeline.sensors.spec import SensorSpec
-from pipeline.stages.depth import change_detection, drift, surface_refinement
+from pipeline.stages.depth import change_detection, drift
 from pipeline.stages.depth.change_detection import ImageWindow
+from pipeline.stages.depth.illumination import image_patch
 from pipeline.stages.depth.poisson import SideBoundaries, integrate_slopes
 from pipeline.values.frames import TactileFrame
 
@@ -46,9 +47,9 @@ def _no_surface(
     image: Image, still: Floats, window: ImageWindow, source: SensorSpec, calibration: Calibration
 ) -> float:
     """The share of the slopes' squares that no surface has."""
-    picture = surface_refinement.extract_patch(image, still, window, 1.0, source.markers, calibration.pixel_mm)
-    small = surface_refinement.downsample_patch(picture, image.shape)
-    gx, gy = surface_refinement.look_up_slopes(small, calibration)
+    picture = image_patch.extract_patch(image, still, window, 1.0, source.markers, calibration.pixel_mm)
+    small = image_patch.downsample_patch(picture, image.shape)
+    gx, gy = image_patch.look_up_slopes(small, calibration)
     bent = compute_slopes(
         integrate_slopes(gx, gy, small.pixel_mm, SideBoundaries("free", "free", "free", "free")), small.pixel_mm
     )

@@ -25,13 +25,13 @@ from pipeline.geometry.camera import Camera
 from pipeline.physics.reference_colours import compare_colours
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import (
-    adaptive_illumination,
     bubble_depth,
     depth_error,
     draft_resolution,
     gel_depth,
-    surface_refinement,
 )
+from pipeline.stages.depth.illumination import frame_illumination
+from pipeline.stages.depth.illumination.light import Illumination
 from pipeline.stages.depth.mirror_check import looks_mirrored
 from pipeline.stages.depth.poisson import Boundary
 from pipeline.values.frames import TactileFrame
@@ -39,7 +39,6 @@ from pipeline.values.pixel_index import make_pixel_index
 from pipeline.values.results import DepthErrorModel, DepthMap
 
 _UNTOUCHED = "nothing touches the sensor"
-_LIGHTS = 1024  # pictures whose light is remembered: a few hundred bytes each
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -89,10 +88,10 @@ def estimate_depth(
 ) -> DepthMap:
     """Indentation (mm, positive toward the camera), depth and contact of a frame, in the source sensor's frame.
 
-    `calibration` None stands for the look-up that the sensor's description implies. The frame's own camera is used
-    where it brings one. Raises ShapeError for a frame that cannot be read, CalibrationError for one of another sensor.
+    `calibration` None stands for the table that the sensor's description implies. The frame's own camera is used where
+    it has one. Raises ShapeError for a frame that cannot be read, CalibrationError for one of another sensor.
     """
-    progress.step(0.0, "comparing with the untouched frame")
+    progress.step(0.0, "comparing with the reference image")
     check_frame(frame, source)
     return load_reference(source.sensor_kind.depth_estimator)(frame, source, calibration, params, progress)
 
@@ -101,9 +100,10 @@ def estimate_bubble_frame(
     frame: TactileFrame, source: SensorSpec, _calibration: Calibration | None, params: DepthParams, _progress: Progress
 ) -> DepthMap:
     """`estimate_depth` of a bubble's frame that has been checked."""
-    seen_by = source if frame.camera is None else source.with_camera(frame.camera)
     least_mm = params.contact_limit * source.limits.contact_min_mm
-    found = bubble_depth.estimate_depth(frame, seen_by, smoothing_px=params.smoothing_px, least_mm=least_mm)
+    found = bubble_depth.estimate_depth(
+        frame, see_by_frame(source, frame), smoothing_px=params.smoothing_px, least_mm=least_mm
+    )
     return replace(found, error=make_bubble_error(source))
 
 
@@ -111,34 +111,42 @@ def estimate_gel_frame(
     frame: TactileFrame, source: SensorSpec, calibration: Calibration | None, params: DepthParams, progress: Progress
 ) -> DepthMap:
     """`estimate_depth` of a gel's frame that has been checked; drafts have fewer pixels."""
-    seen_by = source if frame.camera is None else source.with_camera(frame.camera)
     by = compute_downsampling(frame, source, params)
     if by == 1:
         return estimate_gel_depth(frame, source, calibration, params, progress)[0]
-    light = get_cached_light(frame, source)
+    illumination = estimate_illumination(frame, source, calibration, progress)
+    seen_by = see_by_frame(source, frame)
     less = (
         draft_resolution.downsample_frame(frame, seen_by.camera, by),
         source,
         draft_resolution.downsample_calibration(calibration, by),
         scale_params(params, by),
     )
-    return draft_resolution.upsample_depth(estimate_gel_depth(*less, progress, light)[0], seen_by, by)
+    return draft_resolution.upsample_depth(estimate_gel_depth(*less, progress, illumination)[0], seen_by, by)
+
+
+def see_by_frame(source: SensorSpec, frame: TactileFrame) -> SensorSpec:
+    """The sensor with the frame's own camera, where it has one."""
+    return source if frame.camera is None else source.with_camera(frame.camera)
 
 
 def compute_downsampling(frame: TactileFrame, source: SensorSpec, params: DepthParams) -> int:
-    """How many pixels of a gel's frame lie along a side of one that is looked at: more than one in a draft."""
-    seen_by = source if frame.camera is None else source.with_camera(frame.camera)
-    return draft_resolution.compute_downsampling(seen_by.camera.shape) if params.draft else 1
+    """Downsampling factor of a gel's frame: 1 is full resolution, drafts have more."""
+    return draft_resolution.compute_downsampling(see_by_frame(source, frame).camera.shape) if params.draft else 1
 
 
 def scale_params(params: AnyDepthParams, by: int) -> AnyDepthParams:
-    """The same for pictures with `by` times fewer pixels along a side."""
+    """The parameters for images downsampled by a factor."""
     return replace(params, smoothing_px=params.smoothing_px / by)
 
 
-def get_cached_light(frame: TactileFrame, source: SensorSpec) -> adaptive_illumination.Illumination | None:
-    """What the last whole answer of the picture was read by; None where there was none."""
-    return _lights.get(_pictures(frame, source))
+def estimate_illumination(
+    frame: TactileFrame, source: SensorSpec, calibration: Calibration | None, progress: Progress = SILENT
+) -> Illumination:
+    """The illumination of a gel's frame, by the frame's content alone; see `frame_illumination`."""
+    seen_by = see_by_frame(source, frame)
+    table = calibration if calibration is not None else make_built_in(seen_by)
+    return frame_illumination.estimate_illumination(frame, seen_by, table, progress)
 
 
 def estimate_gel_depth(
@@ -147,29 +155,28 @@ def estimate_gel_depth(
     calibration: Calibration | None,
     params: DepthParams,
     progress: Progress = SILENT,
-    light: adaptive_illumination.Illumination | None = None,
+    illumination: Illumination | None = None,
 ) -> tuple[DepthMap, gel_depth.MeasuredSurface | None]:
-    """`depth` of a gel's frame, and what it was made of; the frame has been checked.
+    """Depth of a gel's frame, and the surface it rests on; the frame has been checked.
 
-    A `light` that is known to explain the picture is not looked for.
+    `illumination` None is the frame's own; a downsampled frame takes that of the full one.
     """
-    seen_by = source if frame.camera is None else source.with_camera(frame.camera)
-    look_up = calibration if calibration is not None else make_built_in(seen_by)
+    seen_by = see_by_frame(source, frame)
+    table = calibration if calibration is not None else make_built_in(seen_by)
+    if illumination is None:
+        illumination = frame_illumination.estimate_illumination(frame, seen_by, table, progress)
     found, measured = gel_depth.measure_gel_depth(
-        frame, seen_by, look_up,
+        frame, seen_by, table, illumination,
         no_touch_grey=source.limits.no_contact_change / params.sensitivity,
         least_mm=params.contact_limit * source.limits.contact_min_mm,
         pressure_share=params.pressure_share,
         smoothing_px=params.smoothing_px,
         boundary=params.boundary,
         progress=progress,
-        iterations=draft_resolution.DRAFT_ITERATIONS if params.draft else surface_refinement.MAX_ITERATIONS,
-        light=light,
+        draft=params.draft,
     )  # fmt: skip
-    if measured is not None and measured.light is not None and not params.draft:
-        _lights.put(_pictures(frame, source), measured.light)
-    told = depth_error.predict_gel_error(found, seen_by, None if measured is None else measured.light)
-    return replace(found, error=told), measured
+    error = depth_error.predict_gel_error(found, seen_by, None if measured is None else measured.illumination)
+    return replace(found, error=error), measured
 
 
 def make_bubble_error(source: SensorSpec) -> DepthErrorModel | None:
@@ -211,7 +218,7 @@ def describe_mismatch(frame: TactileFrame, source: SensorSpec) -> str:
     """
     if frame.is_depth or frame.reference is None:
         return ""
-    seen_by = source if frame.camera is None else source.with_camera(frame.camera)
+    seen_by = see_by_frame(source, frame)
     found = compare_colours(cast("Image", frame.reference), seen_by)
     if found.problem:
         return f"the untouched picture is not as {source.name} takes it: {found.problem}"
@@ -238,7 +245,7 @@ def skip_without_contact(
     notes = load_reference(kind.contact_checker)(image, reference, limit)
     if notes is None:
         return None
-    seen_by = source if frame.camera is None else source.with_camera(frame.camera)
+    seen_by = see_by_frame(source, frame)
     if frame.image.shape[:2] != seen_by.camera.shape:
         return None
     at_rest = _at_rest(frame, seen_by)
@@ -283,17 +290,4 @@ def _at_rest(frame: TactileFrame, source: SensorSpec) -> DepthMap:
     )
 
 
-def _pictures(frame: TactileFrame, source: SensorSpec) -> tuple[str, ...]:
-    """What a light belongs to: the touch as it was seen, however it is read."""
-    return (
-        source.name,
-        compute_cached_digest(frame.image),
-        compute_cached_digest(frame.reference),
-        compute_cached_digest(frame.context_frames),
-    )
-
-
 _rests: Memo[tuple[str, Camera], DepthMap] = Memo(16)
-# The light that the last whole answer of a picture was read by: a draft of it does not look for one again, which takes
-# half of its time, and shows what letting go will show.
-_lights: Memo[tuple[str, ...], adaptive_illumination.Illumination] = Memo(_LIGHTS)

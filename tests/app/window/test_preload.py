@@ -7,14 +7,14 @@ from app.window import preload
 from app.window.preload import PreloadController
 from app.work.preload import preload_depth
 from pipeline.base.progress import Cancelled
-from pipeline.stages.depth import gel_surface
+from pipeline.stages.depth.illumination import gel_surface
 
 
 def test_an_empty_window_reads_a_touch_beforehand(monkeypatch, qtbot, open_window):
     integrated = []
     monkeypatch.setattr(
         gel_surface,
-        "integrate",
+        "integrate_slopes",
         lambda *given, whole=gel_surface.integrate_slopes: integrated.append(1) or whole(*given),
     )
     own = PreloadController(open_window())

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -15,6 +13,7 @@ from pipeline.simulation.poses import make_paper_grid
 from pipeline.simulation.press import simulate_press
 from pipeline.simulation.variation import vary_sensor
 from pipeline.stages.depth import depth_error
+from pipeline.stages.depth.illumination.light import Illumination
 from pipeline.stages.depth.photometric import DepthParams, estimate_depth
 from pipeline.stages.pose.signed_distances import PoseParams, track_pose
 from pipeline.values.frames import TactileFrame
@@ -56,20 +55,20 @@ def test_measured_depth_carries_the_error_that_presses_show(name, other):
     assert 1 / LENGTHS_WITHIN < np.median(told_length_mm) / np.mean(length_mm) < LENGTHS_WITHIN
 
 
-def told_of(light, *, steep=1.0):
+def told_of(illumination, *, steep=1.0):
     spec = load_sensor("digit")
     shape = spec.camera.shape
     ramp = (steep * spec.pixel_mm * np.arange(shape[1], dtype=np.float32)[None, :]) * np.ones(shape, np.float32)
     rest = np.zeros(shape, np.float32)
     found = DepthMap(indentation_mm=ramp, depth_mm=rest, contact=rest == 0, camera=spec.camera,
                      source_index=make_pixel_index(shape))  # fmt: skip
-    return depth_error.predict_gel_error(found, spec, light).rms_mm
+    return depth_error.predict_gel_error(found, spec, illumination).rms_mm
 
 
 def test_a_touch_errs_as_its_light_and_its_slopes_have_it():
     spec = load_sensor("digit")
-    other = replace(spec.optics, vignette=0.5 * spec.optics.vignette + 0.1)
-    described, told, refused = (told_of(light) for light in (spec.optics, other, "sure"))
+    usual, other = (Illumination(model="leds", parameters=(k,) * 20) for k in (0.0, 0.1))
+    described, told, refused = (told_of(light) for light in (usual, other, Illumination(model="trusted")))
     assert described == pytest.approx(spec.limits.depth_rms_mm, rel=1e-3)
     assert told == pytest.approx(spec.limits.depth_rms_other_instance_mm, rel=1e-3)
     assert 2 * described < told < 0.5 * refused

@@ -1,4 +1,4 @@
-"""Drafts: near the full answer, told as such, and called so all the way down."""
+"""Drafts: close to the full result, and marked as drafts in all that rests on them."""
 
 from __future__ import annotations
 
@@ -12,16 +12,10 @@ from pipeline.base.progress import SILENT
 from pipeline.engine.graph import Graph, Method
 from pipeline.metrics.stage_metrics import iou
 from pipeline.recordings import open_recording
-from pipeline.sensors.parts import Optics
 from pipeline.sensors.spec import load_sensor
-from pipeline.stages.depth import (
-    adaptive_illumination,
-    draft_resolution,
-    led_calibration,
-    photometric,
-    surface_refinement,
-)
+from pipeline.stages.depth import draft_resolution, gel_depth, photometric
 from pipeline.stages.depth.gel_network import NetworkParams
+from pipeline.stages.depth.illumination.constants import CONSTANTS
 from pipeline.stages.depth.stage import NETWORK, PHYSICS
 
 TOUCHED = 5
@@ -39,7 +33,7 @@ def read(method, frame, params, name="gelslim"):
 
 
 @pytest.mark.parametrize("method", [NETWORK, PHYSICS], ids=lambda method: method.name)
-def test_a_draft_of_a_gels_depth_is_near_the_full_answer_on_the_same_pixels(frame, method):
+def test_a_draft_of_a_gel_is_close_to_the_full_result_on_the_same_pixels(frame, method):
     gel = load_sensor("gelslim")
     whole, draft = (read(method, frame, params) for params in (method.params(), method.draft(method.params())))
     assert draft.indentation_mm.shape == whole.indentation_mm.shape == draft.contact.shape
@@ -55,7 +49,7 @@ def test_a_draft_of_a_gels_depth_is_near_the_full_answer_on_the_same_pixels(fram
 
 
 @pytest.mark.parametrize("index", [3, 8, 9, 13])
-def test_a_draft_loses_no_touch_that_fills_the_view(index):
+def test_a_draft_keeps_touches_that_fill_the_view(index):
     stream, spec = open_recording(SAMPLE_RECORDING, sensor="digit").stream("digit"), load_sensor("digit")
     draft = photometric.estimate_depth(
         stream.frame(index), spec, None, photometric.make_draft_params(photometric.DepthParams())
@@ -68,51 +62,44 @@ def test_a_draft_loses_no_touch_that_fills_the_view(index):
         ).contact.any()
 
 
-def test_settings_of_physics_count_where_the_network_corrects_it(frame):
+def test_settings_of_physics_affect_the_network_method(frame):
     whole, faint = (read(NETWORK, frame, NetworkParams(contact_limit=limit)) for limit in (1.0, 8.0))
     assert 0 < faint.contact.sum() < whole.contact.sum()
 
 
-def test_a_draft_looks_for_no_light_where_the_whole_answer_has_found_one(frame, monkeypatch):
-    gel, looked, lit = load_sensor("gelslim"), [], []
-    fitted, read_by = led_calibration.fit_leds, adaptive_illumination.refine_in_light
-    monkeypatch.setattr(led_calibration, "fit_leds", lambda *given: looked.append(1) or fitted(*given))
-    monkeypatch.setattr(
-        adaptive_illumination, "refine_in_light", lambda *given, **also: lit.append(given[0]) or read_by(*given, **also)
-    )
-    image = frame.image.copy()
-    image[0, 0] ^= 1  # a picture that nobody has read
-    unread = replace(frame, image=image)
-    photometric.estimate_depth(unread, gel, None, photometric.make_draft_params(photometric.DepthParams()))
-    assert len(looked) == 1
-    photometric.estimate_depth(unread, gel, None, photometric.DepthParams())
-    looked.clear(), lit.clear()
-    photometric.estimate_depth(
-        unread, gel, None, photometric.make_draft_params(photometric.DepthParams(sensitivity=1.2))
-    )
-    assert looked == []
-    assert lit
-    assert all(isinstance(light, Optics) for light in lit)
+def test_a_draft_takes_the_illumination_of_the_full_frame(frame, monkeypatch):
+    gel, used = load_sensor("gelslim"), []
+    measure = gel_depth.measure_gel_depth
+
+    def watch(frame, source, calibration, illumination, **settings):
+        used.append(illumination)
+        return measure(frame, source, calibration, illumination, **settings)
+
+    monkeypatch.setattr(gel_depth, "measure_gel_depth", watch)
+    for params in (photometric.make_draft_params(photometric.DepthParams(sensitivity=1.2)), photometric.DepthParams()):
+        photometric.estimate_depth(frame, gel, None, params)
+    assert used[0] == used[1] == photometric.estimate_illumination(frame, gel, None)
+    assert used[0].model == "leds"
 
 
-def test_a_picture_that_is_read_can_be_stopped_at_every_round(frame):
-    told = []
+def test_a_frame_can_be_cancelled_at_every_iteration(frame):
+    fractions = []
 
-    class Told:
+    class Recorder:
         def step(self, fraction, text):
-            told.append(fraction)
+            fractions.append(fraction)
 
-    photometric.estimate_depth(frame, load_sensor("gelslim"), None, photometric.DepthParams(), Told())
-    assert len(told) > surface_refinement.MAX_ITERATIONS + 4
-    assert told == sorted(told)
+    photometric.estimate_depth(frame, load_sensor("gelslim"), None, photometric.DepthParams(), Recorder())
+    assert len(fractions) > CONSTANTS.iterations + 4
+    assert fractions == sorted(fractions)
 
 
-def test_a_small_picture_is_read_whole():
+def test_a_small_image_is_not_downsampled():
     assert draft_resolution.compute_downsampling((160, 214)) == 1
     assert draft_resolution.compute_downsampling((1280, 1708)) == 8
 
 
-def test_a_smaller_picture_is_what_a_smaller_camera_would_have_taken(frame):
+def test_a_downsampled_frame_is_that_of_a_smaller_camera(frame):
     gel = load_sensor("gelslim")
     small = draft_resolution.downsample_frame(frame, gel.camera, 2)
     assert small.image.shape[:2] == small.camera.shape == (160, 213)
@@ -125,11 +112,11 @@ class Params:
     draft: bool = False
 
 
-def test_what_rests_on_a_draft_is_called_one_too():
-    def made(slot, *reads):
-        return Method(stage=slot, name="m", title=slot, run=lambda *_: slot, params=Params, reads=reads)
+def test_what_rests_on_a_draft_is_a_draft():
+    def make_method(stage, *reads):
+        return Method(stage=stage, name="m", title=stage, run=lambda *_: stage, params=Params, reads=reads)
 
-    graph = Graph((made("a"), made("b", "a"), made("c", "b"), made("d", "a")))
+    graph = Graph((make_method("a"), make_method("b", "a"), make_method("c", "b"), make_method("d", "a")))
     results = graph.evaluate("abcd", {}, {"b": Params(draft=True)})
     assert {name: result.draft for name, result in results.items()} == {"a": False, "b": True, "c": True, "d": False}
     again = graph.evaluate("abcd", {}, {"b": replace(Params(), draft=False)})

@@ -26,7 +26,7 @@ def raise_walls(surface_mm: Floats, wanted: tuple[Floats, Floats], sure: Floats,
     """The surface (rows, cols), moved as a whole, whose slopes come nearest to those wanted; see `poisson.nearest`."""
     import cv2
 
-    from pipeline.stages.depth.wall_correction_kernels import accumulate_normal_equations
+    from pipeline.stages.depth.illumination.wall_correction_kernels import accumulate_normal_equations
 
     shapes = _shapes(surface_mm)
     if not shapes:

@@ -1,0 +1,82 @@
+"""Constants of the gel illumination models and of the surface refinement, each with its unit and source.
+
+"Chosen" means that `docs/experiments.md` compares the value with neighbours a third less and half as much again.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class IlluminationConstants:
+    """Grey levels are those of 8-bit images; slopes are in mm/mm; shares are of 1."""
+
+    # Surface refinement
+    iterations: int = 4  # two leave 20 % more error on a GelSlim, whose LEDs are low
+    draft_iterations: int = 2  # two thirds of the time; 23 um instead of 21 um from the full result in contact
+    trusted_iteration_factor: int = 2  # walls rise for longer in light that explains the image
+    cg_steps: int = 6  # conjugate-gradient steps of an iteration; 12 come no nearer
+    fine_cg_steps: int = 4  # the same at full resolution, where only detail is missing
+    grid_cells: int = 160  # along the longer side of the refinement grid (chosen)
+    huber_grey: float = 20.0  # larger residuals are dust, reflections, or another sensor instance (chosen)
+    outside_weight: float = 1e4  # grey^2 per squared slope: weight of level gel outside the changed region
+    bulge_mm: float = -0.5  # lowest indentation: no gel bulges out farther
+
+    # LED fit, see `parameter_fit`
+    led_grid_cells: int = 80  # along the longer side: half the refinement grid determines the LEDs as well
+    fit_iterations: int = 4
+    fit_refinements: int = 2  # surface refinements in each iteration of the fit
+    fit_cg_steps: int = 8
+    rate_step: float = 0.15  # standard deviations, for numerical derivatives
+    max_fit_step: float = 4.0  # Mahalanobis length of one step: walls are not linear in the LED parameters
+    noise_grey: float = 6.0  # standard deviation of a colour that no LEDs explain (chosen)
+    pull: float = 100.0  # grey^2 per squared slope: regularises the projection onto surfaces
+    projection_cg_steps: int = 3
+    black_grey: float = 2.0  # camera values at or below carry no information
+    white_grey: float = 252.0  # camera values at or above carry no information
+
+    # Field fit, see `field_light`
+    field_iterations: int = 3
+    field_refinements: int = 2
+    first_field_refinements: int = 3
+    field_depth_factors: tuple[float, ...] = (0.8, 1.0, 1.25)  # depths of the surface compared in each iteration
+    field_samples: int = 1500  # pixels that the posterior uses
+    min_field_samples: int = 60  # fewer determine no field
+    min_relative_change: float = 0.1  # of the relative change q: slopes, not noise
+    field_noise: float = 0.05  # of q: what no smooth field explains
+    field_independent_pixels: float = 200.0  # lens blur spans six pixels; a touch and its surroundings 80
+
+    # Choice of the model, see `selection`
+    explained_share: float = 0.6  # of the change, left by trusted light: simulated instances 0.10-0.56, real from 0.63
+    field_gain: float = 2.5  # described misfit / field misfit: simulated Minis 1.0-1.9, balls on a real Mini 3.1-5.9
+    hopeless_field_gain: float = 1.5  # after any iteration: two more gain a factor of 1.4 at most
+    near_gain: float = 0.95  # described / near misfit: simulated instances 0.56-0.94, real ones mostly more
+
+
+CONSTANTS = IlluminationConstants()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StepRule:
+    """How one refinement iteration moves the slopes, and how it makes them a surface."""
+
+    pull: float  # grey^2 per squared slope: holds a step back where the colours determine little
+    max_slope: float  # mm/mm
+    weighted: bool  # solve for the surface nearest to the slopes, each weighted by its certainty
+    blurred: bool = False  # remove what the lens cannot show from the step
+
+    def pack_limits(self) -> tuple[np.float32, np.float32, np.float32, np.float32]:
+        """(pull, Huber limit, steepest slope, outside weight) as the kernel takes them."""
+        huber, outside = np.float32(CONSTANTS.huber_grey), np.float32(CONSTANTS.outside_weight)
+        return np.float32(self.pull), huber, np.float32(self.max_slope), outside
+
+
+# 1.43 mm/mm is 55 degrees: the light hardly changes beyond. Walls beside edges have slopes of 2 to 3. In light that is
+# not the instance's own, colours are less certain than they are clear, so that slopes count alike and are held back.
+DESCRIBED_STEP = StepRule(pull=500.0, max_slope=1.43, weighted=False)
+TRUSTED_STEP = StepRule(pull=100.0, max_slope=4.0, weighted=True)
+SHADOW_STEP = StepRule(pull=100.0, max_slope=1.43, weighted=True, blurred=True)
+FIELD_STEP = StepRule(pull=20.0, max_slope=1.43, weighted=False)

@@ -1,0 +1,206 @@
+"""Compiled rendering of the three light models, with derivatives, and the Gauss-Newton step of the slopes.
+
+Colour images are passed as (rows, 3 cols): a stride that the compiler does not know is slow. `change` is in grey
+levels; `rate_x` and `rate_y` are its derivatives by the slopes gx and gy (grey levels per mm/mm).
+"""
+# pyright: basic
+
+import math
+
+import numpy as np
+
+from pipeline.base.cached_kernels import FAST, inlined, kernel
+
+TILE_PX = 128  # pixels of a row that are processed together, so that loops without branches are vectorised
+N_LINES = 9  # scratch lines of a tile
+_LINE = tuple(np.uint64(k * TILE_PX) for k in range(N_LINES))
+_L1, _L2, _L3, _L4, _L5, _L6, _L7, _L8 = _LINE[1:]
+_COLOURS, _GREEN, _BLUE = np.uint64(3), np.uint64(1), np.uint64(2)
+_MIN_GREY, _MAX_GREY = np.float32(0.5), np.float32(254.0)  # the camera carries no information beyond
+_NOISE_GREY = np.float32(1.5)
+_MAX_STEP = np.float32(0.3)  # mm/mm: the light is linear in the slope for about that far
+
+
+@inlined()
+def _lens_share(x, y, cols, rows, vignette):
+    one, two, half = np.float32(1.0), np.float32(2.0), np.float32(0.5)
+    u, v = (x + half) * two / cols - one, (y + half) * two / rows - one
+    corner = (u * u + v * v) * half
+    return one - vignette * corner * corner
+
+
+@kernel(fastmath=FAST)
+def render_led_light(gx, gy, place, light, line, change, rate_x, rate_y):
+    """Render slopes in the light of distant LEDs.
+
+    place: x (cols,) and y (rows,) in the image; its size (cols, rows) in pixels; the LEDs and their strength as
+    `optics.pack_leds` has them; the vignette. light, each (rows, 3 cols): the reference image, the gain of the
+    instance's light over the described one, and the share of light that no dent blocks. line (9 TILE,): scratch.
+    """
+    x, y, size, leds, strength, vignette = place
+    reference, gain, share = light
+    rows, cols = gx.shape
+    one, zero = np.float32(1.0), np.float32(0.0)
+    for row in range(rows):
+        r = np.uint64(row)
+        for start in range(0, cols, TILE_PX):
+            n, first = min(TILE_PX, cols - start), np.uint64(start)
+            line[:] = zero
+            for number in range(leds.shape[0]):
+                led, power = leds[number], strength[number]
+                for i in range(n):
+                    t, c = np.uint64(i), np.uint64(i) + first
+                    sx, sy = gx[r, c], gy[r, c]
+                    slant = one / np.sqrt(one + sx * sx + sy * sy)
+                    facing = (led[2] - sx * led[0] - sy * led[1]) * slant
+                    lens = _lens_share(x[c], y[r], size[0], size[1], vignette)
+                    weight = lens * (power[0] + power[1] * x[c] + power[2] * y[r]) / (one - led[2])
+                    more = ((facing if facing > zero else zero) - led[2]) * weight
+                    bent, weight = facing * slant * slant, weight if facing > zero else zero
+                    across, down = (-led[0] * slant - bent * sx) * weight, (-led[1] * slant - bent * sy) * weight
+                    line[t] += more * led[3]
+                    line[t + _L1] += more * led[4]
+                    line[t + _L2] += more * led[5]
+                    line[t + _L3] += across * led[3]
+                    line[t + _L4] += across * led[4]
+                    line[t + _L5] += across * led[5]
+                    line[t + _L6] += down * led[3]
+                    line[t + _L7] += down * led[4]
+                    line[t + _L8] += down * led[5]
+            for i in range(n):
+                t, red = np.uint64(i), _COLOURS * (np.uint64(i) + first)
+                green, blue = red + _GREEN, red + _BLUE
+                dark, by = reference[r, red], gain[r, red] * share[r, red]
+                change[r, red] = dark * (share[r, red] - one) + line[t] * by
+                rate_x[r, red], rate_y[r, red] = line[t + _L3] * by, line[t + _L6] * by
+                dark, by = reference[r, green], gain[r, green] * share[r, green]
+                change[r, green] = dark * (share[r, green] - one) + line[t + _L1] * by
+                rate_x[r, green], rate_y[r, green] = line[t + _L4] * by, line[t + _L7] * by
+                dark, by = reference[r, blue], gain[r, blue] * share[r, blue]
+                change[r, blue] = dark * (share[r, blue] - one) + line[t + _L2] * by
+                rate_x[r, blue], rate_y[r, blue] = line[t + _L5] * by, line[t + _L8] * by
+
+
+@kernel(fastmath=FAST)
+def render_shadow_light(gx, gy, level, visible, leds, share, change, rate_x, rate_y):
+    """Render slopes in the light of low LEDs of which shading and shadow take the light only once.
+
+    level (rows, 3 cols): light on level gel; visible (n, rows, cols): share of each LED's light that passes the
+    surface; leds (n, 3): unit vectors toward them; share (3, n): their share of each colour's light on level gel.
+    """
+    rows, cols = gx.shape
+    one, zero = np.float32(1.0), np.float32(0.0)
+    for r in range(rows):
+        for c in range(cols):
+            sx, sy = gx[r, c], gy[r, c]
+            slant = one / np.sqrt(one + sx * sx + sy * sy)
+            for k in range(3):
+                more, across, down = zero, zero, zero
+                for n in range(leds.shape[0]):
+                    facing, by = (leds[n, 2] - sx * leds[n, 0] - sy * leds[n, 1]) * slant, share[k, n] / leds[n, 2]
+                    if facing > zero:
+                        by *= visible[n, r, c]
+                        more += facing * by - share[k, n]
+                        bent = facing * slant * slant
+                        across -= (leds[n, 0] * slant + bent * sx) * by
+                        down -= (leds[n, 1] * slant + bent * sy) * by
+                    else:
+                        more -= share[k, n]
+                here = 3 * c + k
+                change[r, here] = more * level[r, here]
+                rate_x[r, here], rate_y[r, here] = across * level[r, here], down * level[r, here]
+
+
+@kernel(fastmath=FAST)
+def render_field_light(gx, gy, surface_mm, field, change, rate_x, rate_y):
+    """Render slopes and indentations in a shading field.
+
+    field (rows, cols, 3, 4): grey levels of each colour per unit of the normal's x, y and z, and per mm.
+    """
+    rows, cols = gx.shape
+    one = np.float32(1.0)
+    for r in range(rows):
+        for c in range(cols):
+            sx, sy = gx[r, c], gy[r, c]
+            slant = one / np.sqrt(one + sx * sx + sy * sy)
+            bent = slant * slant * slant
+            for k in range(3):
+                a, here = field[r, c, k], 3 * c + k
+                change[r, here] = -(a[0] * sx + a[1] * sy) * slant + a[2] * (slant - one) + a[3] * surface_mm[r, c]
+                along = (a[0] * sx + a[1] * sy - a[2]) * bent
+                rate_x[r, here], rate_y[r, here] = along * sx - a[0] * slant, along * sy - a[1] * slant
+
+
+@inlined()
+def _accumulate(sums, confidence, jx, jy, residual, observed, huber):
+    """Add one colour to the normal equations (xx, xy, yy, to x, to y) and to the misfit; none where it is clipped."""
+    xx, xy, yy, to_x, to_y, misfit = sums
+    one, zero = np.float32(1.0), np.float32(0.0)
+    jx, jy, residual = jx * confidence, jy * confidence, residual * confidence
+    rendered, size = observed - residual, abs(residual)
+    informative = (rendered >= _MIN_GREY or observed >= _MIN_GREY + _NOISE_GREY) and (
+        rendered <= _MAX_GREY or observed <= _MAX_GREY - _NOISE_GREY
+    )
+    weight = min(one, huber / max(size, np.float32(1e-6))) if informative else zero
+    misfit += min(size, huber + huber) if informative else zero
+    wx, wy = weight * jx, weight * jy
+    return xx + wx * jx, xy + wx * jy, yy + wy * jy, to_x + wx * residual, to_y + wy * residual, misfit
+
+
+@inlined()
+def _step(sx, sy, sums, max_slope):
+    """The slopes after the step that solves the normal equations, limited in its length and in the slope."""
+    one = np.float32(1.0)
+    xx, xy, yy, to_x, to_y, _ = sums
+    per = one / (xx * yy - xy * xy)
+    step_x, step_y = (yy * to_x - xy * to_y) * per, (xx * to_y - xy * to_x) * per
+    cut = min(one, _MAX_STEP / math.sqrt(step_x * step_x + step_y * step_y))
+    to_x, to_y = sx + step_x * cut, sy + step_y * cut
+    cut = min(one, max_slope / math.sqrt(to_x * to_x + to_y * to_y))
+    return to_x * cut, to_y * cut
+
+
+@kernel(fastmath=FAST)
+def update_slopes(residual, observed, confidence, changed, rate_x, rate_y, limits, line, gx, gy, weights):
+    """Add the Gauss-Newton step to the slopes gx, gy of each changed pixel, zero them elsewhere; return the misfit.
+
+    residual, observed (rows, 3 cols): observed minus rendered change, and the image, in grey levels; confidence
+    (rows, 3 cols): weight of each colour. limits: see `StepRule`. line (9 TILE,): scratch. weights (rows, 3 cols) is
+    written: the information matrix (xx, xy, yy) of each pixel's slopes. The misfit sums the absolute residuals before
+    the step, each at most twice the Huber limit.
+    """
+    pull, huber, max_slope, outside = limits
+    rows, cols = changed.shape
+    zero, misfit = np.float32(0.0), 0.0
+    for row in range(rows):
+        r = np.uint64(row)
+        for start in range(0, cols, TILE_PX):
+            n, first = min(TILE_PX, cols - start), np.uint64(start)
+            for i in range(n):
+                t, k = np.uint64(i), _COLOURS * (np.uint64(i) + first)
+                sums = (pull, zero, pull, zero, zero, zero)
+                sums = _accumulate(
+                    sums, confidence[r, k], rate_x[r, k], rate_y[r, k], residual[r, k], observed[r, k], huber
+                )
+                k += _GREEN
+                sums = _accumulate(
+                    sums, confidence[r, k], rate_x[r, k], rate_y[r, k], residual[r, k], observed[r, k], huber
+                )
+                k += _GREEN
+                sums = _accumulate(
+                    sums, confidence[r, k], rate_x[r, k], rate_y[r, k], residual[r, k], observed[r, k], huber
+                )
+                line[t], line[t + _L1], line[t + _L2], line[t + _L3], line[t + _L4], line[t + _L5] = sums
+            total = zero
+            for i in range(n):
+                t, c = np.uint64(i), np.uint64(i) + first
+                here = changed[r, c]
+                weights[r, _COLOURS * c] = line[t] if here else outside
+                weights[r, _COLOURS * c + _GREEN] = line[t + _L1] if here else zero
+                weights[r, _COLOURS * c + _BLUE] = line[t + _L2] if here else outside
+                sums = (line[t], line[t + _L1], line[t + _L2], line[t + _L3], line[t + _L4], line[t + _L5])
+                to_x, to_y = _step(gx[r, c], gy[r, c], sums, max_slope)
+                gx[r, c], gy[r, c] = to_x if here else zero, to_y if here else zero
+                total += sums[5] if here else zero
+            misfit += total
+    return misfit

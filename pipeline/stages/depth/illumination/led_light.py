@@ -1,0 +1,137 @@
+"""Light of distant LEDs, as the sensor description gives it or as fitted to a sensor instance.
+
+    light = (R + g c(grad z)) s(z),    R: reference image,  c: colour change of a slope (`physics.optics`),
+                                       s: share of the light that passes the surface,  g: gain of near LEDs
+
+The deviations of an instance from its description are (5 n + 5,): azimuth, elevation (degrees) and the logarithm of
+each colour for each of n LEDs; then fall-off, vignette, the logarithms of blur and of shadow strength, and the shadows'
+elevation (degrees).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pipeline.base.arrays import Doubles, Floats
+from pipeline.calibration import near_led_prior, slope_model
+from pipeline.physics import optics
+from pipeline.sensors.parts import Led, Optics
+from pipeline.sensors.reference_light import compute_reference_light
+from pipeline.sensors.spec import SensorSpec
+from pipeline.stages.depth.illumination.constants import DESCRIBED_STEP, TRUSTED_STEP, StepRule
+from pipeline.stages.depth.illumination.image_patch import ImagePatch, flatten_colours
+from pipeline.stages.depth.illumination.light import RenderedChange
+
+# Standard deviations between sensor instances, as `simulation.variation` draws them.
+_AZIMUTH_DEG, _ELEVATION_DEG = 8.0, 3.0
+_LOG_POWER, _LOG_COLOUR = 0.12, 0.08  # of a whole LED, and of each of its colours
+_OTHERS = (0.05, 0.08, 0.15, 0.25, 3.0)  # fall-off, vignette, log blur, log shadow, shadow elevation (degrees)
+_ELEVATION_LIMITS_DEG = 5.0, 80.0
+_REFERENCE_BLUR_PX = 3.0  # of the brightness that the gain of near LEDs is compared with
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LedLight:
+    """Distant LEDs over one patch."""
+
+    source: SensorSpec  # with the optics that are rendered
+    patch: ImagePatch
+    step_rule: StepRule
+    gain: Floats  # (rows, cols, 3) of the light over the described one; 1 but for near LEDs
+    confidence: Floats  # (rows, cols, 3)
+
+    @property
+    def blur_px(self) -> float:
+        """Standard deviation of the lens blur, in image pixels."""
+        return optics.require_optics(self.source).blur_px
+
+    @property
+    def max_depth_mm(self) -> float:
+        """Largest indentation that is rendered."""
+        return self.source.limits.indentation_max_mm
+
+    def render(self, surface_mm: Floats, gx: Floats, gy: Floats) -> RenderedChange:
+        """Render the light of a surface (rows, cols) with these slopes."""
+        from pipeline.stages.depth.illumination.illumination_kernels import N_LINES, TILE_PX, render_led_light
+
+        described, camera, patch = optics.require_optics(self.source), self.source.camera, self.patch
+        size = np.array([camera.cols, camera.rows], np.float32)
+        place = (patch.x_px, patch.y_px, size, *optics.pack_leds(described, camera), np.float32(described.vignette))
+        share = np.ones_like(patch.reference)
+        if described.shadow > 0:
+            optics.apply_shadows(share, self.source, np.ascontiguousarray(surface_mm, np.float32), patch.pixel_mm)
+        out = RenderedChange(*(np.empty_like(patch.change) for _ in range(3)))
+        light = tuple(flatten_colours(a) for a in (patch.reference, self.gain, share))
+        scratch = np.empty(N_LINES * TILE_PX, np.float32)
+        render_led_light(gx, gy, place, light, scratch, *(flatten_colours(a) for a in out))
+        return out
+
+
+def make_led_light(source: SensorSpec, patch: ImagePatch, *, trusted: bool, near: bool = False) -> LedLight:
+    """Light of the sensor's optics; `near` scales it by what LEDs close to the gel change of it."""
+    ones = np.ones_like(patch.reference)
+    return LedLight(
+        source=source, patch=patch, step_rule=TRUSTED_STEP if trusted else DESCRIBED_STEP,
+        gain=_compute_near_gain(source, patch) if near else ones, confidence=patch.unmarked_share * ones,
+    )  # fmt: skip
+
+
+def compute_led_prior_root(described: Optics) -> Doubles:
+    """A root (m, m) of the prior covariance of the deviations; a LED's colours vary together."""
+    n_leds = len(described.leds)
+    led = np.zeros((5, 5))
+    led[0, 0], led[1, 1] = _AZIMUTH_DEG, _ELEVATION_DEG
+    led[2:, 2:] = np.linalg.cholesky(_LOG_COLOUR**2 * np.eye(3) + _LOG_POWER**2)
+    m = 5 * n_leds
+    root = np.zeros((m + len(_OTHERS), m + len(_OTHERS)))
+    root[:m, :m] = np.kron(np.eye(n_leds), led)
+    root[m:, m:] = np.diag(_OTHERS)
+    return root
+
+
+def shift_optics(described: Optics, deviations: Doubles) -> Optics:
+    """The optics that deviate by (m,) from the described ones."""
+    n = len(described.leds)
+    falloff, vignette, blur, shadow, shadow_deg = (float(v) for v in deviations[5 * n :])
+    low, high = _ELEVATION_LIMITS_DEG
+    return replace(
+        described,
+        leds=tuple(_shift_led(led, deviations[5 * k : 5 * k + 5]) for k, led in enumerate(described.leds)),
+        falloff=min(max(described.falloff + falloff, 0.0), 1.0),
+        vignette=min(max(described.vignette + vignette, 0.0), 1.0),
+        blur_px=described.blur_px * math.exp(blur),
+        shadow=min(described.shadow * math.exp(shadow), 1.0),
+        shadow_deg=min(max(described.shadow_deg + shadow_deg, low), high),
+    )
+
+
+def _shift_led(led: Led, deviations: Doubles) -> Led:
+    red, green, blue = (float(v * s) for v, s in zip(led.rgb, np.exp(deviations[2:]), strict=True))
+    low, high = _ELEVATION_LIMITS_DEG
+    return Led(
+        azimuth_deg=float(led.azimuth_deg + deviations[0]) % 360.0,
+        elevation_deg=min(max(float(led.elevation_deg + deviations[1]), low), high),
+        rgb=(red, green, blue),
+    )
+
+
+def _compute_near_gain(source: SensorSpec, patch: ImagePatch) -> Floats:
+    """Gain of each colour's light (rows, cols, 3) over the described one.
+
+    Paint, lens, exposure, and LEDs that light a part of the gel make a place bright, and its change strong as well;
+    LEDs close to the gel change the colours' response to slopes besides (`near_led_prior.compute_gains`).
+    """
+    import cv2
+
+    width = _REFERENCE_BLUR_PX / patch.downsampling
+    here = np.asarray(cv2.GaussianBlur(patch.reference, (0, 0), width), np.float32)
+    offset = np.float32(slope_model.OFFSET_GREY)
+    usual = compute_reference_light(source.camera, optics.require_optics(source)).reshape(-1, 3).mean(axis=0)
+    table, camera = near_led_prior.compute_gains(source), source.camera
+    x = patch.x_px * np.float32((table.shape[1] - 1) / (camera.cols - 1))
+    y = patch.y_px * np.float32((table.shape[0] - 1) / (camera.rows - 1))
+    gains = cv2.remap(table, *np.meshgrid(x, y), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray((here + offset) / (usual + offset) * gains, np.float32)

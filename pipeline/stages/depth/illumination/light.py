@@ -1,0 +1,75 @@
+"""The illumination of a gel, and what every light model can do with it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, NamedTuple, Protocol
+
+from pipeline.base.arrays import Floats
+from pipeline.stages.depth.illumination.constants import StepRule
+
+IlluminationModel = Literal["described", "trusted", "near", "leds", "shadow_leds", "field"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Illumination:
+    """Parameters of the light that a frame is read by.
+
+    model: "described" and "trusted" are the LEDs of the sensor's description; trusted light is known to explain the
+    image. "near" scales the described light by what LEDs close to the gel change of it. "leds" and "shadow_leds" are
+    LEDs fitted to the sensor instance, as deviations from the description. "field" is a smooth shading field.
+    """
+
+    model: IlluminationModel = "described"
+    parameters: tuple[float, ...] = ()  # of fitted models: deviations (`led_light`, `shadow_light`), or coefficients
+    from_context: bool = False  # fitted to the context frames, not to the frame itself
+
+    def __post_init__(self) -> None:
+        """Accept the parameters as an array, as a file holds them."""
+        object.__setattr__(self, "parameters", tuple(float(value) for value in self.parameters))
+
+    @property
+    def is_trusted(self) -> bool:
+        """Whether LEDs of a usual instance explain the image, so that each pixel counts by its certainty."""
+        return self.model in {"leds", "trusted"}
+
+    @property
+    def is_fitted_leds(self) -> bool:
+        """Whether the LEDs differ from the description."""
+        return self.model == "leds" and any(self.parameters)
+
+
+class RenderedChange(NamedTuple):
+    """Change of the light of a surface against the reference image, before the lens, each (rows, cols, 3)."""
+
+    change: Floats  # grey levels
+    rate_x: Floats  # its derivatives by the slopes, grey levels per mm/mm
+    rate_y: Floats
+
+
+class Light(Protocol):
+    """A light model, prepared for one image patch."""
+
+    @property
+    def step_rule(self) -> StepRule:
+        """How an iteration moves the slopes in this light."""
+        ...
+
+    @property
+    def blur_px(self) -> float:
+        """Standard deviation of the lens blur, in image pixels."""
+        ...
+
+    @property
+    def confidence(self) -> Floats:
+        """Weight of each colour (rows, cols, 3), at most 1."""
+        ...
+
+    @property
+    def max_depth_mm(self) -> float:
+        """Largest indentation that is rendered."""
+        ...
+
+    def render(self, surface_mm: Floats, gx: Floats, gy: Floats) -> RenderedChange:
+        """Render the light of a surface (rows, cols) with these slopes."""
+        ...

@@ -1,0 +1,54 @@
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from pipeline.stages.depth import false_contacts
+
+
+def test_a_shallow_plate_is_removed_and_a_second_touch_stays():
+    y, x = np.mgrid[:120, :200].astype(np.float32)
+    balls = [np.maximum(d - ((x - c) ** 2 + (y - 60) ** 2) / 2000, 0) for d, c in ((0.5, 40), (0.2, 100))]
+    plate = 0.1 * np.exp(-(((x - 170) / 25) ** 2 + ((y - 60) / 25) ** 2))
+    surface = (balls[0] + balls[1] + plate).astype(np.float32)
+    touched = (balls[0] > 0) | (balls[1] > 0) | (plate > 0.08)
+    remaining = false_contacts.remove_false_contacts(touched, surface, 0.05)
+    assert remaining[60, 40]
+    assert remaining[60, 100]
+    assert not remaining[60, 170]
+
+
+def test_a_step_at_the_end_of_the_changed_region_is_removed():
+    y, x = np.mgrid[:120, :200].astype(np.float32)
+    ball = np.maximum(0.5 - ((x - 40) ** 2 + (y - 60) ** 2) / 2000, 0)
+    changed = np.broadcast_to(x < 150, x.shape)
+    raised = 0.15 * np.where(changed, np.clip((x - 110) / 40, 0, 1), 0.0) * np.exp(-(((y - 60) / 40) ** 2))
+    surface = (ball + cv2.GaussianBlur(raised, (0, 0), 1.0)).astype(np.float32)
+    touched = (ball > 0) | (raised > 0.06)
+    assert false_contacts.remove_false_contacts(touched, surface, 0.05)[60, 140]
+    remaining = false_contacts.remove_false_contacts(touched, surface, 0.05, None, changed)
+    assert remaining[60, 40]
+    assert not remaining[60, 140]
+
+
+@pytest.mark.parametrize(("around_mm", "remains"), [(0.02, True), (0.14, False)])
+def test_a_bump_on_raised_gel_is_removed_and_a_light_touch_stays(around_mm, remains):
+    y, x = np.mgrid[:120, :240].astype(np.float32)
+    ball = np.maximum(0.9 - ((x - 50) ** 2 + (y - 60) ** 2) / 1000, 0)
+    bump = np.maximum(0.08 - ((x - 180) ** 2 + (y - 60) ** 2) / 1000, 0)
+    high = around_mm * np.exp(-(((x - 180) / 40) ** 4) - ((y - 60) / 40) ** 4)
+    remaining = false_contacts.remove_false_contacts((ball > 0) | (bump > 0), (ball + bump + high).astype(np.float32), 0.05)
+    assert remaining[60, 50]
+    assert remaining[60, 180] == remains
+
+
+def test_parts_of_a_light_touch_stay_without_steep_flanks():
+    y, x = np.mgrid[:120, :200]
+    balls = [
+        np.clip(0.5 - np.hypot(x - cx, y - 60) / 60.0, 0.0, 1.0) * depth for cx, depth in ((50, 0.06), (130, 0.05))
+    ]
+    surface = (balls[0] + balls[1]).astype(np.float32)
+    remaining = false_contacts.remove_false_contacts(surface > 0, surface, 0.05)
+    assert remaining[60, 50]
+    assert remaining[60, 130]
