@@ -1,4 +1,4 @@
-"""By what a calibration knows its unit again: the untouched picture that it was made beside, made small."""
+"""Thumbnail of the reference image that a calibration identifies its sensor instance by."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ import numpy as np
 
 from pipeline.base.arrays import Image, freeze
 
-_ALONG = 160  # pixels of the longer side: a unit's light is smooth, and a moved lens is a pixel
+_LONGER_SIDE_PX = 160  # an instance's light is smooth, and a shifted lens is one of these pixels
 
 
-def make_thumbnail(picture: Image) -> Image:
-    """A picture (rows, cols, 3) at no more pixels than tell units apart."""
+def make_thumbnail(image: Image) -> Image:
+    """An image (rows, cols, 3), downsampled to the pixels that distinguish instances."""
     import cv2
 
-    share = _ALONG / max(picture.shape[:2])
+    share = _LONGER_SIDE_PX / max(image.shape[:2])
     if share >= 1.0:
-        return freeze(picture.copy())
-    rows, cols = (max(1, round(share * n)) for n in picture.shape[:2])
-    return freeze(np.asarray(cv2.resize(picture, (cols, rows), interpolation=cv2.INTER_AREA), np.uint8))
+        return freeze(image.copy())
+    rows, cols = (max(1, round(share * n)) for n in image.shape[:2])
+    return freeze(np.asarray(cv2.resize(image, (cols, rows), interpolation=cv2.INTER_AREA), np.uint8))

@@ -1,4 +1,4 @@
-"""A gel's picture read with fewer pixels: a draft in a quarter of the time, on as many pixels as the full answer."""
+"""Drafts of a gel's depth: measured on a downsampled image in a quarter of the time, returned at full resolution."""
 
 from __future__ import annotations
 
@@ -16,59 +16,55 @@ from pipeline.values.frames import TactileFrame
 from pipeline.values.pixel_index import make_pixel_index
 from pipeline.values.results import DepthMap
 
-MAX_SIDE_PX = 220  # along the longer side of a draft; with half as many a faint touch is no longer seen
-DRAFT_ITERATIONS = 2  # of the correction by the sensor's optics
+MAX_SIDE_PX = 220  # longer side of a draft's image; at half of it faint touches are lost
 _HALF = 0.5
 
 
 def compute_downsampling(shape: tuple[int, int]) -> int:
-    """How many pixels of the full picture lie along a side of one of the draft."""
+    """Downsampling factor used for drafts (1 = full resolution)."""
     return max(1, math.ceil(max(shape) / MAX_SIDE_PX))
 
 
-def downsample_frame(whole: TactileFrame, camera: Camera, by: int) -> TactileFrame:
-    """A gel's frame, which `camera` took, with `by` times fewer pixels along each side."""
-    seen = camera.resize(*_size(camera, by))
-    image, reference = (_averaged(cast("Image", picture), seen) for picture in (whole.image, whole.reference))
-    return replace(whole, image=image, reference=reference, camera=seen, context_frames=())
+def downsample_frame(frame: TactileFrame, camera: Camera, by: int) -> TactileFrame:
+    """A gel's frame, taken by `camera`, with `by` times fewer pixels along each side."""
+    smaller = camera.resize(max(1, camera.rows // by), max(1, camera.cols // by))
+    image, reference = (_average(cast("Image", image), smaller) for image in (frame.image, frame.reference))
+    return replace(frame, image=image, reference=reference, camera=smaller, context_frames=())
 
 
 def downsample_calibration(calibration: Calibration | None, by: int) -> Calibration | None:
-    """The same look-up for such a picture."""
+    """The calibration for such a frame."""
     if calibration is None:
         return None
     rows, cols = (max(1, n // by) for n in (calibration.rows, calibration.cols))
     return replace(calibration, rows=rows, cols=cols, pixel_mm=calibration.pixel_mm * calibration.cols / cols)
 
 
-def upsample_depth(found: DepthMap, source: SensorSpec, by: int) -> DepthMap:
-    """The answer of such a frame on the pixels of `source`, and the note that it is a draft."""
+def upsample_depth(draft: DepthMap, source: SensorSpec, by: int) -> DepthMap:
+    """The result for such a frame at the resolution of `source`, with a note that it is a draft."""
     shape = source.camera.shape
-    indentation = _grown(found.indentation_mm, shape)
+    indentation = _resize(draft.indentation_mm, shape)
     note = f"a draft at 1/{by} of the resolution, as long as a slider is held"
+    expected_error = draft.expected_error_mm
     return replace(
-        found,
+        draft,
         indentation_mm=freeze(indentation),
         depth_mm=freeze((source.rest_depth_mm - indentation).astype(np.float32)),
-        contact=freeze(_grown(found.contact.astype(np.float32), shape) > _HALF),
+        contact=freeze(_resize(draft.contact.astype(np.float32), shape) > _HALF),
         camera=source.camera,
         source_index=make_pixel_index(shape),
-        notes=(note, *found.notes),
-        expected_error_mm=None if found.expected_error_mm is None else freeze(_grown(found.expected_error_mm, shape)),
+        notes=(note, *draft.notes),
+        expected_error_mm=None if expected_error is None else freeze(_resize(expected_error, shape)),
     )
 
 
-def _size(camera: Camera, by: int) -> tuple[int, int]:
-    return max(1, camera.rows // by), max(1, camera.cols // by)
-
-
-def _averaged(picture: Image, seen: Camera) -> Image:
+def _average(image: Image, camera: Camera) -> Image:
     import cv2
 
-    return freeze(np.asarray(cv2.resize(picture, (seen.cols, seen.rows), interpolation=cv2.INTER_AREA), np.uint8))
+    return freeze(np.asarray(cv2.resize(image, (camera.cols, camera.rows), interpolation=cv2.INTER_AREA), np.uint8))
 
 
-def _grown(values: Floats, shape: tuple[int, int]) -> Any:
+def _resize(values: Floats, shape: tuple[int, int]) -> Any:
     import cv2
 
     return np.asarray(cv2.resize(values, shape[::-1], interpolation=cv2.INTER_LINEAR), np.float32)

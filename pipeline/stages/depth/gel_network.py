@@ -186,7 +186,9 @@ def estimate_physical_depth(
     seen_by = match_pixel_size(source if frame.camera is None else source.with_camera(frame.camera), calibration)
     image, reference = cast("Image", frame.image), cast("Image", frame.reference)
     reference = drift.apply_estimated_drift(image, reference).image
-    described = _described_lights.get_or_make(compute_cached_digest(seen_by), lambda: gel_network_input.describe_light(seen_by))
+    described = _described_lights.get_or_make(
+        compute_cached_digest(seen_by), lambda: gel_network_input.describe_light(seen_by)
+    )
     inputs = gel_network_input.prepare_input(
         image, reference, physical.indentation_mm, physical.contact, seen_by, described
     )

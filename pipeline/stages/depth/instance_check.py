@@ -1,7 +1,7 @@
-"""Whether a recording is of the unit that its calibration was made on: told from the untouched pictures of both.
+"""Whether a recording is of the sensor instance that its calibration was made on, by the reference images of both.
 
-Lamps, paint and glue differ from unit to unit, and with them the picture of a gel at rest, by far more than one unit's
-light and lens drift. What is no drift (`drift`) is left of the one picture when it is explained by the other.
+LEDs, paint and glue differ between instances, and with them the image of a gel at rest, by far more than the light and
+the lens of one instance drift. The check measures what drift (`drift`) cannot explain of the one image by the other.
 """
 
 from __future__ import annotations
@@ -16,45 +16,47 @@ from pipeline.calibration.calibration_table import Calibration
 from pipeline.engine.digests import compute_cached_digest
 from pipeline.stages.depth import drift
 
-# Half of the picture differs by more. One simulated unit after drift: 0.2; two: 1.2 to 1.8 (Minis with lamps all alike,
-# one pair of ten), others from 4; one real Mini in six recordings, maybe of several days: 0.3 to 2.5; beside another: 8
-# to 22. A unit that differs by less is read alike.
-_ANOTHER_GREY = 3.0
+# Median difference in grey levels. One simulated instance after drift: 0.2; two: 1.2 to 1.8 (Minis with equal LEDs, one
+# pair in ten), others from 4; one real Mini in six recordings, maybe of several days: 0.3 to 2.5; another real Mini: 8
+# to 22. An instance that differs by less is measured alike.
+_OTHER_INSTANCE_GREY = 3.0
 _BLOCK_PX = 8
 
 
 def check_sensor_instance(calibration: Calibration, reference: Image) -> tuple[str, ...]:
-    """What is said of a calibration beside a recording's untouched picture (rows, cols, 3); empty where they agree.
+    """A warning where the reference image (rows, cols, 3) of a recording is not of the calibration's instance.
 
-    One from the sensor's description, or of before it kept its picture, tells nothing.
+    Empty for a calibration without a reference image, as one from the sensor's description.
     """
-    still = calibration.reference_thumbnail
-    if still is None:
+    calibrated = calibration.reference_thumbnail
+    if calibrated is None:
         return ()
-    off, likely = _compared.get_or_make(
-        (compute_cached_digest(reference), compute_cached_digest(still)),
-        lambda: _differ(reference_thumbnail.make_thumbnail(reference), still),
+    difference_grey, is_drift = _comparisons.get_or_make(
+        (compute_cached_digest(reference), compute_cached_digest(calibrated)),
+        lambda: _compare_references(reference_thumbnail.make_thumbnail(reference), calibrated),
     )
-    if off <= _ANOTHER_GREY and likely:
+    if difference_grey <= _OTHER_INSTANCE_GREY and is_drift:
         return ()
     why = (
-        f"the untouched pictures differ by {off:.0f} grey levels beyond drift"
-        if likely
-        else "the light of the untouched pictures differs by more than one unit's drifts"
+        f"the reference images differ by {difference_grey:.0f} grey levels beyond drift"
+        if is_drift
+        else "the light of the reference images differs by more than one instance drifts"
     )
-    return (StageWarning(f"the calibration may be of another unit, or of another light: {why}; calibrate this one"),)
+    return (StageWarning(f"the calibration may be of another instance, or of other light: {why}; calibrate this one"),)
 
 
-_compared: Memo[tuple[str, str], tuple[float, bool]] = Memo(8)
+_comparisons: Memo[tuple[str, str], tuple[float, bool]] = Memo(8)
 
 
-def _differ(now: Image, still: Image) -> tuple[float, bool]:
-    """Grey levels by which half of the picture differs beyond drift, and whether that drift is one unit's."""
+def _compare_references(now: Image, calibrated: Image) -> tuple[float, bool]:
+    """Median difference beyond drift in grey levels, and whether one instance can drift so far."""
     import cv2
 
-    if now.shape != still.shape:
-        now = np.asarray(cv2.resize(now, still.shape[1::-1], interpolation=cv2.INTER_AREA), np.uint8)
-    found, _ = drift.fit_drift(now, still)
-    alike = still.astype(np.float32) if found is None else drift.apply_drift(still, found)
-    off = np.abs(drift.compute_block_means(now, _BLOCK_PX) - drift.compute_block_means(alike, _BLOCK_PX)).max(axis=2)
-    return float(np.median(off)), found is None or not found.exceeds_instance_drift(float(still.mean()))
+    if now.shape != calibrated.shape:
+        now = np.asarray(cv2.resize(now, calibrated.shape[1::-1], interpolation=cv2.INTER_AREA), np.uint8)
+    fitted, _ = drift.fit_drift(now, calibrated)
+    drifted = calibrated.astype(np.float32) if fitted is None else drift.apply_drift(calibrated, fitted)
+    means = (drift.compute_block_means(image, _BLOCK_PX) for image in (now, drifted))
+    difference = np.abs(next(means) - next(means)).max(axis=2)
+    mean_grey = float(calibrated.mean())
+    return float(np.median(difference)), fitted is None or not fitted.exceeds_instance_drift(mean_grey)

@@ -1,8 +1,8 @@
-"""Whether a gel's pictures are mirrored, where the untouched one alone does not tell.
+"""Whether a gel's images are mirrored, where the reference image alone does not show it.
 
-A GelSight Mini's lights look nearly alike from left and right. A touch tells: the slopes that a look-up reads are those
-of a surface, which bends alike along both axes, d(gx)/dy = d(gy)/dx; those of a mirrored picture turn one of the two
-about, and of what a dent then has no surface has half.
+A GelSight Mini's LEDs look nearly alike from left and right. A touch shows it: the slopes of a calibration table are
+those of a surface, d(gx)/dy = d(gy)/dx; in a mirrored image one of the two is reversed, and half of what a dent shows
+belongs to no surface.
 """
 
 from __future__ import annotations
@@ -17,52 +17,53 @@ from pipeline.calibration.calibration_table import Calibration
 from pipeline.physics.reference_colours import MirrorDirection, mirror_image
 from pipeline.physics.slopes import compute_slopes
 from pipeline.sensors.spec import SensorSpec
-from pipeline.stages.depth import change_detection, drift
 from pipeline.stages.depth.change_detection import ImageWindow
 from pipeline.stages.depth.illumination import image_patch
+from pipeline.stages.depth.illumination.gel_surface import DEFAULT_SMOOTHING_PX, detect_changed_image
 from pipeline.stages.depth.poisson import SideBoundaries, integrate_slopes
 from pipeline.values.frames import TactileFrame
 
-_BENDS_BETTER = 0.8  # of what no surface has: 9 of 10 balls on a real Mini are told by it
+_LESS_RESIDUAL = 0.8  # mirrored / plain: identifies 9 of 10 balls on a real Mini
 
 
-def looks_mirrored(frame: TactileFrame, source: SensorSpec, calibration: Calibration, how: MirrorDirection) -> bool:
-    """Whether a touch's slopes are nearer to a surface's when a gel's pictures are mirrored; False without a touch."""
+def looks_mirrored(
+    frame: TactileFrame, source: SensorSpec, calibration: Calibration, direction: MirrorDirection
+) -> bool:
+    """Whether a touch's slopes are closer to those of a surface when the images are mirrored; False without a touch."""
     image, reference = cast("Image", frame.image), cast("Image", frame.reference)
-    still = drift.apply_estimated_drift(image, reference)
-    window = change_detection.detect_change(
-        image, still.image_8bit, source.limits.no_contact_change, calibration.pixel_mm
-    )
-    if window is None:
+    changed = detect_changed_image(image, reference, source, calibration)
+    if changed is None:
         return False
-    plain = _no_surface(image, still.image, window, source, calibration)
-    turned = _no_surface(
-        mirror_image(image, how), mirror_image(still.image, how), _mirrored_window(window, how, image.shape), source,
-        calibration,
+    still, window = changed.reference.image, changed.window
+    plain = _compute_curl_share(image, still, window, source, calibration)
+    mirrored = _compute_curl_share(
+        mirror_image(image, direction), mirror_image(still, direction),
+        _mirror_window(window, direction, image.shape), source, calibration,
     )  # fmt: skip
-    return turned < _BENDS_BETTER * plain
+    return mirrored < _LESS_RESIDUAL * plain
 
 
-def _no_surface(
-    image: Image, still: Floats, window: ImageWindow, source: SensorSpec, calibration: Calibration
+def _compute_curl_share(
+    image: Image, reference: Floats, window: ImageWindow, source: SensorSpec, calibration: Calibration
 ) -> float:
-    """The share of the slopes' squares that no surface has."""
-    picture = image_patch.extract_patch(image, still, window, 1.0, source.markers, calibration.pixel_mm)
-    small = image_patch.downsample_patch(picture, image.shape)
-    gx, gy = image_patch.look_up_slopes(small, calibration)
-    bent = compute_slopes(
-        integrate_slopes(gx, gy, small.pixel_mm, SideBoundaries("free", "free", "free", "free")), small.pixel_mm
+    """The share of the squared slopes that belongs to no surface."""
+    patch = image_patch.extract_patch(
+        image, reference, window, DEFAULT_SMOOTHING_PX, source.markers, calibration.pixel_mm
     )
-    left = sum(float(((a - b) ** 2).sum()) for a, b in zip((gx, gy), bent, strict=True))
-    return left / max(float((gx**2 + gy**2).sum()), 1e-9)
+    cells = image_patch.downsample_patch(patch, image.shape)
+    gx, gy = image_patch.look_up_slopes(cells, calibration)
+    surface_mm = integrate_slopes(gx, gy, cells.pixel_mm, SideBoundaries("free", "free", "free", "free"))
+    slopes = compute_slopes(surface_mm, cells.pixel_mm)
+    residual = sum(float(((a - b) ** 2).sum()) for a, b in zip((gx, gy), slopes, strict=True))
+    return residual / max(float((gx**2 + gy**2).sum()), 1e-9)
 
 
-def _mirrored_window(window: ImageWindow, how: MirrorDirection, shape: tuple[int, ...]) -> ImageWindow:
+def _mirror_window(window: ImageWindow, direction: MirrorDirection, shape: tuple[int, ...]) -> ImageWindow:
     def mirror_slice(part: slice, n: int) -> slice:
         return slice(n - part.stop, n - part.start)
 
-    moved_part, share = (mirror_image(a, how) for a in (window.changed, window.blend_weight))
-    turned = replace(window, changed=np.asarray(moved_part, np.bool_), blend_weight=np.asarray(share, np.float32))
-    if how == "left to right":
-        return replace(turned, cols=mirror_slice(window.cols, shape[1]))
-    return replace(turned, rows=mirror_slice(window.rows, shape[0]))
+    changed, weight = (mirror_image(a, direction) for a in (window.changed, window.blend_weight))
+    mirrored = replace(window, changed=np.asarray(changed, np.bool_), blend_weight=np.asarray(weight, np.float32))
+    if direction == "left to right":
+        return replace(mirrored, cols=mirror_slice(window.cols, shape[1]))
+    return replace(mirrored, rows=mirror_slice(window.rows, shape[0]))

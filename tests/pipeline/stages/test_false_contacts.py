@@ -38,7 +38,9 @@ def test_a_bump_on_raised_gel_is_removed_and_a_light_touch_stays(around_mm, rema
     ball = np.maximum(0.9 - ((x - 50) ** 2 + (y - 60) ** 2) / 1000, 0)
     bump = np.maximum(0.08 - ((x - 180) ** 2 + (y - 60) ** 2) / 1000, 0)
     high = around_mm * np.exp(-(((x - 180) / 40) ** 4) - ((y - 60) / 40) ** 4)
-    remaining = false_contacts.remove_false_contacts((ball > 0) | (bump > 0), (ball + bump + high).astype(np.float32), 0.05)
+    remaining = false_contacts.remove_false_contacts(
+        (ball > 0) | (bump > 0), (ball + bump + high).astype(np.float32), 0.05
+    )
     assert remaining[60, 50]
     assert remaining[60, 180] == remains
 

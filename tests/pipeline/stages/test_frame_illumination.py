@@ -83,9 +83,7 @@ def test_an_illumination_is_the_same_after_the_disk(tmp_path):
 def test_all_frames_of_a_recording_share_its_leds():
     frames, truths, _ = touch_another_gelslim()
     source, context = load_sensor("gelslim"), tuple(frame.image for frame in frames)
-    results = [
-        estimate_gel_depth(replace(frame, context_frames=context), source, None, PARAMS) for frame in frames
-    ]
+    results = [estimate_gel_depth(replace(frame, context_frames=context), source, None, PARAMS) for frame in frames]
     assert all("fitted to 2 touches of the recording" in " ".join(depth.notes) for depth, _ in results)
     first, second = (measured.illumination for _, measured in results)
     table = make_built_in(source)
@@ -109,12 +107,19 @@ def test_one_context_frame_changes_nothing():
 def test_results_do_not_depend_on_what_was_asked_before(name):
     (frame, _), _, _ = touch_another_gelslim(name)
     source, other = load_sensor(name), DepthParams(smoothing_px=2.0, sensitivity=1.5)
-    requests = {"full": PARAMS, "draft": make_draft_params(PARAMS), "other": other, "draft of other": make_draft_params(other)}
+    requests = {
+        "full": PARAMS,
+        "draft": make_draft_params(PARAMS),
+        "other": other,
+        "draft of other": make_draft_params(other),
+    }
     orders = (list(requests), list(requests)[::-1], ["other", "draft", "full", "draft of other"])
     results = []
     for order in orders:
         clear_caches()
-        results.append({key: estimate_depth(frame, source, None, requests[key]).indentation_mm.tobytes() for key in order})
+        results.append(
+            {key: estimate_depth(frame, source, None, requests[key]).indentation_mm.tobytes() for key in order}
+        )
     assert results[0] == results[1] == results[2]
     for key, params in requests.items():
         clear_caches()

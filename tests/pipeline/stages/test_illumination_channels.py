@@ -50,9 +50,7 @@ def test_the_first_channels_are_those_of_any_light_and_one_names_the_sensor(name
 def test_brighter_leds_appear_in_the_change_and_not_in_the_channels_of_any_light():
     source = load_sensor("gelsight_mini")
     plain, bright = (read(source, brightness=k)[1] for k in (1.0, 1.15))
-    channels = [
-        illumination_channels.compute_all_channels(one, source, DESCRIBED_LEDS) for one in (plain, bright)
-    ]
+    channels = [illumination_channels.compute_all_channels(one, source, DESCRIBED_LEDS) for one in (plain, bright)]
     touched = gel_network_input.compute_contact_mask(plain)
     grey = [np.abs(one[16:19][:, touched]).mean() for one in channels]
     assert grey[1] / grey[0] == pytest.approx(1.15, abs=0.03)

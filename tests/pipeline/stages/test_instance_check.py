@@ -24,9 +24,7 @@ GELS = ("gelsight_mini", "gelslim", "digit")
 
 def make_calibration(name, reference):
     """The described table, as if calibrated with this reference image."""
-    return replace(
-        make_built_in(load_sensor(name)), reference_thumbnail=reference_thumbnail.make_thumbnail(reference)
-    )
+    return replace(make_built_in(load_sensor(name)), reference_thumbnail=reference_thumbnail.make_thumbnail(reference))
 
 
 def render_instance(name, seed):

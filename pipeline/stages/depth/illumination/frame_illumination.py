@@ -15,7 +15,7 @@ from pipeline.base.memo import Memo
 from pipeline.base.progress import Progress
 from pipeline.calibration.calibration_table import Calibration
 from pipeline.engine import disk_store
-from pipeline.engine.digests import content
+from pipeline.engine.digests import compute_cached_digest
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth.illumination import selection
 from pipeline.stages.depth.illumination.constants import CONSTANTS
@@ -46,7 +46,13 @@ def estimate_illumination(
     if not uses_illumination(source, calibration) or frame.reference is None:
         return selection.DESCRIBED
     image, reference = cast("Image", frame.image), cast("Image", frame.reference)
-    keys = content(image), content(reference), content(frame.context_frames), content(source), content(calibration)
+    keys = (
+        compute_cached_digest(image),
+        compute_cached_digest(reference),
+        compute_cached_digest(frame.context_frames),
+        compute_cached_digest(source),
+        compute_cached_digest(calibration),
+    )
 
     def estimate() -> Illumination:
         of_recording = fit_recording(frame.context_frames, reference, source, calibration, progress)
@@ -62,7 +68,7 @@ def estimate_illumination(
             lambda patch: changed.make_integrator(patch, progress, 0.3),
         )  # fmt: skip
 
-    return _cache.of(keys, estimate)
+    return _cache.get_or_make(keys, estimate)
 
 
 def fit_recording(
@@ -74,7 +80,12 @@ def fit_recording(
     """
     if len(touches) < _MIN_CONTEXT_TOUCHES:
         return None
-    made_of = content(touches), content(reference), content(source), content(calibration)
+    made_of = (
+        compute_cached_digest(touches),
+        compute_cached_digest(reference),
+        compute_cached_digest(source),
+        compute_cached_digest(calibration),
+    )
 
     def fit() -> Illumination:
         changed = [detect_changed_image(image, reference, source, calibration) for image in touches]
@@ -84,7 +95,9 @@ def fit_recording(
         leds = selection.pack_leds("leds", fit_leds(source, observations))
         return selection.DESCRIBED if leds is None else replace(leds, from_context=True)
 
-    found = _recordings.of(made_of, lambda: disk_store.load_or_make(Illumination, made_of, _CODE, fit, "led_fits"))
+    found = _recordings.get_or_make(
+        made_of, lambda: disk_store.load_or_make(Illumination, made_of, _CODE, fit, "led_fits")
+    )
     return found if found.model == "leds" else None
 
 

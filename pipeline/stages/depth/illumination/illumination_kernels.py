@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from pipeline.base.cached_kernels import FAST, inlined, kernel
+from pipeline.base.cached_kernels import FAST, inline_kernel, kernel
 
 TILE_PX = 128  # pixels of a row that are processed together, so that loops without branches are vectorised
 N_LINES = 9  # scratch lines of a tile
@@ -21,7 +21,7 @@ _NOISE_GREY = np.float32(1.5)
 _MAX_STEP = np.float32(0.3)  # mm/mm: the light is linear in the slope for about that far
 
 
-@inlined()
+@inline_kernel()
 def _lens_share(x, y, cols, rows, vignette):
     one, two, half = np.float32(1.0), np.float32(2.0), np.float32(0.5)
     u, v = (x + half) * two / cols - one, (y + half) * two / rows - one
@@ -131,7 +131,7 @@ def render_field_light(gx, gy, surface_mm, field, change, rate_x, rate_y):
                 rate_x[r, here], rate_y[r, here] = along * sx - a[0] * slant, along * sy - a[1] * slant
 
 
-@inlined()
+@inline_kernel()
 def _accumulate(sums, confidence, jx, jy, residual, observed, huber):
     """Add one colour to the normal equations (xx, xy, yy, to x, to y) and to the misfit; none where it is clipped."""
     xx, xy, yy, to_x, to_y, misfit = sums
@@ -147,7 +147,7 @@ def _accumulate(sums, confidence, jx, jy, residual, observed, huber):
     return xx + wx * jx, xy + wx * jy, yy + wy * jy, to_x + wx * residual, to_y + wy * residual, misfit
 
 
-@inlined()
+@inline_kernel()
 def _step(sx, sy, sums, max_slope):
     """The slopes after the step that solves the normal equations, limited in its length and in the slope."""
     one = np.float32(1.0)

@@ -157,8 +157,7 @@ def correct_surface(
         plain = led_light.make_led_light(replace(source, optics=get_optics(illumination, source)), patch, trusted=False)
         surface_mm, _ = refine_surface(surface_mm, patch, plain, integrate, iterations)
         iterations *= CONSTANTS.trusted_iteration_factor
-    steps = CONSTANTS.fine_cg_steps if draft else CONSTANTS.cg_steps
-    return refine_surface(surface_mm, patch, light, integrate, iterations, steps)[0]
+    return refine_surface(surface_mm, patch, light, integrate, iterations)[0]
 
 
 def add_detail(

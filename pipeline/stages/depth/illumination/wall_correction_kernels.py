@@ -1,4 +1,4 @@
-"""Compiled sums by which shapes of a surface are weighed against slopes that are not all as sure (`walls`)."""
+"""Compiled normal equations of the shapes by which a surface is moved as a whole (`wall_correction`)."""
 # pyright: basic
 
 import numpy as np
@@ -7,12 +7,12 @@ from pipeline.base.cached_kernels import FAST, kernel
 
 
 @kernel(fastmath=FAST)
-def accumulate_normal_equations(gx, gy, wanted_x, wanted_y, xx, xy, yy, line, normal, pull):
-    """Write the normal equations of which sum of shapes has what the slopes of the first one lack of those wanted.
+def accumulate_normal_equations(gx, gy, target_x, target_y, xx, xy, yy, line, normal, pull):
+    """Write the normal equations of the sum of shapes that brings the first shape's slopes to the target slopes.
 
-    gx, gy (n, rows, cols): the shapes' slopes; the others (rows, cols), of which xx, xy, yy are the weights. normal
-    (n, n) and pull (n,) double: the slopes of one shape times those of another, and times what is lacking. line
-    (2, cols): written over.
+    gx, gy (n, rows, cols): the shapes' slopes; target_x, target_y and the weights xx, xy, yy (rows, cols). normal (n, n)
+    and pull (n,) are doubles: the weighted slopes of one shape times those of another, and times the residual. line
+    (2, cols): scratch.
     """
     n, rows, cols = gx.shape
     normal[:] = 0.0
@@ -26,7 +26,7 @@ def accumulate_normal_equations(gx, gy, wanted_x, wanted_y, xx, xy, yy, line, no
                 x = xx[r, c] * gx[one, r, c] + xy[r, c] * gy[one, r, c]
                 y = xy[r, c] * gx[one, r, c] + yy[r, c] * gy[one, r, c]
                 line[0, c], line[1, c] = x, y
-                total += x * (wanted_x[r, c] - gx[0, r, c]) + y * (wanted_y[r, c] - gy[0, r, c])
+                total += x * (target_x[r, c] - gx[0, r, c]) + y * (target_y[r, c] - gy[0, r, c])
             pull[one] += total
             for b in range(a + 1):
                 other, total = np.uint64(b), np.float32(0.0)
