@@ -156,7 +156,7 @@ def recordings(read, name: str):
             inside = one.truth.contact
             for of, touches in ((alone, ()), (pooled, beside)):
                 started = time.perf_counter()
-                answer = read(replace(frame, beside=touches), source)
+                answer = read(replace(frame, context_frames=touches), source)
                 if touches:
                     taken.append(1e3 * (time.perf_counter() - started))
                 of[depth_mm].append(1e3 * compute_mae_mm(answer.indentation_mm, one.truth.indentation_mm, inside))

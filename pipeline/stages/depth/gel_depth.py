@@ -3,8 +3,8 @@
 Drift of the light and of the camera is removed first (`drift`). Where the calibration table was derived from the
 sensor's description, the surface is then corrected by rendering it in the frame's illumination (`illumination`).
 
-Constants marked "chosen" are compared in `docs/experiments.md` with values a third less and half as much again: the best
-of these remove 3 % of the error, the worst add 9 %.
+Constants marked "chosen" were compared with values a third less and half as much again (`docs/experiments.md`): the
+best of these remove 3 % of the error, the worst add 9 %.
 """
 
 from __future__ import annotations

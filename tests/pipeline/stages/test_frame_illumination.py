@@ -77,7 +77,7 @@ def test_an_illumination_is_the_same_after_the_disk(tmp_path):
     def load(make):
         return disk_store.load_or_make(Illumination, "a recording", (), make, tmp_path)
 
-    assert load(lambda: fitted) == load(lambda: Illumination()) == fitted
+    assert load(lambda: fitted) == load(Illumination) == fitted
 
 
 def test_all_frames_of_a_recording_share_its_leds():

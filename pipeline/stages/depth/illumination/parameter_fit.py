@@ -70,8 +70,9 @@ class FitRule:
 
 
 # Simulated instances reach up to 0.99 of the limit, one in fifty more; single balls on a real Mini from 1.19, other
-# real instances from 2.1. Described LEDs leave 0.10-0.58 on simulated instances, up to 1 elsewhere. Walls and shadows on
-# instances as described have up to 0.2 of a random instance's deviance in three touches of four, others 0.22 or more.
+# real instances from 2.1. Described LEDs leave 0.10-0.58 on simulated instances, up to 1 elsewhere. Walls and shadows
+# on instances as described have up to 0.2 of a random instance's deviance in three touches of four, others 0.22 or
+# more.
 LED_RULE = FitRule(
     independent_pixels=800.0, max_deviance=70.0, max_excess=0.28, noise_grey=1.5, hopeless_excess=0.65,
     as_described=0.2,
@@ -93,7 +94,7 @@ class _ParameterModel:
 def fit_leds(
     source: SensorSpec, touches: Sequence[LedObservation], max_iterations: int = CONSTANTS.fit_iterations
 ) -> Doubles | None:
-    """Deviations (m,) of the instance's LEDs (`led_light.shift_optics`); None where no usual instance explains the images.
+    """Deviations (m,) of the instance's LEDs (`led_light.shift_optics`); None where no usual instance explains them.
 
     Zero where the touches do not differ from the description.
     """

@@ -1,9 +1,9 @@
 """A gel's surface, corrected until its rendered image matches the recorded one.
 
-A calibration table knows a pixel's colour and place only. Where a dent blocks a LED, the table takes the darkness for a
-slope; over a steep rim, lens blur flattens the slopes. Both follow from the surface, so they are estimated together with
-it (analysis by synthesis). Each iteration renders the surface z in a light model, compares the result with the recorded
-change, and takes a Gauss-Newton step of every pixel's slopes g = grad z,
+A calibration table knows a pixel's colour and place only. Where a dent blocks a LED, the table takes the darkness for
+a slope; over a steep rim, lens blur flattens the slopes. Both follow from the surface, so they are estimated together
+with it (analysis by synthesis). Each iteration renders the surface z in a light model, compares the result with the
+recorded change, and takes a Gauss-Newton step of every pixel's slopes g = grad z,
 
     dg = A^-1 J' W r,    A = J' W J + pull,
 

@@ -1,8 +1,8 @@
 """Correction of what steep walls hold up, in one step.
 
 A wall determines its slope weakly, and what stands between walls strongly: springs in series, of which the weak ones
-yield last when a surface approaches its slopes step by step. So the surface is first moved as a whole: scaled, its walls
-raised low, in the middle or high up, and each of its dents by itself.
+yield last when a surface approaches its slopes step by step. So the surface is first moved as a whole: scaled, its
+walls raised low, in the middle or high up, and each of its dents by itself.
 """
 
 from __future__ import annotations

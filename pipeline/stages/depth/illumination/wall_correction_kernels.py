@@ -10,9 +10,9 @@ from pipeline.base.cached_kernels import FAST, kernel
 def accumulate_normal_equations(gx, gy, target_x, target_y, xx, xy, yy, line, normal, pull):
     """Write the normal equations of the sum of shapes that brings the first shape's slopes to the target slopes.
 
-    gx, gy (n, rows, cols): the shapes' slopes; target_x, target_y and the weights xx, xy, yy (rows, cols). normal (n, n)
-    and pull (n,) are doubles: the weighted slopes of one shape times those of another, and times the residual. line
-    (2, cols): scratch.
+    gx, gy (n, rows, cols): the shapes' slopes; target_x, target_y and the weights xx, xy, yy (rows, cols). normal
+    (n, n) and pull (n,) are doubles: the weighted slopes of one shape times those of another, and times the residual.
+    line (2, cols): scratch.
     """
     n, rows, cols = gx.shape
     normal[:] = 0.0
