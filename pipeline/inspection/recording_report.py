@@ -1,4 +1,4 @@
-"""What a recording is, and whether its units, frames and colours make sense."""
+"""Report on a recording: its content, and checks of units, frames and colours."""
 
 from __future__ import annotations
 
@@ -13,37 +13,35 @@ import numpy as np
 
 from pipeline.base.errors import TouchError
 from pipeline.base.progress import SILENT, Progress
-from pipeline.inspection import stream_checks as inspection
 from pipeline.inspection import synchrony
 from pipeline.inspection.object_checks import check_mesh, measure_contact_offset_mm
-from pipeline.inspection.stream_checks import Check
+from pipeline.inspection.stream_checks import Check, StreamChecker, check_pairings
 from pipeline.recordings import open_recording
 from pipeline.recordings.formats import DepthUnit
-from pipeline.sensors.spec import SensorSpec, list_sensor_names
-from pipeline.sensors.spec import load_sensor as sensor_spec
+from pipeline.sensors.spec import SensorSpec, list_sensor_names, load_sensor
 from pipeline.values.frames import Recording, Stream, TactileFrame, Truth
 
-_MARKS = {"pass": "ok  ", "fail": "FAIL", "unknown": "?   "}
+_STATE_LABELS = {"pass": "ok  ", "fail": "FAIL", "unknown": "?   "}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StreamReport:
-    """One stream in figures."""
+    """Content of one stream."""
 
     name: str
     sensor: str  # "" = not known
     n_frames: int
-    rows: int  # 0 = no frame could be read
+    rows: int  # 0 = no frame can be read
     cols: int
     dtype: str
     duration_s: float  # NaN = no times
     rate_hz: float
-    truth: tuple[str, ...]  # fields known of some frame
+    truth: tuple[str, ...]  # fields known for at least one frame
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class InspectionReport:
-    """What was found; `checks` are in the order of the streams."""
+    """Content and checks of a recording; `checks` are in the order of the streams."""
 
     path: Path
     format: str
@@ -54,7 +52,7 @@ class InspectionReport:
 
     @property
     def has_passed(self) -> bool:
-        """Whether no check failed; what could not be checked does not count."""
+        """Whether no check failed; unknown ones do not count."""
         return all(check.state != "fail" for check in self.checks)
 
 
@@ -66,21 +64,21 @@ def inspect_recording(
     depth_unit: DepthUnit = "auto",
     progress: Progress = SILENT,
 ) -> InspectionReport:
-    """Read every frame once and say what is there; damaged frames are listed, not raised.
+    """Read every frame once and report content and checks; damaged frames fail a check.
 
-    Raises TouchError only when the recording as a whole cannot be opened.
+    Raises TouchError only where the recording cannot be opened.
     """
     with closing(open_recording(path, sensor=sensor, reference=reference, depth_unit=depth_unit)) as recording:
-        found = [_stream(recording, s, _spec(s.sensor, sensor), progress) for s in recording.streams]
-        checks = [check for _, several in found for check in several]
-        checks += inspection.check_pairings(recording)
-        checks += _orders(recording)
+        reports = [_inspect_stream(recording, s, _find_sensor(s.sensor, sensor), progress) for s in recording.streams]
+        checks = [check for _, stream_checks in reports for check in stream_checks]
+        checks += check_pairings(recording)
+        checks += _check_synchrony(recording)
         if recording.object_mesh is not None:
             checks += check_mesh(recording.object_mesh, str(recording.path))
         return InspectionReport(
             path=recording.path,
             format=recording.format,
-            streams=tuple(report for report, _ in found),
+            streams=tuple(report for report, _ in reports),
             has_mesh=recording.object_mesh is not None,
             checks=tuple(checks),
             notes=recording.notes,
@@ -95,62 +93,62 @@ def format_report_lines(report: InspectionReport) -> list[str]:
         timing = "no times" if math.isnan(s.duration_s) else f"{s.duration_s:.2f} s at {s.rate_hz:.1f} Hz"
         truth = f"truth: {', '.join(s.truth)}" if s.truth else "no truth"
         out.append(f"  {s.name}: {s.sensor or 'unknown sensor'}, {s.n_frames} frames, {size}, {timing}, {truth}")
-    out += [f"  {_MARKS[c.state]} {c.name}: {c.text}" for c in report.checks]
+    out += [f"  {_STATE_LABELS[c.state]} {c.name}: {c.text}" for c in report.checks]
     return out + [f"  note: {note}" for note in report.notes]
 
 
-def _orders(recording: Recording) -> Iterator[Check]:
-    """Whether what two streams felt belongs together, where they tell."""
+def _check_synchrony(recording: Recording) -> Iterator[Check]:
+    """Checks that two streams recorded the same touches, where this can be decided."""
     for one, other in combinations(recording.streams, 2):
-        order = synchrony.compare_streams(one, other)
-        if order is not None:
-            good = f"of {order.n_moments} moments, strong ones and places of one are those of the other"
-            state = "pass" if order.warning is None else ("fail" if order.lag_frames else "unknown")
-            text = good if order.warning is None else f"{order.warning}: '{recording.path}'"
+        result = synchrony.compare_streams(one, other)
+        if result is not None:
+            good = f"strength and place of {result.n_moments} moments agree"
+            state = "pass" if result.warning is None else ("fail" if result.lag_frames else "unknown")
+            text = good if result.warning is None else f"{result.warning}: '{recording.path}'"
             yield Check(name=f"{one.name} with {other.name}", state=state, text=text)
 
 
-def _spec(name: str, said: str) -> SensorSpec | None:
-    """The description of a stream's sensor: one of the catalogue, or the one that the user brought."""
-    own = sensor_spec(said) if said else None
-    if own is not None and own.name == name:
-        return own
-    return sensor_spec(name) if name in list_sensor_names() else None
+def _find_sensor(name: str, stated: str) -> SensorSpec | None:
+    """The description of a stream's sensor: the stated one if the names agree, else a known one, else None."""
+    stated_sensor = load_sensor(stated) if stated else None
+    if stated_sensor is not None and stated_sensor.name == name:
+        return stated_sensor
+    return load_sensor(name) if name in list_sensor_names() else None
 
 
-def _stream(
+def _inspect_stream(
     recording: Recording, stream: Stream, spec: SensorSpec | None, progress: Progress
 ) -> tuple[StreamReport, list[Check]]:
-    tally = inspection.StreamChecker(stream.name, str(recording.path), spec)
+    checker = StreamChecker(stream.name, str(recording.path), spec)
     times: list[float] = []
     known: set[str] = set()
     first: TactileFrame | None = None
     for index in range(stream.n_frames):
         progress.step(index / stream.n_frames, f"frame {index + 1} of {stream.n_frames} of {stream.name}")
-        frame, truth, problem = _read(stream, index)
+        frame, truth, problem = _read_frame(stream, index)
         if problem:
-            tally.add_problem(problem)
+            checker.add_problem(problem)
         if frame is not None:
             first = first or frame
             times.append(frame.time_s)
-            tally.add_frame(frame)
+            checker.add_frame(frame)
         if truth is not None:
             known |= {n for n in ("indentation_mm", "contact", "sensor_from_object") if getattr(truth, n) is not None}
-            tally.add_truth(index, truth)
+            checker.add_truth(index, truth)
             if recording.object_mesh is not None and spec is not None:
-                tally.add_contact_offset(index, measure_contact_offset_mm(truth, spec, recording.object_mesh))
-    duration_s, rate_hz = _timing(times)
+                checker.add_contact_offset(index, measure_contact_offset_mm(truth, spec, recording.object_mesh))
+    duration_s, rate_hz = _compute_timing(times)
     rows, cols = first.image.shape[:2] if first is not None else (0, 0)
     report = StreamReport(
         name=stream.name, sensor=stream.sensor, n_frames=stream.n_frames, rows=rows, cols=cols,
         dtype="" if first is None else f"{first.image.dtype} {'depth in mm' if first.is_depth else 'RGB'}",
         duration_s=duration_s, rate_hz=rate_hz, truth=tuple(sorted(known)),
     )  # fmt: skip
-    return report, tally.summarize_checks(times)
+    return report, checker.summarize_checks(times)
 
 
-def _read(stream: Stream, index: int) -> tuple[TactileFrame | None, Truth | None, str]:
-    """A frame and its truth as far as they can be read, and what was wrong."""
+def _read_frame(stream: Stream, index: int) -> tuple[TactileFrame | None, Truth | None, str]:
+    """(frame, truth, problems), as far as they can be read."""
     problems: list[str] = []
     frame: TactileFrame | None = None
     truth: Truth | None = None
@@ -165,7 +163,7 @@ def _read(stream: Stream, index: int) -> tuple[TactileFrame | None, Truth | None
     return frame, truth, "; ".join(problems)
 
 
-def _timing(times: Sequence[float]) -> tuple[float, float]:
+def _compute_timing(times: Sequence[float]) -> tuple[float, float]:
     known = np.asarray([t for t in times if math.isfinite(t)])
     if len(known) < 2 or known[-1] <= known[0]:
         return math.nan, math.nan

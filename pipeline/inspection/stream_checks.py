@@ -1,4 +1,4 @@
-"""The checks of a recording: each gives pass, fail or unknown, and one sentence naming file and field."""
+"""Checks of a recording's streams: each gives pass, fail or unknown, and a sentence that names file and field."""
 
 from __future__ import annotations
 
@@ -20,48 +20,48 @@ from pipeline.values.frames import Recording, TactileFrame, Truth
 
 CheckState = Literal["pass", "fail", "unknown"]
 
-_DEPTH_MM = (5.0, 1000.0)  # a depth camera looks at a membrane some centimetres away; metres would read 0.08
-_MOVED_MM = 1.0  # beyond the noise of a bubble's depth
-_PRESSED_IN = 0.5  # share of the moved pixels that must have come nearer
-_NAN_LIMIT = 0.5  # share of pixels without a reading beyond which a depth frame is of no use
-_WHITE, _BURNT_OUT = 254, 0.5  # grey level at which nothing is told apart, and the share of a picture that may be so
-_ALIKE = 0.2  # likeness of colours below which nothing is said of them
-_EDGE_SHARE = 0.01  # contact pixels at the very edge whose indentation is rounded to 0
-_BULGE, _MOST_BULGING = 0.25, 0.25  # of the depth, of the contact: a gel bulges into what an object has hollow
-_APART_MM = 2.0  # between what is touched and the box of what touches: more than any layer bridges
-_FAR_MM = 500.0  # an object that is felt lies within this distance of the sensor
+_DEPTH_MM = (5.0, 1000.0)  # range of a median depth: the camera is some centimetres from the membrane
+_MIN_MOTION_MM = 1.0  # change of depth beyond the noise of a bubble
+_MIN_NEARER_SHARE = 0.5  # of the moved pixels that must come nearer
+_MAX_GAP_SHARE = 0.5  # of the pixels of a usable depth frame
+_WHITE, _MAX_WHITE_SHARE = 254, 0.5  # grey level of a saturated pixel; allowed share of them
+_MIN_SIMILARITY = 0.2  # of colours; below it the check is unknown
+_MAX_EDGE_SHARE = 0.01  # of the contact pixels, at its edge, whose indentation is rounded to 0
+_MAX_BULGE, _MAX_BULGE_SHARE = 0.25, 0.25  # of the depth, of the contact: a gel bulges into hollows of an object
+_MAX_OFFSET_MM = 2.0  # between contact and bounding box of the object
+_MAX_OBJECT_MM = 500.0  # distance of a touching object from the sensor
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Check:
-    """One question put to a recording."""
+    """Result of one check of a recording."""
 
     name: str
     state: CheckState
-    text: str  # one sentence, naming file and field when something is wrong
+    text: str  # one sentence; names file and field of a failure
 
 
 class StreamChecker:
-    """Gathers what the checks of one stream need, frame by frame, without keeping the frames."""
+    """Collects the figures for the checks of one stream, frame by frame."""
 
     def __init__(self, stream: str, path: str, spec: SensorSpec | None) -> None:
-        """A tally for `stream` of the recording at `path`, whose sensor is `spec` if known."""
+        """Check `stream` of the recording at `path`; `spec` is its sensor, None if not known."""
         self._stream, self._path, self._spec = stream, path, spec
-        self._bad: defaultdict[str, list[str]] = defaultdict(list)  # check -> what is wrong
+        self._problems: defaultdict[str, list[str]] = defaultdict(list)  # check -> sentences
         self._without_reference: list[int] = []
-        self._odd_sizes: list[int] = []
+        self._wrong_sizes: list[int] = []
         self._depths_mm: list[float] = []
-        self._gaps: list[int] = []
+        self._sparse_frames: list[int] = []
         self._n_frames, self._n_gaps, self._n_pixels, self._n_nearer, self._n_moved = 0, 0, 0, 0, 0
         self._reference: TactileFrame | None = None
         self._n_truth, self._n_poses = 0, 0
 
     def add_problem(self, text: str) -> None:
-        """A frame that cannot be read, in the reader's words."""
-        self._bad["frames"].append(text)
+        """Add the error of a frame that cannot be read."""
+        self._problems["frames"].append(text)
 
     def add_frame(self, frame: TactileFrame) -> None:
-        """Count one frame."""
+        """Add one frame."""
         self._n_frames += 1
         if frame.reference is None:
             self._without_reference.append(frame.index)
@@ -69,189 +69,197 @@ class StreamChecker:
             self._reference = frame
         want = frame.camera.shape if frame.camera is not None else (self._spec.camera.shape if self._spec else None)
         if want is not None and frame.image.shape[:2] != want:
-            self._odd_sizes.append(frame.index)
-        kind = np.dtype(np.float32 if frame.is_depth else np.uint8)
-        if frame.image.dtype != kind:
-            self._bad["types"].append(f"frame {frame.index} holds {frame.image.dtype}, it must be {kind}")
-        blank = _blank(frame.image)
-        if blank:
-            self._bad["pictures"].append(f"frame {frame.index} {blank}")
+            self._wrong_sizes.append(frame.index)
+        dtype = np.dtype(np.float32 if frame.is_depth else np.uint8)
+        if frame.image.dtype != dtype:
+            self._problems["types"].append(f"frame {frame.index} holds {frame.image.dtype}, it must be {dtype}")
+        problem = _find_image_problem(frame.image)
+        if problem:
+            self._problems["images"].append(f"frame {frame.index} {problem}")
         if frame.is_depth:
-            self._depth(frame)
+            self._add_depth(frame)
 
-    def _depth(self, frame: TactileFrame) -> None:
-        seen = np.isfinite(frame.image)
-        self._n_pixels += seen.size
-        self._n_gaps += int(seen.size - seen.sum())
-        if seen.mean() < 1.0 - _NAN_LIMIT:
-            self._gaps.append(frame.index)
-        if seen.any():
-            self._depths_mm.append(float(np.median(frame.image[seen])))
+    def _add_depth(self, frame: TactileFrame) -> None:
+        known = np.isfinite(frame.image)
+        self._n_pixels += known.size
+        self._n_gaps += int(known.size - known.sum())
+        if known.mean() < 1.0 - _MAX_GAP_SHARE:
+            self._sparse_frames.append(frame.index)
+        if known.any():
+            self._depths_mm.append(float(np.median(frame.image[known])))
         if frame.reference is not None and frame.reference.shape == frame.image.shape:
-            pressed = np.nan_to_num(frame.reference - frame.image)  # no reading has not moved
-            self._n_nearer += int((pressed > _MOVED_MM).sum())
-            self._n_moved += int((np.abs(pressed) > _MOVED_MM).sum())
+            indentation = np.nan_to_num(frame.reference - frame.image)  # pixels without a value have not moved
+            self._n_nearer += int((indentation > _MIN_MOTION_MM).sum())
+            self._n_moved += int((np.abs(indentation) > _MIN_MOTION_MM).sum())
 
     def add_truth(self, index: int, truth: Truth) -> None:
-        """Check what is said to be true of frame `index`."""
+        """Add the truth of frame `index`."""
         if truth.sensor_from_object is not None:
             self._n_poses += 1
-            self._pose(index, truth.sensor_from_object)
+            self._add_pose(index, truth.sensor_from_object)
         if truth.indentation_mm is None:
             return
         self._n_truth += 1
-        pressed, limit = truth.indentation_mm, self._spec.limits.indentation_max_mm if self._spec else math.inf
-        if not np.isfinite(pressed).any():
-            self._bad["truth"].append(f"indentation_mm of frame {index} has no value")
+        indentation, limit = truth.indentation_mm, self._spec.limits.indentation_max_mm if self._spec else math.inf
+        if not np.isfinite(indentation).any():
+            self._problems["truth"].append(f"indentation_mm of frame {index} has no value")
             return
-        deepest = float(np.nanmax(pressed))
+        deepest = float(np.nanmax(indentation))
         if deepest > 2 * limit:
-            self._bad["truth"].append(
+            self._problems["truth"].append(
                 f"indentation_mm of frame {index} reaches {deepest:.3g} mm, the limit is {limit:g} mm"
             )
         if truth.contact is None:
             return
-        bulging = (pressed < 0) & (pressed > -_BULGE * deepest)
-        odd, bulges = truth.contact & ~(pressed > 0) & ~bulging, truth.contact & bulging
-        n_touched = int(truth.contact.sum())
-        if odd.sum() > _EDGE_SHARE * n_touched or bulges.sum() > _MOST_BULGING * n_touched:
-            self._bad["truth"].append(f"contact of frame {index} holds pixels whose indentation_mm is not positive")
+        is_bulge = (indentation < 0) & (indentation > -_MAX_BULGE * deepest)
+        n_wrong = int((truth.contact & ~(indentation > 0) & ~is_bulge).sum())
+        n_bulges, n_contact = int((truth.contact & is_bulge).sum()), int(truth.contact.sum())
+        if n_wrong > _MAX_EDGE_SHARE * n_contact or n_bulges > _MAX_BULGE_SHARE * n_contact:
+            self._problems["truth"].append(
+                f"contact of frame {index} holds pixels whose indentation_mm is not positive"
+            )
 
-    def _pose(self, index: int, sensor_from_object: Doubles) -> None:
+    def _add_pose(self, index: int, sensor_from_object: Doubles) -> None:
         try:
             pose = rigid.validate_rigid(sensor_from_object, f"sensor_from_object of frame {index}")
         except CalibrationError as error:
-            self._bad["poses"].append(str(error))
+            self._problems["poses"].append(str(error))
             return
-        far = float(np.linalg.norm(pose[:3, 3]))
-        if far > _FAR_MM:
-            self._bad["poses"].append(f"sensor_from_object of frame {index} puts the object {far:.3g} mm away")
+        distance_mm = float(np.linalg.norm(pose[:3, 3]))
+        if distance_mm > _MAX_OBJECT_MM:
+            self._problems["poses"].append(
+                f"sensor_from_object of frame {index} puts the object {distance_mm:.3g} mm away"
+            )
 
-    def add_contact_offset(self, index: int, far_mm: float) -> None:
-        """Note how far from its contact the object of frame `index` is said to lie."""
-        if far_mm > _APART_MM:
-            self._bad["poses"].append(
-                f"sensor_from_object of frame {index} puts the object {far_mm:.3g} mm beside its own contact; "
-                "is it in metres, or of another sensor?"
+    def add_contact_offset(self, index: int, offset_mm: float) -> None:
+        """Add the distance of the object from its contact in frame `index`."""
+        if offset_mm > _MAX_OFFSET_MM:
+            self._problems["poses"].append(
+                f"sensor_from_object of frame {index} puts the object {offset_mm:.3g} mm from its contact; "
+                "check whether it is in metres or of another sensor"
             )
 
     def summarize_checks(self, times_s: Sequence[float]) -> list[Check]:
-        """The answers, once all frames have been counted."""
-        found = [
-            self._check("frames", self._bad["frames"] or self._none(), "every frame can be read"),
-            self._sizes(),
-            self._references(),
+        """The checks, after all frames have been added."""
+        no_frames = [] if self._n_frames else ["there is no frame"]
+        checks = [
+            self._check("frames", self._problems["frames"] or no_frames, "every frame can be read"),
+            self._check_sizes(),
+            self._check_references(),
         ]
-        found.append(self._check("types", self._bad["types"], "every reading is of its type"))
-        found.append(self._check("pictures", self._bad["pictures"], "none is blank, burnt out or without a value"))
-        if self._depths_mm or self._gaps:
-            found += [self._depth_unit(), self._depth_sign(), self._readings()]
+        checks.append(self._check("types", self._problems["types"], "every frame has the right type"))
+        checks.append(
+            self._check("images", self._problems["images"], "no image is uniform, saturated or without a value")
+        )
+        if self._depths_mm or self._sparse_frames:
+            checks += [self._check_depth_unit(), self._check_depth_sign(), self._check_gaps()]
         elif self._n_frames:
-            found.append(self._colours())
-        found.append(self._times(times_s))
+            checks.append(self._check_colours())
+        checks.append(self._check_times(times_s))
         if self._n_truth:
-            found.append(
-                self._check("truth", self._bad["truth"], "contact lies within the indentation, depths within limits")
+            checks.append(
+                self._check(
+                    "truth", self._problems["truth"], "contact lies within the indentation, indentation within limits"
+                )
             )
         if self._n_poses:
-            found.append(self._check("poses", self._bad["poses"], "every rotation has determinant +1 and mm fit"))
-        return found
+            checks.append(
+                self._check("poses", self._problems["poses"], "every rotation has determinant +1 and distances fit mm")
+            )
+        return checks
 
-    def _check(self, name: str, bad: Sequence[str], good: str) -> Check:
-        if not bad:
-            return self._said(name, "pass", good)
-        more = f" (and {len(bad) - 1} more)" if len(bad) > 1 else ""
-        return self._said(name, "fail", f"{bad[0]}{more}")
+    def _check(self, name: str, problems: Sequence[str], success: str) -> Check:
+        if not problems:
+            return self._make_check(name, "pass", success)
+        more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
+        return self._make_check(name, "fail", f"{problems[0]}{more}")
 
-    def _said(self, name: str, state: CheckState, text: str) -> Check:
+    def _make_check(self, name: str, state: CheckState, text: str) -> Check:
         if state == "fail" and self._path not in text:
             text = f"{text}: '{self._path}'"
         return Check(name=f"{self._stream} {name}", state=state, text=text)
 
-    def _none(self) -> list[str]:
-        return [] if self._n_frames else ["there is no frame"]
-
-    def _sizes(self) -> Check:
+    def _check_sizes(self) -> Check:
         if self._spec is None:
-            return self._said("image size", "unknown", "the sensor is not known, so its image size is not either")
+            return self._make_check("image size", "unknown", "the sensor is not known")
         shape = self._spec.camera.shape
         bad = [f"frame {i} does not have the size of {self._spec.name}, {shape[1]} x {shape[0]} px"
-               for i in self._odd_sizes]  # fmt: skip
+               for i in self._wrong_sizes]  # fmt: skip
         return self._check("image size", bad, "as the sensor's camera")
 
-    def _references(self) -> Check:
+    def _check_references(self) -> Check:
         if len(self._without_reference) == self._n_frames:
-            return self._said("reference", "unknown", "no untouched reading; name one with --reference")
+            return self._make_check("reference", "unknown", "no reference; name one with --reference")
         bad = [f"frame {i} has no reference, others do" for i in self._without_reference]
-        return self._check("reference", bad, "every frame has an untouched reading")
+        return self._check("reference", bad, "every frame has a reference")
 
-    def _depth_unit(self) -> Check:
-        odd = [d for d in self._depths_mm if not _DEPTH_MM[0] <= d <= _DEPTH_MM[1]]
-        bad = [f"frames has a median depth of {d:.3g} mm; is it in another unit?" for d in odd]
+    def _check_depth_unit(self) -> Check:
+        wrong = [d for d in self._depths_mm if not _DEPTH_MM[0] <= d <= _DEPTH_MM[1]]
+        bad = [f"frames has a median depth of {d:.3g} mm; check the unit" for d in wrong]
         return self._check("depth unit", bad, f"median depth {np.median(self._depths_mm or [np.nan]):.1f} mm fits mm")
 
-    def _depth_sign(self) -> Check:
+    def _check_depth_sign(self) -> Check:
         if not self._n_moved:
-            return self._said(
-                "depth sign", "unknown", f"nothing moves by more than {_MOVED_MM:g} mm from the reference"
+            return self._make_check(
+                "depth sign", "unknown", f"no pixel moves by more than {_MIN_MOTION_MM:g} mm from the reference"
             )
         share = self._n_nearer / self._n_moved
-        text = f"{share:.0%} of what moves comes nearer to the camera"
-        if share < _PRESSED_IN:
-            return self._said(
+        text = f"{share:.0%} of the moving pixels come nearer to the camera"
+        if share < _MIN_NEARER_SHARE:
+            return self._make_check(
                 "depth sign",
                 "fail",
-                f"frames: only {text}; a touch should; is the depth's sign flipped, or was the reference touched?",
+                f"frames: only {text}, as by a flipped sign or a touch in the reference; check both",
             )
-        return self._said("depth sign", "pass", text)
+        return self._make_check("depth sign", "pass", text)
 
-    def _readings(self) -> Check:
-        bad = [f"frame {i} has no reading in more than half of its pixels" for i in self._gaps]
+    def _check_gaps(self) -> Check:
+        bad = [f"frame {i} has no value in more than half of its pixels" for i in self._sparse_frames]
         share = self._n_gaps / max(1, self._n_pixels)
-        return self._check("readings", bad, f"{share:.1%} of the pixels have no reading (NaN)")
+        return self._check("gaps", bad, f"{share:.1%} of the pixels have no value (NaN)")
 
-    def _times(self, times_s: Sequence[float]) -> Check:
+    def _check_times(self, times_s: Sequence[float]) -> Check:
         known = np.asarray([t for t in times_s if math.isfinite(t)])
         if len(known) < 2:
-            return self._said("times", "unknown", "no times are recorded")
+            return self._make_check("times", "unknown", "no times are recorded")
         back = np.nonzero(np.diff(known) <= 0)[0]
         return self._check("times", [f"timestamps do not rise after frame {i}" for i in back], "timestamps rise")
 
-    def _colours(self) -> Check:
-        """Whether the untouched picture looks like the sensor's, or more so once it is changed."""
+    def _check_colours(self) -> Check:
+        """Compare the colours of the reference with those of the description, also mirrored or with swapped channels."""
         frame, spec = self._reference, self._spec
         if frame is None or frame.reference is None or spec is None or spec.optics is None:
-            return self._said("colours", "unknown", "needs an untouched picture and a sensor with described lights")
+            return self._make_check("colours", "unknown", "needs a reference image and a sensor with described LEDs")
         if frame.reference.shape != (*spec.camera.shape, 3) or frame.reference.dtype != np.uint8:
-            return self._said("colours", "unknown", "the picture does not have the sensor's size")
-        found = compare_colours(cast("Image", frame.reference), spec)
-        lie = f"its colours lie as those of an untouched {spec.name} by {found.similarity:.2f}"
-        text = f"{lie} (1 = the same, 0 = unrelated)"
-        if found.problem:
-            so = "" if math.isnan(found.corrected_similarity) else f", so changed by {found.corrected_similarity:.2f}"
-            return self._said("colours", "fail", f"the reference: {found.problem}; {text}{so}")
-        return self._said("colours", "pass" if found.similarity > _ALIKE else "unknown", text)
+            return self._make_check("colours", "unknown", "the reference does not have the sensor's size")
+        comparison = compare_colours(cast("Image", frame.reference), spec)
+        text = f"colours match a {spec.name} reference by {comparison.similarity:.2f} (1 = equal, 0 = unrelated)"
+        if comparison.problem:
+            corrected = comparison.corrected_similarity
+            so = "" if math.isnan(corrected) else f", {corrected:.2f} after this correction"
+            return self._make_check("colours", "fail", f"the reference: {comparison.problem}; {text}{so}")
+        return self._make_check("colours", "pass" if comparison.similarity > _MIN_SIMILARITY else "unknown", text)
 
 
 def check_pairings(recording: Recording) -> list[Check]:
-    """Whether every known transform between two streams is rigid and names streams that exist."""
-    names, found = {s.name for s in recording.streams}, list[Check]()
+    """Checks that every known transform between two streams is rigid and names existing streams."""
+    names, checks = {s.name for s in recording.streams}, list[Check]()
     for pair in recording.pairings:
         name = f"{pair.source} to {pair.target}"
-        missing, bad = {pair.source, pair.target} - names, ""
+        missing, problem = {pair.source, pair.target} - names, ""
         try:
             rigid.validate_rigid(pair.target_from_source, f"target_from_source of {name}")
         except CalibrationError as error:
-            bad = str(error)
-        if missing and not bad:
-            bad = f"target_from_source names {', '.join(sorted(missing))}, which is no stream"
-        text = f"{bad}: '{recording.path}'" if bad else "rotation has determinant +1"
-        found.append(Check(name=name, state="fail" if bad else "pass", text=text))
-    return found
+            problem = str(error)
+        if missing and not problem:
+            problem = f"target_from_source names {', '.join(sorted(missing))}, which is no stream"
+        text = f"{problem}: '{recording.path}'" if problem else "rotation has determinant +1"
+        checks.append(Check(name=name, state="fail" if problem else "pass", text=text))
+    return checks
 
 
-def _blank(image: NDArray[np.number]) -> str:
-    """What makes a reading show nothing, "" where it shows something."""
+def _find_image_problem(image: NDArray[np.number]) -> str:
+    """Why an image shows nothing, as a clause; "" where it does."""
     known = image[np.isfinite(image)]
     if not known.size:
         return "has no value at all"
@@ -259,6 +267,6 @@ def _blank(image: NDArray[np.number]) -> str:
         return f"is {known.flat[0]:g} everywhere"
     if image.ndim == 3:
         white = float((image.min(axis=2) >= _WHITE).mean())
-        if white > _BURNT_OUT:
-            return f"is burnt out: {white:.0%} of it is white"
+        if white > _MAX_WHITE_SHARE:
+            return f"is saturated: {white:.0%} of it is white"
     return ""

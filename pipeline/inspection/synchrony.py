@@ -1,15 +1,15 @@
-"""Whether two streams felt the same touches at the same moments, or a list of pairs has lost its order.
+"""Check that two streams recorded the same touches at the same moments, and that pairs are in order.
 
-Nothing is known of how the sensors stand to each other, and little of how a touch looks in either. Of every moment
-counts how strongly it is felt, and where. Strengths are compared with those of the other stream, distances between the
-places of two moments with those of the other (Mantel 1967), whatever turn, mirror image or scale lies between. How
-often moments in a random order agree as well is counted. What hardly differs from moment to moment tells no order: a
-press that is repeated says nothing, and what rises and falls slowly agrees with itself a few frames later.
+Neither the alignment of the sensors nor the look of a touch is needed. Each moment has a strength and a place. The
+strengths of both streams are correlated, and so are the distances between the places of two moments (Mantel 1967),
+which are invariant to rotation, mirroring and scale. The p-value is the share of random orders that agree as well.
+Moments that hardly differ give no result: neither a repeated press, nor a slow change that agrees with itself a few
+frames later.
 
-Of 29 true pairs of streams (a sample; poses of six training objects, presses and slides, on units that vary) none
-is doubted: one in 250 random orders agrees as well at most. Of real ones of a GelSlim and a bubble none is doubted from
-20 on, 3 % are with 12. In a random order nineteen of twenty are, and the shift of half of those that are three frames
-late is told.
+Of 29 true pairs of streams (a sample; poses of six training objects, presses and slides, varied instances) none has a
+warning: at most one in 250 random orders agrees as well. Of real pairs of a GelSlim and a bubble none has a warning
+from 20 moments on, 3 % with 12. In a random order 19 of 20 have one, and the lag is found for half of the streams that
+are three frames late.
 """
 
 from __future__ import annotations
@@ -25,25 +25,26 @@ from numpy.typing import NDArray
 from pipeline.base.arrays import Doubles, Floats, Mask
 from pipeline.base.errors import TouchError
 from pipeline.base.stage_warnings import StageWarning
+from pipeline.recordings.block_means import compute_block_means
 from pipeline.values.frames import Stream, TactileFrame
 
-_FEWEST, _MOST = 12, 96  # moments: fewer tell nothing, more only take time
-_ORDERS, _BY_CHANCE = 999, 0.05  # random ones, and the share of them that may agree as well
-_STRENGTHS, _PLACES = 0.15, 0.03  # standard deviations that tell: of the mean strength; of a picture's longer side
-_BLOCKS_ALONG = 48  # of a picture's longer side
-_TOUCHED = 0.5  # of the way from the weakest to the strongest logarithm, where these lie far apart
-_FAR_APART = 0.5  # standard deviation of the logarithm: some moments are no touches
-_LAGS, _MOST_LAGS = 1 / 3, 12  # of the moments; either way
-_SURELY = 0.05  # share of random orders, over all lags that are tried
-_CLEARER = 1.3  # than at any other lag but its neighbours
-_ALIKE = 1e-12  # correlations that differ by rounding
+_MIN_MOMENTS, _MAX_MOMENTS = 12, 96  # fewer give no result, more only take time
+_N_ORDERS, _MAX_P_VALUE = 999, 0.05  # random orders; share of them that may agree as well
+_MIN_STRENGTH_STD, _MIN_PLACE_STD = 0.15, 0.03  # relative to the mean strength; to the longer image side
+_BLOCKS_ALONG = 48  # along the longer image side
+_CONTACT_LEVEL = 0.5  # threshold between the smallest and largest log strength, where these differ much
+_MIN_LOG_STD = 0.5  # standard deviation of log strength, above which some moments have no contact
+_MAX_LAG_SHARE, _MAX_LAG = 1 / 3, 12  # of the moments; frames in either direction
+_MAX_LAG_P_VALUE = 0.05  # over all lags that are tried
+_MIN_Z_RATIO = 1.3  # of the best lag to any other but its neighbours
+_ROUNDING = 1e-12  # difference of equal correlations
 
 
 class ContactSignature(NamedTuple):
-    """What is felt at one moment."""
+    """Strength and place of contact at one moment."""
 
-    strength: float  # in the reading's own unit; 0 = nothing
-    x: float  # of a picture's longer side; NaN = nowhere
+    strength: float  # in the unit of the frame; 0 = no contact
+    x: float  # relative to the longer image side; NaN = no contact
     y: float
 
 
@@ -52,45 +53,40 @@ NO_CONTACT_SIGNATURE = ContactSignature(0.0, np.nan, np.nan)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SynchronyResult:
-    """How the moments of two streams go together."""
+    """Agreement of the moments of two streams."""
 
     n_moments: int
-    p_value: float  # share of random orders that agree as well, in what agrees best
-    z_score: float  # by how many standard deviations of theirs it agrees better
-    lag_frames: int = 0  # frames by which the second comes later; 0 where no shift makes them agree
+    p_value: float  # share of random orders that agree as well
+    z_score: float  # standard deviations above the mean of random orders
+    lag_frames: int = 0  # by which the second stream is late; 0 = no lag makes them agree
 
     @property
     def warning(self) -> StageWarning | None:
-        """What speaks against the order; None where nothing does."""
-        if self.p_value <= _BY_CHANCE:
+        """A warning where the streams do not agree, else None."""
+        if self.p_value <= _MAX_P_VALUE:
             return None
-        way = "late" if self.lag_frames > 0 else "early"
-        late = f"; they agree when the second is taken to come {abs(self.lag_frames)} frames {way}"
+        direction = "late" if self.lag_frames > 0 else "early"
+        lag = f"; they agree if the second is {abs(self.lag_frames)} frames {direction}" if self.lag_frames else ""
         return StageWarning(
-            f"are these pairs of one touch each? How strongly and where the {self.n_moments} moments are felt agrees between "
-            f"the two as by chance (as well in {self.p_value:.0%} of random orders){late if self.lag_frames else ''}"
+            f"strength and place of {self.n_moments} moments agree only by chance (as well in {self.p_value:.0%} of "
+            f"random orders), so that results of pairs are wrong; check that frames of both streams are the same touches{lag}"
         )
 
 
 def compute_signature(change: Floats) -> ContactSignature:
-    """What a change (rows, cols), larger where more is felt, says of its moment."""
-    import cv2
-
-    rows, cols = change.shape
-    by = _BLOCKS_ALONG / max(rows, cols)
-    size = (max(1, round(by * cols)), max(1, round(by * rows)))
-    blocks = np.abs(np.asarray(cv2.resize(np.nan_to_num(change), size, interpolation=cv2.INTER_AREA), np.float64))
+    """Strength and place of a change (rows, cols), which is larger in contact."""
+    blocks = np.abs(compute_block_means(change, _BLOCKS_ALONG)[..., 0].astype(np.float64))
     peak = np.maximum(blocks - 0.5 * float(blocks.max()), 0.0)
     total = float(peak.sum())
     if total <= 0.0:
         return NO_CONTACT_SIGNATURE
-    y, x = (np.arange(n) / max(size) for n in blocks.shape)
+    y, x = (np.arange(n) / max(blocks.shape) for n in blocks.shape)
     strength = math.sqrt(float((blocks**2).mean()))
     return ContactSignature(strength, float(peak.sum(axis=0) @ x) / total, float(peak.sum(axis=1) @ y) / total)
 
 
 def compute_frame_signature(frame: TactileFrame) -> ContactSignature:
-    """`felt` of a frame; nothing where it brings no untouched reading of its shape."""
+    """Signature of a frame; no contact where it has no reference of its shape."""
     if frame.reference is None or frame.reference.shape != frame.image.shape:
         return NO_CONTACT_SIGNATURE
     change = np.nan_to_num(frame.image.astype(np.float32) - frame.reference.astype(np.float32))
@@ -98,77 +94,79 @@ def compute_frame_signature(frame: TactileFrame) -> ContactSignature:
 
 
 def compare_streams(one: Stream, other: Stream) -> SynchronyResult | None:
-    """`together` of two streams' frames with the same numbers, of some spread evenly; None as there."""
+    """`compare_signatures` of frames with equal numbers, at most `_MAX_MOMENTS` spread evenly."""
     n = min(one.n_frames, other.n_frames)
-    first = [k * n // _MOST for k in range(_MOST)] if n > _MOST else range(n)
-    found: list[tuple[ContactSignature, ContactSignature]] = []
-    for index in first:
+    indices = [k * n // _MAX_MOMENTS for k in range(_MAX_MOMENTS)] if n > _MAX_MOMENTS else range(n)
+    pairs: list[tuple[ContactSignature, ContactSignature]] = []
+    for index in indices:
         try:
-            found.append((compute_frame_signature(one.frame(index)), compute_frame_signature(other.frame(index))))
+            pairs.append((compute_frame_signature(one.frame(index)), compute_frame_signature(other.frame(index))))
         except TouchError:
             continue
-    order = compare_signatures([a for a, _ in found], [b for _, b in found])
-    return order if order is None else replace(order, lag_frames=round(order.lag_frames * max(1.0, n / _MOST)))
+    result = compare_signatures([a for a, _ in pairs], [b for _, b in pairs])
+    return (
+        result if result is None else replace(result, lag_frames=round(result.lag_frames * max(1.0, n / _MAX_MOMENTS)))
+    )
 
 
 def compare_signatures(one: Sequence[ContactSignature], other: Sequence[ContactSignature]) -> SynchronyResult | None:
-    """How moments of two streams go together, in this order; None where they are too few or too much alike to tell."""
-    a, b = (np.array(felt, np.float64).reshape(-1, 3) for felt in (one, other))
-    found = _by_chance(a, b)
-    if found is None or found.p_value <= _BY_CHANCE:
-        return found
-    most = min(_MOST_LAGS, int(_LAGS * len(a)))
-    lags = [lag for k in range(1, most + 1) for lag in (k, -k)]
-    shifted = [(_by_chance(a[: len(a) - lag], b[lag:]) if lag > 0 else _by_chance(a[-lag:], b[:lag])) for lag in lags]
-    agree = [(order.z_score, order.p_value, lag) for order, lag in zip(shifted, lags, strict=True) if order is not None]
-    clear, best, lag = max(agree, default=(0.0, 1.0, 0))
-    # What rises and falls slowly agrees with itself at many lags.
-    alone = all(abs(other - lag) <= 1 or clear > _CLEARER * less for less, _, other in agree)
-    return replace(found, lag_frames=lag if alone and best * len(lags) <= _SURELY else 0)
+    """Agreement of two streams in this order, and their lag; None for too few moments or too similar ones."""
+    a, b = (np.array(signatures, np.float64).reshape(-1, 3) for signatures in (one, other))
+    result = _compute_agreement(a, b)
+    if result is None or result.p_value <= _MAX_P_VALUE:
+        return result
+    n_lags = min(_MAX_LAG, int(_MAX_LAG_SHARE * len(a)))
+    lags = [lag for k in range(1, n_lags + 1) for lag in (k, -k)]
+    shifted = [
+        (_compute_agreement(a[: len(a) - lag], b[lag:]) if lag > 0 else _compute_agreement(a[-lag:], b[:lag]))
+        for lag in lags
+    ]
+    scores = [(one.z_score, one.p_value, lag) for one, lag in zip(shifted, lags, strict=True) if one is not None]
+    z_score, p_value, lag = max(scores, default=(0.0, 1.0, 0))
+    # A slow change agrees with itself at many lags.
+    is_clear = all(abs(lag_2 - lag) <= 1 or z_score > _MIN_Z_RATIO * z_2 for z_2, _, lag_2 in scores)
+    return replace(result, lag_frames=lag if is_clear and p_value * len(lags) <= _MAX_LAG_P_VALUE else 0)
 
 
-def _by_chance(a: Doubles, b: Doubles) -> SynchronyResult | None:
+def _compute_agreement(a: Doubles, b: Doubles) -> SynchronyResult | None:
     both = (a[:, 0] > 0.0) & (b[:, 0] > 0.0)
-    if np.count_nonzero(both) < _FEWEST:
+    if np.count_nonzero(both) < _MIN_MOMENTS:
         return None
     a, b = a[both], b[both]
-    rng, found = np.random.default_rng(0), list[tuple[float, float]]()
+    rng, scores = np.random.default_rng(0), list[tuple[float, float]]()
     first, second = a[:, 0], b[:, 0]
-    if min(float(s.std() / s.mean()) for s in (first, second)) >= _STRENGTHS:
-        found.append(_as_well(first, second[_orders(len(a), rng)]))
-    touched = _touched(first) & _touched(second)
-    places = [felt[touched, 1:] for felt in (a, b)]
-    if len(places[0]) >= _FEWEST and min(float(np.hypot(*p.std(axis=0))) for p in places) >= _PLACES:
+    if min(float(s.std() / s.mean()) for s in (first, second)) >= _MIN_STRENGTH_STD:
+        scores.append(_score_order(first, second[_make_orders(len(a), rng)]))
+    contact = _find_contact(first) & _find_contact(second)
+    places = [moments[contact, 1:] for moments in (a, b)]
+    if len(places[0]) >= _MIN_MOMENTS and min(float(np.hypot(*p.std(axis=0))) for p in places) >= _MIN_PLACE_STD:
         upper = np.triu_indices(len(places[0]), 1)
         first, second = (np.linalg.norm(p[:, None] - p[None], axis=2) for p in places)
-        orders = _orders(len(second), rng)
+        orders = _make_orders(len(second), rng)
         tried = second[orders[:, upper[0]], orders[:, upper[1]]]
-        found.append(_as_well(first[upper], tried))
-    if not found:
+        scores.append(_score_order(first[upper], tried))
+    if not scores:
         return None
-    by_chance, less = min((share, -clear) for share, clear in found)
-    return SynchronyResult(n_moments=len(a), p_value=by_chance, z_score=-less)
+    p_value, z_score = min(scores, key=lambda score: (score[0], -score[1]))
+    return SynchronyResult(n_moments=len(a), p_value=p_value, z_score=z_score)
 
 
-def _touched(strength: Doubles) -> Mask:
-    """Which moments (n,) are touches, where some are none."""
+def _find_contact(strength: Doubles) -> Mask:
+    """Mask (n,) of moments with contact."""
     log = np.log(strength)
-    return log >= (log.min() + _TOUCHED * float(np.ptp(log)) if log.std() > _FAR_APART else log.min())
+    return log >= (log.min() + _CONTACT_LEVEL * float(np.ptp(log)) if log.std() > _MIN_LOG_STD else log.min())
 
 
-def _orders(n: int, rng: np.random.Generator) -> NDArray[np.intp]:
-    """The order as it is, and random ones, (k, n)."""
-    orders = np.tile(np.arange(n), (_ORDERS + 1, 1))
+def _make_orders(n: int, rng: np.random.Generator) -> NDArray[np.intp]:
+    """The given order and random ones, (k, n)."""
+    orders = np.tile(np.arange(n), (_N_ORDERS + 1, 1))
     orders[1:] = rng.permuted(orders[1:], axis=1)
     return orders
 
 
-def _as_well(first: Doubles, tried: Doubles) -> tuple[float, float]:
-    """Share of the orders that are tried, the first of which is the given one, that correlate as well as that.
-
-    And by how many standard deviations it correlates better than they do.
-    """
+def _score_order(first: Doubles, tried: Doubles) -> tuple[float, float]:
+    """(p-value, z-score) of the first row of `tried` (k, n), the given order, against all rows, by correlation."""
     others = tried - tried.mean(axis=1, keepdims=True)
     agreement = others @ (first - first.mean()) / np.maximum(np.linalg.norm(others, axis=1), 1e-30)
-    clear = (agreement[0] - agreement.mean()) / max(float(agreement.std()), 1e-30)
-    return float(np.mean(agreement >= agreement[0] - _ALIKE)), float(clear)
+    z_score = (agreement[0] - agreement.mean()) / max(float(agreement.std()), 1e-30)
+    return float(np.mean(agreement >= agreement[0] - _ROUNDING)), float(z_score)

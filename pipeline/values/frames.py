@@ -1,4 +1,4 @@
-"""What comes in: a frame of a tactile sensor, what is known to be true of it, and recordings of both."""
+"""Input values: frames of tactile sensors, their ground truth, and recordings of both."""
 
 from __future__ import annotations
 
@@ -14,39 +14,37 @@ from pipeline.geometry import rigid
 from pipeline.geometry.camera import Camera
 from pipeline.geometry.meshes import Mesh
 
-if TYPE_CHECKING:  # the shapes are many, and a recording needs none of them
+if TYPE_CHECKING:  # imported on use
     from pipeline.geometry.symmetry import Symmetry
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TactileFrame:
-    """One reading of one sensor, with the untouched reading that it is compared to."""
+    """One frame of one sensor with its reference."""
 
     sensor: str
-    image: Image | Floats  # (rows, cols, 3) uint8 RGB, or (rows, cols) float32 depth in mm, NaN = no reading
-    reference: Image | Floats | None  # the same sensor untouched, same shape and type; None = not recorded
+    image: Image | Floats  # (rows, cols, 3) uint8 RGB, or (rows, cols) float32 depth in mm, NaN = no value
+    reference: Image | Floats | None  # the sensor without contact, same shape and type; None = not recorded
     index: int = 0
     time_s: float = math.nan
-    origin: str = ""  # where it was read from, for messages
-    camera: Camera | None = None  # intrinsics that the recording brings along; None = the sensor's own
-    context_frames: tuple[
-        Image, ...
-    ] = ()  # other touches of the same unit, with the same reference: they tell of its light
+    origin: str = ""  # file and frame, for messages
+    camera: Camera | None = None  # intrinsics of the recording; None = the sensor's
+    context_frames: tuple[Image, ...] = ()  # other touches of the same instance, to estimate its illumination
 
     @property
     def is_depth(self) -> bool:
-        """Whether the reading is a depth image (a bubble) rather than a colour image (a gel)."""
+        """Whether the image is a depth image (of a bubble) and not RGB (of a gel)."""
         return self.image.ndim == 2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Truth:
-    """What is exactly known of a frame, in its own sensor's frame; None where it is not known."""
+    """Ground truth of a frame in its sensor's frame; None = not known."""
 
     indentation_mm: Floats | None = None  # (rows, cols)
     contact: Mask | None = None  # (rows, cols) pressure > 0
     sensor_from_object: Doubles | None = None  # (4, 4) mm
-    force_n: Doubles | None = None  # (3,) on the sensor: right, down, and away from the camera, so that a press is < 0
+    force_n: Doubles | None = None  # (3,) on the sensor: right, down, away from the camera (a press is < 0)
 
 
 def _no_truth(_index: int) -> Truth | None:
@@ -55,10 +53,10 @@ def _no_truth(_index: int) -> Truth | None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stream:
-    """The frames of one sensor; nothing is read before it is asked for."""
+    """The frames of one sensor, read on demand."""
 
     name: str  # unique in its recording, such as "gelslim" or "left"
-    sensor: str  # a sensor of `pipeline.sensors`; "" = the file does not say
+    sensor: str  # name of a sensor description; "" = not known
     n_frames: int
     frame: Callable[[int], TactileFrame]  # raises FileProblem naming file, frame and field
     truth: Callable[[int], Truth | None] = _no_truth
@@ -71,7 +69,7 @@ def _nothing() -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pairing:
-    """How two streams of one recording stand to each other, where the recording knows it."""
+    """The known transform between two streams of one recording."""
 
     source: str  # name of a stream
     target: str
@@ -80,32 +78,32 @@ class Pairing:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recording:
-    """One or several sensors over the same touches: frame `i` of each stream is the same moment."""
+    """One or several sensors that record the same touches: frame `i` of each stream is the same moment."""
 
     path: Path
-    format: str  # words for the user: "tactoscope recording", "folder of images", ...
+    format: str  # for people: "tactoscope recording", "folder of images", ...
     streams: tuple[Stream, ...]
     object_mesh: Mesh | None = None
     pairings: tuple[Pairing, ...] = ()
-    notes: tuple[str, ...] = field(default=())  # plain sentences: what was assumed, converted or left out
+    notes: tuple[str, ...] = field(default=())  # sentences: what was assumed, converted or left out
     close: Callable[[], None] = _nothing
-    symmetry: Symmetry | None = None  # of the object; None = not known, so that no two of its poses count as one
-    refresh: Callable[[], Recording] | None = None  # the same with what has come since; None = nothing comes any more
+    symmetry: Symmetry | None = None  # of the object; None = not known, and no poses count as equal
+    refresh: Callable[[], Recording] | None = None  # the recording with frames that came since; None = it does not grow
 
-    def stream(self, wanted: str = "") -> Stream:
-        """The stream with this name or sensor, the first one when `wanted` is empty."""
+    def stream(self, name_or_sensor: str = "") -> Stream:
+        """The stream with this name or sensor, the first one for ""; raises SettingProblem."""
         for stream in self.streams:
-            if wanted in ("", stream.name, stream.sensor):
+            if name_or_sensor in ("", stream.name, stream.sensor):
                 return stream
         names = ", ".join(sorted(f"{s.name!r}" for s in self.streams))
-        raise SettingProblem(f"no stream {wanted!r} in this recording; it has {names}")
+        raise SettingProblem(f"no stream {name_or_sensor!r} in this recording; it has {names}")
 
     def stream_of_sensor(self, sensor: str) -> Stream | None:
-        """The stream that `sensor` recorded, None if it took no part."""
+        """The stream of a sensor, else None."""
         return next((s for s in self.streams if s.sensor == sensor), None)
 
     def target_from_source(self, source: str, target: str) -> Doubles | None:
-        """The transform between two streams by name, either way round; None where the recording does not know it."""
+        """The transform (4, 4) in mm between two streams by name, in either direction; None if not known."""
         for pair in self.pairings:
             if (pair.source, pair.target) == (source, target):
                 return pair.target_from_source

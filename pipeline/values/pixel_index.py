@@ -1,4 +1,4 @@
-"""Which pixel of the frame each pixel of a full-size result comes from: itself."""
+"""The identity map from pixels of a result to pixels of its frame."""
 
 from __future__ import annotations
 
@@ -10,5 +10,5 @@ from pipeline.base.memo import memoise
 
 @memoise(16)
 def make_pixel_index(shape: tuple[int, int]) -> Indices:
-    """0, 1, 2, ... in C order (rows, cols); kept per shape."""
+    """0, 1, 2, ... in C order (rows, cols); cached per shape."""
     return freeze(np.arange(shape[0] * shape[1], dtype=np.int32).reshape(shape))
