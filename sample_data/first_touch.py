@@ -1,4 +1,4 @@
-"""The sample that the window opens with: one moving touch, felt by a GelSlim, a DIGIT and a Soft Bubble at once."""
+"""The sample that the window opens with: one moving touch recorded by a GelSlim, a DIGIT and a Soft Bubble."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ NOTES = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Keyframe:
-    """Where the object is at one frame; between two of them it moves evenly."""
+    """Object position at one frame, interpolated linearly between keyframes."""
 
     frame: int
-    face_z_mm: float  # of the tactile face over the untouched gels; negative = pressed in
+    face_z_mm: float  # of the tactile face above the gels at rest; negative = pressed in
     slide_mm: float = 0.0
     twist_deg: float = 0.0
     tilt_deg: float = 0.0
 
 
-# Untouched, approach, press, slide, twist, lean, release, untouched.
+# No contact, approach, press, slide, twist, tilt, release, no contact.
 KEYFRAMES = (
     Keyframe(frame=0, face_z_mm=9.0),
     Keyframe(frame=1, face_z_mm=7.0),
@@ -49,10 +49,10 @@ KEYFRAMES = (
 
 
 def make_recording(path: Path) -> None:
-    """A moving touch of a notched elbow, felt by all `SENSORS` at once."""
-    felt_by = tuple(load_sensor(name) for name in SENSORS)
-    shots = [PressFrame(pose=pose, sensors=felt_by) for pose in interpolate_poses()]
-    write_recording(path, shapes.make_shape("notched_elbow"), shots, NOTES)
+    """Write a moving touch of a notched elbow, recorded by all `SENSORS`."""
+    sensors = tuple(load_sensor(name) for name in SENSORS)
+    frames = [PressFrame(pose=pose, sensors=sensors) for pose in interpolate_poses()]
+    write_recording(path, shapes.make_shape("notched_elbow"), frames, NOTES)
 
 
 def interpolate_poses() -> Iterator[Doubles]:
@@ -67,9 +67,9 @@ def _pose(before: Keyframe, after: Keyframe, share: float) -> Doubles:
     def between(a: float, b: float) -> float:
         return a + share * (b - a)
 
-    lean = rigid.rotation((np.deg2rad(between(before.tilt_deg, after.tilt_deg)), 0.0, 0.0))
+    tilt = rigid.rotation((np.deg2rad(between(before.tilt_deg, after.tilt_deg)), 0.0, 0.0))
     twist = rigid.rotation((0.0, 0.0, np.deg2rad(between(before.twist_deg, after.twist_deg))))
     place = rigid.translation(
         -4.0 + between(before.slide_mm, after.slide_mm), -2.5, between(before.face_z_mm, after.face_z_mm)
     )
-    return place @ lean @ twist
+    return place @ tilt @ twist

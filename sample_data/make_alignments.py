@@ -1,4 +1,4 @@
-"""Writes the exact alignments of sample recordings: `python -m sample_data.make_alignments`, after `make_samples`."""
+"""Write the exact alignments of sample recordings: `python -m sample_data.make_alignments`, after `make_samples`."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ RECORDED_PAIRS = (("first_touch", "gelslim", "soft_bubble"), ("digit_gelslim", "
 
 
 def alignment_path(source: str, target: str) -> Path:
-    """Where the alignment of two sensors is kept."""
+    """The file of the alignment of two sensors."""
     return ALIGNMENTS_FOLDER / f"{source}_to_{target}.toml"
 
 
 def read_exact_alignment(recording: str, source: str, target: str) -> AlignmentFile:
-    """What a sample recording knows of how its two streams stand."""
+    """The exact alignment of two streams of a sample recording."""
     opened = open_translation(Request(recording=RECORDINGS / f"{recording}.h5", source=source, target=target))
     try:
         origin = f"exact: what {recording}.h5 was simulated with"

@@ -1,6 +1,6 @@
-"""Makes the sample recordings from physics: `python -m sample_data.make_samples [NAME ...]`.
+"""Simulate the sample recordings: `python -m sample_data.make_samples [NAME ...]`.
 
-Everything in `sample_data/recordings` comes from here; the same code gives the same pictures.
+All files in `sample_data/recordings` come from here; the same code gives the same images.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ LIMIT_MB = 20.0  # of all samples together
 
 
 def write_sample(plan: SimulationPlan, path: Path) -> None:
-    """A recording as `tactoscope simulate` makes it, from the start."""
+    """Write a recording as `tactoscope simulate` does, from the start."""
     path.unlink(missing_ok=True)
     record_plan(plan, path)
 
@@ -45,14 +45,14 @@ MAKERS: dict[str, Callable[[Path], None]] = {
 
 
 def main() -> None:
-    """Make the sample recordings named, or all, and say how large they are."""
+    """Write the named sample recordings, or all, and print their sizes."""
     RECORDINGS_FOLDER.mkdir(parents=True, exist_ok=True)
     for name in sys.argv[1:] or MAKERS:
         path = RECORDINGS_FOLDER / f"{name}.h5"
         MAKERS[name](path)
-        print(f"{path.name}: {path.stat().st_size / 1e6:.2f} MB")  # noqa: T201 - what the script is asked for
-    whole = sum(path.stat().st_size for path in RECORDINGS_FOLDER.glob("*.h5")) / 1e6
-    assert whole < LIMIT_MB, f"the samples take {whole:.1f} MB, more than {LIMIT_MB:g} MB"
+        print(f"{path.name}: {path.stat().st_size / 1e6:.2f} MB")  # noqa: T201 - output of a script
+    total_mb = sum(path.stat().st_size for path in RECORDINGS_FOLDER.glob("*.h5")) / 1e6
+    assert total_mb < LIMIT_MB, f"the samples take {total_mb:.1f} MB, more than {LIMIT_MB:g} MB"
 
 
 if __name__ == "__main__":

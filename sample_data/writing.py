@@ -1,4 +1,4 @@
-"""Presses that were thought out one by one, as a recording."""
+"""Write a recording of single simulated presses."""
 
 from __future__ import annotations
 
@@ -23,33 +23,33 @@ FRAMES_PER_S = 10.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PressFrame:
-    """One frame: where the object is, and the units of the sensors that feel it."""
+    """One frame: the object's pose and the sensor instances that record it."""
 
     pose: Doubles  # alignment_from_object
     sensors: tuple[SensorSpec, ...]
 
 
-def write_recording(path: Path, thing: Shape, shots: Sequence[PressFrame], notes: Sequence[str]) -> None:
-    """Record all shots of `thing`; what stood at `path` is replaced."""
+def write_recording(path: Path, shape: Shape, frames: Sequence[PressFrame], notes: Sequence[str]) -> None:
+    """Simulate all frames of an object and write them, replacing the file at `path`."""
     pairings = [
         Pairing(source=a.name, target=b.name, target_from_source=alignment.resolve_alignment(a, b).target_from_source)
-        for a, b in permutations(shots[0].sensors, 2)
+        for a, b in permutations(frames[0].sensors, 2)
     ]
     references: dict[int, Image | Floats] = {}
     with RecordingWriter(
-        path, object_mesh=thing.mesh, symmetry=thing.symmetry, pairings=pairings, notes=notes, coding="row differences",
+        path, object_mesh=shape.mesh, symmetry=shape.symmetry, pairings=pairings, notes=notes, coding="row differences",
         depth_step_mm=BUBBLE_STEP_MM,
     ) as writer:  # fmt: skip
-        for index, shot in enumerate(shots):
-            for place, spec in enumerate(shot.sensors):
-                seed = (1 + index) * len(shot.sensors) + place  # a noise of its own for every reading
-                felt = simulate_press(thing.mesh, shot.pose, spec, seed=seed)
-                assert felt.converged, f"frame {index} of {spec.name} did not converge"
+        for index, press_frame in enumerate(frames):
+            for position, spec in enumerate(press_frame.sensors):
+                seed = (1 + index) * len(press_frame.sensors) + position  # each image has its own noise
+                press = simulate_press(shape.mesh, press_frame.pose, spec, seed=seed)
+                assert press.converged, f"frame {index} of {spec.name} did not converge"
                 if id(spec) not in references:
-                    still = np.zeros(spec.camera.shape, np.float32)
-                    references[id(spec)] = render_sensor_image(spec, still, spec.rest_depth_mm, place)
+                    at_rest = np.zeros(spec.camera.shape, np.float32)
+                    references[id(spec)] = render_sensor_image(spec, at_rest, spec.rest_depth_mm, position)
                 frame = TactileFrame(
-                    sensor=spec.name, image=felt.image, reference=references[id(spec)], index=index,
+                    sensor=spec.name, image=press.image, reference=references[id(spec)], index=index,
                     time_s=index / FRAMES_PER_S,
                 )  # fmt: skip
-                writer.append(spec.name, frame, felt.truth)
+                writer.append(spec.name, frame, press.truth)

@@ -19,9 +19,9 @@ from pipeline.base.files import read_toml, write_text
 from pipeline.base.text import escape_text
 from pipeline.geometry import rigid
 from pipeline.sensors.alignment import ALIGNMENT_PARTS, Alignment
+from pipeline.sensors.offsets import parse_triple
 
 ALIGNMENT_SUFFIX = ".toml"
-_LIMITS = {"translation_mm": rigid.MAX_TRANSLATION_MM, "rotation_deg": 360.0}
 _COMMENTS = {
     "alignment_from_source": "the paper's T_S->A: maps points from the source frame to the alignment frame",
     "target_from_alignment": "the paper's T_A->T: maps points from the alignment frame to the target frame",
@@ -103,20 +103,11 @@ def _read_transform(data: dict[str, Any], side: str, path: Path) -> Doubles:
             f"the alignment lacks the table [{side}] with translation_mm and rotation_deg", path, field=side
         )
     values = cast("dict[str, Any]", table)
-    translation_mm, rotation_deg = (_read_triple(values, side, key, limit, path) for key, limit in _LIMITS.items())
+    try:
+        translation_mm, rotation_deg = (parse_triple(values, key) for key in ("translation_mm", "rotation_deg"))
+    except ValueError as error:
+        raise FileProblem(f"{side}.{error}", path, field=f"{side}.{str(error).split()[0]}") from error
     return freeze(rigid.from_parts(translation_mm, rotation_deg))
-
-
-def _read_triple(table: dict[str, Any], side: str, key: str, limit: float, path: Path) -> list[float]:
-    where = f"{side}.{key}"
-    value: object = table.get(key)
-    numbers = cast("list[object]", value) if isinstance(value, list) else []
-    real = [n for n in numbers if isinstance(n, (int, float)) and not isinstance(n, bool)]
-    if len(real) != 3 or len(numbers) != 3:
-        raise FileProblem(f"{where} must be a list of three numbers, got {value!r}", path, field=where)
-    if not all(abs(n) <= limit for n in real):  # false for NaN
-        raise FileProblem(f"{where} must be three finite numbers within {limit:g}, got {value!r}", path, field=where)
-    return [float(n) for n in real]
 
 
 def _format_numbers(values: Doubles) -> str:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,9 +20,6 @@ from pipeline.base.entry_points import load_entry_points, load_reference
 from pipeline.geometry.camera import Camera
 from pipeline.geometry.membrane import Membrane
 from pipeline.sensors.descriptions import DescriptionSection
-
-if TYPE_CHECKING:
-    from pipeline.sensors.spec import SensorSpec
 
 GetSection = Callable[[str], DescriptionSection]
 DisplayGroup = Literal["gel", "bubble"]
@@ -62,8 +59,8 @@ class SensorKind:
         """The membrane that the description gives as numbers; raises CalibrationError."""
         return load_reference(self.membrane_parser)(section, camera, parts)
 
-    def render_reference(self, sensor: SensorSpec) -> NDArray[Any]:
-        """The image of the sensor without contact and noise."""
+    def render_reference(self, sensor: Any) -> NDArray[Any]:
+        """The image of a sensor (SensorSpec) without contact and noise."""
         return load_reference(self.reference_renderer)(sensor)
 
     def compute_change(self, image: NDArray[Any], reference: NDArray[Any]) -> Floats:
@@ -76,6 +73,7 @@ class SensorKind:
         return image.astype(np.float32) if self.is_depth else np.clip(np.rint(image), 0, 255).astype(np.uint8)
 
 
+_BUILT_IN = ("pipeline.sensors.gel_kind:GEL", "pipeline.sensors.bubble_kind:BUBBLE")
 _registered: dict[str, SensorKind] = {}
 
 
@@ -86,11 +84,8 @@ def register_kind(kind: SensorKind) -> None:
 
 def list_kinds() -> dict[str, SensorKind]:
     """Key -> kind; those of the project cannot be replaced."""
-    from pipeline.sensors.bubble_kind import BUBBLE
-    from pipeline.sensors.gel_kind import GEL
-
-    added = {kind.key: kind for kind in load_entry_points("tactoscope.sensor_kinds")}
-    return {**added, **_registered, GEL.key: GEL, BUBBLE.key: BUBBLE}
+    kinds = [*load_entry_points("tactoscope.sensor_kinds"), *_registered.values(), *map(load_reference, _BUILT_IN)]
+    return {kind.key: kind for kind in kinds}
 
 
 def get_kind(key: str) -> SensorKind:

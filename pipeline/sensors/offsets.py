@@ -84,10 +84,11 @@ def parse_offsets(data: object) -> Offsets:
     if not isinstance(data, dict):
         raise ValueError("must be a table of translation_mm, rotation_deg and pivot_mm")
     table = cast("Mapping[str, Any]", data)
-    return Offsets(**{name: _read_triple(table, name) for name in _LIMITS})
+    return Offsets(**{name: parse_triple(table, name) for name in _LIMITS})
 
 
-def _read_triple(table: Mapping[str, Any], name: str) -> Triple:
+def parse_triple(table: Mapping[str, Any], name: str) -> Triple:
+    """Three finite numbers of a table, within the limit of `name`; raises ValueError that begins with `name`."""
     value: object = table.get(name)
     numbers = cast("list[object]", value) if isinstance(value, list) else []
     plain = [float(n) for n in numbers if isinstance(n, (int, float)) and not isinstance(n, bool)]

@@ -96,7 +96,7 @@ def readable(recording: Recording, name: str) -> list[int]:
     return good
 
 
-def test_frames_come_back_as_they_were_written(recording: Recording):
+def test_frames_are_read_as_written(recording: Recording):
     assert [s.name for s in recording.streams] == ["gelslim", "bubble"]
     assert readable(recording, "gelslim") == readable(recording, "bubble") == list(range(N_FRAMES))
     frame = recording.stream("gelslim").frame(3)
@@ -106,7 +106,7 @@ def test_frames_come_back_as_they_were_written(recording: Recording):
     assert recording.notes == ("made by a test",)
 
 
-def test_truth_comes_back_within_a_twentieth_of_a_micrometre(recording: Recording):
+def test_truth_is_read_within_a_twentieth_of_a_micrometre(recording: Recording):
     truth, want = recording.stream("gelslim").truth(5), gel_truth(5)
     np.testing.assert_allclose(truth.indentation_mm, want.indentation_mm, atol=GEL_STEP_MM / 2 + FLOAT_ROUNDING_MM)
     assert np.isnan(truth.indentation_mm[3, 4])
@@ -116,7 +116,7 @@ def test_truth_comes_back_within_a_twentieth_of_a_micrometre(recording: Recordin
     assert not recording.stream("bubble").has_truth
 
 
-def test_mesh_camera_and_pairing_come_back(recording: Recording):
+def test_mesh_camera_and_pairing_are_read_as_written(recording: Recording):
     np.testing.assert_array_equal(recording.object_mesh.vertices_mm, MESH.vertices_mm)
     np.testing.assert_array_equal(recording.object_mesh.triangles, MESH.triangles)
     assert recording.object_mesh.name == "corner"
@@ -127,7 +127,7 @@ def test_mesh_camera_and_pairing_come_back(recording: Recording):
     assert recording.target_from_source("gelslim", "digit") is None
 
 
-def test_row_differences_lose_nothing_and_save_room_on_smooth_pictures(tmp_path: Path):
+def test_row_differences_are_lossless_and_smaller_for_smooth_images(tmp_path: Path):
     smooth = np.add.outer(np.arange(120), np.arange(160))[..., None] % 256 + np.zeros(3)
     noisy = smooth + np.random.default_rng(0).normal(0, 1.2, smooth.shape)
     image = np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
@@ -186,7 +186,7 @@ def test_truth_that_begins_late_is_unknown_before(tmp_path: Path):
     opened.close()
 
 
-def test_append_goes_on_where_the_recording_ended(tmp_path: Path):
+def test_append_continues_a_recording(tmp_path: Path):
     path = written(tmp_path / "a.h5", 3)
     with RecordingWriter.open_for_append(path) as writer:
         writer.append("gelslim", gel_frame(3), gel_truth(3))
@@ -198,7 +198,7 @@ def test_append_goes_on_where_the_recording_ended(tmp_path: Path):
 
 
 @pytest.mark.parametrize("step_mm", [0.0, 0.05])
-def test_going_on_with_a_recording_keeps_no_reference_twice(tmp_path: Path, step_mm: float):
+def test_append_stores_no_reference_twice(tmp_path: Path, step_mm: float):
     path = written(tmp_path / "a.h5", 2, depth_step_mm=step_mm)
     for index in (2, 3):
         with RecordingWriter.open_for_append(path) as writer:
@@ -223,7 +223,7 @@ def test_an_interrupted_write_leaves_the_file_as_it_was(tmp_path: Path):
     assert [p.name for p in tmp_path.iterdir()] == ["a.h5"]
 
 
-def test_frames_of_one_untouched_reading_share_it_and_those_of_two_do_not(tmp_path: Path):
+def test_frames_share_an_equal_reference_and_keep_different_ones(tmp_path: Path):
     path = tmp_path / "two.h5"
     with RecordingWriter(path) as writer:
         for index in range(4):
@@ -236,7 +236,7 @@ def test_frames_of_one_untouched_reading_share_it_and_those_of_two_do_not(tmp_pa
     assert [int(reference.max()) for reference in references] == [100, 100, 101, 101, 100]
 
 
-def test_a_recording_written_anew_is_the_same(tmp_path: Path, recording: Recording):
+def test_a_rewritten_recording_is_equal(tmp_path: Path, recording: Recording):
     with RecordingWriter(tmp_path / "copy.h5") as writer:
         for stream in recording.streams:
             for index in range(stream.n_frames):
@@ -249,7 +249,7 @@ def test_a_recording_written_anew_is_the_same(tmp_path: Path, recording: Recordi
 
 
 @pytest.mark.parametrize("share", [0.9, 0.6, 0.45])
-def test_a_file_that_is_cut_short_keeps_its_earlier_frames(tmp_path: Path, file: Path, share: float):
+def test_a_truncated_file_keeps_its_earlier_frames(tmp_path: Path, file: Path, share: float):
     data = file.read_bytes()
     path = tmp_path / "cut.h5"
     path.write_bytes(data[: int(len(data) * share)])
@@ -293,7 +293,7 @@ def test_a_flipped_byte_costs_one_frame_and_is_named(tmp_path: Path, file: Path)
     opened.close()
 
 
-def test_no_flipped_byte_changes_a_picture_unseen(tmp_path: Path):
+def test_no_flipped_byte_changes_an_image_unnoticed(tmp_path: Path):
     path = written(tmp_path / "a.h5", 3)
     data, rng, n_read = path.read_bytes(), np.random.default_rng(5), 0
     for _ in range(40):
@@ -326,7 +326,7 @@ def test_no_flipped_byte_changes_a_picture_unseen(tmp_path: Path):
         (lambda f: f["streams/bubble/camera_matrix"].__setitem__((0, 0), 0.0), "camera_matrix is singular"),
     ],
 )
-def test_what_does_not_fit_the_format_is_refused_by_name(tmp_path: Path, change, message: str):
+def test_content_that_does_not_fit_the_format_is_refused_by_name(tmp_path: Path, change, message: str):
     path = written(tmp_path / "a.h5", 1)
     with h5py.File(path, "r+") as f:
         change(f)
@@ -343,7 +343,7 @@ def test_truth_of_another_shape_is_not_written(tmp_path: Path, truth):
 
 
 @pytest.mark.parametrize("truth", [{"force_n": np.arange(3.0)}, {"sensor_from_object": np.eye(4)}])
-def test_truth_of_the_right_shape_comes_back(tmp_path: Path, truth):
+def test_truth_of_the_right_shape_is_read_as_written(tmp_path: Path, truth):
     picture = TactileFrame(sensor="digit", image=np.zeros((4, 6, 3), np.uint8), reference=None)
     with RecordingWriter(tmp_path / "a.h5") as writer:
         writer.append("digit", picture, Truth(**truth))
@@ -351,6 +351,6 @@ def test_truth_of_the_right_shape_comes_back(tmp_path: Path, truth):
     np.testing.assert_array_equal(getattr(open_recording(tmp_path / "a.h5").stream().truth(0), name), value)
 
 
-def test_a_frame_that_is_not_there_says_which_are(recording: Recording):
+def test_a_missing_frame_names_the_range(recording: Recording):
     with pytest.raises(FileProblem, match=f"there is no frame {N_FRAMES}, frames are 0 to {N_FRAMES - 1}"):
         recording.stream("gelslim").frame(N_FRAMES)

@@ -41,7 +41,7 @@ def test_frames_come_in_natural_order_with_the_background_as_reference(folder: P
 @pytest.mark.parametrize(
     ("shape", "sensor"), [((320, 427), "gelslim"), ((320, 240), "digit"), ((240, 320), "gelsight_mini")]
 )
-def test_the_sensor_is_guessed_from_the_size_and_said_so(tmp_path: Path, shape, sensor: str):
+def test_the_sensor_is_guessed_from_the_size_with_a_note(tmp_path: Path, shape, sensor: str):
     save(tmp_path / "a.png", shape=shape)
     recording = open_recording(tmp_path)
     assert recording.streams[0].sensor == recording.streams[0].frame(0).sensor == sensor
@@ -61,7 +61,7 @@ def test_an_unknown_sensor_is_refused(folder: Path):
         open_recording(folder, sensor="nose")
 
 
-def test_a_given_reference_counts_and_is_no_frame(folder: Path):
+def test_a_stated_reference_is_used_and_is_no_frame(folder: Path):
     recording = open_recording(folder, reference=folder / "press_2.png")
     assert recording.streams[0].n_frames == 2
     assert recording.streams[0].frame(0).reference[0, 0, 0] == 102
@@ -74,7 +74,7 @@ def test_without_a_reference_the_notes_say_so(tmp_path: Path):
     assert any("no reference image" in note for note in recording.notes)
 
 
-def test_a_reference_that_is_not_there_is_named(folder: Path):
+def test_a_missing_reference_is_named(folder: Path):
     with pytest.raises(FileProblem, match=r"cannot read the reference image.*nowhere\.png"):
         open_recording(folder, reference=folder / "nowhere.png")
 
@@ -101,7 +101,7 @@ def test_an_image_of_another_size_is_named(folder: Path):
         open_recording(folder).streams[0].frame(0)
 
 
-def test_loops_of_links_pipes_and_odd_names_in_a_folder_cost_only_themselves(folder: Path):
+def test_link_loops_pipes_and_odd_names_in_a_folder_are_skipped(folder: Path):
     (folder / "a_loop.png").symlink_to(folder / "a_loop.png")
     os.mkfifo(folder / "a_pipe.png")
     name = os.fsdecode(b"b\xff\xb2.png")
@@ -145,7 +145,7 @@ def test_a_missing_file_is_named(tmp_path: Path):
         open_recording(tmp_path / "nowhere.h5")
 
 
-def test_grey_and_see_through_images_become_rgb(tmp_path: Path):
+def test_grey_and_transparent_images_become_rgb(tmp_path: Path):
     cv2.imwrite(str(tmp_path / "a.png"), np.full((240, 320), 77, np.uint8))
     cv2.imwrite(str(tmp_path / "b.png"), np.full((240, 320, 4), (10, 30, 200, 0), np.uint8))
     stream = open_recording(tmp_path).streams[0]
@@ -191,7 +191,7 @@ def test_real_folders_open_with_their_reference(real_data: Path, name: str, n_fr
     assert stream.frame(0).reference is not None
 
 
-def test_a_reference_of_another_size_is_what_is_said_to_be_wrong(folder: Path):
+def test_a_reference_of_another_size_is_named_in_the_error(folder: Path):
     save(folder / "background.png", shape=(480, 640))
     with pytest.raises(FileProblem, match=r"reference image is 640 x 480 px, the others are 320 x 240 px.*background"):
         open_recording(folder)

@@ -38,7 +38,7 @@ def make(kind: str, folder: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", ["a.h5", "a.npz", "a.pt", "a.png", "a"])
-def test_a_name_that_is_no_text_is_a_name_like_any_other(tmp_path: Path, kind: str):
+def test_a_file_name_that_is_no_utf8_can_be_opened(tmp_path: Path, kind: str):
     make(kind, tmp_path)
     path = shutil.move(tmp_path / kind, tmp_path / f"{NAME}{Path(kind).suffix}")
     recording = open_recording(path)
@@ -48,7 +48,7 @@ def test_a_name_that_is_no_text_is_a_name_like_any_other(tmp_path: Path, kind: s
         recording.streams[0].frame(99)
 
 
-def test_a_video_whose_name_is_no_text_is_refused_in_words(tmp_path: Path):
+def test_a_video_whose_name_is_no_utf8_is_refused(tmp_path: Path):
     path = tmp_path / f"{NAME}.mp4"
     path.write_bytes(b"something")
     with pytest.raises(FileProblem, match="the name of a video must be UTF-8"):
@@ -56,6 +56,6 @@ def test_a_video_whose_name_is_no_text_is_refused_in_words(tmp_path: Path):
 
 
 @pytest.mark.parametrize("name", ["x" * 300, "nul\0", "a/" * 3000])
-def test_a_name_that_no_file_can_have_is_refused(tmp_path: Path, name: str):
+def test_an_impossible_file_name_is_refused(tmp_path: Path, name: str):
     with pytest.raises(FileProblem, match="no such file or folder"):
         open_recording(tmp_path / name)

@@ -23,25 +23,25 @@ def recording(tmp_path, **streams):
     return open_recording(path)
 
 
-def told(recording):
+def list_sensors(recording):
     return [(s.sensor, s.frame(0).sensor) for s in recording.streams]
 
 
-def test_the_only_stream_takes_the_sensor_that_is_asked_for_and_says_so(tmp_path):
+def test_the_only_stream_takes_the_stated_sensor_with_a_note(tmp_path):
     changed = with_sensor(recording(tmp_path, a="digit"), "gelslim")
-    assert told(changed) == [("gelslim", "gelslim")]
+    assert list_sensors(changed) == [("gelslim", "gelslim")]
     assert changed.notes[-1] == "the file names the sensor digit; gelslim is used instead"
 
 
-def test_of_several_streams_those_that_name_their_sensor_keep_it(tmp_path):
+def test_several_streams_keep_the_sensors_that_they_name(tmp_path):
     changed = with_sensor(recording(tmp_path, a="digit", b=""), "gelslim")
-    assert told(changed) == [("digit", "digit"), ("gelslim", "gelslim")]
+    assert list_sensors(changed) == [("digit", "digit"), ("gelslim", "gelslim")]
     assert not any("is used instead" in note for note in changed.notes)
 
 
 @pytest.mark.parametrize("asked", ["", "digit"])
-def test_what_the_file_says_already_is_no_news(tmp_path, asked):
+def test_an_equal_sensor_adds_no_note(tmp_path, asked):
     opened = recording(tmp_path, a="digit")
     changed = with_sensor(opened, asked)
-    assert told(changed) == [("digit", "digit")]
+    assert list_sensors(changed) == [("digit", "digit")]
     assert changed.notes == opened.notes

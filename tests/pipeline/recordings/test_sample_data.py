@@ -42,7 +42,7 @@ def test_a_sample_passes_every_check_and_knows_its_truth(name):
 
 
 @pytest.mark.parametrize("name", ["grasps_lines_120", "grasps_curve", "grasps_cross"])
-def test_every_grasp_is_felt_by_both_sensors(opened, name):
+def test_every_grasp_has_contact_on_both_sensors(opened, name):
     recording = opened(name)
     assert {s.sensor for s in recording.streams} == {"gelslim", "soft_bubble"}
     assert all(s.truth(k).contact.any() for s in recording.streams for k in range(s.n_frames))
@@ -55,7 +55,7 @@ def test_nothing_touches_in_the_sample_without_contact(opened):
             assert not stream.truth(k).indentation_mm.any()
 
 
-def test_the_troubles_are_there(opened):
+def test_the_hard_cases_are_present(opened):
     recording = opened("trouble")
     gel, bubble = recording.stream("gelslim"), recording.stream("soft_bubble")
     contact = [gel.truth(k).contact for k in range(gel.n_frames)]

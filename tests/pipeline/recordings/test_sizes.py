@@ -32,7 +32,7 @@ def save(path: Path, rgb: np.ndarray) -> None:
     ("name", "shape"),
     [("digit", (640, 480)), ("gelsight_mini", (480, 640)), ("gelslim", (640, 854)), ("gelslim", (128, 128))],
 )
-def test_the_right_sensor_at_another_size_is_resampled_and_said_so(tmp_path: Path, name: str, shape: tuple[int, int]):
+def test_another_size_of_the_same_sensor_is_resampled_with_a_note(tmp_path: Path, name: str, shape: tuple[int, int]):
     own = smooth(load_sensor(name).camera.shape)
     save(tmp_path / "press.png", cv2.resize(own, shape[::-1], interpolation=cv2.INTER_AREA))
     save(tmp_path / "ref.png", cv2.resize(own, shape[::-1], interpolation=cv2.INTER_AREA))
@@ -49,7 +49,7 @@ def test_the_right_sensor_at_another_size_is_resampled_and_said_so(tmp_path: Pat
     ]
 
 
-def test_a_digit_on_its_side_is_turned_as_its_driver_does(tmp_path: Path):
+def test_a_digit_image_on_its_side_is_rotated_as_by_its_driver(tmp_path: Path):
     upright = smooth((320, 240))
     raw = np.flipud(upright).transpose(1, 0, 2)  # the driver transposes, then flips
     save(tmp_path / "press.png", cv2.resize(np.ascontiguousarray(raw), (640, 480)))
@@ -58,7 +58,7 @@ def test_a_digit_on_its_side_is_turned_as_its_driver_does(tmp_path: Path):
     assert any("90 degrees" in note for note in recording.notes)
 
 
-def test_the_whole_camera_of_a_mini_is_cut_as_its_driver_does(tmp_path: Path):
+def test_the_full_image_of_a_mini_is_cropped_as_by_its_driver(tmp_path: Path):
     whole = np.full((2464, 3280, 3), 250, np.uint8)
     whole[352:2112, 469:2811] = 90
     save(tmp_path / "press.png", whole)
@@ -76,7 +76,7 @@ def test_vga_may_be_of_two_sensors_and_is_not_guessed(tmp_path: Path):
     assert any("may be gelsight_mini, or digit" in note for note in recording.notes)
 
 
-def test_a_picture_of_another_shape_is_not_forced_into_the_sensor(tmp_path: Path):
+def test_an_image_of_another_aspect_ratio_is_not_resampled(tmp_path: Path):
     save(tmp_path / "press.png", smooth((200, 400)))
     assert open_recording(tmp_path, sensor="digit").streams[0].frame(0).image.shape == (200, 400, 3)
 
@@ -96,7 +96,7 @@ def test_depth_at_another_size_gets_a_camera_that_fits(tmp_path: Path, shape: tu
     assert float(np.nanmedian(found.indentation_mm)) == pytest.approx(6.0, abs=0.5)
 
 
-def test_one_sixteen_bit_picture_is_depth_with_a_unit_and_a_reference(tmp_path: Path):
+def test_one_sixteen_bit_image_is_depth_with_a_unit_and_a_reference(tmp_path: Path):
     cv2.imwrite(str(tmp_path / "touch.png"), np.full((140, 175), 770, np.uint16))
     cv2.imwrite(str(tmp_path / "rest_0p1mm.png"), np.full((140, 175), 800, np.uint16))
     with pytest.raises(FileProblem, match="cannot tell the unit of 'touch'"):
@@ -113,7 +113,7 @@ def test_one_sixteen_bit_picture_is_depth_with_a_unit_and_a_reference(tmp_path: 
     assert inspect_recording(tmp_path / "touch.png", depth_unit="0.1mm").streams[0].dtype == "float32 depth in mm"
 
 
-def test_a_depth_folder_knows_its_untouched_picture(tmp_path: Path):
+def test_a_depth_folder_finds_its_reference_image(tmp_path: Path):
     folder = tmp_path / "depth_mm"
     folder.mkdir()
     for name, mm in (("ref", 80), ("0", 70), ("1", 70)):
@@ -154,13 +154,13 @@ def test_a_difference_implies_its_reference_and_has_the_depth_of_the_touch(tmp_p
     assert found.indentation_mm.max() == pytest.approx(whole.indentation_mm.max(), rel=0.03)
 
 
-def test_an_untouched_gel_is_no_difference(tmp_path: Path):
+def test_a_gel_without_contact_is_no_difference_image(tmp_path: Path):
     for name in ("digit", "gelsight_mini", "gelslim"):
         save(tmp_path / "press.png", render_reference(load_sensor(name)))
         assert open_recording(tmp_path / "press.png").streams[0].frame(0).reference is None
 
 
-def test_colour_arrays_open_as_pictures(tmp_path: Path):
+def test_colour_arrays_open_as_images(tmp_path: Path):
     frames = np.stack([np.full((320, 240, 3), 60 + k, np.uint8) for k in range(3)])
     np.save(tmp_path / "frames.npy", frames)
     stream = open_recording(tmp_path / "frames.npy").streams[0]
@@ -172,7 +172,7 @@ def test_colour_arrays_open_as_pictures(tmp_path: Path):
     np.testing.assert_array_equal(frame.reference, frames[0])
 
 
-def test_colour_arrays_beyond_white_or_doubled_are_refused(tmp_path: Path):
+def test_colour_arrays_above_white_or_of_two_stacks_are_refused(tmp_path: Path):
     np.save(tmp_path / "a.npy", np.full((320, 240, 3), 4000, np.uint16))
     with pytest.raises(FileProblem, match="must hold grey levels"):
         open_recording(tmp_path / "a.npy")

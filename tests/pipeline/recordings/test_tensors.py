@@ -70,7 +70,7 @@ def test_a_bubble_sample_is_depth_in_mm_with_the_window_of_its_camera(tmp_path: 
     assert right.camera.shape == right.image.shape == (140, 175)
 
 
-def test_the_pose_of_the_tool_is_given_in_the_bubbles_camera(tmp_path: Path):
+def test_the_pose_of_the_tool_is_in_the_bubble_camera_frame(tmp_path: Path):
     truth = open_recording(saved(tmp_path / "data_3.pt", bubble())).streams[0].truth(0)
     want = rigid.from_parts((0.0, 0.0, 100.0), (0.0, 0.0, 180.0))  # turned back and 0.1 m up
     np.testing.assert_allclose(truth.sensor_from_object, want, atol=FLOAT_ROUNDING_MM)
@@ -129,7 +129,7 @@ def test_a_depth_dictionary_gives_both_fingers_and_positive_indentation(tmp_path
         ({**bubble(), "K": torch.zeros(2, 3, 3)}, "K is singular"),
     ],
 )
-def test_tensor_files_that_do_not_fit_are_refused_in_one_sentence(tmp_path: Path, content, message: str):
+def test_invalid_tensor_files_are_refused(tmp_path: Path, content, message: str):
     with pytest.raises((FileProblem, CalibrationError), match=message) as caught:
         open_recording(saved(tmp_path / "odd.pt", content)).streams[0].frame(0)
     assert "odd.pt" in str(caught.value)
@@ -156,7 +156,7 @@ def odd_values(good: torch.Tensor) -> dict[str, object]:
         if key not in ("theta", "in_hand_pose")
     ],
 )
-def test_tensors_of_odd_kinds_are_refused_by_their_key(tmp_path: Path, make, key: str):
+def test_tensors_of_unusual_types_are_refused_by_their_key(tmp_path: Path, make, key: str):
     refused = []
     for what, odd in odd_values(make()[key]).items():
         path = saved(tmp_path / f"{key}.pt", {**make(), key: odd})
@@ -183,7 +183,7 @@ ODD_ARRAYS = {
 
 @pytest.mark.parametrize("what", ODD_ARRAYS)
 @pytest.mark.parametrize("name", ["depth_mm", "K", "timestamps_s"])
-def test_depth_arrays_of_odd_kinds_are_refused_or_left_out(tmp_path: Path, what: str, name: str):
+def test_depth_arrays_of_unusual_types_are_refused_or_left_out(tmp_path: Path, what: str, name: str):
     good = {"depth_mm": np.full((2, 6, 7), 80.0), "K": np.diag([20.0, 20.0, 1.0]), "timestamps_s": np.arange(2.0)}
     np.savez(tmp_path / "odd.npz", **{**good, name: ODD_ARRAYS[what]})
     if name == "timestamps_s":
@@ -200,7 +200,7 @@ def test_a_pt_file_that_is_not_one_is_refused(tmp_path: Path, content: bytes):
         open_recording(tmp_path / "a.pt")
 
 
-def test_a_pt_file_that_is_cut_short_is_refused(tmp_path: Path):
+def test_a_truncated_pt_file_is_refused(tmp_path: Path):
     path = saved(tmp_path / "a.pt", bubble())
     path.write_bytes(path.read_bytes()[:50_000])
     with pytest.raises(FileProblem, match="cut short"):
@@ -228,13 +228,13 @@ def test_punyo_arrays_are_mm_with_gaps_and_their_camera(tmp_path: Path):
 
 
 @pytest.mark.parametrize(("name", "scale"), [("depth_mm", 1.0), ("depth_m", 0.001), ("my_depth_um", 1000.0)])
-def test_the_unit_is_read_off_the_name(tmp_path: Path, name: str, scale: float):
+def test_the_unit_follows_from_the_name(tmp_path: Path, name: str, scale: float):
     np.save(tmp_path / f"{name}.npy", np.full((2, 6, 7), 80.0 * scale, np.float32))
     image = open_recording(tmp_path / f"{name}.npy").streams[0].frame(1).image
     np.testing.assert_allclose(image, 80.0, atol=FLOAT_ROUNDING_MM)
 
 
-def test_a_depth_whose_unit_cannot_be_told_is_refused_by_its_key(tmp_path: Path):
+def test_a_depth_array_without_a_unit_is_refused_by_its_key(tmp_path: Path):
     np.savez(tmp_path / "p.npz", depth=np.full((2, 6, 7), 80.0))
     with pytest.raises(FileProblem, match="cannot tell the unit of 'depth'") as caught:
         open_recording(tmp_path / "p.npz")
@@ -242,7 +242,7 @@ def test_a_depth_whose_unit_cannot_be_told_is_refused_by_its_key(tmp_path: Path)
     assert open_recording(tmp_path / "p.npz", depth_unit="mm").streams[0].frame(0).image[0, 0] == 80.0
 
 
-def test_metres_called_millimetres_are_doubted(tmp_path: Path):
+def test_metres_named_millimetres_are_refused(tmp_path: Path):
     np.savez(tmp_path / "p.npz", depth_mm=np.full((2, 6, 7), 0.08))
     with pytest.raises(FileProblem, match=r"median of 0\.08 mm when read in mm"):
         open_recording(tmp_path / "p.npz")

@@ -45,7 +45,7 @@ def test_of_several_recordings_the_first_opens_and_the_others_are_named(tmp_path
 
 @pytest.fixture
 def slide(tmp_path: Path) -> Path:
-    """YCB-Slide: frames beside a film, webcam pictures, drawings and pickles."""
+    """YCB-Slide: frames next to a film, webcam images, drawings and pickles."""
     for number in (0, 1):
         data = tmp_path / "real" / "035_power_drill" / f"dataset_{number}"
         for k in range(3):
@@ -60,7 +60,7 @@ def slide(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("below", ["", "real", "real/035_power_drill", "real/035_power_drill/dataset_0"])
-def test_the_tree_of_ycb_slide_opens_at_any_height(slide: Path, below: str):
+def test_the_tree_of_ycb_slide_opens_at_any_level(slide: Path, below: str):
     recording = open_recording(slide / below)
     assert recording.streams[0].sensor == "digit"
     np.testing.assert_allclose(reds(recording), [100, 120, 140], atol=2)
@@ -75,7 +75,7 @@ def test_a_simulated_slide_opens_its_tactile_images(tmp_path: Path):
 
 
 @pytest.mark.parametrize("below", ["", "6.310mm"])
-def test_a_calibration_with_every_press_in_a_folder_of_its_own_is_one_recording(tmp_path: Path, below: str):
+def test_a_calibration_with_each_press_in_its_own_folder_is_one_recording(tmp_path: Path, below: str):
     picture(tmp_path / "background.png", red=5)
     for k in (0, 1, 2, 10):
         picture(tmp_path / "6.310mm" / str(k) / "gelsight.png", red=100 + k)
@@ -84,7 +84,7 @@ def test_a_calibration_with_every_press_in_a_folder_of_its_own_is_one_recording(
     assert recording.streams[0].frame(0).reference[0, 0, 0] == 5
 
 
-def test_untouched_pictures_of_sparsh_lie_in_a_folder_beside(tmp_path: Path):
+def test_reference_images_of_sparsh_are_found_in_the_folder_bgs(tmp_path: Path):
     for k in range(3):
         picture(tmp_path / "bgs" / f"bg_{k}.jpg", red=50 + k)
         picture(tmp_path / "can" / f"{k}.jpg", red=100)
@@ -122,20 +122,20 @@ def test_points_in_another_order_are_refused(tmp_path: Path):
         open_recording(tmp_path)
 
 
-def test_a_folder_of_pickles_says_what_to_export(tmp_path: Path):
+def test_a_folder_of_pickles_is_refused_with_advice(tmp_path: Path):
     (tmp_path / "dataset_0.pkl").write_bytes(pickle.dumps([b"jpeg"]))
     for place in (tmp_path, tmp_path / "dataset_0.pkl"):
         with pytest.raises(FileProblem, match=r"can run code.*refused.*save the images as PNG.*numpy\.savez"):
             open_recording(place)
 
 
-def test_pickled_objects_in_an_array_file_are_called_that(tmp_path: Path):
+def test_pickled_objects_in_an_array_file_are_named(tmp_path: Path):
     np.save(tmp_path / "synced.npy", np.array({"poses": 1}, dtype=object), allow_pickle=True)
     with pytest.raises(FileProblem, match=r"could run code.*numpy\.savez"):
         open_recording(tmp_path / "synced.npy")
 
 
-def test_a_folder_of_our_own_recordings_opens(tmp_path: Path):
+def test_a_folder_of_tactoscope_recordings_opens(tmp_path: Path):
     from pipeline.recordings.hdf5_writer import RecordingWriter
     from pipeline.values.frames import TactileFrame
 

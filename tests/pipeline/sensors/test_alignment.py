@@ -11,7 +11,7 @@ from pipeline.sensors.spec import list_sensor_names, load_sensor
 
 
 @pytest.mark.parametrize(("source", "target"), list(product(list_sensor_names(), repeat=2)))
-def test_there_and_back_is_nothing(source, target):
+def test_an_alignment_and_its_reverse_compose_to_the_identity(source, target):
     there = resolve_alignment(load_sensor(source), load_sensor(target)).target_from_source
     back = resolve_alignment(load_sensor(target), load_sensor(source)).target_from_source
     np.testing.assert_allclose(back @ there, np.eye(4), atol=1e-12)
@@ -24,7 +24,7 @@ def test_a_sensor_is_aligned_with_itself(name):
     )
 
 
-def test_the_way_goes_through_the_alignment_frame():
+def test_target_from_source_goes_through_the_alignment_frame():
     gel, bubble = load_sensor("gelslim"), load_sensor("soft_bubble")
     middle_of_gel = [0.0, 0.0, gel.rest_depth_mm.mean()]
     in_alignment = rigid.apply(gel.alignment_from_sensor, middle_of_gel)

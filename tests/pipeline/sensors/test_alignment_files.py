@@ -33,7 +33,7 @@ def written(folder, text):
 
 
 @given(numbers, numbers, numbers, numbers)
-def test_what_is_saved_is_loaded_again(tmp_path_factory, a, b, c, d):
+def test_a_saved_alignment_is_loaded_as_written(tmp_path_factory, a, b, c, d):
     path = tmp_path_factory.mktemp("kept") / "new folder" / "pair.toml"
     kept = Alignment(alignment_from_source=rigid.from_parts(a, b), target_from_alignment=rigid.from_parts(c, d))
     save_alignment(path, AlignmentFile(alignment=kept, source="gelslim", target="digit", origin='by "eye"'))
@@ -45,7 +45,7 @@ def test_what_is_saved_is_loaded_again(tmp_path_factory, a, b, c, d):
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "told"),
+    ("old", "new", "problem"),
     [
         ("[target_from_alignment]", "[somewhere]", "lacks the table [target_from_alignment]"),
         ("translation_mm", "translation_m", "alignment_from_source.translation_mm must be a list of three numbers"),
@@ -57,16 +57,16 @@ def test_what_is_saved_is_loaded_again(tmp_path_factory, a, b, c, d):
         ("translation_mm = [", "translation_mm = ", "not valid TOML"),
     ],
 )
-def test_a_wrong_file_gets_one_sentence_that_names_the_key(tmp_path, old, new, told):
+def test_an_invalid_file_is_refused_by_its_key(tmp_path, old, new, problem):
     assert old in GOOD
     path = written(tmp_path, GOOD.replace(old, new, 1))
     with pytest.raises(FileProblem) as caught:
         load_alignment(path, source="gelslim", target="soft_bubble")
-    assert told in str(caught.value)
+    assert problem in str(caught.value)
     assert str(caught.value).endswith(f"'{path}'")
 
 
-def test_a_file_of_the_other_direction_says_so(tmp_path):
+def test_a_file_of_the_reverse_direction_is_refused(tmp_path):
     with pytest.raises(FileProblem, match="swap source and target"):
         load_alignment(written(tmp_path, GOOD), source="soft_bubble", target="gelslim")
 
@@ -80,7 +80,7 @@ def test_a_file_that_is_missing_or_no_text_is_refused(tmp_path):
         load_alignment(binary, source="gelslim", target="digit")
 
 
-def test_where_nothing_can_be_written_the_error_says_so(tmp_path):
+def test_a_path_that_cannot_be_written_is_named(tmp_path):
     (tmp_path / "file").write_text("in the way")
     with pytest.raises(FileProblem, match="cannot write the alignment"):
         save_alignment(
@@ -99,7 +99,7 @@ def test_an_alignment_of_a_kilometre_or_of_many_turns_is_refused(tmp_path, key, 
 
 
 @pytest.mark.parametrize("origin", ["a\x1b[31m", "b\x7f", "c\udcff.h5", "d\n[x]", 'e"\\', "\U0001f600"])
-def test_whatever_an_origin_is_called_the_file_can_be_read_again(tmp_path, origin):
+def test_any_origin_text_can_be_read_again(tmp_path, origin):
     kept = replace(load_alignment(written(tmp_path, GOOD), source="gelslim", target="soft_bubble"), origin=origin)
     save_alignment(tmp_path / "again.toml", kept)
     again = load_alignment(tmp_path / "again.toml", source="gelslim", target="soft_bubble")

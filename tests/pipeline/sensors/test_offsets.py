@@ -1,4 +1,4 @@
-"""Offsets: six numbers and a pivot are one rigid motion, whatever point it is told about."""
+"""Offsets: six numbers and a pivot are one rigid motion, for any pivot."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ numbers = st.floats(-30.0, 30.0)
 triples = st.tuples(numbers, numbers, numbers)
 
 
-@given(shift=triples, turn=triples, pivot=triples, other=triples)
-def test_a_motion_told_about_another_point_is_the_same_motion(shift, turn, pivot, other):
-    offsets = Offsets(translation_mm=shift, rotation_deg=turn, pivot_mm=pivot)
+@given(translation=triples, rotation=triples, pivot=triples, other=triples)
+def test_another_pivot_gives_the_same_motion(translation, rotation, pivot, other):
+    offsets = Offsets(translation_mm=translation, rotation_deg=rotation, pivot_mm=pivot)
     points = np.array([[0.0, 0.0, 0.0], [100.0, -50.0, 80.0]])
     moved = rigid.apply(offsets.to_matrix(), points)
     assert np.allclose(rigid.apply(offsets.with_pivot(other).to_matrix(), points), moved, rtol=0, atol=ROUNDING_MM)
     assert offsets.with_pivot(other).pivot_mm == other
 
 
-def test_a_turn_leaves_the_pivot_and_a_shift_moves_it():
+def test_a_rotation_keeps_the_pivot_and_a_translation_moves_it():
     offsets = Offsets(rotation_deg=(0.0, 0.0, 30.0), pivot_mm=(1.0, 2.0, 20.0))
     assert np.allclose(rigid.apply(offsets.to_matrix(), (1.0, 2.0, 20.0)), (1.0, 2.0, 20.0), atol=ROUNDING_MM)
-    shifted = offsets.with_axis_value("y", 0.5)
-    assert np.allclose(rigid.apply(shifted.to_matrix(), (1.0, 2.0, 20.0)), (1.0, 2.5, 20.0), atol=ROUNDING_MM)
-    assert shifted.values == (0.0, 0.5, 0.0, 0.0, 0.0, 30.0)
+    translated = offsets.with_axis_value("y", 0.5)
+    assert np.allclose(rigid.apply(translated.to_matrix(), (1.0, 2.0, 20.0)), (1.0, 2.5, 20.0), atol=ROUNDING_MM)
+    assert translated.values == (0.0, 0.5, 0.0, 0.0, 0.0, 30.0)
 
 
-def test_no_offsets_leave_the_opened_alignment_itself():
+def test_zero_offsets_return_the_opened_alignment():
     opened = resolve_alignment(load_sensor("digit"), load_sensor("gelslim"))
     assert Offsets(pivot_mm=(1.0, 2.0, 3.0)).apply_to(opened) is opened
 
@@ -46,7 +46,7 @@ def test_offsets_come_after_the_opened_alignment():
     assert np.allclose(offsets.apply_to(opened).target_from_source, expected, rtol=0, atol=ROUNDING_MM)
 
 
-def test_a_found_motion_is_told_in_degrees_about_the_point_asked_for():
+def test_a_motion_is_decomposed_about_the_given_pivot():
     offsets = Offsets(translation_mm=(0.1, -0.2, 0.3), rotation_deg=(1.0, 2.0, -3.0), pivot_mm=(4.0, 5.0, 6.0))
     found = decompose_motion(offsets.to_matrix(), (4.0, 5.0, 6.0))
     assert np.allclose(found.values, offsets.values, rtol=0, atol=ROUNDING_MM)
@@ -57,6 +57,6 @@ def test_a_found_motion_is_told_in_degrees_about_the_point_asked_for():
     [None, {}, {"translation_mm": [1, 2]}, {"translation_mm": [1, 2, "3"], "rotation_deg": [0] * 3, "pivot_mm": [0] * 3},
      {"translation_mm": [1, 2, float("nan")], "rotation_deg": [0] * 3, "pivot_mm": [0] * 3}],
 )  # fmt: skip
-def test_what_is_no_offsets_is_refused(plain):
+def test_invalid_offsets_are_refused(plain):
     with pytest.raises(ValueError, match="must be"):
         parse_offsets(plain)

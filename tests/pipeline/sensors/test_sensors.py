@@ -22,7 +22,7 @@ def own(tmp_path, text, name="mine.toml"):
 
 
 @pytest.mark.parametrize("name", list_sensor_names())
-def test_every_sensor_of_the_project_is_sound(name):
+def test_every_sensor_of_the_project_is_valid(name):
     s = load_sensor(name)
     assert s.rest_depth_mm.shape == s.camera.shape
     assert np.isfinite(s.rest_depth_mm).all()
@@ -40,7 +40,7 @@ def test_the_scale_of_the_paper_is_kept():
     assert load_sensor("gelslim").camera.shape == (320, 427)
 
 
-def test_a_variant_differs_from_its_parent_only_where_it_says():
+def test_a_variant_differs_from_its_parent_only_where_stated():
     dotted, dotless = load_sensor("gelslim"), load_sensor("gelslim_dotless")
     assert dotted.markers is not None
     assert dotless.markers is None
@@ -48,7 +48,7 @@ def test_a_variant_differs_from_its_parent_only_where_it_says():
     assert dotless.title != dotted.title
 
 
-def test_an_own_sensor_may_extend_one_of_the_project(tmp_path):
+def test_a_users_sensor_may_extend_one_of_the_project(tmp_path):
     text = 'extends = "digit"\ntitle = "my digit"\n[rest]\ndepth = { value = 30.0, unit = "mm", from = "measured" }\n'
     s = load_sensor(own(tmp_path, text))
     assert s.title == "my digit"
@@ -57,7 +57,7 @@ def test_an_own_sensor_may_extend_one_of_the_project(tmp_path):
     assert s.camera == load_sensor("digit").camera
 
 
-def test_a_description_that_was_edited_is_read_again(tmp_path):
+def test_an_edited_description_is_read_again(tmp_path):
     depth = '[rest]\ndepth = {{ value = {}, unit = "mm", from = "measured" }}\n'
     parent = own(tmp_path, 'extends = "digit"\n' + depth.format("30.0"), name="parent.toml")
     child = own(tmp_path, 'extends = "parent"\ntitle = "mine"\n')
@@ -70,7 +70,7 @@ def test_a_description_that_was_edited_is_read_again(tmp_path):
     assert load_sensor(child).title == "yours"
 
 
-def test_a_rest_surface_whose_mesh_was_edited_is_read_again(tmp_path):
+def test_a_rest_surface_with_an_edited_mesh_is_read_again(tmp_path):
     text = 'extends = "digit"\n[rest]\nkind = "mesh"\nfile = "rest.obj"\nunit = "mm"\n'
     corners = "".join(f"v {x} {y} {{z}}\n" for x, y in ((-20, -20), (20, -20), (20, 20), (-20, 20)))
     for z in (25, 26):
@@ -79,12 +79,12 @@ def test_a_rest_surface_whose_mesh_was_edited_is_read_again(tmp_path):
 
 
 @pytest.mark.parametrize("name", list_sensor_names())
-def test_nobody_can_change_a_sensor_that_others_hold(name):
+def test_a_sensor_is_immutable(name):
     assert is_frozen(load_sensor(name))
     assert is_frozen(load_sensor(name).with_camera(load_sensor(name).camera.scale(0.5)))
 
 
-def test_a_sensor_seen_through_another_camera_keeps_all_but_its_picture():
+def test_a_sensor_with_another_camera_keeps_everything_else():
     source = load_sensor("soft_bubble")
     small = source.with_camera(source.camera.scale(0.25))
     assert source.with_camera(source.camera) is source
@@ -97,7 +97,7 @@ def test_a_sensor_seen_through_another_camera_keeps_all_but_its_picture():
 
 
 @pytest.mark.parametrize("text", ["without = 3", "[kind]\nvalue = 1"])
-def test_sections_of_the_wrong_kind_are_refused_in_words(tmp_path, text):
+def test_sections_of_the_wrong_type_are_refused(tmp_path, text):
     with pytest.raises((CalibrationError, FileProblem), match="must be"):
         load_sensor(own(tmp_path, f'extends = "digit"\n{text}\n'))
 
@@ -121,7 +121,7 @@ def test_an_unknown_sensor_names_the_known_ones():
         ("elevation_deg = 30.0, ", "", "each of optics.leds"),
     ],
 )
-def test_a_damaged_description_says_what_is_wrong(tmp_path, find, replacement, words):
+def test_an_invalid_description_is_refused_with_its_problem(tmp_path, find, replacement, words):
     text = (FOLDER / "gelsight_mini.toml").read_text(encoding="utf-8")
     assert find in text
     with pytest.raises(CalibrationError, match=words):
@@ -149,12 +149,12 @@ def entry(key, value, unit):
         ("rest", entry("rim_depth", "1979-05-27", "mm"), "a number or a list of numbers"),
     ],
 )
-def test_what_no_sensor_can_be_is_refused_with_its_range(tmp_path, section, line, words):
+def test_numbers_out_of_range_are_refused_with_the_range(tmp_path, section, line, words):
     with pytest.raises(CalibrationError, match=words):
         load_sensor(own(tmp_path, f'extends = "soft_bubble"\n[{section}]\n{line}'))
 
 
-def test_a_description_nested_beyond_all_use_is_refused(tmp_path):
+def test_a_deeply_nested_description_is_refused(tmp_path):
     with pytest.raises(FileProblem, match="not valid TOML"):
         load_sensor(own(tmp_path, f"extends = {'[' * 20_000}"))
 
@@ -173,7 +173,7 @@ def test_a_description_that_extends_itself_is_refused(tmp_path):
         load_sensor(own(tmp_path, 'extends = "loop"', name="loop.toml"))
 
 
-def test_a_value_of_the_wrong_type_is_refused_in_words(tmp_path):
+def test_a_value_of_the_wrong_type_is_refused(tmp_path):
     text = (FOLDER / "gelsight_mini.toml").read_text(encoding="utf-8")
     with pytest.raises(CalibrationError, match="number"):
         load_sensor(own(tmp_path, text.replace("value = 240", 'value = "many"')))
@@ -185,7 +185,7 @@ def test_a_list_where_one_number_belongs_is_refused(tmp_path):
         load_sensor(own(tmp_path, text.replace("value = 240", "value = [240, 1]")))
 
 
-def test_a_bubble_says_how_its_camera_errs_and_may_watch_with_another(tmp_path):
+def test_a_bubble_has_a_depth_camera_with_errors_and_a_stereo_variant(tmp_path):
     flight, stereo = load_sensor("soft_bubble"), load_sensor("soft_bubble_stereo")
     assert flight.depth_camera == DepthCamera()  # what a description without the section gets
     assert (stereo.depth_camera.gap_share, stereo.depth_camera.step_mm) == (0.01, 0.1)

@@ -38,7 +38,7 @@ def test_a_stream_is_found_by_name_or_sensor_and_the_first_without_either():
     assert RECORDING.stream_of_sensor("digit") is None
 
 
-def test_a_stream_that_is_not_there_names_those_that_are():
+def test_a_missing_stream_names_the_existing_ones():
     with pytest.raises(SettingProblem, match=r"no stream 'nose' in this recording; it has 'bubble', 'left'"):
         RECORDING.stream("nose")
 
@@ -49,11 +49,11 @@ def test_a_pairing_is_known_both_ways():
     assert RECORDING.target_from_source("left", "digit") is None
 
 
-def test_depth_is_told_from_colour_by_its_shape():
+def test_depth_and_colour_are_distinguished_by_shape():
     assert not RECORDING.streams[0].frame(0).is_depth
     assert TactileFrame(sensor="soft_bubble", image=np.zeros((2, 3), np.float32), reference=None).is_depth
 
 
-def test_nothing_is_true_of_a_stream_unless_it_says_so():
+def test_a_stream_has_no_truth_by_default():
     assert RECORDING.streams[0].truth(0) is None
     assert not RECORDING.streams[0].has_truth

@@ -22,7 +22,7 @@ def noisy(image, seed, grey=3.0):
     return np.clip(np.rint(image + noise), 0, 255).astype(np.uint8)
 
 
-def test_the_median_of_untouched_frames_has_less_noise():
+def test_the_median_of_frames_without_contact_has_less_noise():
     found, n = denoise_reference(noisy(STILL, 0), (noisy(STILL, k) for k in range(1, 10)))
     assert n == 9
     off = [np.abs(image.astype(float) - STILL).mean() for image in (found, noisy(STILL, 0))]
@@ -30,21 +30,21 @@ def test_the_median_of_untouched_frames_has_less_noise():
 
 
 @pytest.mark.parametrize("depth_mm", [0.15, 0.5])
-def test_frames_from_the_first_touch_on_stay_out(depth_mm):
+def test_frames_after_the_first_contact_are_not_averaged(depth_mm):
     _, touch, _ = press("gelsight_mini", depth_mm=depth_mm)
     frames = [noisy(STILL, 1), noisy(STILL, 2), touch.image, noisy(STILL, 3)]
     _, n = denoise_reference(noisy(STILL, 0), frames)
     assert n == 2
 
 
-def test_a_single_frame_stays_as_it_is():
+def test_a_single_frame_is_returned_unchanged():
     first = noisy(STILL, 0)
     found, n = denoise_reference(first, [noisy(STILL, 1), noisy(press("gelsight_mini")[1].image, 2)])
     assert n == 0
     assert found is first
 
 
-def test_a_folder_is_opened_with_the_steadier_reference(tmp_path):
+def test_a_folder_opens_with_the_averaged_reference(tmp_path):
     for name, image in (("ref", noisy(STILL, 0)), *((f"{k}", noisy(STILL, k)) for k in range(1, 5))):
         cv2.imwrite(str(tmp_path / f"{name}.png"), image[..., ::-1])
     recording = open_recording(tmp_path, sensor="gelsight_mini")
@@ -69,17 +69,17 @@ def film(tmp_path):
 
 
 @pytest.mark.parametrize("depth_mm", [0.15, 0.5])
-def test_a_video_that_begins_with_a_touch_takes_a_later_frame_as_untouched(film, depth_mm):
+def test_a_video_that_begins_with_contact_takes_a_later_frame_as_reference(film, depth_mm):
     _, touch, _ = press("gelsight_mini", depth_mm=depth_mm)
     recording = open_recording(film(*[touch.image] * 3, *[STILL] * 4, touch.image), sensor="gelsight_mini")
-    (doubt,) = select_warnings(recording.notes)
-    assert "frames 3 to 6" in doubt
-    assert "--reference" in doubt
+    (warning,) = select_warnings(recording.notes)
+    assert "frames 3 to 6" in warning
+    assert "--reference" in warning
     assert np.abs(recording.streams[0].frame(0).reference.astype(float) - STILL).mean() < 3.0
     recording.close()
 
 
-def test_a_video_that_begins_untouched_keeps_its_first_frames_however_the_light_drifts(film):
+def test_a_video_that_begins_without_contact_keeps_its_first_frames_when_the_light_drifts(film):
     _, touch, _ = press("gelsight_mini", depth_mm=0.5)
     dim = np.rint(0.9 * STILL).astype(np.uint8)
     recording = open_recording(film(*[STILL] * 4, *[touch.image] * 2, dim), sensor="gelsight_mini")

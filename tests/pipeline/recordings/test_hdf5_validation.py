@@ -101,7 +101,7 @@ ANY_ROWS = {"references", "rotations", "vertices", "triangles", "indentation", "
 
 
 @pytest.mark.parametrize("name", datasets_of(REAL))
-def test_no_dataset_of_another_type_or_shape_gets_in(tmp_path: Path, small: Path, name: str):
+def test_datasets_of_another_type_or_shape_are_refused(tmp_path: Path, small: Path, name: str):
     """Every type that is no number and every other shape is refused; another width of number is read or refused."""
     refusals = 0
     with h5py.File(small) as file:
@@ -168,12 +168,12 @@ def elsewhere(file: h5py.File, folder: Path, how: str) -> None:
     made.attrs["unit"] = unit
 
 
-@pytest.mark.parametrize(("how", "told"), [("external storage", "lies in another file"), ("virtual", "lies in another file"),
+@pytest.mark.parametrize(("how", "problem"), [("external storage", "lies in another file"), ("virtual", "lies in another file"),
                                            ("external link", "is a link"), ("soft link", "is a link")])  # fmt: skip
-def test_frames_that_lie_in_another_file_are_refused(tmp_path: Path, small: Path, how: str, told: str):
-    said = refusal(edited(small, tmp_path, lambda file: elsewhere(file, tmp_path, how)))
-    assert f"{STREAM}/frames" in said
-    assert told in said
+def test_frames_that_lie_in_another_file_are_refused(tmp_path: Path, small: Path, how: str, problem: str):
+    message = refusal(edited(small, tmp_path, lambda file: elsewhere(file, tmp_path, how)))
+    assert f"{STREAM}/frames" in message
+    assert problem in message
 
 
 @pytest.mark.parametrize(
@@ -181,7 +181,7 @@ def test_frames_that_lie_in_another_file_are_refused(tmp_path: Path, small: Path
     [(f"{STREAM}/frames", (2, 1 << 20, 1 << 20, 3), "u1"), ("object/vertices", (1 << 40, 3), "f8"),
      (f"{STREAM}/timestamps", (1 << 40,), "f8"), ("object/symmetry/rotations", (1 << 40, 3, 3), "f8")],
 )  # fmt: skip
-def test_sizes_that_are_only_declared_are_refused_before_anything_is_allocated(
+def test_declared_sizes_are_refused_before_allocation(
     tmp_path: Path, small: Path, name: str, shape: tuple[int, ...], kind: str
 ):
     def declare(file: h5py.File) -> None:
@@ -191,12 +191,12 @@ def test_sizes_that_are_only_declared_are_refused_before_anything_is_allocated(
 
     path = edited(small, tmp_path, declare)
     assert path.stat().st_size < 2 * small.stat().st_size + 10_000
-    said = refusal(path)
-    assert name in said
-    assert "cannot be as large as" in said or "must have shape" in said
+    message = refusal(path)
+    assert name in message
+    assert "cannot be as large as" in message or "must have shape" in message
 
 
-def test_chunks_beyond_all_size_are_refused(tmp_path: Path, small: Path):
+def test_chunks_that_are_too_large_are_refused(tmp_path: Path, small: Path):
     def declare(file: h5py.File) -> None:
         file[STREAM].create_dataset("more", (1, 1 << 15, 1 << 15), "f4", chunks=(1, 1 << 15, 1 << 14))
 
@@ -214,12 +214,12 @@ def test_a_group_that_holds_itself_is_refused(tmp_path: Path, small: Path):
     assert "parts" in refusal(path)
 
 
-def test_truth_that_is_said_to_be_known_and_is_not_there_is_refused(tmp_path: Path, small: Path):
+def test_missing_truth_that_is_marked_as_known_is_refused(tmp_path: Path, small: Path):
     path = edited(small, tmp_path, lambda file: file.__delitem__(f"{STREAM}/truth/contact"))
     assert "truth/contact" in refusal(path)
 
 
-def test_a_mesh_of_corners_that_are_not_there_is_refused(tmp_path: Path, small: Path):
+def test_a_mesh_with_missing_vertices_is_refused(tmp_path: Path, small: Path):
     with h5py.File(small) as file:
         triangles = file["object/triangles"][()]
     triangles[0, 0] = 1 << 30
@@ -227,7 +227,7 @@ def test_a_mesh_of_corners_that_are_not_there_is_refused(tmp_path: Path, small: 
         open_recording(changed(small, tmp_path, "object/triangles", triangles))
 
 
-def test_control_marks_and_markup_of_a_recording_stay_words(tmp_path: Path, small: Path):
+def test_control_characters_and_markup_in_a_recording_are_escaped(tmp_path: Path, small: Path):
     """Notes, names and times that would clear the screen, forge a line or colour it."""
     evil = "\x1b[2J\x1b[31mowned\r\u202e[bold]x[/bold]"
 
