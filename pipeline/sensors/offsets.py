@@ -91,7 +91,7 @@ def parse_triple(table: Mapping[str, Any], name: str) -> Triple:
     """Three finite numbers of a table, within the limit of `name`; raises ValueError that begins with `name`."""
     value: object = table.get(name)
     numbers = cast("list[object]", value) if isinstance(value, list) else []
-    plain = [float(n) for n in numbers if isinstance(n, (int, float)) and not isinstance(n, bool)]
+    plain = [n for n in numbers if isinstance(n, (int, float)) and not isinstance(n, bool)]
     if len(plain) != 3 or len(numbers) != 3 or not all(abs(n) <= _LIMITS[name] for n in plain):  # false for NaN
         raise ValueError(f"{name} must be three finite numbers within {_LIMITS[name]:g}, got {value!r}")
     return _triple(plain)

@@ -48,10 +48,10 @@ def test_a_saved_alignment_is_loaded_as_written(tmp_path_factory, a, b, c, d):
     ("old", "new", "problem"),
     [
         ("[target_from_alignment]", "[somewhere]", "lacks the table [target_from_alignment]"),
-        ("translation_mm", "translation_m", "alignment_from_source.translation_mm must be a list of three numbers"),
-        ("rotation_deg = [", "rotation_deg = [1.0, ", "must be a list of three numbers"),
+        ("translation_mm", "translation_m", "alignment_from_source.translation_mm must be three finite numbers"),
+        ("rotation_deg = [", "rotation_deg = [1.0, ", "alignment_from_source.rotation_deg must be three"),
         ("rotation_deg = [0.0", "rotation_deg = [nan", "alignment_from_source.rotation_deg must be three finite"),
-        ("rotation_deg = [0.0", "rotation_deg = [true", "must be a list of three numbers"),
+        ("rotation_deg = [0.0", "rotation_deg = [true", "alignment_from_source.rotation_deg must be three"),
         ('source = "gelslim"', 'source = "digit"', "has the source 'digit', not 'gelslim'; choose the file"),
         ('source = "gelslim"', "source = 3", "source of the alignment must be a text"),
         ("translation_mm = [", "translation_mm = ", "not valid TOML"),
