@@ -164,4 +164,4 @@ def test_pairs_whose_two_sides_are_of_other_touches_are_doubted_before_they_are_
             save_pair(tmp_path / name, number, touch)
     assert PairFineTuningTask(folder=str(tmp_path / "own"), n_pairs=10).collect_notes() == ()
     (doubt,) = PairFineTuningTask(folder=str(tmp_path / "others"), n_pairs=10).collect_notes()
-    assert "are these pairs of one touch each?" in doubt
+    assert "agree only by chance" in doubt
