@@ -63,6 +63,17 @@ class SensorKind:
         """The image of a sensor (SensorSpec) without contact and noise."""
         return load_reference(self.reference_renderer)(sensor)
 
+    def simulate_image(
+        self,
+        sensor: Any,
+        indentation_mm: Floats,
+        depth_mm: NDArray[Any],
+        seed: int | None,
+        shear_mm: Floats | None = None,
+    ) -> NDArray[Any]:
+        """The image of a membrane (rows, cols) at `depth_mm`, `indentation_mm` from rest, with noise if seeded."""
+        return load_reference(self.image_simulator)(sensor, indentation_mm, depth_mm, seed, shear_mm)
+
     def compute_change(self, image: NDArray[Any], reference: NDArray[Any]) -> Floats:
         """The change float32 by contact, of the images' shape, in grey levels or mm (positive = pressed in)."""
         return np.float32(self.change_sign) * (image.astype(np.float32) - reference.astype(np.float32))

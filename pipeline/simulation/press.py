@@ -80,8 +80,7 @@ def render_sensor_image(
     sensor: SensorSpec, indentation_mm: Floats, depth_mm: Doubles, seed: int | None, *, shear_mm: Floats | None = None
 ) -> Image | Floats:
     """The sensor's reading of a membrane at `depth_mm`, `indentation_mm` from rest, with its noise if seeded."""
-    simulate = load_reference(sensor.sensor_kind.image_simulator)
-    return simulate(sensor, indentation_mm, depth_mm, seed, shear_mm)
+    return sensor.sensor_kind.simulate_image(sensor, indentation_mm, depth_mm, seed, shear_mm)
 
 
 def simulate_gel_image(

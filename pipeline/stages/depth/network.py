@@ -16,12 +16,15 @@ from pipeline.stages.depth.gel_network import NetworkParams
 from pipeline.values.frames import TactileFrame
 from pipeline.values.results import DepthMap
 
+_TASKS = {"gel": "gel_instances", "bubble": "bubble_depth"}  # kind of sensor -> task of the weights
+
 
 def select_weights(source: SensorSpec, _target: SensorSpec, file: Path | None) -> Weights | NoWeights:
     """The weights that read this source: one network for all gels, one for all bubbles."""
-    if source.kind == "gel":
-        return weights_registry.load_for_task("gel_instances", "gel_instances", file)
-    return weights_registry.load_for_task("bubble_depth", "bubble_depth", file)
+    task = _TASKS.get(source.kind)
+    if task is None:
+        return NoWeights(why=f"no network estimates depth of sensors of kind {source.kind!r}")
+    return weights_registry.load_for_task(task, task, file)
 
 
 def skip_without_contact(

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pipeline.base.arrays import Floats, Image, Mask, freeze
-from pipeline.physics import bubble_camera, optics
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.touch.residual_diffusion import DenoisingState, ResidualSample
 from pipeline.values.results import DepthMap, GeneratedTouch, TouchStep
@@ -72,9 +71,7 @@ def _touch(
     told = replace(
         first, indentation_mm=freeze(surface), depth_mm=freeze(depth), contact=freeze(contact), is_generated=True
     )
-    if target.kind == "gel":
-        return optics.render(target, surface, seed=seed), told
-    return bubble_camera.simulate_depth_frame(target, depth, seed), told
+    return target.sensor_kind.simulate_image(target, surface, depth, seed), told
 
 
 def resample_to_grid(field: Floats | Mask, shape: tuple[int, int]) -> Floats:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.metadata
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -14,12 +15,14 @@ from pipeline.base.errors import CalibrationError, SettingProblem, ShapeError
 from pipeline.geometry import membrane
 from pipeline.previews.display_params import DisplayParams
 from pipeline.previews.preview import make_frame_preview, make_indentation_scale
+from pipeline.recordings.hdf5_writer import RecordingWriter
 from pipeline.sensors import kinds
 from pipeline.sensors.kinds import SensorKind, register_kind
 from pipeline.sensors.spec import SensorSpec, load_sensor
 from pipeline.simulation.press import simulate_press
 from pipeline.stages.depth import photometric
 from pipeline.stages.depth.photometric import DepthParams
+from pipeline.translation.translate import Request, open_translation
 from pipeline.values.frames import TactileFrame
 from pipeline.values.pixel_index import make_pixel_index
 from pipeline.values.results import DepthMap
@@ -143,6 +146,16 @@ def test_the_third_kind_has_a_preview_with_its_scale(sensor: SensorSpec):
     preview = make_frame_preview(make_frame(sensor, 0.8).image, sensor.camera, sensor, display)
     assert preview.pixels.shape == (12, 16, 3)
     assert make_indentation_scale(sensor, display).high == 2.0
+
+
+def test_a_recording_of_the_third_kind_is_translated_to_a_gel(sensor: SensorSpec, path: Path):
+    with RecordingWriter(path.with_name("touch.h5")) as writer:
+        writer.append(sensor.name, make_frame(sensor, 0.8))
+    request = Request(recording=path.with_name("touch.h5"), source=str(path), target="gelslim")
+    with closing(open_translation(request)) as translation:
+        results = translation.build_graph().evaluate(["depth", "touch"], translation.read_inputs(0), {})
+        assert "taxels" in results["depth"].fallback  # no network reads them
+        assert results["touch"].output.image.shape == (*translation.target.camera.shape, 3)
 
 
 def test_what_a_kind_does_not_offer_is_refused_in_words(sensor: SensorSpec):
