@@ -21,22 +21,22 @@ from pipeline.physics import multigrid
 from pipeline.physics.lattice import Lattice
 from pipeline.sensors.parts import Bubble
 
-STEP_MM = 0.5  # below two pixels of the depth cameras in use; a quarter of the work of 0.25 mm
+STEP_MM = 0.5  # under two pixels of the depth cameras in use; a quarter of the work of 0.25 mm
 ATMOSPHERE_KPA = 101.325
 TOLERANCE_MM = 1e-4
-_PRESSURE_TOLERANCE = 1e-4  # of the gauge pressure: moves the free membrane by a few micrometres
-_MAX_PRESSURES = 25
-_RIM_STEPS = 0.36  # how far beyond a curved rim the nearest clamped nodes lie on average, in lattice steps
+_PRESSURE_TOLERANCE = 1e-4  # of the gauge pressure: a few micrometres of the free membrane
+_MAX_PRESSURES = 25  # tried in the secant search
+_RIM_STEPS = 0.36  # mean distance of the nearest clamped nodes beyond a curved rim, in lattice steps
 _KPA_TO_N_MM2 = 1e-3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BubbleContact:
-    """The pressed bubble on its lattice."""
+    """State of the pressed bubble on its lattice."""
 
-    deviation_mm: Doubles  # (ny, nx) w minus the rest dome: negative where pushed toward the camera, positive bulges
-    contact_pressure_kpa: Doubles  # (ny, nx) lambda: what the object presses with
-    contact: Mask  # (ny, nx) lambda > 0
+    deviation_mm: Doubles  # (ny, nx) from the rest dome: negative toward the camera, positive where it bulges
+    contact_pressure_kpa: Doubles  # (ny, nx) of the object on the membrane
+    contact: Mask  # (ny, nx) contact pressure > 0
     pressure_kpa: float  # gauge, inside
     force_n: float
     converged: bool
@@ -44,41 +44,41 @@ class BubbleContact:
 
 @memoise(8)
 def make_lattice(bubble: Bubble, step_mm: float = STEP_MM) -> Lattice:
-    """The lattice centred on the optical axis that holds the whole rim; halved again and again it stays a lattice."""
+    """The lattice centred on the optical axis that holds the whole rim and can be halved for multigrid."""
     halves = 2**multigrid.N_HALVINGS
     ny, nx = (halves * math.ceil(2 * a / (step_mm * halves)) + 1 for a in (bubble.half_height_mm, bubble.half_width_mm))
     return Lattice(x0_mm=-0.5 * (nx - 1) * step_mm, y0_mm=-0.5 * (ny - 1) * step_mm, step_mm=step_mm, shape=(ny, nx))
 
 
 def compute_rest_height_mm(bubble: Bubble, on: Lattice) -> Doubles:
-    """Height (ny, nx) of the untouched dome over the rim plane."""
+    """Height (ny, nx) in mm of the rest dome over the rim plane."""
     return bubble.height_mm * np.maximum(_dome(bubble, on), 0.0)
 
 
 def find_free_nodes(bubble: Bubble, on: Lattice) -> Mask:
-    """Nodes (ny, nx) that the rim lets move.
+    """Nodes (ny, nx) that may move.
 
-    Clamped are the first nodes outside; were the rim not drawn in by their mean distance, the membrane would be wider
-    than it is and rise by 0.7 % too much on a half-millimetre lattice, instead of by less than 0.1 %.
+    The first nodes outside are clamped. The rim is drawn in by their mean distance; otherwise the membrane is too wide
+    and rises by 0.7 % too much on a half-millimetre lattice, instead of by less than 0.1 %.
     """
     width, height = (a - _RIM_STEPS * on.step_mm for a in (bubble.half_width_mm, bubble.half_height_mm))
     return freeze((on.x_mm()[None, :] / width) ** 2 + (on.y_mm()[:, None] / height) ** 2 < 1)
 
 
 def compute_tension_n_per_mm(bubble: Bubble) -> float:
-    """The pre-stretch T that makes the stated pressure raise the stated dome."""
+    """The tension T at which the described pressure raises the described dome."""
     curvature = 2.0 * bubble.height_mm * (bubble.half_width_mm**-2 + bubble.half_height_mm**-2)
     if not (curvature > 0 and bubble.pressure_kpa > 0):
-        raise SettingProblem("a bubble needs a positive height and pressure to press against")
+        raise SettingProblem("a bubble needs a positive height and pressure")
     return bubble.pressure_kpa * _KPA_TO_N_MM2 / curvature
 
 
 def press_bubble(
     bubble: Bubble, ceiling_mm: NDArray[np.floating], on: Lattice, *, tolerance_mm: float = TOLERANCE_MM
 ) -> BubbleContact:
-    """The bubble under an object whose surface is `ceiling_mm` (ny, nx) over the rim plane; not finite = no object.
+    """The bubble under an object at `ceiling_mm` (ny, nx) over the rim plane; not finite = no object.
 
-    Raises ShapeError when the ceiling is not on the lattice.
+    Raises ShapeError for another shape than the lattice's.
     """
     if ceiling_mm.shape != on.shape:
         raise ShapeError(f"the ceiling must have the shape {on.shape} of the lattice, got {ceiling_mm.shape}")
@@ -88,9 +88,9 @@ def press_bubble(
     tension = compute_tension_n_per_mm(bubble) / _KPA_TO_N_MM2  # kPa mm, so that load = pressure / tension is 1 / mm
     v, over_kpa, settled = np.zeros(on.shape), 0.0, True
     if (room < 0).any():
-        half = grid.coarsen()  # finds the pressure at a quarter of the price
-        rough = _sealed(bubble, half, tension, tolerance_mm, _Sealed(v=np.zeros(half.free.shape)))
-        answer = _sealed(bubble, grid, tension, tolerance_mm, replace(rough, v=multigrid.refine(rough.v)))
+        half = grid.coarsen()  # finds the pressure at a quarter of the cost
+        rough = _solve_sealed(bubble, half, tension, tolerance_mm, _SealedState(v=np.zeros(half.free.shape)))
+        answer = _solve_sealed(bubble, grid, tension, tolerance_mm, replace(rough, v=multigrid.refine(rough.v)))
         v, over_kpa, settled = answer.v, answer.over_kpa, answer.converged
     force = multigrid.compute_contact_load(grid, v, over_kpa / tension) * tension
     return BubbleContact(
@@ -104,46 +104,48 @@ def press_bubble(
 
 
 def compute_volume_mm3(bubble: Bubble) -> float:
-    """Air between the rim plane and the untouched dome."""
+    """Volume of air between the rim plane and the rest dome."""
     return 0.5 * math.pi * bubble.half_width_mm * bubble.half_height_mm * bubble.height_mm
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Sealed:
+class _SealedState:
+    """Shape and pressure, and the start of the next search."""
+
     v: Doubles  # deviation from the dome
     over_kpa: float = 0.0  # rise of the pressure
-    slope: float = math.nan  # of the pressure that Boyle asks for beyond the one that is there; NaN = not known yet
+    slope: float = math.nan  # of the missing pressure over the pressure; NaN = unknown
     converged: bool = True
 
 
-def _sealed(
-    bubble: Bubble, grid: multigrid.ObstacleProblem, tension: float, tolerance_mm: float, start: _Sealed
-) -> _Sealed:
-    """The shape and pressure at which Boyle's law holds: secant on the pressure, shapes warm-started."""
+def _solve_sealed(
+    bubble: Bubble, grid: multigrid.ObstacleProblem, tension: float, tolerance_mm: float, start: _SealedState
+) -> _SealedState:
+    """Shape and pressure at which Boyle's law holds: secant search over the pressure, with warm starts."""
     air = bubble.dead_volume_mm3 + compute_volume_mm3(bubble)
     absolute = ATMOSPHERE_KPA + bubble.pressure_kpa
     v, settled = start.v, True
 
     def compute_missing_pressure(over_kpa: float) -> float:
-        """How much higher the pressure has to be for the air that this shape leaves."""
+        """Pressure in kPa that Boyle's law adds for the volume at this pressure."""
         nonlocal v, settled
         v, settled = multigrid.solve(grid, v, over_kpa / tension, tolerance_mm)
         left = max(air + grid.step_mm**2 * float(v.sum()), 1e-3 * air)
         return absolute * air / left - absolute - over_kpa
 
-    # Blowing the whole membrane up by dp lifts it by V / p; the contact holds part of it back.
+    # A pressure dp lifts the free membrane's volume by V dp / p; contact reduces this.
     steepest = -1.0 - absolute / air * compute_volume_mm3(bubble) / bubble.pressure_kpa
     slope = start.slope if math.isfinite(start.slope) else steepest
     over, short = start.over_kpa, compute_missing_pressure(start.over_kpa)
     for _ in range(_MAX_PRESSURES):
         new = min(max(over - short / slope, 0.0), 8.0 * over + bubble.pressure_kpa)
         if abs(new - over) <= _PRESSURE_TOLERANCE * (bubble.pressure_kpa + over):
-            return _Sealed(v=v, over_kpa=over, slope=slope, converged=settled)
+            return _SealedState(v=v, over_kpa=over, slope=slope, converged=settled)
         new_short = compute_missing_pressure(new)
         secant = (new_short - short) / (new - over)
-        slope = secant if secant < -1.0 else -1.0  # a higher pressure always leaves more air
+        slope = secant if secant < -1.0 else -1.0  # a higher pressure always gives a larger volume
         over, short = new, new_short
-    return _Sealed(v=v, over_kpa=over, slope=slope, converged=False)
+    return _SealedState(v=v, over_kpa=over, slope=slope, converged=False)
 
 
 @memoise(8)

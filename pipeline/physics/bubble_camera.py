@@ -1,6 +1,6 @@
-"""Between the bubble's lattice and what its depth camera sees.
+"""Depth camera of a bubble: conversions between its lattice and depth images, and simulated frames.
 
-A reading is the exact depth along each ray, plus what depth cameras add: noise that grows with distance and grazing
+A frame is the exact depth along each ray with the errors of depth cameras: noise that grows with distance and grazing
 incidence, flying pixels where the depth jumps, gaps (NaN) where a surface is too steep, and a coarse step.
 """
 
@@ -19,11 +19,11 @@ from pipeline.physics.lattice import Lattice
 from pipeline.sensors.parts import DepthCamera
 from pipeline.sensors.spec import SensorSpec
 
-_LEAST_COSINE = 0.1  # noise stops growing at 84 degrees: the return is gone there
+_MIN_COSINE = 0.1  # noise is constant beyond 84 degrees, where there is no signal
 
 
 def compute_ceiling_from_depth(sensor: SensorSpec, depth_mm: NDArray[np.floating], on: Lattice) -> Doubles:
-    """Height over the rim plane (ny, nx) of the surface in a depth image; +inf where it shows none."""
+    """Height (ny, nx) in mm over the rim plane of the surface in a depth image; +inf without a surface."""
     return lattice.rasterise_depth_image(sensor.camera, depth_mm, on) - get_rim_z_mm(sensor)
 
 
@@ -39,10 +39,10 @@ def compute_depth_from_deviation(sensor: SensorSpec, deviation_mm: NDArray[np.fl
 def simulate_depth_frame(
     sensor: SensorSpec, depth_mm: NDArray[np.floating], seed: int | None, *, cosine: NDArray[np.floating] | None = None
 ) -> Floats:
-    """The depth camera's image (rows, cols) float32 of a membrane; NaN = no reading.
+    """The depth frame (rows, cols) float32 of a membrane; NaN = no value.
 
-    With `seed` None the exact depth comes back; else the camera errs as `sensor.depth_camera` says, the same for the
-    same seed. `cosine` (rows, cols) is that of the incidence, where it is known already.
+    With `seed` None it is the exact depth, else it has the errors of `sensor.depth_camera`, the same for the same seed.
+    `cosine` (rows, cols) is that of the incidence, if it is known already.
     """
     errs = sensor.depth_camera
     if seed is None or sensor.bubble is None or errs is None:
@@ -65,7 +65,7 @@ def simulate_depth_frame(
 
 
 def compute_incidence_cosine(camera: Camera, depth_mm: NDArray[np.floating]) -> Doubles:
-    """Cosine (rows, cols) of the angle between each ray and the normal of the surface that it meets; 1 = head on."""
+    """Cosine (rows, cols) of the angle between each ray and the surface normal; 1 = perpendicular incidence."""
     points = camera.back_project(depth_mm)
     normal = compute_area_vectors(points)
     size = np.linalg.norm(normal, axis=2) * np.linalg.norm(points, axis=2)
@@ -74,7 +74,7 @@ def compute_incidence_cosine(camera: Camera, depth_mm: NDArray[np.floating]) -> 
 
 
 def compute_rest_cosine(sensor: SensorSpec) -> Doubles:
-    """`incidence_cosine` of the untouched membrane; kept for the last few units."""
+    """`compute_incidence_cosine` of the membrane at rest, cached."""
     rest = sensor.rest_depth_mm
     return _rest_cosines.get_or_make(
         (compute_cached_digest(rest), sensor.camera), lambda: freeze(compute_incidence_cosine(sensor.camera, rest))
@@ -87,15 +87,15 @@ _rest_cosines: Memo[tuple[str, Camera], Doubles] = Memo(16)
 def _relative_noise(depth_mm: Doubles, cosine: NDArray[np.floating], errs: DepthCamera) -> Doubles:
     """Standard deviation (rows, cols) up to a factor; distance in tenths of a metre, to stay near 1."""
     distance = np.abs(depth_mm) / 100.0
-    return distance**errs.distance_power / np.maximum(cosine, _LEAST_COSINE) ** errs.grazing_power
+    return distance**errs.distance_power / np.maximum(cosine, _MIN_COSINE) ** errs.grazing_power
 
 
 def _with_flying_pixels(depth_mm: Doubles, errs: DepthCamera, rng: np.random.Generator) -> Doubles:
-    """Where the depth jumps, some pixels read a mixture of what is in front and what is behind."""
+    """The depth with flying pixels: mixtures of front and back where the depth jumps."""
     import cv2
 
     flies, share = rng.random(depth_mm.shape) < errs.flying_share, rng.random(depth_mm.shape)
-    framed = np.pad(depth_mm, 1, mode="reflect", reflect_type="odd")  # goes on straight: a border is no jump
+    framed = np.pad(depth_mm, 1, mode="reflect", reflect_type="odd")  # continues straight: a border is no jump
     bend_x = np.abs(framed[1:-1, 2:] - 2 * depth_mm + framed[1:-1, :-2])
     bend_y = np.abs(framed[2:, 1:-1] - 2 * depth_mm + framed[:-2, 1:-1])
     jump = np.maximum(bend_x, bend_y) > errs.jump_mm
@@ -107,7 +107,7 @@ def _with_flying_pixels(depth_mm: Doubles, errs: DepthCamera, rng: np.random.Gen
 
 
 def _speckle(grain: Floats, width_px: float) -> Floats:
-    """White noise made as coarse as a depth camera's; its strength is kept."""
+    """White noise blurred to the grain of a depth camera, of the same strength."""
     import cv2
 
     if width_px <= 0:
@@ -119,10 +119,10 @@ def _speckle(grain: Floats, width_px: float) -> Floats:
 
 
 def get_rim_z_mm(sensor: SensorSpec) -> float:
-    """Distance of the rim plane from the camera."""
+    """Distance in mm of the rim plane from the camera."""
     return float(sensor.membrane.z_mm.min())
 
 
 def compute_rest_z_mm(sensor: SensorSpec, on: Lattice) -> Doubles:
-    """Z (ny, nx) of the untouched membrane at the lattice's nodes."""
+    """Z (ny, nx) in mm of the membrane at rest at the lattice's nodes."""
     return sensor.membrane.depth_at(on.x_mm()[None, :], on.y_mm()[:, None])

@@ -1,5 +1,5 @@
 # pyright: basic
-"""Compiled loops of the bubble: projected multigrid for its membrane.
+"""Compiled loops of the projected multigrid solver for a bubble's membrane.
 
 The unknown v is the membrane's deviation from its rest shape, 0 where `free` is False (rim and beyond):
 -lap v = load where v < room, -lap v <= load where v = room, and never v > room.
@@ -23,7 +23,7 @@ def smooth(v, load, room, free, step_sq, sweeps):
 
 @kernel(fastmath=FAST)
 def compute_residual(v, load, room, free, step_sq, out):
-    """load + lap v where the membrane is free to follow it, 0 where the object holds it or the rim does."""
+    """Write load + lap v at free nodes, 0 in contact and at the rim."""
     rows, cols = v.shape
     inverse = 1.0 / step_sq
     out[:] = 0.0

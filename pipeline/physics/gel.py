@@ -1,8 +1,8 @@
-"""A gel pad in contact: an elastic layer bonded to a rigid back, pressed without friction or adhesion.
+"""Contact of a gel pad: an elastic layer bonded to a rigid back, without friction and adhesion.
 
 Contact is the complementarity problem p >= 0, u >= overlap, p (u - overlap) = 0 over the layer of `gel_layer`, solved
-by the constrained conjugate gradients of Polonsky and Keer (1999), here preconditioned with the inverse of the periodic
-layer: a handful of steps of two or three FFT convolutions, where the plain method needs some twenty.
+by the constrained conjugate gradients of Polonsky and Keer (1999), preconditioned with the inverse of the periodic
+layer: a few steps of two or three FFT convolutions, instead of about twenty.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ from pipeline.base.errors import ShapeError
 from pipeline.physics import gel_layer
 from pipeline.sensors.parts import Gel
 
-TOLERANCE_MM = 1e-4  # a tenth of a micrometre: far below what any camera resolves
+TOLERANCE_MM = 1e-4  # 0.1 um: far below the resolution of any camera
 MAX_STEPS = 400
-_NOTHING_MM = 1e-9  # an atom is a hundred times as wide; what is denormal on the way makes every sum thrice as slow
+_NOTHING_MM = 1e-9  # smaller overlaps are zero: denormal numbers make every sum three times as slow
 _KPA_TO_N_MM2 = 1e-3
-_BOX_PX = 32
-_BULGE = 0.3  # share of the deepest press by which the gel can rise beside it: what may touch without overlap
+_BOX_PX = 32  # sides of the solved box are multiples of this
+_BULGE = 0.3  # share of the deepest overlap by which the gel may bulge: such gaps may come into contact
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GelContact:
-    """The pressed gel; arrays are (rows, cols)."""
+    """State of the pressed gel; arrays (rows, cols)."""
 
     indentation_mm: Floats  # u: towards the camera; negative where the gel bulges out
     contact: Mask  # pressure > 0
@@ -49,22 +49,22 @@ def press_gel(
 ) -> GelContact:
     """The gel under a rigid object that reaches `overlap_mm` (rows, cols) past its rest surface.
 
-    Not finite or negative overlap: the object is not there, or does not reach the rest surface there.
+    Where the overlap is not finite there is no object; where it is negative the object is above the rest surface.
     """
-    overlap = _checked(overlap_mm, pixel_mm)
+    overlap = _check_overlap(overlap_mm, pixel_mm)
     deepest = float(overlap.max(initial=-np.inf))
     if deepest <= 0:
         return _no_contact(overlap.shape, pixel_mm)
-    box = _bounds(overlap > -_BULGE * deepest)
+    box = _bound_mask(overlap > -_BULGE * deepest)
     while True:
-        pressure, steps, residual = _polonsky_keer(gel, pixel_mm, overlap[box], tolerance_mm, max_steps)
+        pressure, steps, residual = _solve_contact(gel, pixel_mm, overlap[box], tolerance_mm, max_steps)
         whole = np.zeros(overlap.shape, np.float32)
         whole[box] = pressure
         u = gel_layer.make_elastic_layer(gel, pixel_mm, overlap.shape).compute_displacement(whole)
         everywhere = (slice(0, overlap.shape[0]), slice(0, overlap.shape[1]))
         if box == everywhere or float((overlap - u).max()) <= max(2 * residual, tolerance_mm):
             return _result(u, whole, pixel_mm, steps, residual, residual <= tolerance_mm)
-        box = everywhere  # the bulge met the object outside the guessed box
+        box = everywhere  # the bulge touches the object outside the box
 
 
 def relax_gel(
@@ -76,14 +76,14 @@ def relax_gel(
     tolerance_mm: float = TOLERANCE_MM,
     max_steps: int = MAX_STEPS,
 ) -> GelContact:
-    """The surface of least elastic energy that equals `prescribed_mm` on `mask`; it may pull as well as push.
+    """The surface of least elastic energy that equals `prescribed_mm` on `mask`; pressures may be negative.
 
     Conjugate gradients on the masked operator, preconditioned with the inverse of the unmasked one.
     """
-    target = _checked(np.where(mask, prescribed_mm, 0.0), pixel_mm)
+    target = _check_overlap(np.where(mask, prescribed_mm, 0.0), pixel_mm)
     if not mask.any():
         return _no_contact(target.shape, pixel_mm)
-    box = _bounds(mask)
+    box = _bound_mask(mask)
     layer, inside = gel_layer.make_elastic_layer(gel, pixel_mm, target[box].shape), mask[box]
     pressure = np.zeros(inside.shape, np.float32)
     left = np.where(inside, target[box], np.float32(0))
@@ -103,7 +103,7 @@ def relax_gel(
     return _result(u, whole, pixel_mm, steps, worst, worst <= tolerance_mm)
 
 
-def _polonsky_keer(
+def _solve_contact(
     gel: Gel, pixel_mm: float, overlap: Floats, tolerance_mm: float, max_steps: int
 ) -> tuple[Floats, int, float]:
     """(pressure, steps, residual in mm) on the box of `overlap`."""
@@ -128,7 +128,7 @@ def _polonsky_keer(
         norm = new_norm
         moved = layer.compute_displacement(direction)
         curvature = _dot(direction, moved)
-        if curvature <= 0:  # nothing touches yet: push where it overlaps
+        if curvature <= 0:  # no contact yet: push where it overlaps
             pressure = np.where(gap < 0, -stiffness * gap, pressure)
             u, conjugate = layer.compute_displacement(pressure), False
             continue
@@ -140,7 +140,7 @@ def _polonsky_keer(
         if conjugate and not clipped.any():
             pressure, u = trial, u - length * moved
             if step % 20 == 19:
-                u = layer.compute_displacement(pressure)  # shed the rounding that the recursion gathers
+                u = layer.compute_displacement(pressure)  # remove the rounding errors of the recursion
             continue
         trial[clipped] = 0
         trial[entering] -= stiffness * gap[entering]
@@ -153,7 +153,7 @@ def _dot(a: Floats, b: Floats) -> float:
     return float(np.einsum("ij,ij->", a, b, dtype=np.float64))
 
 
-def _checked(overlap_mm: NDArray[np.floating], pixel_mm: float) -> Floats:
+def _check_overlap(overlap_mm: NDArray[np.floating], pixel_mm: float) -> Floats:
     if overlap_mm.ndim != 2 or min(overlap_mm.shape) < 2:
         raise ShapeError(f"a gel needs a grid of at least 2 x 2 pixels, got shape {overlap_mm.shape}")
     if not (math.isfinite(pixel_mm) and pixel_mm > 0):
@@ -164,12 +164,12 @@ def _checked(overlap_mm: NDArray[np.floating], pixel_mm: float) -> Floats:
     return overlap
 
 
-def _bounds(mask: Mask) -> tuple[slice, slice]:
-    """The box of a mask, its sides rounded up so that tables made for one box serve many."""
+def _bound_mask(mask: Mask) -> tuple[slice, slice]:
+    """The box of a mask, its sides rounded up so that cached tables serve many boxes."""
     rows, cols = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
 
-    def bound_axis(found: NDArray[np.intp], n: int) -> slice:
-        low, high = int(found[0]), int(found[-1]) + 1
+    def bound_axis(indices: NDArray[np.intp], n: int) -> slice:
+        low, high = int(indices[0]), int(indices[-1]) + 1
         size = min(n, -(-(high - low) // _BOX_PX) * _BOX_PX)
         start = min(low, n - size)
         return slice(start, start + size)

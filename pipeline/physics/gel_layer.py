@@ -1,10 +1,10 @@
-"""The elastic answer of a gel pad: displacement of its surface under a pressure, as an FFT convolution.
+"""Elastic response of a gel pad: displacement of its surface under a pressure, as an FFT convolution.
 
-A layer bonded to a rigid back answers a pressure of wavenumber q with (K. L. Johnson, Contact Mechanics, 1985)
+A layer bonded to a rigid back responds to a pressure of wavenumber q with (K. L. Johnson, Contact Mechanics, 1985)
 
     U(q) = 2 / (E* q) K(q t) P(q),   K(x) = ((3-4v) sinh 2x - 2x) / ((3-4v) cosh 2x + 2x^2 + 5 - 12v + 8v^2)
 
-An infinite thickness is a half-space, whose pixel answers are Love's.
+An infinite thickness is a half-space, whose response to a pixel is Love's.
 """
 
 from __future__ import annotations
@@ -20,41 +20,41 @@ from pipeline.base.memo import memoise
 from pipeline.sensors.parts import Gel
 
 _LARGEST_X = 40.0  # K is 1 to double precision long before sinh overflows
-_REACH = 8.0  # thicknesses: there the kernel of a nearly incompressible layer has faded below 1e-4 of its peak
-_WORTH_WORKERS = 2**15  # pixels of fewer of which threads take longer to wake than to work
-_REACH_MAX_PX = 1024  # beyond any picture; keeps the table of a very thick pad small
+_REACH = 8.0  # thicknesses: the kernel of a nearly incompressible layer is below 1e-4 of its peak there
+_MIN_PX_FOR_THREADS = 2**15  # threads take longer to start than to work on fewer pixels
+_REACH_MAX_PX = 1024  # larger than any image; bounds the table of a very thick pad
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ElasticLayer:
-    """The elastic answer of the pad as a convolution over a zero-padded grid: exact, nothing wraps around."""
+    """Elastic response of the pad as a convolution over a zero-padded grid: exact, without wrap-around."""
 
     padded_shape: tuple[int, int]
-    periodic_shape: tuple[int, int]  # grid of the preconditioner, which may wrap around: it guides, it does not decide
+    periodic_shape: tuple[int, int]  # grid of the preconditioner, which may wrap around
     symbol: Doubles | Floats  # mm per kPa of each wave
     inverse_symbol: Floats  # kPa per mm of each wave, always positive
 
     def compute_displacement(self, pressure_kpa: Floats) -> Floats:
-        """Surface displacement in mm under a pressure, same grid."""
-        return _filtered(pressure_kpa, self.symbol, self.padded_shape)
+        """Surface displacement (rows, cols) in mm under a pressure (rows, cols)."""
+        return _convolve(pressure_kpa, self.symbol, self.padded_shape)
 
     def compute_pressure(self, displacement_mm: Floats) -> Floats:
-        """Pressure that would make the displacement on a pad that repeats itself: the preconditioner."""
-        return _filtered(displacement_mm, self.inverse_symbol, self.periodic_shape)
+        """Pressure (rows, cols) in kPa that makes the displacement on a periodic pad: the preconditioner."""
+        return _convolve(displacement_mm, self.inverse_symbol, self.periodic_shape)
 
 
 @memoise(24, most_bytes=8 * 1024 * 1024)
 def make_elastic_layer(gel: Gel, pixel_mm: float, shape: tuple[int, int]) -> ElasticLayer:
-    """The pad's answer over a grid of `shape`; the last few are kept."""
-    # Pixels hear each other over n - 1 steps; in a thin layer no farther than the reach of its kernel.
-    reach = _reach_px(gel, pixel_mm)
-    heard = tuple(min(n - 1, reach) for n in shape)
-    padded = find_fast_length(shape[0] + heard[0]), find_fast_length(shape[1] + heard[1])
-    rows, cols = (np.arange(-n, n + 1) for n in heard)
+    """The pad's response over a grid of `shape`, cached."""
+    # Pixels interact over n - 1 steps, in a thin layer at most over the reach of its kernel.
+    reach = _compute_reach_px(gel, pixel_mm)
+    span = tuple(min(n - 1, reach) for n in shape)
+    padded = find_fast_length(shape[0] + span[0]), find_fast_length(shape[1] + span[1])
+    rows, cols = (np.arange(-n, n + 1) for n in span)
     around = np.zeros(padded)
-    around[np.ix_(rows, cols)] = _kernel(gel, pixel_mm, heard)
+    around[np.ix_(rows, cols)] = _compute_kernel(gel, pixel_mm, span)
     repeated = find_fast_length(shape[0]), find_fast_length(shape[1])
-    inverse = 1.0 / _layer_symbol(gel, pixel_mm, repeated)
+    inverse = 1.0 / _compute_symbol(gel, pixel_mm, repeated)
     return ElasticLayer(
         padded_shape=padded,
         periodic_shape=repeated,
@@ -63,12 +63,12 @@ def make_elastic_layer(gel: Gel, pixel_mm: float, shape: tuple[int, int]) -> Ela
     )
 
 
-def _filtered(field: Floats, symbol: Doubles | Floats, padded: tuple[int, int]) -> Floats:
-    """A convolution, one axis after the other: rows of zeros are not transformed, nor rows brought back for nobody."""
+def _convolve(field: Floats, symbol: Doubles | Floats, padded: tuple[int, int]) -> Floats:
+    """A convolution, one axis after the other; padding rows are not transformed along x."""
     from scipy import fft
 
     rows, cols = field.shape
-    workers = 2 if padded[0] * padded[1] > _WORTH_WORKERS else 1
+    workers = 2 if padded[0] * padded[1] > _MIN_PX_FOR_THREADS else 1
     waves: Any = fft.rfft(field, n=padded[1], axis=1, workers=workers)
     waves = fft.fft(waves, n=padded[0], axis=0, workers=workers, overwrite_x=True)
     waves *= symbol
@@ -78,36 +78,36 @@ def _filtered(field: Floats, symbol: Doubles | Floats, padded: tuple[int, int]) 
 
 
 def find_fast_length(n: int) -> int:
-    """The next length that a Fourier transform is quick at."""
+    """The next length with a fast Fourier transform."""
     from scipy import fft
 
     return int(fft.next_fast_len(n, real=True))  # pyright: ignore[reportArgumentType] (dispatch hides the type)
 
 
-def _reach_px(gel: Gel, pixel_mm: float) -> int:
+def _compute_reach_px(gel: Gel, pixel_mm: float) -> int:
     if math.isinf(gel.thickness_mm):
         return 10**6
     return min(math.ceil(_REACH * gel.thickness_mm / pixel_mm), _REACH_MAX_PX)
 
 
-def _kernel(gel: Gel, pixel_mm: float, heard: tuple[int, ...]) -> Doubles:
-    """Displacement (2 heard + 1 along each axis) in mm around one pixel under 1 kPa."""
+def _compute_kernel(gel: Gel, pixel_mm: float, span: tuple[int, ...]) -> Doubles:
+    """Displacement (2 span + 1 along each axis) in mm around one pixel under 1 kPa."""
     if math.isinf(gel.thickness_mm):
-        y, x = (np.arange(-n, n + 1, dtype=np.float64) * pixel_mm for n in heard)
-        return _love(gel, pixel_mm, x[None, :], y[:, None])
-    wide = _layer_kernel(gel, pixel_mm)
+        y, x = (np.arange(-n, n + 1, dtype=np.float64) * pixel_mm for n in span)
+        return _compute_half_space_kernel(gel, pixel_mm, x[None, :], y[:, None])
+    wide = _compute_layer_kernel(gel, pixel_mm)
     middle = wide.shape[0] // 2
-    return wide[middle - heard[0] : middle + heard[0] + 1, middle - heard[1] : middle + heard[1] + 1]
+    return wide[middle - span[0] : middle + span[0] + 1, middle - span[1] : middle + span[1] + 1]
 
 
 @memoise(8)
-def _layer_kernel(gel: Gel, pixel_mm: float) -> Doubles:
-    n = 2 * _reach_px(gel, pixel_mm) + 2
-    symbol = _layer_symbol(gel, pixel_mm, (n, n))
+def _compute_layer_kernel(gel: Gel, pixel_mm: float) -> Doubles:
+    n = 2 * _compute_reach_px(gel, pixel_mm) + 2
+    symbol = _compute_symbol(gel, pixel_mm, (n, n))
     return freeze(np.fft.fftshift(np.fft.irfft2(symbol, s=(n, n))))
 
 
-def _layer_symbol(gel: Gel, pixel_mm: float, padded: tuple[int, int]) -> Doubles:
+def _compute_symbol(gel: Gel, pixel_mm: float, padded: tuple[int, int]) -> Doubles:
     v, t = gel.poisson, gel.thickness_mm
     qy = 2 * np.pi * np.fft.fftfreq(padded[0], pixel_mm)[:, None]
     qx = 2 * np.pi * np.fft.rfftfreq(padded[1], pixel_mm)[None, :]
@@ -117,12 +117,12 @@ def _layer_symbol(gel: Gel, pixel_mm: float, padded: tuple[int, int]) -> Doubles
     k = ((3 - 4 * v) * np.sinh(2 * x) - 2 * x) / ((3 - 4 * v) * np.cosh(2 * x) + 2 * x * x + 5 - 12 * v + 8 * v * v)
     symbol = 2.0 * (1 - v * v) / (gel.youngs_kpa * q) * k
     if math.isfinite(t):
-        # A layer that nothing can compress would not move at all as a whole; a trace keeps the operator definite.
+        # An incompressible layer does not move as a whole; a small value keeps the operator definite.
         symbol[0, 0] = max(t * (1 + v) * (1 - 2 * v) / (1 - v), 1e-6 * t) / gel.youngs_kpa
     return symbol
 
 
-def _love(gel: Gel, pixel_mm: float, x: Doubles, y: Doubles) -> Doubles:
+def _compute_half_space_kernel(gel: Gel, pixel_mm: float, x: Doubles, y: Doubles) -> Doubles:
     """Love's displacement of a half-space under a uniform pressure on one pixel (Boussinesq over a square)."""
     h = pixel_mm / 2
 

@@ -1,8 +1,7 @@
-"""Height fields over a sensor's x-y plane: laid down by a mesh or a depth image, and looked at along camera rays.
+"""Height fields over a sensor's x-y plane: rasterised from a mesh or a depth image, and sampled along camera rays.
 
-A contact is solved where the membrane is a height field, on a lattice in millimetres; cameras see along rays. Both
-ways are exact in the sense that nothing is rounded to a pixel: triangles are sampled at the lattice's nodes, and rays
-meet the bilinear surface to a nanometre.
+Contact is solved on a lattice in millimetres, where the membrane is a height field; cameras see along rays. Nothing is
+rounded to a pixel: triangles are sampled at the lattice's nodes, and rays meet the bilinear surface to a nanometre.
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ class Lattice:
 
 
 def rasterise_depth_image(camera: Camera, depth_mm: NDArray[np.floating], on: Lattice) -> Doubles:
-    """Z (ny, nx) of the surface in a depth image (NaN = nothing), the nearest where it folds; +inf where none is."""
+    """Z (ny, nx) in mm of the surface in a depth image (NaN = none), the nearest where it folds; +inf without one."""
     from pipeline.physics.lattice_kernels import lower_to_depth_image
 
     height = np.full(on.shape, np.inf)
@@ -46,7 +45,7 @@ def rasterise_depth_image(camera: Camera, depth_mm: NDArray[np.floating], on: La
 
 
 def rasterise_mesh(vertices_mm: Doubles, triangles: Indices, on: Lattice) -> Doubles:
-    """Z (ny, nx) of the side of a mesh (in the sensor frame) that faces the camera; +inf beside it."""
+    """Z (ny, nx) of the side of a mesh (in the sensor frame) that faces the camera; +inf outside."""
     from pipeline.physics.lattice_kernels import lower_to_mesh
 
     height = np.full(on.shape, np.inf)
@@ -57,9 +56,9 @@ def rasterise_mesh(vertices_mm: Doubles, triangles: Indices, on: Lattice) -> Dou
 
 
 def render_mesh_depth(vertices_mm: Doubles, triangles: Indices, camera: Camera) -> Doubles:
-    """Z (rows, cols) of the side of a mesh (in front of the camera, in its frame) that each pixel sees; NaN beside it.
+    """Z (rows, cols) of the side of a mesh (in front of the camera, in its frame) that each pixel sees; NaN outside.
 
-    1 / z is linear in the picture, so that a triangle is laid down there as it is over a lattice.
+    1 / z is linear in the image, so that triangles are rasterised as over a lattice.
     """
     from pipeline.physics.lattice_kernels import lower_to_mesh
 
@@ -83,7 +82,7 @@ def intersect_rays(camera: Camera, z_mm: Doubles, on: Lattice, guess_mm: NDArray
 
 
 def sample_mask_at_pixels(camera: Camera, mask: Mask, on: Lattice, depth_mm: NDArray[np.floating]) -> Mask:
-    """`mask` (ny, nx) at the points that the camera sees at `depth_mm` (rows, cols): the nearest node decides."""
+    """`mask` (ny, nx) at the points that the camera sees at `depth_mm` (rows, cols): of the nearest node."""
     ray_x, ray_y = camera.rays()
     col = np.rint((depth_mm * ray_x[None, :] - on.x0_mm) / on.step_mm).astype(np.intp)
     row = np.rint((depth_mm * ray_y[:, None] - on.y0_mm) / on.step_mm).astype(np.intp)

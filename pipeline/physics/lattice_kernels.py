@@ -1,5 +1,5 @@
 # pyright: basic
-"""Compiled loops that lay meshes and depth images down as height fields."""
+"""Compiled loops that rasterise meshes and depth images as height fields."""
 
 import math
 
@@ -10,12 +10,12 @@ from pipeline.base.cached_kernels import inner_kernel, kernel
 
 @inner_kernel()
 def _triangle(xa, ya, za, xb, yb, zb, xc, yc, zc, height):
-    """Lower `height` to one triangle (lattice coordinates) at the nodes that it covers."""
+    """Lower `height` to one triangle (in lattice coordinates) at the nodes that it covers."""
     area = (xb - xa) * (yc - ya) - (xc - xa) * (yb - ya)
     if not 1e-12 <= abs(area) < np.inf:
         return
     ny, nx = height.shape
-    # Limits are put on floats, before any cast: what an integer cannot hold would come out as some other number.
+    # Clamp before the cast: values beyond an integer's range would wrap.
     first_c = math.ceil(min(max(min(xa, xb, xc) - 1e-9, 0.0), nx + 0.0))
     last_c = math.floor(max(min(max(xa, xb, xc) + 1e-9, nx - 1.0), -1.0))
     first_r = math.ceil(min(max(min(ya, yb, yc) - 1e-9, 0.0), ny + 0.0))
@@ -30,7 +30,7 @@ def _triangle(xa, ya, za, xb, yb, zb, xc, yc, zc, height):
 
 @kernel()
 def lower_to_depth_image(depth, ray_x, ray_y, x0, y0, step, joined, height):
-    """Lower `height` (starts at +inf) to the surface that a depth image shows; NaN pixels show nothing.
+    """Lower `height` (starts at +inf) to the surface in a depth image; NaN pixels have no surface.
 
     joined (rows, cols): set where a pixel belongs to a triangle.
     """
@@ -61,7 +61,7 @@ def lower_to_depth_image(depth, ray_x, ray_y, x0, y0, step, joined, height):
                 w = (ray_y[r] * z - y0) / step + 0.5
                 if 0.0 <= u < nx and 0.0 <= w < ny:
                     i, j = int(u), int(w)
-                    height[j, i] = min(height[j, i], z)  # a lone reading between the nodes still stops the membrane
+                    height[j, i] = min(height[j, i], z)  # a single pixel between the nodes counts, too
 
 
 @kernel()

@@ -1,9 +1,9 @@
-"""Multigrid for -lap v = load, v <= room, v = 0 at the rim.
+"""Multigrid solver for -lap v = load, v <= room, v = 0 at the rim.
 
-Truncated cycles find where the object holds the membrane: the finest level is smoothed against the object, the coarser
-ones correct only what is free (after Graeser and Kornhuber, 2009). Once the held nodes stay the same, the rest is a
-linear problem, which conjugate gradients with such a cycle as preconditioner end in a handful of steps. Should the held
-nodes not come to rest, monotone cycles (Kornhuber 1994), slower but sure, take over.
+Truncated cycles detect the contact: the finest level is smoothed against the object, the coarser ones correct only free
+nodes (after Graeser and Kornhuber, 2009). Once the contact stays the same, the rest is a linear problem, which
+conjugate gradients with such a cycle as preconditioner solve in a few steps. If the contact keeps changing, monotone
+cycles (Kornhuber 1994) take over, which are slower but always converge.
 """
 
 from __future__ import annotations
@@ -17,21 +17,19 @@ from pipeline.base.arrays import Doubles, Mask, freeze
 
 N_HALVINGS = 4  # every lattice side is a multiple of 2^4 steps, so that it can be halved this often
 MAX_CYCLES = 160
-_TRUNCATED_CYCLES = 40  # of these; usually a dozen are enough
-_BOLD_CYCLES = (
-    6  # whose coarse levels cover all that is free nearby: quick on smooth objects, overshooting on rough ones
-)
+_TRUNCATED_CYCLES = 40  # of these; a dozen are usually enough
+_BOLD_CYCLES = 6  # with coarse levels up to the contact: fast on smooth objects, overshooting on rough ones
 _COARSEST_SWEEPS = 40  # enough for 17 x 14 nodes
-_FEW_NODES = 2  # that still change hands when the linear problem is tried
+_FEW_NODES = 2  # that still enter or leave the contact when the linear problem is tried
 _MAX_STEPS = 30
-_STEP_SHARE = 0.3  # a step of this share of the tolerance leaves an error well within it
+_STEP_SHARE = 0.3  # of the tolerance: the error is well below it after a step of this size
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ObstacleProblem:
-    """One obstacle problem: how much room there is above every node, and which nodes may move at all.
+    """Clearance above every node, and which nodes may move.
 
-    Masks of nodes are read-only wherever kernels take them, which are compiled anew for those that are not.
+    Masks are read-only: kernels are compiled again for writable ones.
     """
 
     clearance_mm: Doubles  # (ny, nx), +inf = open
@@ -50,29 +48,29 @@ class ObstacleProblem:
 
 
 def solve(grid: ObstacleProblem, start_mm: Doubles, load_per_mm: float, tolerance_mm: float) -> tuple[Doubles, bool]:
-    """(v, converged) under a uniform load, from a starting shape; ends when a whole cycle moves nothing any more."""
+    """(v, converged) under a uniform load, from a starting shape; ends when a whole cycle changes nothing."""
     v = np.minimum(start_mm, grid.clearance_mm)
     v[~grid.free] = 0.0
     load = np.full(v.shape, load_per_mm)
     before, loose = v.copy(), grid.free
     for cycle in range(MAX_CYCLES):
-        was_loose, careful = loose, cycle >= _BOLD_CYCLES
+        previous_loose, careful = loose, cycle >= _BOLD_CYCLES
         if cycle < _TRUNCATED_CYCLES:
-            loose = _truncated_cycle(v, load, grid, careful)
+            loose = _run_truncated_cycle(v, load, grid, careful)
         else:
-            _cycle(v, load, grid.clearance_mm, grid.free, grid.step_mm, grid.n_halvings)
+            _run_cycle(v, load, grid.clearance_mm, grid.free, grid.step_mm, grid.n_halvings)
         np.subtract(v, before, out=before)
         if max(float(before.max()), -float(before.min())) <= tolerance_mm:
             return v, True
-        if 0 < cycle < _TRUNCATED_CYCLES and np.count_nonzero(loose != was_loose) <= _FEW_NODES:
-            _settle(v, load, grid, loose, careful, tolerance_mm)
+        if 0 < cycle < _TRUNCATED_CYCLES and np.count_nonzero(loose != previous_loose) <= _FEW_NODES:
+            _solve_linear(v, load, grid, loose, careful, tolerance_mm)
             np.minimum(v, grid.clearance_mm, out=v, where=grid.free)
         before[:] = v
     return v, False
 
 
 def refine(v: Doubles) -> Doubles:
-    """A shape on a halved grid, carried to the full one (bilinear)."""
+    """A shape on a halved grid, interpolated to the full one (bilinear)."""
     fine = np.empty((2 * v.shape[0] - 1, 2 * v.shape[1] - 1))
     fine[::2, ::2] = v
     fine[1::2, ::2] = 0.5 * (v[:-1] + v[1:])
@@ -81,7 +79,7 @@ def refine(v: Doubles) -> Doubles:
 
 
 def compute_contact_load(grid: ObstacleProblem, v: Doubles, load_per_mm: float) -> Doubles:
-    """What the object adds to the load where it holds the membrane (1/mm), 0 elsewhere."""
+    """Load (ny, nx) of the object on the membrane (1/mm), 0 outside contact."""
     force, inner = np.zeros_like(v), (slice(1, -1), slice(1, -1))
     lap = (v[:-2, 1:-1] + v[2:, 1:-1] + v[1:-1, :-2] + v[1:-1, 2:] - 4.0 * v[inner]) / grid.step_mm**2
     holds = grid.free[inner] & (v[inner] >= grid.clearance_mm[inner])
@@ -89,8 +87,8 @@ def compute_contact_load(grid: ObstacleProblem, v: Doubles, load_per_mm: float) 
     return force
 
 
-def _truncated_cycle(v: Doubles, load: Doubles, grid: ObstacleProblem, careful: bool) -> Mask:
-    """One cycle whose coarse levels leave the held nodes where they are; the nodes that were not held."""
+def _run_truncated_cycle(v: Doubles, load: Doubles, grid: ObstacleProblem, careful: bool) -> Mask:
+    """One cycle whose coarse levels keep the contact; returns the nodes outside contact."""
     from pipeline.physics import bubble_kernels as kernels
 
     step_sq, left = grid.step_mm**2, np.empty_like(v)
@@ -100,31 +98,33 @@ def _truncated_cycle(v: Doubles, load: Doubles, grid: ObstacleProblem, careful: 
     loose |= left != 0.0
     loose &= grid.free
     freeze(loose)
-    correction = _coarse_correction(left, None, loose, grid.step_mm, grid.n_halvings, careful)
+    correction = _compute_coarse_correction(left, None, loose, grid.step_mm, grid.n_halvings, careful)
     kernels.prolong(correction, v, grid.clearance_mm, loose)
     kernels.smooth(v, load, grid.clearance_mm, grid.free, step_sq, 2)
     return loose
 
 
-def _settle(v: Doubles, load: Doubles, grid: ObstacleProblem, loose: Mask, careful: bool, tolerance_mm: float) -> None:
-    """Solve the linear problem on the loose nodes, in place: flexible conjugate gradients, a cycle to guide each step.
+def _solve_linear(
+    v: Doubles, load: Doubles, grid: ObstacleProblem, loose: Mask, careful: bool, tolerance_mm: float
+) -> None:
+    """Solve the linear problem on the loose nodes, in place: flexible conjugate gradients, preconditioned by a cycle.
 
-    The guide is not symmetric (red before black on the way down and up), hence the flexible form. Nothing as large as
-    the lattice is made on the way: the memory for it costs as much as the sums.
+    The cycle is not symmetric (red before black on the way down and up), hence the flexible form. No array of the
+    lattice's size is allocated in a step: allocation costs as much as the sums.
     """
     from pipeline.physics import bubble_kernels as kernels
 
     left, moved, direction, guided = np.empty_like(v), np.zeros_like(v), np.zeros_like(v), np.empty_like(v)
-    unbound, nothing = _unbound(v.shape), np.zeros_like(v)
+    unbound, nothing = _get_unbounded(v.shape), np.zeros_like(v)
     kernels.compute_residual(v, load, unbound, loose, grid.step_mm**2, left)
     energy = 1.0
     for _ in range(_MAX_STEPS):
         guided[:] = 0.0
-        _cycle(guided, left, None, loose, grid.step_mm, grid.n_halvings, careful)
-        direction *= _product(guided, moved) / energy
+        _run_cycle(guided, left, None, loose, grid.step_mm, grid.n_halvings, careful)
+        direction *= _dot(guided, moved) / energy
         direction += guided
         kernels.compute_residual(direction, nothing, unbound, loose, grid.step_mm**2, moved)
-        energy, curvature = _product(direction, left), -_product(direction, moved)
+        energy, curvature = _dot(direction, left), -_dot(direction, moved)
         if not (energy > 0 and curvature > 0):
             return
         length = energy / curvature
@@ -135,47 +135,47 @@ def _settle(v: Doubles, load: Doubles, grid: ObstacleProblem, loose: Mask, caref
             return
 
 
-def _product(a: Doubles, b: Doubles) -> float:
-    """In one order, whatever the threads: BLAS would share it out."""
+def _dot(a: Doubles, b: Doubles) -> float:
+    """Dot product in a fixed order; BLAS distributes it over threads."""
     return float(np.einsum("ij,ij->", a, b))
 
 
-def _cycle(
+def _run_cycle(
     v: Doubles, load: Doubles, room: Doubles | None, free: Mask, step_mm: float, level: int, careful: bool = False
 ) -> None:
-    """One cycle, in place, whose corrections never pass the object, if any: coarse nodes have the least room around."""
+    """One cycle, in place, whose corrections stay below the object: coarse nodes take the least clearance nearby."""
     from pipeline.physics import bubble_kernels as kernels
 
-    step_sq, limit = step_mm**2, _unbound(v.shape) if room is None else room
+    step_sq, limit = step_mm**2, _get_unbounded(v.shape) if room is None else room
     if level == 0:
         kernels.smooth(v, load, limit, free, step_sq, _COARSEST_SWEEPS)
         return
     kernels.smooth(v, load, limit, free, step_sq, 2)
     left = np.empty_like(v)
     kernels.compute_residual(v, load, limit, free, step_sq, left)
-    coarse_room = None if room is None else _least_room(room - v)
-    kernels.prolong(_coarse_correction(left, coarse_room, free, step_mm, level, careful), v, limit, free)
+    coarse_room = None if room is None else _restrict_clearance(room - v)
+    kernels.prolong(_compute_coarse_correction(left, coarse_room, free, step_mm, level, careful), v, limit, free)
     kernels.smooth(v, load, limit, free, step_sq, 2)
 
 
 @lru_cache(maxsize=16)
-def _unbound(shape: tuple[int, ...]) -> Doubles:
-    """Room without end. Not read-only, as the loops would be compiled for that too; nobody writes to it."""
+def _get_unbounded(shape: tuple[int, ...]) -> Doubles:
+    """Infinite clearance; not written to, yet not read-only, as the kernels would be compiled for that, too."""
     return np.full(shape, np.inf)
 
 
-def _least_room(room: Doubles) -> Doubles:
-    """The least, of every second node, of those around it; none is beyond the object."""
+def _restrict_clearance(room: Doubles) -> Doubles:
+    """The least clearance around every second node, at least 0."""
     coarse = np.full(room[::2, ::2].shape, np.inf)
     around = [room[y : y - 3 or None : 2, x : x - 3 or None : 2] for y in (1, 2, 3) for x in (1, 2, 3)]
     coarse[1:-1, 1:-1] = np.maximum(np.minimum.reduce(around), 0.0)
     return coarse
 
 
-def _coarse_correction(
+def _compute_coarse_correction(
     left: Doubles, coarse_room: Doubles | None, free: Mask, step_mm: float, level: int, careful: bool
 ) -> Doubles:
-    """The correction on every second node for a residual; if `careful`, where no node around is held."""
+    """The correction on every second node for a residual; if `careful`, only away from contact."""
     from pipeline.physics import bubble_kernels as kernels
 
     coarse_free = np.ascontiguousarray(free[::2, ::2])
@@ -185,5 +185,5 @@ def _coarse_correction(
     freeze(coarse_free)
     coarse_load, correction = np.empty(coarse_free.shape), np.zeros(coarse_free.shape)
     kernels.restrict(left, coarse_load)
-    _cycle(correction, coarse_load, coarse_room, coarse_free, 2 * step_mm, level - 1, careful)
+    _run_cycle(correction, coarse_load, coarse_room, coarse_free, 2 * step_mm, level - 1, careful)
     return correction

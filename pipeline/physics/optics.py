@@ -1,9 +1,9 @@
-"""How a gel's slopes become colour: untouched picture, colour change, and the rendered touch.
+"""Rendering of gels: reference image, colour change by slopes, and the image of a touch.
 
-A slope (gx, gy) of the indentation tilts the surface normal, seen from the camera, to (-gx, -gy, 1). Each LED adds to
-a pixel what the tilt makes it face the light more (Lambert), and takes what it makes it face away, down to its own
-shadow. Light weakens from the LED's own side to the far side of the image, and towards the corners (vignette).
-Where a dent stands between an LED and a point, that LED's share of the light is missing there (cast shadow).
+A slope (gx, gy) of the indentation tilts the surface normal, seen from the camera, to (-gx, -gy, 1). Each LED's light
+on a pixel changes with the cosine to the tilted normal (Lambert), down to zero (attached shadow). Light falls off from
+the LED's side to the far side of the image, and toward the corners (vignette). Where a dent stands between an LED and a
+point, that LED's light is missing there (cast shadow).
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ from pipeline.sensors.parts import Markers, Optics
 from pipeline.sensors.reference_light import compute_reference_light
 from pipeline.sensors.spec import SensorSpec
 
-_PENUMBRA_MM = 0.25  # how far below an LED's light a point has to lie to get none of it
-_NO_SHADOW_MM = 0.02  # shallower surfaces cast none that can be seen
+_PENUMBRA_MM = 0.25  # depth below an LED's light at which a point is fully in shadow
+_NO_SHADOW_MM = 0.02  # shallower surfaces cast no visible shadow
 _N_QUANTILES = 4096
 
 _Scene = tuple[np.float32, Floats, Floats, Floats, np.float32]
 
 
 def compute_colour_change(sensor: SensorSpec, gx: NDArray[np.floating], gy: NDArray[np.floating]) -> Floats:
-    """Grey levels (rows, cols, 3) float32 that the slopes add to the untouched picture; exactly 0 on level ground.
+    """Grey levels (rows, cols, 3) float32 that the slopes add to the reference image; exactly 0 for zero slopes.
 
     gx, gy (rows, cols): d indentation_mm / dx (right) and / dy (down), in mm/mm. NaN slopes give NaN.
     """
@@ -54,8 +54,8 @@ def compute_colour_change(sensor: SensorSpec, gx: NDArray[np.floating], gy: NDAr
 
 
 def render_reference(sensor: SensorSpec) -> Image:
-    """The picture (rows, cols, 3) of the sensor while nothing touches it, without noise; kept per sensor."""
-    return _untouched(sensor.camera, require_optics(sensor), sensor.markers, sensor.pixel_mm)
+    """The reference image (rows, cols, 3) of a sensor without noise, cached."""
+    return _render_reference(sensor.camera, require_optics(sensor), sensor.markers, sensor.pixel_mm)
 
 
 def render(
@@ -65,17 +65,17 @@ def render(
     seed: int | None,
     shear_mm: NDArray[np.floating] | None = None,
 ) -> Image:
-    """The picture (rows, cols, 3) that a gel sensor takes of its pushed-in surface.
+    """The image (rows, cols, 3) of a gel sensor under an indentation (rows, cols) in mm.
 
     Slopes -> colour -> cast shadows -> markers that move with the surface -> lens blur -> camera noise (none if `seed`
-    is None). `shear_mm` (rows, cols, 2): how far, right and down, a tangential load has moved the material seen at each
-    pixel (`shear.drag`).
+    is None). `shear_mm` (rows, cols, 2): motion of the material at each pixel, right and down, by a tangential load
+    (`shear.solve_shear`).
     """
     optics = require_optics(sensor)
     check_surface(sensor, indentation_mm, shear_mm)
-    height_mm = _single(indentation_mm)
+    height_mm = _to_float32(indentation_mm)
     if _is_plain(sensor, optics, seed) and not _casts_shadow(optics, height_mm):
-        return freeze(_plain_picture(sensor, height_mm))
+        return freeze(_render_plain(sensor, height_mm))
     light = _render_light(sensor, optics, height_mm)
     if sensor.markers is not None and sensor.gel is not None:
         move = compute_marker_motion_px(sensor, indentation_mm, shear_mm)
@@ -84,47 +84,47 @@ def render(
 
 
 def require_optics(sensor: SensorSpec) -> Optics:
-    """The sensor's optics; raises SettingProblem for one that takes no colour picture."""
+    """The sensor's optics; raises SettingProblem for a sensor without colour images."""
     if sensor.optics is None:
-        raise SettingProblem(f"{sensor.name} takes no colour pictures; choose a gel sensor")
+        raise SettingProblem(f"{sensor.name} has no colour images; choose a gel sensor")
     return sensor.optics
 
 
-def _single(array: NDArray[np.floating]) -> Floats:
-    """As the kernels take it; read-only, as they are compiled anew for what can be written to."""
+def _to_float32(array: NDArray[np.floating]) -> Floats:
+    """A contiguous float32 array, read-only: kernels are compiled again for writable ones."""
     return freeze(np.ascontiguousarray(array, dtype=np.float32).view())
 
 
 @memoise(32)
 def pack_leds(optics: Optics, camera: Camera) -> tuple[Floats, Floats]:
-    """Light directions and colours (n, 6), and how each weakens over the image (n, 3), as the kernels want them."""
+    """Light directions and colours (n, 6), and falloff over the image (n, 3), for the kernels; padded to n = 3 k."""
     half_w, half_h = camera.cols / 2, camera.rows / 2
-    found, strength = [], []
+    directions, strength = [], []
     for led in optics.leds:
         azimuth, elevation = math.radians(led.azimuth_deg), math.radians(led.elevation_deg)
         cos_a, sin_a = math.cos(azimuth), math.sin(azimuth)
-        found.append((math.cos(elevation) * cos_a, math.cos(elevation) * sin_a, math.sin(elevation), *led.rgb))
-        # The share is 1 at the LED's own side and 1 - falloff at the far one, linear between.
+        directions.append((math.cos(elevation) * cos_a, math.cos(elevation) * sin_a, math.sin(elevation), *led.rgb))
+        # The strength is 1 at the LED's side and 1 - falloff at the far side, linear between.
         per_px = 0.5 * optics.falloff / (half_w * abs(cos_a) + half_h * abs(sin_a))
         first = 1.0 - 0.5 * optics.falloff - per_px * ((half_w - 0.5) * cos_a + (half_h - 0.5) * sin_a)
         strength.append((first, per_px * cos_a, per_px * sin_a))
-    while len(found) % 3:  # the kernel takes three at a time
-        found.append((0.0,) * 6)
+    while len(directions) % 3:  # the kernel takes three at a time
+        directions.append((0.0,) * 6)
         strength.append((0.0,) * 3)
-    return freeze(np.array(found, np.float32)), freeze(np.array(strength, np.float32))
+    return freeze(np.array(directions, np.float32)), freeze(np.array(strength, np.float32))
 
 
 @memoise(32)
-def _untouched(camera: Camera, optics: Optics, markers: Markers | None, pixel_mm: float) -> Image:
+def _render_reference(camera: Camera, optics: Optics, markers: Markers | None, pixel_mm: float) -> Image:
     light = compute_reference_light(camera, optics).copy()
     if markers is not None:
-        still = freeze(np.zeros(camera.shape, np.float32))
-        draw_markers(light, markers, pixel_mm, still, still)
+        no_motion = freeze(np.zeros(camera.shape, np.float32))
+        draw_markers(light, markers, pixel_mm, no_motion, no_motion)
     return freeze(_expose(light, optics, None))
 
 
-def _scratch(cols: int) -> tuple[Floats, Floats]:
-    """What the kernels write over: two rows of pixels, and two of their colours."""
+def _make_buffers(cols: int) -> tuple[Floats, Floats]:
+    """Buffers of the kernels: two rows of pixels and two of colours."""
     return np.empty((2, cols), np.float32), np.empty((2, 3 * cols), np.float32)
 
 
@@ -134,7 +134,7 @@ def _render_light(sensor: SensorSpec, optics: Optics, height_mm: Floats) -> Floa
 
     rows, cols = height_mm.shape
     light = np.empty((rows, 3 * cols), np.float32)
-    render_light(height_mm, *_scene(sensor), *_scratch(cols), light, np.empty((0, 0), np.uint8))
+    render_light(height_mm, *_prepare_scene(sensor), *_make_buffers(cols), light, np.empty((0, 0), np.uint8))
     light = light.reshape(rows, cols, 3)
     if _casts_shadow(optics, height_mm):
         apply_shadows(light, sensor, height_mm, sensor.pixel_mm)
@@ -145,21 +145,21 @@ def _is_plain(sensor: SensorSpec, optics: Optics, seed: int | None) -> bool:
     return sensor.markers is None and optics.blur_px <= 0 and (seed is None or optics.noise_grey <= 0)
 
 
-def _plain_picture(sensor: SensorSpec, height_mm: Floats) -> Image:
-    """The picture where light is all there is: no markers, shadows, blur or noise."""
+def _render_plain(sensor: SensorSpec, height_mm: Floats) -> Image:
+    """The image without markers, shadows, blur and noise."""
     from pipeline.physics.optics_kernels import render_light
 
     rows, cols = height_mm.shape
     out = np.empty((rows, 3 * cols), np.uint8)
-    render_light(height_mm, *_scene(sensor), *_scratch(cols), np.empty((0, 0), np.float32), out)
+    render_light(height_mm, *_prepare_scene(sensor), *_make_buffers(cols), np.empty((0, 0), np.float32), out)
     return out.reshape(rows, cols, 3)
 
 
 _scenes: Memo[str, _Scene] = Memo(16)
 
 
-def _scene(sensor: SensorSpec) -> _Scene:
-    """What the kernels need to light a surface of this sensor, after the surface itself."""
+def _prepare_scene(sensor: SensorSpec) -> _Scene:
+    """Arguments of the kernels for this sensor, after the surface."""
     camera, optics = sensor.camera, require_optics(sensor)
     return _scenes.get_or_make(
         compute_cached_digest(sensor),
@@ -173,7 +173,7 @@ def _casts_shadow(optics: Optics, height_mm: Floats) -> bool:
 
 
 def apply_shadows(light: Floats, sensor: SensorSpec, height_mm: Floats, pixel_mm: float) -> None:
-    """Take from `light` (rows, cols, 3) what does not get past a surface pressed in by `height_mm`, LED by LED."""
+    """Darken `light` (rows, cols, 3) in place by the shadows that an indentation casts, LED by LED."""
     from pipeline.physics.optics_kernels import darken
 
     optics = require_optics(sensor)
@@ -187,14 +187,14 @@ def apply_shadows(light: Floats, sensor: SensorSpec, height_mm: Floats, pixel_mm
 def iterate_led_shadows(
     height_mm: Floats, towards: NDArray[np.floating], sinks: NDArray[np.floating], pixel_mm: float
 ) -> Iterator[Floats]:
-    """Lamp by lamp, how much of its light (rows, cols), 0 to 1, does not get past a surface pressed in by `height_mm`.
+    """LED by LED, the share (rows, cols) of its light, 0 to 1, that an indentation blocks.
 
-    towards (n, 2): directions toward the lamps in the picture, of any length; sinks (n,): mm by which their light comes
-    nearer to the gel's rest in each mm of its way. The next lamp is written over the one before.
+    towards (n, 2): directions toward the LEDs in the image, of any length; sinks (n,): descent of their light in mm per
+    mm of path. The yielded array is overwritten by the next LED's.
     """
     from pipeline.physics.optics_kernels import cast_shadow
 
-    height_mm, turned = _single(height_mm), _single(height_mm.T)
+    height_mm, turned = _to_float32(height_mm), _to_float32(height_mm.T)
     cover, cover_turned = np.empty_like(height_mm), np.empty_like(turned)
     lines = np.empty((2, max(height_mm.shape) + 4), np.float32)
     for (x, y), sink in zip(towards, sinks, strict=True):
@@ -212,14 +212,14 @@ def _expose(light: Floats, optics: Optics, seed: int | None) -> Image:
     """Lens blur, noise and 8 bits."""
     import cv2
 
-    picture: Floats = light
+    blurred: Floats = light
     if optics.blur_px > 0:
-        picture = np.asarray(cv2.GaussianBlur(light, (0, 0), optics.blur_px), np.float32)
-    return digitise_light(picture, optics.noise_grey, seed)
+        blurred = np.asarray(cv2.GaussianBlur(light, (0, 0), optics.blur_px), np.float32)
+    return digitise_light(blurred, optics.noise_grey, seed)
 
 
 def digitise_light(light: Floats, noise_grey: float, seed: int | None) -> Image:
-    """What 8 bits keep of `light` (rows, cols, 3), with the noise of `seed` if any."""
+    """The 8-bit image of `light` (rows, cols, 3), with the noise of `seed` unless None."""
     from pipeline.physics.optics_kernels import digitise
 
     out = np.empty(light.shape, np.uint8)
@@ -231,7 +231,7 @@ def digitise_light(light: Floats, noise_grey: float, seed: int | None) -> Image:
 
 @lru_cache(maxsize=1)
 def _normal_quantiles() -> Floats:
-    """Values that, drawn evenly, are normal with mean 0 and standard deviation 1."""
+    """Quantiles of the standard normal distribution, scaled to standard deviation 1."""
     from scipy.special import ndtri
 
     values = ndtri((np.arange(_N_QUANTILES) + 0.5) / _N_QUANTILES)

@@ -1,5 +1,5 @@
 # pyright: basic
-"""Compiled loops of the optics: one pass over the image, no temporaries."""
+"""Compiled loops of the optics: one pass over the image, without temporaries."""
 
 import math
 
@@ -8,19 +8,19 @@ import numpy as np
 from pipeline.base.cached_kernels import FAST, inline_kernel, kernel
 from pipeline.physics.slope_kernels import write_row_slopes
 
-# What is called is inlined before it is compiled: as functions of their own, with sums free to be contracted, they come
-# out different in the last bit in a process that compiles them and in one that loads them from the cache.
-# No arcp: processors with a fast estimate of 1 / sqrt would use it, and level ground, where the root is 1, would no
-# longer change the light by exactly nothing.
+# Called functions are inlined before compilation: as separate functions, with contracted sums, their results differ in
+# the last bit between a process that compiles them and one that loads them from the cache.
+# No arcp: processors with a fast estimate of 1 / sqrt would use it, and zero slopes, where the root is 1, would change
+# the light slightly.
 _FAST = FAST - {"arcp"}
 
 
 @kernel(fastmath=_FAST)
 def render_light(height, pixel, glow, leds, strength, vignette, slope, part, light, picture):
-    """`light` (rows, 3 cols) of a surface: the glow (rows, 3 cols) and what its slopes change.
+    """Write `light` (rows, 3 cols) of a surface: the reference light `glow` (rows, 3 cols) and the change by slopes.
 
-    Where `light` has no rows, `picture` (rows, 3 cols) of 8 bits instead, without blur and noise, in one pass.
-    slope (2, cols) and part (2, 3 cols): written over.
+    If `light` has no rows, write the 8-bit `picture` (rows, 3 cols) without blur and noise instead, in one pass.
+    slope (2, cols) and part (2, 3 cols) are buffers.
     """
     rows = height.shape[0]
     gx, gy, more = slope[0], slope[1], part[1]
@@ -36,28 +36,28 @@ def render_light(height, pixel, glow, leds, strength, vignette, slope, part, lig
 
 @inline_kernel()
 def _row_change(gx, gy, r, rows, leds, strength, vignette, part, out):
-    """What all lamps change in row `r`, three lamps at a time: `out` (3 cols,), a pixel's colours beside each other."""
+    """Write the change by all LEDs in row `r`, three at a time: `out` (3 cols,), interleaved colours."""
     y = (np.float32(r) + np.float32(0.5)) * np.float32(2.0 / rows) - np.float32(1.0)
     to_x = np.float32(2.0 / gx.shape[0])
     for k in range(0, leds.shape[0], 3):
-        one = _lamp(leds[k], strength[k], r)
-        two = _lamp(leds[k + 1], strength[k + 1], r)
-        three = _lamp(leds[k + 2], strength[k + 2], r)
+        one = _get_led(leds[k], strength[k], r)
+        two = _get_led(leds[k + 1], strength[k + 1], r)
+        three = _get_led(leds[k + 2], strength[k + 2], r)
         _row_of_three(gx, gy, y, to_x, vignette, one, two, three, out if k == 0 else part)
         if k > 0:
             _add(part, out)
 
 
 @inline_kernel()
-def _lamp(led, strength, r):
+def _get_led(led, strength, r):
     """Direction (3), its share of light at the row's first pixel, the share's change per pixel, colour (3)."""
     per_flat = np.float32(1.0) - led[2]
     first = (strength[0] + strength[2] * np.float32(r)) / per_flat
     return led[0], led[1], led[2], first, strength[1] / per_flat, led[3], led[4], led[5]
 
 
-# Inner loops run on whole vectors of pixels: no branches, and indices without a sign, as a negative one would count
-# from the end and has to be looked for at every pixel.
+# Inner loops are vectorised: no branches, and unsigned indices, since a negative index counts from the end and would be
+# checked at every pixel.
 
 
 @inline_kernel()
@@ -102,29 +102,29 @@ def _row_greys(glow, change, out):
 
 @kernel(fastmath=_FAST)
 def cast_shadow(height, to_x, to_y, drop, soft, lines, cover):
-    """How much of one LED's light is missing, `cover` (rows, cols) from 0 to 1, behind what stands in its way.
+    """Write the blocked share of one LED's light, `cover` (rows, cols) from 0 to 1.
 
-    One sweep away from the LED, O(pixels), a row at a time: |to_y| >= |to_x| (an LED at the side wants the picture
-    turned). to_x, to_y: unit vector toward the LED. drop: how far (mm) the light sinks per pixel of its way. soft: by
-    how much (mm) a point must lie below the light to be fully dark. lines (2, cols + 4): written over.
+    One sweep away from the LED, O(pixels), a row at a time; requires |to_y| >= |to_x| (transpose the image otherwise).
+    to_x, to_y: unit vector toward the LED. drop: descent of the light in mm per pixel of path. soft: depth in mm below
+    the light at which a point is fully dark. lines (2, cols + 4): buffer.
     """
     rows, cols = height.shape
     lean = to_x / abs(to_y)
     sink = drop * np.sqrt(np.float32(1.0) + lean * lean)
     first = math.floor(lean)
     share = np.float32(lean - np.float32(first))
-    # The height below which the row before lets no light pass, with two more values at either end.
+    # Height of the light above the previous row, with two more values at either end.
     lines[0] = np.float32(-1e9)
     for step in range(rows):
         r = rows - 1 - step if to_y > 0 else step
         edge, line = lines[step % 2], lines[(step + 1) % 2]
-        _shaded_row(edge[2 + first :], edge[3 + first :], share, sink, soft, height[r], line[2:-2], cover[r])
+        _shade_row(edge[2 + first :], edge[3 + first :], share, sink, soft, height[r], line[2:-2], cover[r])
         line[0] = line[1] = line[2]
         line[cols + 2] = line[cols + 3] = line[cols + 1]
 
 
 @inline_kernel()
-def _shaded_row(low, high, share, sink, soft, height, line, cover):
+def _shade_row(low, high, share, sink, soft, height, line, cover):
     nothing, one = np.float32(0.0), np.float32(1.0)
     per_soft = one / soft
     for i in range(height.shape[0]):
@@ -137,7 +137,7 @@ def _shaded_row(low, high, share, sink, soft, height, line, cover):
 
 @kernel(fastmath=_FAST)
 def darken(image, cover, loss):
-    """Take from `image` (rows, cols, 3) the share `loss` (3,) of each colour where `cover` (rows, cols) is 1."""
+    """Reduce each colour of `image` (rows, cols, 3) by the share `loss` (3,) times `cover` (rows, cols)."""
     rows, cols = cover.shape
     flat = image.reshape(rows, 3 * cols)
     for r in range(rows):
@@ -158,11 +158,11 @@ def _darken_row(out, cover, red, green, blue):
 
 @kernel(fastmath=_FAST)
 def darken_markers(image, move_x, move_y, pitch, radius, half_twin, darkness, jitter, place):
-    """Darken `image` where a marker is; lengths in pixels.
+    """Darken `image` at the markers; lengths in pixels.
 
-    move_x, move_y (rows, cols): how far the material now seen at a pixel has come from its rest place.
-    place (5,): x and y of the dot nearest the image centre, cosine and sine of the grid's turn, and its bend.
-    Dots sit on a square grid, each up to `jitter` off its place; their edge is one pixel soft.
+    move_x, move_y (rows, cols): motion of the material at each pixel from its rest position.
+    place (5,): x and y of the dot nearest the image centre, cosine and sine of the grid's rotation, and its distortion.
+    Dots are on a square grid, each displaced by up to `jitter`; their edge is one pixel soft.
     """
     rows, cols = move_x.shape
     x0 = np.float32((cols - 1) / 2)
@@ -185,7 +185,7 @@ def darken_markers(image, move_x, move_y, pitch, radius, half_twin, darkness, ji
                 continue
             dx = (across - i) * pitch
             if jitter > 0.0:
-                seed = _mixed(np.uint64(np.int64(i) * 7919 + np.int64(j) * 104729 + 12345))
+                seed = _mix_bits(np.uint64(np.int64(i) * 7919 + np.int64(j) * 104729 + 12345))
                 dx -= jitter * (np.float32(seed & np.uint64(0xFFFF)) / np.float32(32767.5) - np.float32(1.0))
                 dy -= jitter * (
                     np.float32((seed >> np.uint64(16)) & np.uint64(0xFFFF)) / np.float32(32767.5) - np.float32(1.0)
@@ -199,8 +199,8 @@ def darken_markers(image, move_x, move_y, pitch, radius, half_twin, darkness, ji
 
 
 @inline_kernel()
-def _mixed(n):
-    """Sixty-four well-mixed bits of a number (the finaliser of splitmix64)."""
+def _mix_bits(n):
+    """Sixty-four mixed bits of a number (the finaliser of splitmix64)."""
     n = (n ^ (n >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     n = (n ^ (n >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
     return n ^ (n >> np.uint64(31))
@@ -208,18 +208,18 @@ def _mixed(n):
 
 @kernel(fastmath=_FAST)
 def digitise(light, quantiles, noise, seed, out):
-    """Grey levels of 8 bits: the light plus normal noise of standard deviation `noise`.
+    """Write 8-bit grey levels: the light plus normal noise of standard deviation `noise`.
 
-    quantiles (4096,): of the standard normal; each pixel's 64 random bits, counted from `seed`, pick three of them.
+    quantiles (4096,): of the standard normal; 64 random bits of each pixel, counted from `seed`, select three of them.
     """
     rows, cols = light.shape[:2]
-    counter = _mixed(seed + np.uint64(0x9E3779B97F4A7C15))
+    counter = _mix_bits(seed + np.uint64(0x9E3779B97F4A7C15))
     for r in range(rows):
         for c in range(cols):
             bits = np.uint64(0)
             if noise > 0.0:
                 counter += np.uint64(0x9E3779B97F4A7C15)
-                bits = _mixed(counter)
+                bits = _mix_bits(counter)
             for k in range(3):
                 value = light[r, c, k]
                 if noise > 0.0:

@@ -1,4 +1,4 @@
-"""The dots of a gel in its picture: where they have moved, and how they darken it."""
+"""Markers of a gel: their motion, and how they darken the image."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from pipeline.physics.slopes import compute_slopes
 from pipeline.sensors.parts import Gel, Markers
 from pipeline.sensors.spec import SensorSpec
 
-_SHEAR_PER_THICKNESS = 0.15  # how far markers are squeezed out of a dent, per gel thickness and unit of slope
-_COARSE = 4  # the squeeze is smooth: every 4th pixel carries it
+_SHEAR_PER_THICKNESS = 0.15  # motion of markers out of a dent, per gel thickness and unit of slope
+_COARSE = 4  # pixels to a node: the motion is smooth
 
 
 def compute_marker_motion_px(
     sensor: SensorSpec, indentation_mm: NDArray[np.floating], shear_mm: NDArray[np.floating] | None = None
 ) -> tuple[Floats, Floats]:
-    """How far (x, y), in pixels, the surface point seen at each pixel is from where the untouched picture has it."""
+    """Motion (x, y), each (rows, cols) in pixels, of the surface point at each pixel since the reference image."""
     if sensor.gel is None:
-        raise SettingProblem(f"{sensor.name} has no gel whose markers could move; choose a gel sensor")
+        raise SettingProblem(f"{sensor.name} has no gel with markers; choose a gel sensor")
     check_surface(sensor, indentation_mm, shear_mm)
-    x, y = _marker_motion_px(
+    x, y = _compute_pressed_motion(
         np.ascontiguousarray(indentation_mm, dtype=np.float32), sensor.camera, sensor.gel, sensor.pixel_mm
     )
     if shear_mm is None:
@@ -37,23 +37,23 @@ def compute_marker_motion_px(
 def check_surface(
     sensor: SensorSpec, indentation_mm: NDArray[np.floating], shear_mm: NDArray[np.floating] | None
 ) -> None:
-    """Raise ShapeError unless both fit the sensor's picture and are finite."""
+    """Raise ShapeError unless both have the shape of the sensor's image and are finite."""
     shape = sensor.camera.shape
     if indentation_mm.shape != shape:
         raise ShapeError(f"an indentation of {sensor.name} must have the shape {shape}, got {indentation_mm.shape}")
     if shear_mm is not None and shear_mm.shape != (*shape, 2):
         raise ShapeError(f"a shear of {sensor.name} must have the shape {(*shape, 2)}, got {shear_mm.shape}")
     if not np.isfinite(indentation_mm).all() or (shear_mm is not None and not np.isfinite(shear_mm).all()):
-        raise ShapeError("an indentation to render must be finite, and its shear too; fill its gaps first")
+        raise ShapeError("indentation and shear must be finite to be rendered; fill gaps first")
 
 
 def draw_markers(light: Floats, markers: Markers, pixel_mm: float, move_x: Floats, move_y: Floats) -> None:
-    """Darken `light` (rows, cols, 3) where a dot is seen; the moves (rows, cols) are those of `marker_motion_px`."""
+    """Darken `light` (rows, cols, 3) at the dots; motions (rows, cols) are those of `compute_marker_motion_px`."""
     from pipeline.physics.optics_kernels import darken_markers
 
-    turn = math.radians(markers.rotation_deg)
+    angle = math.radians(markers.rotation_deg)
     first = (markers.phase_mm[0] / pixel_mm, markers.phase_mm[1] / pixel_mm)
-    place = np.array((*first, math.cos(turn), math.sin(turn), markers.distortion), np.float32)
+    place = np.array((*first, math.cos(angle), math.sin(angle), markers.distortion), np.float32)
     sizes = (markers.pitch_mm / pixel_mm, markers.radius_mm / pixel_mm, 0.5 * markers.doubling_mm / pixel_mm)
     pitch, radius, half_twin, darkness, jitter = (
         np.float32(n) for n in (*sizes, markers.darkness, markers.jitter_mm / pixel_mm)
@@ -61,10 +61,10 @@ def draw_markers(light: Floats, markers: Markers, pixel_mm: float, move_x: Float
     darken_markers(light, move_x, move_y, pitch, radius, half_twin, darkness, jitter, place)
 
 
-def _marker_motion_px(u_mm: Floats, camera: Camera, gel: Gel, pixel_mm: float) -> tuple[Floats, Floats]:
-    """How far (x, y) the surface points now at each pixel have moved in the image.
+def _compute_pressed_motion(u_mm: Floats, camera: Camera, gel: Gel, pixel_mm: float) -> tuple[Floats, Floats]:
+    """Motion (x, y) in pixels by pressing alone.
 
-    A point that comes nearer to the camera moves outward from the optical axis; a dent squeezes its flanks outward.
+    A point that comes closer to the camera moves outward from the optical axis; a dent pushes its flanks outward.
     """
     import cv2
 

@@ -1,15 +1,15 @@
-"""Tangential load: how far a gel's surface, and the markers on it, are dragged along by what is pressed into it.
+"""Tangential load: motion of a gel's surface and its markers under an object that is dragged along it.
 
-A layer bonded to a rigid back answers a tangential traction of wavenumber q, split into its part along the wave (L) and
-the part across it (T), with
+A layer bonded to a rigid back responds to a tangential traction of wavenumber q, with parts along the wave (L) and
+across it (T), with
 
     U_T(q) = tanh(x) / (G q) T(q),    x = q t,   G = E / 2(1+v)
     U_L(q) = 2 / (E* q) K(x) L(q),    K(x) = ((3-4v) sinh 2x + 2x) / ((3-4v) cosh 2x + 2x^2 + 5 - 12v + 8v^2)
 
-(plane elasticity of the layer, as in Johnson, Contact Mechanics; the sister of the normal answer in `gel_layer`).
-Both are t / G for long waves. What pressure does to the tangential motion, and traction to the normal one, is left
-out: it vanishes for an incompressible half-space. Where an object drags the surface along, the traction is
-what moves the contact with the object, cut at friction times pressure (Coulomb): the contact slips from its rim inward.
+(plane elasticity of the layer, as in Johnson, Contact Mechanics; the tangential counterpart of `gel_layer`).
+Both are t / G for long waves. The coupling between pressure and tangential motion is neglected: it vanishes for an
+incompressible half-space. The traction moves the contact with the object and is limited to friction times pressure
+(Coulomb): the contact slips from its rim inward.
 """
 
 from __future__ import annotations
@@ -29,23 +29,23 @@ from pipeline.physics.gel_layer import find_fast_length
 from pipeline.physics.lattice import Lattice
 from pipeline.sensors.parts import Gel
 
-_CELL_PER_THICKNESS = 0.075  # a cell of the solve: the drag of a layer is smooth
-_PAD = 4.0  # thicknesses: the drag of a layer dies with exp(-pi r / 2 t)
+_CELL_PER_THICKNESS = 0.075  # cell of the solver's grid: the motion is smooth
+_PAD = 4.0  # thicknesses: the motion decays with exp(-pi r / 2 t)
 _STEPS = 200
-_TOLERANCE = 1e-3  # of the largest drag
+_TOLERANCE = 1e-3  # of the largest motion
 _LARGEST_X = 40.0
 _KPA_TO_N_MM2 = 1e-3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TangentialLoad:
-    """How far the object has moved along the surface since it touched it."""
+    """Motion of the object along the surface since first contact."""
 
     displacement_mm: tuple[float, float]  # right and down
-    friction: float = 0.8  # traction that the contact bears, per pressure
+    friction: float = 0.8  # largest traction per pressure
 
     def __post_init__(self) -> None:
-        """Refuse what no gel can be given."""
+        """Raise SettingProblem for values that are not finite or out of range."""
         if not all(math.isfinite(v) for v in self.displacement_mm):
             raise SettingProblem(f"a tangential load must be finite, got {self.displacement_mm}")
         if not 0.0 <= self.friction <= 10.0:
@@ -54,33 +54,37 @@ class TangentialLoad:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShearResult:
-    """The dragged surface; arrays are (rows, cols, ...), right and down in the last axis."""
+    """The dragged surface; vectors point right and down."""
 
-    motion_mm: Floats  # (rows, cols, 2) of the material now at each pixel
-    slipping: Mask  # contact whose friction is used up
+    motion_mm: Floats  # (rows, cols, 2) of the material at each pixel
+    slipping: Mask  # (rows, cols) contact at the friction limit
     force_n: tuple[float, float]
     steps: int
     converged: bool
 
 
 def solve_shear(gel: Gel, pixel_mm: float, pressure_kpa: NDArray[np.floating], load: TangentialLoad) -> ShearResult:
-    """The surface under `pressure_kpa` (rows, cols) dragged along by `load`; exact truth of the markers' motion.
+    """The surface under `pressure_kpa` (rows, cols) dragged by `load`.
 
-    Least energy over tractions within the friction's reach, by accelerated projected gradients.
+    Least energy over tractions within the friction limit, by accelerated projected gradients.
     """
     _check(pressure_kpa, pixel_mm)
     shape = (int(pressure_kpa.shape[0]), int(pressure_kpa.shape[1]))
     cell = max(1, round(_CELL_PER_THICKNESS * gel.thickness_mm / pixel_mm)) if math.isfinite(gel.thickness_mm) else 4
-    pressure = _coarse(pressure_kpa, cell)
+    pressure = _average_cells(pressure_kpa, cell)
     limit = load.friction * pressure
-    answer = _answer(gel, cell * pixel_mm, (int(pressure.shape[0]), int(pressure.shape[1])))
-    traction, steps, converged = _solved(answer, np.full((*pressure.shape, 2), load.displacement_mm, np.float32), limit)
-    move = answer.compute_motion(traction)
+    response = _make_response(gel, cell * pixel_mm, (int(pressure.shape[0]), int(pressure.shape[1])))
+    traction, steps, converged = _solve_traction(
+        response, np.full((*pressure.shape, 2), load.displacement_mm, np.float32), limit
+    )
+    move = response.compute_motion(traction)
     size = np.hypot(traction[..., 0], traction[..., 1])
     force = traction.sum(axis=(0, 1), dtype=np.float64) * (cell * pixel_mm) ** 2 * _KPA_TO_N_MM2
     return ShearResult(
-        motion_mm=freeze(_fine(move, cell, shape)),
-        slipping=freeze(_fine(((size >= 0.999 * limit) & (limit > 0)).astype(np.float32), cell, shape) > 0.5),
+        motion_mm=freeze(_interpolate_cells(move, cell, shape)),
+        slipping=freeze(
+            _interpolate_cells(((size >= 0.999 * limit) & (limit > 0)).astype(np.float32), cell, shape) > 0.5
+        ),
         force_n=(float(force[0]), float(force[1])),
         steps=steps,
         converged=converged,
@@ -88,7 +92,7 @@ def solve_shear(gel: Gel, pixel_mm: float, pressure_kpa: NDArray[np.floating], l
 
 
 def sample_motion_at_pixels(camera: Camera, on: Lattice, move_mm: Floats, depth_mm: NDArray[np.floating]) -> Floats:
-    """The motion (rows, cols, 2) in mm at the points a camera sees at `depth_mm`, of one on a lattice (ny, nx, 2)."""
+    """The motion (rows, cols, 2) in mm at the points that a camera sees at `depth_mm`; `move_mm` is (ny, nx, 2)."""
     import cv2
 
     ray_x, ray_y = camera.rays()
@@ -100,12 +104,12 @@ def sample_motion_at_pixels(camera: Camera, on: Lattice, move_mm: Floats, depth_
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TangentialResponse:
-    """The layer's tangential answer as a filter over a padded grid."""
+    """The layer's tangential response as a filter over a padded grid."""
 
     shape: tuple[int, int]
     padded_shape: tuple[int, int]
-    transverse_symbol: Doubles  # mm per kPa of each wave, for traction across it
-    longitudinal_extra: Doubles  # what traction along the wave moves more, over q^2
+    transverse_symbol: Doubles  # mm per kPa of each wave, for traction across the wave
+    longitudinal_extra: Doubles  # additional motion by traction along the wave, over q^2
     qx: Doubles
     qy: Doubles
 
@@ -126,7 +130,7 @@ class TangentialResponse:
 
 
 @memoise(16)
-def _answer(gel: Gel, cell_mm: float, shape: tuple[int, int]) -> TangentialResponse:
+def _make_response(gel: Gel, cell_mm: float, shape: tuple[int, int]) -> TangentialResponse:
     reach = [n - 1 for n in shape]
     if math.isfinite(gel.thickness_mm):
         reach = [min(n, math.ceil(_PAD * gel.thickness_mm / cell_mm)) for n in reach]
@@ -137,7 +141,8 @@ def _answer(gel: Gel, cell_mm: float, shape: tuple[int, int]) -> TangentialRespo
     q[0, 0] = 0.5 * q[0, 1] if math.isinf(gel.thickness_mm) else 1e-3 / gel.thickness_mm
     across, along = compute_symbols(gel, q)
     return TangentialResponse(
-        shape=shape, padded_shape=(rows, cols), transverse_symbol=freeze(across), longitudinal_extra=freeze((along - across) / (q * q)),
+        shape=shape, padded_shape=(rows, cols), transverse_symbol=freeze(across),
+        longitudinal_extra=freeze((along - across) / (q * q)),
         qx=freeze(qx), qy=freeze(qy),
     )  # fmt: skip
 
@@ -151,45 +156,41 @@ def compute_symbols(gel: Gel, q_per_mm: Doubles) -> tuple[Doubles, Doubles]:
     return across, 2.0 * (1 - v * v) / gel.youngs_kpa / q_per_mm * k
 
 
-def _solved(answer: TangentialResponse, target: Floats, limit: Floats) -> tuple[Floats, int, bool]:
+def _solve_traction(response: TangentialResponse, target: Floats, limit: Floats) -> tuple[Floats, int, bool]:
     """(traction, steps, converged): motion equals `target` wherever the traction stays below `limit`."""
     traction: Floats = np.zeros(target.shape, np.float32)
     largest = float(np.hypot(target[..., 0], target[..., 1])[limit > 0].max(initial=0.0))
     if largest == 0:
         return traction, 0, True
-    step = np.float32(
-        1.0
-        / float(
-            (answer.transverse_symbol + np.maximum(answer.longitudinal_extra * (answer.qx**2 + answer.qy**2), 0)).max()
-        )
-    )
+    extra = np.maximum(response.longitudinal_extra * (response.qx**2 + response.qy**2), 0)
+    step = np.float32(1.0 / float((response.transverse_symbol + extra).max()))
     ahead, momentum = traction, 1.0
     for n in range(1, _STEPS + 1):
-        new = _within(ahead + step * (target - answer.compute_motion(ahead)), limit)
+        new = _limit_traction(ahead + step * (target - response.compute_motion(ahead)), limit)
         change = new - traction
         if float(np.abs(new - ahead).max()) <= _TOLERANCE * float(step) * largest:
             return new, n, True
         if float(np.einsum("ijk,ijk->", ahead - new, change)) > 0:
-            momentum = 1.0  # it overshoots: start its run-up again
+            momentum = 1.0  # overshoot: restart the acceleration
         grown = 0.5 * (1.0 + math.sqrt(1.0 + 4.0 * momentum * momentum))
         ahead = np.add(new, np.float32((momentum - 1.0) / grown) * change, dtype=np.float32)
         traction, momentum = new, grown
     return traction, _STEPS, False
 
 
-def _within(traction: Floats, limit: Floats) -> Floats:
+def _limit_traction(traction: Floats, limit: Floats) -> Floats:
     size = np.maximum(np.hypot(traction[..., 0], traction[..., 1]), 1e-12)
     return (traction * np.minimum(1.0, limit / size)[..., None]).astype(np.float32)
 
 
-def _coarse(field: NDArray[np.floating], cell: int) -> Floats:
+def _average_cells(field: NDArray[np.floating], cell: int) -> Floats:
     rows, cols = (-(-n // cell) for n in field.shape)
     padded = np.zeros((rows * cell, cols * cell), np.float32)
     padded[: field.shape[0], : field.shape[1]] = field
     return padded.reshape(rows, cell, cols, cell).mean(axis=(1, 3))
 
 
-def _fine(field: Floats, cell: int, shape: tuple[int, int]) -> Floats:
+def _interpolate_cells(field: Floats, cell: int, shape: tuple[int, int]) -> Floats:
     import cv2
 
     rows, cols = field.shape[:2]
@@ -201,6 +202,6 @@ def _check(pressure_kpa: NDArray[np.floating], pixel_mm: float) -> None:
     if pressure_kpa.ndim != 2 or min(pressure_kpa.shape) < 2:
         raise ShapeError(f"a pressure needs a grid of at least 2 x 2 pixels, got shape {pressure_kpa.shape}")
     if not (np.isfinite(pressure_kpa).all() and (pressure_kpa >= 0).all()):
-        raise ShapeError("a pressure to drag with must be finite and not negative")
+        raise ShapeError("the pressure must be finite and not negative")
     if not (math.isfinite(pixel_mm) and pixel_mm > 0):
         raise ShapeError(f"the pixel width must be a positive length in mm, got {pixel_mm!r}")

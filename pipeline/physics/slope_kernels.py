@@ -28,7 +28,7 @@ def write_slopes(height, per_px, gx, gy):
 
 @inline_kernel()
 def write_row_slopes(height, r, per_px, gx, gy):
-    """The same for row `r` of one image (rows, cols)."""
+    """Write the slopes of row `r` of one image (rows, cols) to gx, gy (cols,)."""
     rows, cols = height.shape
     half = np.float32(0.5) * per_px
     here, up, down = height[r], height[max(r - 1, 0)], height[min(r + 1, rows - 1)]

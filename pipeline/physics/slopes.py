@@ -14,7 +14,7 @@ def compute_slopes(height_mm: NDArray[np.floating], pixel_mm: float) -> tuple[Fl
 
     height = np.ascontiguousarray(height_mm, np.float32)
     gx, gy = np.empty_like(height), np.empty_like(height)
-    # Read-only, as the kernel is compiled anew for what can be written to.
+    # Read-only: the kernel is compiled again for writable arrays.
     images, out_x, out_y = (a.reshape(-1, *height.shape[-2:]) for a in (height, gx, gy))
     write_slopes(freeze(images.view()), np.float32(1.0) / np.float32(pixel_mm), out_x, out_y)
     return gx, gy

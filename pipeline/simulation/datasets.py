@@ -1,7 +1,7 @@
-"""Simulated data sets: which presses, in what order, with which noise.
+"""Simulated data sets: which presses, in which order, with which noise.
 
-A plan is one recording: one object, felt by several sensors at once. Every reading depends on the plan's seed, the
-object, the sensor and the moment alone, so that it is the same whatever else is simulated beside it, in whatever order.
+A plan is one recording: one object, pressed by several sensors at once. Every frame depends on the plan's seed, the
+object, the sensor and the moment alone, whatever else is simulated and in whatever order.
 """
 
 from __future__ import annotations
@@ -15,30 +15,28 @@ from typing import Literal
 
 import numpy as np
 
-from pipeline.base.arrays import Doubles, Floats, Image, freeze
+from pipeline.base.arrays import Doubles, Floats, Image
 from pipeline.base.errors import SettingProblem
 from pipeline.base.units import MeshUnit
 from pipeline.engine.digests import compute_digest
-from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh
 from pipeline.physics.shear import TangentialLoad
 from pipeline.sensors import alignment
-from pipeline.sensors.spec import SensorSpec
-from pipeline.sensors.spec import load_sensor as sensor_named
+from pipeline.sensors.spec import SensorSpec, load_sensor
 from pipeline.simulation import poses, shapes, variation
-from pipeline.simulation.press import render_sensor_image, simulate_press
+from pipeline.simulation.press import move_bubble_closer, render_sensor_image, simulate_press
 from pipeline.values.frames import Pairing, TactileFrame, Truth
 
 Face = Literal["-x", "+x", "-y", "+y", "-z", "+z"]
 PoseSequence = Literal["grid", "press", "slide", "twist", "release", "all"]
 
 MESH_SUFFIXES = (".stl", ".ply", ".obj")
-MAX_POSES = 100_000  # of one recording: with three sensors some 50 GB
-MAX_BUBBLE_DEEPER_MM = 30.0  # more than any bubble is high
-MAX_DRAG_MM = 5.0  # long before that all of the contact slips
-FRAMES_PER_INSTANCE = 10  # with varied sensors, a new specimen is taken after so many moments
+MAX_POSES = 100_000  # of one recording: about 50 GB with three sensors
+MAX_BUBBLE_DEEPER_MM = 30.0  # more than the height of any bubble
+MAX_DRAG_MM = 5.0  # the whole contact slips long before
+FRAMES_PER_INSTANCE = 10  # with varied sensors, moments until the next instance
 BUBBLE_DEEPER_MM = 9.0
-"""How much farther a bubble comes to meet the object than its description says, 13 mm over the gels in all.
+"""How much closer to the object a bubble comes than described: 13 mm beyond the gels in all.
 
 The gripper closes by 10 mm on a bubble and by 1 mm on a GelSlim (paper, appendix). With 13 mm the training
 objects make imprints of 0.81 and 0.96 of the published mean and standard deviation, the lab's own tool meshes 1.17
@@ -46,45 +44,43 @@ and 1.04; with 12 mm it is 0.72 and 0.87, and 1.04 and 0.95 (benchmarks/paired_s
 """
 
 GRASP_INTERVAL_S, FRAME_INTERVAL_S = 1.0, 0.1  # between single grasps, and between the frames of a sequence
-SIMULATION_VERSION = (
-    3  # counts up when the same plan would give other readings, so that old recordings are not continued
-)
+SIMULATION_VERSION = 3  # incremented when a plan gives other frames: older recordings are not continued then
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SimulationPlan:
-    """What one recording is to hold."""
+    """Contents of one recording."""
 
     sensors: tuple[str, ...]
     object_source: str  # a shape of the catalogue, or a mesh file
     n_poses: int  # single grasps, or frames of the sequence
     seed: int
     sequence: PoseSequence = "grid"
-    vary: float = 0.0  # how far specimens of a sensor differ: 0 = all alike, 1 = as real ones do
+    vary: float = 0.0  # of sensor instances: 0 = nominal, 1 = as much as real ones
     noise: bool = True
     bubble_deeper_mm: float = BUBBLE_DEEPER_MM
-    drag_mm: float = 0.0  # how far the object has gone along the gels since it touched; each grasp its own way
+    drag_mm: float = 0.0  # motion of the object along the gels in contact; each grasp has its own direction
     mesh_unit: MeshUnit = "auto"
-    mesh_face: Face = "-z"  # the side of a mesh file that touches
+    mesh_face: Face = "-z"  # the tactile side of a mesh file
 
     @property
     def object_name(self) -> str:
-        """A word for the object that can be part of a file name."""
+        """The object's name, usable in file names."""
         return Path(self.object_source).stem if is_mesh_file(self.object_source) else self.object_source
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SimulatedMoment:
-    """What all sensors of a plan read at once, in the plan's order."""
+    """The frames of all sensors of a plan at one moment, in the plan's order."""
 
     frames: tuple[tuple[TactileFrame, Truth | None], ...]  # truth None: the solve did not converge
     n_unsolved: int
 
 
 def make_plans(tools: tuple[str, ...], like: SimulationPlan) -> tuple[SimulationPlan, ...]:
-    """One plan per object; a group's name stands for its objects.
+    """One plan for each object; the name of a group stands for its objects.
 
-    Raises SettingProblem for what does not exist or is out of its range.
+    Raises SettingProblem for unknown names and values out of range.
     """
     fewest = 1 if like.sequence == "grid" else 2
     if not fewest <= like.n_poses <= MAX_POSES:
@@ -93,7 +89,7 @@ def make_plans(tools: tuple[str, ...], like: SimulationPlan) -> tuple[Simulation
         raise SettingProblem(f"--seed must lie within 0 and {(1 << 63) - 1}")
     if not 0.0 <= like.vary <= variation.MAX_STRENGTH:
         raise SettingProblem(f"--vary must lie within 0 and {variation.MAX_STRENGTH:g}, got {like.vary:g}")
-    if not like.sensors or len({sensor_named(name).name for name in like.sensors}) < len(like.sensors):
+    if not like.sensors or len({load_sensor(name).name for name in like.sensors}) < len(like.sensors):
         raise SettingProblem(f"--sensors must name each sensor once, got {', '.join(like.sensors) or 'none'!r}")
     if not 0.0 <= like.bubble_deeper_mm <= MAX_BUBBLE_DEEPER_MM:
         raise SettingProblem(
@@ -101,54 +97,52 @@ def make_plans(tools: tuple[str, ...], like: SimulationPlan) -> tuple[Simulation
         )
     if not 0.0 <= like.drag_mm <= MAX_DRAG_MM:
         raise SettingProblem(f"--drag-mm must lie within 0 and {MAX_DRAG_MM:g} mm, got {like.drag_mm:g}")
-    wanted = tuple(dict.fromkeys(name for tool in tools for name in _names(tool)))
-    if not wanted:
+    names = tuple(dict.fromkeys(name for tool in tools for name in _expand_group(tool)))
+    if not names:
         raise SettingProblem("--tools must name at least one object")
-    made = tuple(replace(like, object_source=name) for name in wanted)
-    for plan in made:
+    plans = tuple(replace(like, object_source=name) for name in names)
+    for plan in plans:
         load_object_mesh(plan)
-    stems = [plan.object_name for plan in made]
+    stems = [plan.object_name for plan in plans]
     if len(set(stems)) < len(stems):
-        raise SettingProblem("two of the --tools have the same name, and so would their recordings; rename a mesh file")
-    return made
+        raise SettingProblem("two of the --tools have the same name and would share a recording; rename a mesh file")
+    return plans
 
 
-def _names(tool: str) -> tuple[str, ...]:
+def _expand_group(tool: str) -> tuple[str, ...]:
     if tool == "all":
         return shapes.list_shapes()
     return shapes.list_shapes(tool) if tool in shapes.GROUPS else (tool,)
 
 
 def is_mesh_file(tool: str) -> bool:
-    """Whether an object is named by a file."""
+    """Whether the name of an object is that of a mesh file."""
     return Path(tool).suffix.lower() in MESH_SUFFIXES
 
 
 def load_object_mesh(plan: SimulationPlan) -> Mesh:
     """The plan's object; raises SettingProblem, MeshProblem or FileProblem."""
-    return _thing(plan.object_source, plan.mesh_unit, plan.mesh_face).mesh
+    return _load_shape(plan).mesh
 
 
 def load_object_symmetry(plan: SimulationPlan) -> shapes.Symmetry | None:
-    """The turns that map the plan's object onto itself; None for a mesh file, which does not say."""
-    return (
-        None
-        if is_mesh_file(plan.object_source)
-        else _thing(plan.object_source, plan.mesh_unit, plan.mesh_face).symmetry
-    )
+    """The symmetry of the plan's object; None for a mesh file, whose symmetry is unknown."""
+    return None if is_mesh_file(plan.object_source) else _load_shape(plan).symmetry
 
 
 @lru_cache(maxsize=4)
-def _thing(tool: str, unit: MeshUnit, face: Face) -> shapes.Shape:
-    return shapes.load_mesh_shape(Path(tool), unit, face) if is_mesh_file(tool) else shapes.make_shape(tool)
+def _load_shape(plan: SimulationPlan) -> shapes.Shape:
+    if is_mesh_file(plan.object_source):
+        return shapes.load_mesh_shape(Path(plan.object_source), plan.mesh_unit, plan.mesh_face)
+    return shapes.make_shape(plan.object_source)
 
 
 def compute_pairings(plan: SimulationPlan) -> tuple[Pairing, ...]:
-    """How every two sensors of the plan stand to each other."""
-    felt_by = [_described(plan, name) for name in plan.sensors]
+    """target_from_source of every pair of sensors of the plan."""
+    sensors = [_place_sensor(plan, name) for name in plan.sensors]
     return tuple(
         Pairing(source=a.name, target=b.name, target_from_source=alignment.resolve_alignment(a, b).target_from_source)
-        for a, b in permutations(felt_by, 2)
+        for a, b in permutations(sensors, 2)
     )
 
 
@@ -162,64 +156,63 @@ def compute_object_poses(plan: SimulationPlan) -> tuple[Doubles, ...]:
 
 
 def simulate_moment(plan: SimulationPlan, index: int) -> SimulatedMoment:
-    """What the sensors read at moment `index`, with its truth."""
-    pose, readings, unsolved = compute_object_poses(plan)[index], [], 0
+    """The frames of all sensors at moment `index`, with their truth."""
+    pose, frames, unsolved = compute_object_poses(plan)[index], [], 0
     time_s = index * (GRASP_INTERVAL_S if plan.sequence == "grid" else FRAME_INTERVAL_S)
     for name in plan.sensors:
-        spec = _specimen(plan, name, index // FRAMES_PER_INSTANCE)
+        spec = _make_instance(plan, name, index // FRAMES_PER_INSTANCE)
         seed = _seed(plan, spec.name, "reading", index) if plan.noise else None
-        felt = simulate_press(load_object_mesh(plan), pose, spec, seed=seed, load=_load(plan, spec, index))
+        press = simulate_press(load_object_mesh(plan), pose, spec, seed=seed, load=_make_load(plan, spec, index))
         frame = TactileFrame(
             sensor=spec.name,
-            image=felt.image,
+            image=press.image,
             reference=simulate_reference(plan, name, index),
             index=index,
             time_s=time_s,
         )
-        readings.append((frame, felt.truth if felt.converged else None))
-        unsolved += not felt.converged
-    return SimulatedMoment(frames=tuple(readings), n_unsolved=unsolved)
+        frames.append((frame, press.truth if press.converged else None))
+        unsolved += not press.converged
+    return SimulatedMoment(frames=tuple(frames), n_unsolved=unsolved)
 
 
-def _load(plan: SimulationPlan, spec: SensorSpec, index: int) -> TangentialLoad | None:
-    """The drag of moment `index` in the sensor's own axes: one way for all sensors, and for all frames of a motion."""
+def _make_load(plan: SimulationPlan, spec: SensorSpec, index: int) -> TangentialLoad | None:
+    """Tangential load of a moment in the sensor's axes; one direction for all sensors and all frames of a motion."""
     if not plan.drag_mm:
         return None
     seed = _seed(plan, "", "drag", index if plan.sequence == "grid" else 0)
     heading = np.random.default_rng(seed).uniform(0.0, 2.0 * np.pi)
-    way = spec.alignment_from_sensor[:3, :3].T @ (np.cos(heading), np.sin(heading), 0.0)
-    return TangentialLoad(displacement_mm=(plan.drag_mm * float(way[0]), plan.drag_mm * float(way[1])))
+    direction = spec.alignment_from_sensor[:3, :3].T @ (np.cos(heading), np.sin(heading), 0.0)
+    return TangentialLoad(displacement_mm=(plan.drag_mm * float(direction[0]), plan.drag_mm * float(direction[1])))
 
 
 def simulate_reference(plan: SimulationPlan, sensor: str, index: int) -> Image | Floats:
-    """The untouched reading that belongs to moment `index`; the same object for every moment of one specimen."""
-    return _reference(plan, sensor, index // FRAMES_PER_INSTANCE if plan.vary else 0)
+    """The reference frame of moment `index`; one object for all moments of a sensor instance."""
+    return _simulate_reference(plan, sensor, index // FRAMES_PER_INSTANCE if plan.vary else 0)
 
 
 @lru_cache(maxsize=16)
-def _reference(plan: SimulationPlan, sensor: str, block: int) -> Image | Floats:
-    spec = _specimen(plan, sensor, block)
-    still = np.zeros(spec.camera.shape, np.float32)
+def _simulate_reference(plan: SimulationPlan, sensor: str, block: int) -> Image | Floats:
+    spec = _make_instance(plan, sensor, block)
+    flat = np.zeros(spec.camera.shape, np.float32)
     return render_sensor_image(
-        spec, still, spec.rest_depth_mm, _seed(plan, spec.name, "reference", block) if plan.noise else None
+        spec, flat, spec.rest_depth_mm, _seed(plan, spec.name, "reference", block) if plan.noise else None
     )
 
 
 @lru_cache(maxsize=16)
-def _specimen(plan: SimulationPlan, sensor: str, block: int) -> SensorSpec:
-    spec = _described(plan, sensor)
+def _make_instance(plan: SimulationPlan, sensor: str, block: int) -> SensorSpec:
+    spec = _place_sensor(plan, sensor)
     if not plan.vary:
         return spec
     return variation.vary_sensor(spec, _seed(plan, spec.name, "specimen", block), plan.vary)
 
 
-def _described(plan: SimulationPlan, sensor: str) -> SensorSpec:
-    """The sensor where the plan's gripper brings it; `pairings` say so exactly."""
-    spec = sensor_named(sensor)
+def _place_sensor(plan: SimulationPlan, sensor: str) -> SensorSpec:
+    """The nominal sensor, a bubble closer to the object by `bubble_deeper_mm`."""
+    spec = load_sensor(sensor)
     if spec.bubble is None or not plan.bubble_deeper_mm:
         return spec
-    nearer = rigid.translation(0.0, 0.0, plan.bubble_deeper_mm) @ spec.alignment_from_sensor
-    return replace(spec, alignment_from_sensor=freeze(nearer))
+    return move_bubble_closer(spec, plan.bubble_deeper_mm)
 
 
 def _seed(plan: SimulationPlan, sensor: str, what: str, index: int) -> int:
@@ -228,8 +221,8 @@ def _seed(plan: SimulationPlan, sensor: str, what: str, index: int) -> int:
 
 
 def describe_plan(plan: SimulationPlan) -> str:
-    """The plan in words with a digest of all that its readings depend on; equal words, equal readings."""
-    specs = tuple(_described(plan, name) for name in plan.sensors)
+    """The plan as a text with a digest of everything its frames depend on; equal texts, equal frames."""
+    specs = tuple(_place_sensor(plan, name) for name in plan.sensors)
     content = compute_digest(
         (
             SIMULATION_VERSION,

@@ -1,15 +1,16 @@
-"""One press: what a sensor records of an object at a pose, and everything that is true of it.
+"""One press: the frame that a sensor records of an object at a pose, with its truth.
 
-The object's pose is given in the alignment frame, so that several sensors can feel the same press. Soft sensors must
-be pressed deeper than stiff ones to feel as much (paper, dataset section): that is part of where a sensor stands in the
-alignment frame, so that it is in every `target_from_source` too. A gel rests in the plane z = 0, the bubble's apex
-stands out of it; `soft_bubble.toml` says how far and why.
+The object's pose is given in the alignment frame, so that several sensors record the same press. Soft sensors are
+pressed deeper than stiff ones (paper, dataset section): the sensor's pose in the alignment frame includes this, and so
+does every `target_from_source`. A gel rests in the plane z = 0, the bubble's apex stands out of it; `soft_bubble.toml`
+gives the distance and the reason.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 
@@ -27,17 +28,32 @@ from pipeline.values.frames import Truth
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SimulatedPress:
-    """A simulated reading with its truth."""
+    """A simulated frame with its truth."""
 
     image: Image | Floats  # (rows, cols, 3) uint8, or (rows, cols) depth_mm
     truth: Truth
     force_n: float
-    converged: bool  # False: the truth is not to be trusted, also where a gel was pressed deeper than it is thick
+    converged: bool  # False: the truth is wrong, also where a gel is pressed deeper than its thickness
     shear_mm: Floats | None = None  # (rows, cols, 2) how far a tangential load moved the gel's surface along x and y
+
+    @property
+    def indentation_mm(self) -> Floats:
+        """True indentation (rows, cols)."""
+        return cast("Floats", self.truth.indentation_mm)
+
+    @property
+    def contact(self) -> Mask:
+        """True contact (rows, cols)."""
+        return cast("Mask", self.truth.contact)
+
+    @property
+    def sensor_from_object(self) -> Doubles:
+        """True pose (4, 4)."""
+        return cast("Doubles", self.truth.sensor_from_object)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Felt:
+class PressedSurface:
     """The surface of a pressed sensor."""
 
     depth_mm: Doubles  # (rows, cols)
@@ -49,37 +65,37 @@ class _Felt:
 
 
 def simulate_press(
-    thing: Mesh,
+    mesh: Mesh,
     alignment_from_object: Doubles,
     sensor: SensorSpec,
     *,
     seed: int | None,
     load: TangentialLoad | None = None,
 ) -> SimulatedPress:
-    """What `sensor` records of `thing` at this pose; `seed` is of its noise, None = no noise.
+    """The frame that `sensor` records of an object at this pose; `seed` is that of the noise, None = no noise.
 
-    `load` drags the object along a gel's surface (a bubble does not feel it). Raises CalibrationError for a pose that
-    is no rigid transform.
+    `load` drags the object along a gel's surface; a bubble ignores it. Raises CalibrationError for a pose that is not
+    rigid.
     """
     pose = rigid.validate_rigid(alignment_from_object, "the object's pose")
     sensor_from_object = rigid.invert(sensor.alignment_from_sensor) @ pose
-    vertices = rigid.apply(sensor_from_object, thing.vertices_mm)
-    felt = _press_membrane(vertices, thing, sensor, load)
-    indentation: Floats = freeze((sensor.rest_depth_mm - felt.depth_mm).astype(np.float32))
+    vertices = rigid.apply(sensor_from_object, mesh.vertices_mm)
+    surface = _press_membrane(vertices, mesh, sensor, load)
+    indentation: Floats = freeze((sensor.rest_depth_mm - surface.depth_mm).astype(np.float32))
     truth = Truth(
-        indentation_mm=indentation, contact=felt.contact, sensor_from_object=freeze(sensor_from_object),
-        force_n=freeze(np.array([*felt.tangent_n, -felt.force_n])),
+        indentation_mm=indentation, contact=surface.contact, sensor_from_object=freeze(sensor_from_object),
+        force_n=freeze(np.array([*surface.tangent_n, -surface.force_n])),
     )  # fmt: skip
-    image = render_sensor_image(sensor, indentation, felt.depth_mm, seed, shear_mm=felt.shear_mm)
+    image = render_sensor_image(sensor, indentation, surface.depth_mm, seed, shear_mm=surface.shear_mm)
     return SimulatedPress(
-        image=image, truth=truth, force_n=felt.force_n, converged=felt.converged, shear_mm=felt.shear_mm
+        image=image, truth=truth, force_n=surface.force_n, converged=surface.converged, shear_mm=surface.shear_mm
     )
 
 
 def render_sensor_image(
     sensor: SensorSpec, indentation_mm: Floats, depth_mm: Doubles, seed: int | None, *, shear_mm: Floats | None = None
 ) -> Image | Floats:
-    """The sensor's reading of a membrane at `depth_mm`, `indentation_mm` from rest, with its noise if seeded."""
+    """The frame of a membrane at `depth_mm`, `indentation_mm` from rest, with noise unless `seed` is None."""
     return sensor.sensor_kind.simulate_image(sensor, indentation_mm, depth_mm, seed, shear_mm)
 
 
@@ -97,28 +113,34 @@ def simulate_bubble_image(
     return bubble_camera.simulate_depth_frame(sensor, depth_mm, seed)
 
 
-def _press_membrane(vertices_mm: Doubles, thing: Mesh, sensor: SensorSpec, load: TangentialLoad | None) -> _Felt:
+def _press_membrane(
+    vertices_mm: Doubles, mesh: Mesh, sensor: SensorSpec, load: TangentialLoad | None
+) -> PressedSurface:
     simulator = sensor.sensor_kind.press_simulator
     if not simulator:
         raise SettingProblem(f"sensors of kind {sensor.kind!r} such as {sensor.name} cannot be simulated")
-    return load_reference(simulator)(vertices_mm, thing, sensor, load)
+    return load_reference(simulator)(vertices_mm, mesh, sensor, load)
 
 
-def simulate_gel_press(vertices_mm: Doubles, thing: Mesh, sensor: SensorSpec, load: TangentialLoad | None) -> _Felt:
+def simulate_gel_press(
+    vertices_mm: Doubles, mesh: Mesh, sensor: SensorSpec, load: TangentialLoad | None
+) -> PressedSurface:
     """The surface of a gel pressed by a mesh at `vertices_mm` (n, 3) in the sensor frame."""
     if sensor.gel is None:
-        raise SettingProblem(f"{sensor.name} has no gel to press; its description lacks [gel]")
+        raise SettingProblem(f"{sensor.name} has no [gel] in its description")
     on = make_gel_lattice(sensor)
     rest_z = float(np.median(sensor.rest_depth_mm))
-    overlap = rest_z - lattice.rasterise_mesh(vertices_mm, thing.triangles, on)
+    overlap = rest_z - lattice.rasterise_mesh(vertices_mm, mesh.triangles, on)
     answer = gel.press_gel(sensor.gel, on.step_mm, overlap)
     if not answer.contact.any():
-        nowhere = freeze(np.zeros(sensor.camera.shape, np.bool_))
-        return _Felt(depth_mm=sensor.rest_depth_mm, contact=nowhere, force_n=0.0, converged=answer.converged)
+        no_contact = freeze(np.zeros(sensor.camera.shape, np.bool_))
+        return PressedSurface(
+            depth_mm=sensor.rest_depth_mm, contact=no_contact, force_n=0.0, converged=answer.converged
+        )
     surface_z = rest_z - answer.indentation_mm.astype(np.float64)
     depth = lattice.intersect_rays(sensor.camera, surface_z, on, guess_mm=sensor.rest_depth_mm)
     contact = lattice.sample_mask_at_pixels(sensor.camera, answer.contact, on, depth)
-    # Beside the view a long tool's end may lie deeper; a linear layer answers for that well enough.
+    # Outside the view a long tool may lie deeper; the linear layer is accurate enough there.
     possible = float((sensor.rest_depth_mm - depth).max()) < sensor.gel.thickness_mm
     moved, tangent_n = None, (0.0, 0.0)
     if load is not None:
@@ -127,14 +149,20 @@ def simulate_gel_press(vertices_mm: Doubles, thing: Mesh, sensor: SensorSpec, lo
             dragged.force_n,
             freeze(shear.sample_motion_at_pixels(sensor.camera, on, dragged.motion_mm, depth)),
         )
-    return _Felt(
+    return PressedSurface(
         depth_mm=depth, contact=contact, force_n=answer.force_n, converged=answer.converged and possible,
         tangent_n=tangent_n, shear_mm=moved,
     )  # fmt: skip
 
 
+def move_bubble_closer(bubble: SensorSpec, by_mm: float) -> SensorSpec:
+    """A bubble that stands `by_mm` closer to the object than described."""
+    moved: Doubles = freeze(rigid.translation(0.0, 0.0, by_mm) @ bubble.alignment_from_sensor)
+    return replace(bubble, alignment_from_sensor=moved)
+
+
 def make_gel_lattice(sensor: SensorSpec) -> Lattice:
-    """The pad on the picture's own grid at rest, and a thickness more on every side."""
+    """Lattice of the pad: the image's grid at rest, extended by the thickness on every side."""
     assert sensor.gel is not None
     step, camera = sensor.pixel_mm, sensor.camera
     margin = math.ceil(sensor.gel.thickness_mm / step)
@@ -146,13 +174,15 @@ def make_gel_lattice(sensor: SensorSpec) -> Lattice:
     )
 
 
-def simulate_bubble_press(vertices_mm: Doubles, thing: Mesh, sensor: SensorSpec, _load: TangentialLoad | None) -> _Felt:
+def simulate_bubble_press(
+    vertices_mm: Doubles, mesh: Mesh, sensor: SensorSpec, _load: TangentialLoad | None
+) -> PressedSurface:
     """The membrane of a bubble pressed by a mesh at `vertices_mm` (n, 3) in the sensor frame."""
     if sensor.bubble is None:
-        raise SettingProblem(f"{sensor.name} has no membrane to press; its description lacks [bubble]")
+        raise SettingProblem(f"{sensor.name} has no [bubble] in its description")
     on = bubble.make_lattice(sensor.bubble)
-    ceiling = lattice.rasterise_mesh(vertices_mm, thing.triangles, on) - bubble_camera.get_rim_z_mm(sensor)
+    ceiling = lattice.rasterise_mesh(vertices_mm, mesh.triangles, on) - bubble_camera.get_rim_z_mm(sensor)
     answer = bubble.press_bubble(sensor.bubble, ceiling, on)
     depth = bubble_camera.compute_depth_from_deviation(sensor, answer.deviation_mm, on)
     contact = lattice.sample_mask_at_pixels(sensor.camera, answer.contact, on, depth)
-    return _Felt(depth_mm=depth, contact=contact, force_n=answer.force_n, converged=answer.converged)
+    return PressedSurface(depth_mm=depth, contact=contact, force_n=answer.force_n, converged=answer.converged)

@@ -1,7 +1,7 @@
-"""Other units of a sensor, and other days of one: seeded changes of what differs between them.
+"""Seeded variation of sensors: other instances of a sensor, or the same one on another day.
 
-No two sensors of a kind are alike: LEDs sit askew and age, gels are cast softer or thicker, markers are printed off,
-dust lies on the lens. `varied` gives the description of another unit; strength 1 spans what units of a lab differ by.
+Instances differ: LEDs are displaced and age, gels vary in stiffness and thickness, markers in their print, dust lies on
+the lens. Strength 1 spans the differences between the instances of a lab.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from pipeline.sensors.parts import Bubble, Gel, Glow, Led, Markers, Optics
 from pipeline.sensors.spec import SensorSpec
 
 MAX_STRENGTH = 3.0
-_LED_AZIMUTH_DEG = 8.0  # standard deviations at strength 1, as all that follow
+_LED_AZIMUTH_DEG = 8.0  # standard deviation at strength 1, as all below
 _LED_ELEVATION_DEG = 3.0
-_LED_POWER = 0.12  # of the logarithm, as every share below
+_LED_POWER = 0.12  # of the logarithm, as all shares below
 _LED_COLOUR = 0.08
 _GLOW_POWER = 0.10
 _GLOW_COLOUR = 0.05
@@ -33,25 +33,25 @@ _STIFFNESS = 0.20
 _THICKNESS = 0.08
 _PITCH = 0.02
 _DOT = 0.08
-_TURN_DEG = 0.8
-_BEND = 0.01
-_DUST = 3  # specks at strength 1, at most
+_ROTATION_DEG = 0.8
+_DISTORTION = 0.01
+_MAX_DUST = 3  # specks at strength 1
 _DUST_HALVES = 0.012  # their size in halves of the image
 _DUST_GREY = 14.0
 _PRESSURE = 0.10
 
 
 def vary_sensor(sensor: SensorSpec, seed: int, strength: float = 1.0) -> SensorSpec:
-    """Another unit of `sensor`: the same for the same seed, `sensor` itself at strength 0; camera and frames stay.
+    """Another instance of `sensor`, the same for the same seed; camera and frames stay. Strength 0 changes nothing.
 
-    Every draw is cut at two and a half standard deviations and kept within what a sensor description may hold.
+    Values are cut at 2.5 standard deviations and at the limits of a sensor description.
     Raises SettingProblem for a strength outside 0 to `MAX_STRENGTH`.
     """
-    if not 0.0 <= strength <= MAX_STRENGTH:  # not finite neither
+    if not 0.0 <= strength <= MAX_STRENGTH:  # refuses NaN, too
         raise SettingProblem(f"the strength of variation must lie between 0 and {MAX_STRENGTH:g}, got {strength!r}")
     if strength == 0.0:
         return sensor
-    # One stream each, so that a part keeps its draws whatever the other parts have.
+    # One stream for each part, so that its values do not depend on the other parts.
     optics, gel, markers, bubble = (_Draw(s, strength) for s in np.random.SeedSequence(seed % 2**64).spawn(4))
     return replace(
         sensor,
@@ -63,13 +63,13 @@ def vary_sensor(sensor: SensorSpec, seed: int, strength: float = 1.0) -> SensorS
 
 
 class _Draw:
-    """Bounded normal draws of one part of a sensor."""
+    """Bounded normal values for one part of a sensor."""
 
     def __init__(self, seed: np.random.SeedSequence, strength: float) -> None:
         self._rng, self._strength = np.random.default_rng(seed), strength
 
     def sample_offset(self, deviation: float) -> float:
-        """A step to either side."""
+        """An offset about 0."""
         return float(np.clip(self._rng.normal(), -2.5, 2.5)) * deviation * self._strength
 
     def sample_factor(self, deviation: float) -> float:
@@ -77,11 +77,11 @@ class _Draw:
         return math.exp(self.sample_offset(deviation))
 
     def sample_uniform(self, low: float, high: float) -> float:
-        """Anything between, whatever the strength."""
+        """A uniform value, whatever the strength."""
         return float(self._rng.uniform(low, high))
 
     def tint_colour(self, rgb: tuple[float, float, float], power: float, colour: float) -> tuple[float, float, float]:
-        """A colour made brighter or darker, and each of its parts a little more so."""
+        """A colour with its brightness varied, and each channel a little more."""
         whole = self.sample_factor(power)
         red, green, blue = (v * whole * self.sample_factor(colour) for v in rgb)
         return red, green, blue
@@ -120,8 +120,8 @@ def _optics(o: Optics, draw: _Draw) -> Optics:
 
 
 def _dust(draw: _Draw) -> tuple[Glow, ...]:
-    """A few bright or dark specks that neither move nor change."""
-    count = max(0, min(_DUST, round(abs(draw.sample_offset(0.5 * _DUST)))))
+    """A few fixed bright or dark specks."""
+    count = max(0, min(_MAX_DUST, round(abs(draw.sample_offset(0.5 * _MAX_DUST)))))
     specks: list[Glow] = []
     for _ in range(count):
         size, grey = _DUST_HALVES * draw.sample_factor(0.3), draw.sample_offset(_DUST_GREY)
@@ -140,7 +140,7 @@ def _gel(g: Gel, draw: _Draw) -> Gel:
 
 def _markers(m: Markers, draw: _Draw) -> Markers:
     pitch = m.pitch_mm * draw.sample_factor(_PITCH)
-    # The grid's phase is anything at all between two units; a weak variation moves it little.
+    # The phase of the grid is arbitrary between instances; a weak variation changes it little.
     half = 0.5 * pitch
     phase = tuple(min(max(p + draw.sample_offset(half), -half), half) for p in m.phase_mm)
     return Markers(
@@ -149,8 +149,8 @@ def _markers(m: Markers, draw: _Draw) -> Markers:
         darkness=_share(m.darkness + draw.sample_offset(0.5 * _DOT)),
         doubling_mm=min(m.doubling_mm * draw.sample_factor(_DOT), 0.3 * pitch),
         jitter_mm=min(m.jitter_mm * draw.sample_factor(2 * _DOT), 0.15 * pitch),
-        distortion=min(max(m.distortion + draw.sample_offset(_BEND), -0.2), 0.2),
-        rotation_deg=m.rotation_deg + draw.sample_offset(_TURN_DEG),
+        distortion=min(max(m.distortion + draw.sample_offset(_DISTORTION), -0.2), 0.2),
+        rotation_deg=m.rotation_deg + draw.sample_offset(_ROTATION_DEG),
         phase_mm=(phase[0], phase[1]),
     )
 

@@ -1,4 +1,4 @@
-"""Learning curves: as tables, and as one picture of loss and figures."""
+"""Learning curves as tables and as a figure."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ _COLOURS = {"unseen_grasps": "#0b6e99", "unseen_tools": "#8a4b12"}
 
 
 def write_tables(folder: Path, state: TrainingState) -> None:
-    """`curve.csv` (a line every so many steps) and `figures.csv` (step, split, name, value); raises FileProblem."""
-    _table(folder / "curve.csv", state.curve)
-    _table(folder / "figures.csv", state.metrics)
+    """Write `curve.csv` (loss and its terms) and `figures.csv` (step, split, name, value); raises FileProblem."""
+    _write_table(folder / "curve.csv", state.curve)
+    _write_table(folder / "figures.csv", state.metrics)
 
 
-def _table(path: Path, rows: Sequence[dict[str, Any]]) -> None:
+def _write_table(path: Path, rows: Sequence[dict[str, Any]]) -> None:
     names = list(dict.fromkeys(name for row in rows for name in row))
     text = io.StringIO()
     table = csv.DictWriter(text, names, lineterminator="\n")
@@ -31,7 +31,7 @@ def _table(path: Path, rows: Sequence[dict[str, Any]]) -> None:
 
 
 def draw_curves(folder: Path, state: TrainingState) -> None:
-    """`curve.png`: the loss, and below it every figure of the held-out examples; raises FileProblem."""
+    """Write `curve.png`: the loss, and below it every validation metric; raises FileProblem."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -43,18 +43,18 @@ def draw_curves(folder: Path, state: TrainingState) -> None:
     axes[0].set(ylabel="loss", title=f"{state.n_examples:,} examples in {state.trained_s / 60.0:.0f} minutes")
     if state.curve and min(row["loss"] for row in state.curve) > 0:
         axes[0].set_yscale("log")
-    for own, name in zip(axes[1:], names, strict=True):
+    for axis, name in zip(axes[1:], names, strict=True):
         for split, colour in _COLOURS.items():
             rows = [row for row in state.metrics if row["name"] == name and row["split"] == split]
             label = split.replace("_", " ")
-            own.plot(
+            axis.plot(
                 [row["step"] for row in rows], [row["value"] for row in rows], "o-", ms=3, color=colour, label=label
             )
-        own.set(ylabel=name)
-        own.legend(frameon=False)
+        axis.set(ylabel=name)
+        axis.legend(frameon=False)
     axes[-1].set(xlabel="step")
-    for own in axes:
-        own.grid(visible=True, color="#e5e7eb", lw=0.8)
-        own.spines[["top", "right"]].set_visible(False)
+    for axis in axes:
+        axis.grid(visible=True, color="#e5e7eb", lw=0.8)
+        axis.spines[["top", "right"]].set_visible(False)
     with open_atomic(folder / "curve.png", "the learning curves") as file:
         figure.savefig(file, format="png")

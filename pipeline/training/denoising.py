@@ -1,11 +1,10 @@
-"""How a denoiser learns a residual: noise of all strengths, the strongest most often, and conditions left out at times.
+"""Base of the tasks that train a denoiser, with its losses and metrics.
 
-At the strongest noise nothing is left to see but the condition, and nothing is shown (zero terminal signal, Lin et al.
-2024): the answer there is the posterior's middle, which one step gives. There errors count as squares where they are
-small and by themselves where they are large (Huber), so that a body which is rarely there draws the middle less than
-one which mostly is. Through less noise they count as squares alone: samples follow the mean of what is possible, and
-come out all alike where they follow its median. What a gel's picture shows are slopes: errors of theirs count as
-squares, so that one step gives the middle of all pictures, without edges whose place is not known.
+At the largest noise level the network sees the condition alone (zero terminal signal, Lin et al. 2024), and one step
+gives the posterior mean. Errors count there as squares where they are small and linearly where they are large (Huber),
+so that a body which is rarely present moves the mean less. At smaller noise levels they count as squares: samples then
+follow the mean of what is possible, while those trained toward its median hardly differ. A gel's image shows slopes:
+squared errors of slopes make one step the mean of all images, without edges at unknown positions.
 """
 
 from __future__ import annotations
@@ -28,54 +27,50 @@ if TYPE_CHECKING:
 
     from pipeline.training.task import Example
 
-_AT_MOST = 0.5  # share of examples under the strongest noise, of which a network is shown nothing
-_USUAL = 0.0, 1.5  # of the logarithm of all other noise, in units: mean and deviation
-_DROPPED = 0.1  # share without a condition
-_HUBER = 0.25  # units
-_FEW = 6  # steps of the sample among the figures
+_TERMINAL_SHARE = 0.5  # examples at the largest noise level
+_LOG_SIGMA = 0.0, 1.5  # mean and standard deviation of the logarithm of all other noise levels
+_CONDITION_DROPOUT = 0.1
+_HUBER = 0.25  # in units of the residual
+_CONTACT_TERM, _UNCERTAINTY_TERM = 0.5, 0.05  # weights in the loss
+_N_SAMPLE_STEPS = 6  # of the samples in the metrics
 TargetSensor = Literal["soft_bubble", "gelslim"]
-RESIDUAL_SCALE_MM = {"bubble": 3.0, "gel": 0.2}  # of the residual: about its standard deviation where it is large
+RESIDUAL_SCALE_MM = {"bubble": 3.0, "gel": 0.2}  # unit of the residual: about its standard deviation where it is large
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DenoisingTask:
-    """What every task has whose network denoises a residual of the target's touch."""
+    """Settings of every task whose network denoises a residual of the target's touch."""
 
     target: TargetSensor = setting("soft_bubble", "Target", choices=TargetSensor)
-    contact_weight: float = setting(1.0, "Weight of the contact", low=0.0, high=100.0)
-    slope_weight: float = setting(
-        0.0, "Weight of the slopes", low=0.0, high=1000.0, help="of what a gel's picture shows"
-    )
+    contact_weight: float = setting(1.0, "Contact weight", low=0.0, high=100.0)
+    slope_weight: float = setting(0.0, "Slope weight", low=0.0, high=1000.0, help="of the slopes a gel's image shows")
     uncertainty_only: bool = setting(
-        False,
-        "Doubt alone",
-        help="of what a network says, learn only how far off it is: by touches held back",
+        False, "Uncertainty only", help="trains the predicted error alone, on touches that nothing else was trained on"
     )
 
     @property
-    def kind(self) -> Literal["bubble", "gel"]:
-        """The target's."""
+    def kind(self) -> str:
+        """Kind of the target."""
         return load_sensor(self.target).kind
 
     def compute_loss(self, network: nn.Module, batch: Mapping[str, Tensor]) -> tuple[Tensor, dict[str, Any]]:
-        """See `denoising.loss` and `denoising.doubt`."""
-        return (
-            compute_uncertainty_loss(network, batch)
-            if self.uncertainty_only
-            else compute_denoising_loss(network, batch, self.contact_weight, self.slope_weight)
-        )
+        """See `compute_denoising_loss` and `compute_uncertainty_loss`."""
+        if self.uncertainty_only:
+            return compute_uncertainty_loss(network, batch)
+        return compute_denoising_loss(network, batch, self.contact_weight, self.slope_weight)
 
     def evaluate(self, network: nn.Module, held_out: Sequence[Example]) -> dict[str, float]:
-        """See `denoising.figures`; what touch to touch begins with is the untouched target."""
+        """See `evaluate_denoiser`; the baseline of touch to touch is the untouched target."""
         return evaluate_denoiser(network, held_out, RESIDUAL_SCALE_MM[self.kind])
 
 
 def compute_denoising_loss(
-    network: nn.Module, batch: Mapping[str, Tensor], near: float, slopes: float = 0.0
+    network: nn.Module, batch: Mapping[str, Tensor], contact_weight: float, slope_weight: float = 0.0
 ) -> tuple[Tensor, dict[str, Any]]:
-    """The error of the clean residual and of the spread that is said of it.
+    """Error of the clean residual, and likelihood of the predicted uncertainty.
 
-    `near`: how much more contact counts; `slopes`: the weight of what differs from pixel to pixel.
+    `contact_weight`: additional weight of the residual in contact. `slope_weight`: weight of squared differences
+    between neighbouring pixels' errors.
     """
     import torch
     from torch.nn import functional
@@ -85,55 +80,56 @@ def compute_denoising_loss(
     net = unwrap_network(network)
     clean, condition = batch["residual"], batch["condition"]
     n = len(clean)
-    level = torch.exp(torch.empty(n).normal_(*_USUAL)).clamp(net.sigma_min, 0.999 * net.sigma_max)
-    hidden = torch.rand(n) < _AT_MOST
-    sigma = torch.where(hidden, torch.full((n,), float(net.sigma_max)), level).to(clean.device)
-    kept = (torch.rand(n) >= _DROPPED).to(clean.device).float().reshape(-1, 1, 1, 1)
-    noisy = clean + sigma.reshape(-1, 1, 1, 1) * correlate_noise(torch.randn_like(clean), net.noise_correlation)
-    said = network(noisy, sigma, condition * kept)
-    off, wrong = said[:, 0] - clean[:, 0], said[:, 1] - clean[:, 1]
-    weight = 1.0 + near * batch["contact"][:, 0]
-    fine = ((1.0 + sigma**2) / sigma**2).clamp(max=5.0).reshape(-1, 1, 1)
-    robust = functional.huber_loss(off, torch.zeros_like(off), delta=_HUBER, reduction="none") / _HUBER
-    squared = 0.5 * off**2 * fine
-    residual = (torch.where(hidden.to(off.device).reshape(-1, 1, 1), robust, squared) * weight).mean()
-    contact = (wrong**2 * fine).mean()
-    spread = _unlikely(said, off)
-    parts = {"residual": residual, "contact": contact, "spread": spread}
-    total = residual + 0.5 * contact + 0.05 * spread
-    if slopes > 0.0:
-        parts["slopes"] = sum(off.diff(dim=axis).square().mean() for axis in (-1, -2))
-        total = total + slopes * parts["slopes"]
-    return total, {name: part.detach() for name, part in parts.items()}
+    level = torch.exp(torch.empty(n).normal_(*_LOG_SIGMA)).clamp(net.sigma_min, 0.999 * net.sigma_max)
+    terminal = torch.rand(n) < _TERMINAL_SHARE
+    sigma = torch.where(terminal, torch.full((n,), float(net.sigma_max)), level).to(clean.device)
+    kept = (torch.rand(n) >= _CONDITION_DROPOUT).to(clean.device).float().reshape(-1, 1, 1, 1)
+    noise = correlate_noise(torch.randn_like(clean), net.noise_correlation)
+    prediction = network(clean + sigma.reshape(-1, 1, 1, 1) * noise, sigma, condition * kept)
+    error, contact_error = prediction[:, 0] - clean[:, 0], prediction[:, 1] - clean[:, 1]
+    weight = 1.0 + contact_weight * batch["contact"][:, 0]
+    level_weight = ((1.0 + sigma**2) / sigma**2).clamp(max=5.0).reshape(-1, 1, 1)
+    robust = functional.huber_loss(error, torch.zeros_like(error), delta=_HUBER, reduction="none") / _HUBER
+    squared = 0.5 * error**2 * level_weight
+    residual = (torch.where(terminal.to(error.device).reshape(-1, 1, 1), robust, squared) * weight).mean()
+    contact = (contact_error**2 * level_weight).mean()
+    spread = _compute_laplace_loss(prediction, error)
+    terms = {"residual": residual, "contact": contact, "spread": spread}
+    total = residual + _CONTACT_TERM * contact + _UNCERTAINTY_TERM * spread
+    if slope_weight > 0.0:
+        terms["slopes"] = sum(error.diff(dim=axis).square().mean() for axis in (-1, -2))
+        total = total + slope_weight * terms["slopes"]
+    return total, {name: term.detach() for name, term in terms.items()}
 
 
 def compute_uncertainty_loss(network: nn.Module, batch: Mapping[str, Tensor]) -> tuple[Tensor, dict[str, Any]]:
-    """How unlikely one step's errors are by what is told of them: for a recipe whose `factors` hold all else still.
+    """Negative log-likelihood of one step's errors under the predicted uncertainty.
 
-    What knows its touches by heart is right about them and tells so; only on others it learns how far off it is.
+    For recipes whose `rate_factors` freeze all other parameters. A network is right about touches it was trained on;
+    only other touches show how large its errors are.
     """
     import torch
 
     net = unwrap_network(network)
-    net.eval()  # norms stay as they were learned
+    net.eval()  # normalisation statistics stay
     clean = batch["residual"]
     sigma = torch.full((len(clean),), float(net.sigma_max), device=clean.device)
-    said = network(torch.zeros_like(clean), sigma, batch["condition"])
-    spread = _unlikely(said, said[:, 0] - clean[:, 0])
+    prediction = network(torch.zeros_like(clean), sigma, batch["condition"])
+    spread = _compute_laplace_loss(prediction, prediction[:, 0] - clean[:, 0])
     return spread, {"spread": spread.detach()}
 
 
-def _unlikely(said: Tensor, off: Tensor) -> Tensor:
-    """How unlikely errors `off` (n, rows, cols) are by the log of their mean that `said` tells (Laplace)."""
-    log = said[:, 2].clamp(*LOG_ERROR_RANGE)
-    return (off.detach().abs() * (-log).exp() + log).mean()
+def _compute_laplace_loss(prediction: Tensor, error: Tensor) -> Tensor:
+    """Negative log-likelihood of errors (n, rows, cols), Laplace; channel 2 predicts the log of their mean."""
+    log = prediction[:, 2].clamp(*LOG_ERROR_RANGE)
+    return (error.detach().abs() * (-log).exp() + log).mean()
 
 
 def evaluate_denoiser(network: nn.Module, held_out: Sequence[Example], unit_mm: float) -> dict[str, float]:
-    """Errors in mm in the target's contact and over all, and overlap of contact, of four answers.
+    """Errors in mm, in the target's contact and over all, and contact IoU of four predictions.
 
-    One step, a sample, one step that is held back where it is unsure, and what all of them are added to. Another
-    sample lies as far from the first as the truth does, if both are what the condition allows.
+    They are one step, a sample, one step with confidence weighting, and no prediction. Two samples differ by as much as
+    a sample and the truth if both follow the distribution that the condition allows.
     """
     import torch
 
@@ -154,21 +150,21 @@ def evaluate_denoiser(network: nn.Module, held_out: Sequence[Example], unit_mm: 
 
         with torch.inference_mode():
             first = network(noises[0] * net.sigma_max, torch.full((1,), float(net.sigma_max)), condition)[0].numpy()
-            levels = make_sigma_schedule(_FEW, sigma_max=net.sigma_max, sigma_min=net.sigma_min)
-            drawn, other = (sample(denoise, noise, levels).clean[0].numpy() for noise in noises)
-        held = first[0] * compute_wiener_gain(first[0], np.exp(np.clip(first[2], *LOG_ERROR_RANGE)))
-        mm, touched = unit_mm * example["residual"][0], example["contact"][0] > 0
-        base, right = example["contact"][1], example["contact"][0]
-        found = ((first[0], first[1]), (drawn[0], drawn[1]), (held, first[1]), (0.0 * first[0], 0.0 * first[1]))
+            levels = make_sigma_schedule(_N_SAMPLE_STEPS, sigma_max=net.sigma_max, sigma_min=net.sigma_min)
+            one, other = (sample(denoise, noise, levels).clean[0].numpy() for noise in noises)
+        weighted = first[0] * compute_wiener_gain(first[0], np.exp(np.clip(first[2], *LOG_ERROR_RANGE)))
+        truth, has_contact = unit_mm * example["residual"][0], example["contact"][0] > 0
+        baseline = example["contact"][1]
+        predictions = ((first[0], first[1]), (one[0], one[1]), (weighted, first[1]), (0.0 * first[0], 0.0 * first[1]))
         rows.append([])
-        for field, change in found:
-            off, contact = np.abs(unit_mm * field - mm), base + change > 0.5
-            both = np.count_nonzero(contact | touched)
-            overlap = np.count_nonzero(contact & touched) / max(both, 1)
-            rows[-1] += [float(off[touched].mean()) if right.any() else 0.0, float(off.mean()), overlap]
-        apart = unit_mm * np.abs(drawn[0] - other[0])
-        rows[-1] += [float(apart[touched].mean()) if right.any() else 0.0, float(apart.mean())]
-    names = [f"{who}{what}" for who in ("", "sample ", "held back ", "none of it ")
-             for what in ("in contact, mm", "over all, mm", "contact, IoU")]  # fmt: skip
-    names += ["two samples apart in contact, mm", "two samples apart over all, mm"]
+        for field, change in predictions:
+            error, contact = np.abs(unit_mm * field - truth), baseline + change > 0.5
+            union = np.count_nonzero(contact | has_contact)
+            iou = np.count_nonzero(contact & has_contact) / max(union, 1)
+            rows[-1] += [float(error[has_contact].mean()) if has_contact.any() else 0.0, float(error.mean()), iou]
+        apart = unit_mm * np.abs(one[0] - other[0])
+        rows[-1] += [float(apart[has_contact].mean()) if has_contact.any() else 0.0, float(apart.mean())]
+    names = [f"{which}{what}" for which in ("", "sample ", "confidence-weighted ", "no-prediction ")
+             for what in ("error in contact, mm", "error over all, mm", "contact IoU")]  # fmt: skip
+    names += ["difference of two samples in contact, mm", "difference of two samples over all, mm"]
     return dict(zip(names, np.mean(rows, axis=0).tolist(), strict=True))

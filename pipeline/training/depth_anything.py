@@ -1,4 +1,4 @@
-"""Depth Anything V2 for a sensor, as the paper teaches it: SiLog of the depth and cross entropy of the contact."""
+"""Task: Depth Anything V2 for one sensor, trained as in the paper: SiLog of the depth, cross entropy of the contact."""
 
 from __future__ import annotations
 
@@ -15,104 +15,116 @@ from pipeline.sensors.spec import load_sensor
 from pipeline.simulation import poses, shapes, variation
 from pipeline.simulation.press import render_sensor_image, simulate_press
 from pipeline.training.recorded_touches import LabelledTouch
-from pipeline.training.silog_loss import compute_silog_loss
 
 if TYPE_CHECKING:
     from torch import Tensor, nn
 
     from pipeline.training.task import Example, Split
 
-_OFFSET_MM = 0.1  # the logarithm is of indentation and this: a touch of nothing counts, but not without end
-_SILOG_SHARE = 0.5
+ImageContent = Literal["image", "difference"]
+_OFFSET_MM = 0.1  # added to the indentation before the logarithm, which bounds it at zero
+_SILOG_SHARE = 0.5  # of the squared mean that does not count, as in the paper
+_SILOG_EPS = 1e-8  # under the root: the gradient of a perfect prediction is zero instead of NaN
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DepthAnythingTask:
-    """What its examples are made of, and what of an answer counts for how much."""
+    """Settings of the examples and weights of the loss."""
 
     sensor: str = setting("gelslim", "Sensor")
     side: int = setting(140, "Shorter side", unit="px", low=28, high=1400, step=14)
-    image_content: Literal["picture", "difference"] = setting("picture", "Shows", choices=("picture", "difference"))
+    image_content: ImageContent = setting("image", "Image content", choices=ImageContent)
     largest_mm: float = setting(
-        2.0, "Largest indentation", unit="mm", low=0.01, high=100.0, help="what the answer 1 is"
+        2.0, "Largest indentation", unit="mm", low=0.01, high=100.0, help="that the network's output 1 stands for"
     )
-    vary: float = setting(1.0, "How far units differ", low=0.0, high=variation.MAX_STRENGTH)
-    silog_weight: float = setting(1.0, "Weight of SiLog", low=0.0, high=100.0)
-    contact_weight: float = setting(1.0, "Weight of the contact", low=0.0, high=100.0)
-    metric_weight: float = setting(
-        0.0, "Weight of the error in mm", low=0.0, high=100.0, help="0 = as the paper has it"
-    )
+    vary: float = setting(1.0, "Sensor variation", low=0.0, high=variation.MAX_STRENGTH)
+    silog_weight: float = setting(1.0, "SiLog weight", low=0.0, high=100.0)
+    contact_weight: float = setting(1.0, "Contact weight", low=0.0, high=100.0)
+    metric_weight: float = setting(0.0, "Metric weight", low=0.0, high=100.0, help="of the error in mm; 0 in the paper")
 
     def sample(self, rng: np.random.Generator) -> Example:
-        """A press of a training object by another unit, at any of the paper's poses."""
-        return self._example(rng, shapes.list_shapes("training"))
+        """A training object in one of the paper's poses, on another sensor instance."""
+        return self._simulate_example(rng, shapes.list_shapes("training"))
 
-    def make_touch_example(self, known: LabelledTouch, rng: np.random.Generator) -> Example:  # noqa: ARG002 - nothing is left to chance
-        """A touch of the user's."""
+    def make_touch_example(self, known: LabelledTouch, rng: np.random.Generator) -> Example:  # noqa: ARG002 - deterministic
+        """A touch that the user recorded."""
         reference = known.frame.reference
         assert reference is not None
-        return self._shown(known.frame.image, reference, known.indentation_mm, known.contact)
+        return self._make_example(known.frame.image, reference, known.indentation_mm, known.contact)
 
     def make_validation_example(self, split: Split, index: int) -> Example:
-        """A press of another grasp, or of an object that is never learned from."""
+        """A training object in a new pose, or an unseen tool."""
         group = "training" if split == "unseen_grasps" else "unseen"
-        return self._example(np.random.default_rng([17, len(split), index]), shapes.list_shapes(group))
+        return self._simulate_example(np.random.default_rng([17, len(split), index]), shapes.list_shapes(group))
 
-    def _example(self, rng: np.random.Generator, names: Sequence[str]) -> Example:
-        thing = shapes.make_shape(names[int(rng.integers(len(names)))]).mesh
+    def _simulate_example(self, rng: np.random.Generator, names: Sequence[str]) -> Example:
+        mesh = shapes.make_shape(names[int(rng.integers(len(names)))]).mesh
         seeds = [int(seed) for seed in rng.integers(2**31, size=4)]
-        unit = variation.vary_sensor(load_sensor(self.sensor), seeds[0], self.vary)
-        felt = simulate_press(thing, poses.make_paper_grid(thing, n=1, seed=seeds[1])[0], unit, seed=seeds[2])
-        still = np.zeros(unit.camera.shape, np.float32)
-        rest = render_sensor_image(unit, still, unit.rest_depth_mm, seeds[3])
-        truth = felt.truth
-        assert truth.indentation_mm is not None
-        assert truth.contact is not None
-        return self._shown(felt.image, rest, truth.indentation_mm, truth.contact)
+        sensor = variation.vary_sensor(load_sensor(self.sensor), seeds[0], self.vary)
+        press = simulate_press(mesh, poses.make_paper_grid(mesh, n=1, seed=seeds[1])[0], sensor, seed=seeds[2])
+        flat = np.zeros(sensor.camera.shape, np.float32)
+        reference = render_sensor_image(sensor, flat, sensor.rest_depth_mm, seeds[3])
+        return self._make_example(press.image, reference, press.indentation_mm, press.contact)
 
-    def _shown(self, image: Image | Floats, rest: Image | Floats, indentation_mm: Floats, contact: Mask) -> Example:
-        shown = prepare_image(image, rest, self.image_content)
+    def _make_example(
+        self, image: Image | Floats, reference: Image | Floats, indentation_mm: Floats, contact: Mask
+    ) -> Example:
+        shown = prepare_image(image, reference, self.image_content)
         parts: list[Floats] = [
             resize_to_patches(p, self.side) for p in (shown, indentation_mm, contact.astype(np.float32))
         ]
         return {
-            "picture": np.ascontiguousarray(parts[0].transpose(2, 0, 1)),
+            "image": np.ascontiguousarray(parts[0].transpose(2, 0, 1)),
             "indentation_mm": parts[1], "contact": (parts[2] > 0.5).astype(np.float32),
         }  # fmt: skip
 
     def compute_loss(self, network: nn.Module, batch: Mapping[str, Tensor]) -> tuple[Tensor, dict[str, Any]]:
-        """SiLog where it touches, cross entropy of the contact everywhere, the error in mm where asked for."""
+        """SiLog in contact, cross entropy of the contact, and the absolute error in mm."""
         from torch.nn import functional
 
-        depth, contact = network(batch["picture"])
-        found, truth, touched = self.largest_mm * depth, batch["indentation_mm"], batch["contact"]
-        parts: dict[str, Any] = {
+        depth, logit = network(batch["image"])
+        predicted, truth, contact = self.largest_mm * depth, batch["indentation_mm"], batch["contact"]
+        terms: dict[str, Any] = {
             "silog": compute_silog_loss(
-                found + _OFFSET_MM, truth + _OFFSET_MM, touched, share=_SILOG_SHARE, least=_OFFSET_MM / 2
+                predicted + _OFFSET_MM, truth + _OFFSET_MM, contact, share=_SILOG_SHARE, least=_OFFSET_MM / 2
             ),
-            "contact": functional.binary_cross_entropy_with_logits(contact, touched),
-            "metric": (found - truth).abs().mean(),
+            "contact": functional.binary_cross_entropy_with_logits(logit, contact),
+            "metric": (predicted - truth).abs().mean(),
         }
-        total = (
-            self.silog_weight * parts["silog"]
-            + self.contact_weight * parts["contact"]
-            + self.metric_weight * parts["metric"]
-        )
-        return total, {name: part.detach() for name, part in parts.items()}
+        weights = {"silog": self.silog_weight, "contact": self.contact_weight, "metric": self.metric_weight}
+        total: Any = sum(weights[name] * term for name, term in terms.items())
+        return total, {name: term.detach() for name, term in terms.items()}
 
     def evaluate(self, network: nn.Module, held_out: Sequence[Example]) -> dict[str, float]:
-        """Overlap of the contact and the error of the indentation where it truly touches."""
+        """Contact IoU, and mean error of the indentation in contact."""
         import torch
 
-        device, errors, both, either = next(network.parameters()).device, 0.0, 0.0, 0.0
-        for one in held_out:
-            depth, contact = network(torch.from_numpy(one["picture"])[None].to(device))
-            told, touched = (contact[0] > 0).cpu().numpy(), one["contact"] > 0.5
-            apart = np.abs(self.largest_mm * depth[0].cpu().numpy() - one["indentation_mm"])
-            errors += float((apart * touched).sum())
-            both, either = both + float((told & touched).sum()), either + float((told | touched).sum())
-        touched_px = sum(float((one["contact"] > 0.5).sum()) for one in held_out)
+        device, errors, both, either, n_contact = next(network.parameters()).device, 0.0, 0.0, 0.0, 0.0
+        for example in held_out:
+            depth, logit = network(torch.from_numpy(example["image"])[None].to(device))
+            predicted, contact = (logit[0] > 0).cpu().numpy(), example["contact"] > 0.5
+            error = np.abs(self.largest_mm * depth[0].cpu().numpy() - example["indentation_mm"])
+            errors, n_contact = errors + float((error * contact).sum()), n_contact + float(contact.sum())
+            both, either = both + float((predicted & contact).sum()), either + float((predicted | contact).sum())
         return {
-            "overlap of the contact, 1": both / max(either, 1.0),
-            "error in contact, um": 1e3 * errors / max(touched_px, 1.0),
-        }
+            "contact IoU": both / max(either, 1.0), "error in contact, um": 1e3 * errors / max(n_contact, 1.0),
+        }  # fmt: skip
+
+
+def compute_silog_loss(predicted: Tensor, truth: Tensor, counted: Tensor, *, share: float, least: float) -> Tensor:
+    """The paper's scale-invariant logarithmic loss (Eigen et al. 2014), in a form with a gradient everywhere.
+
+    Mean over the images (n, rows, cols) of sqrt(mean d^2 - share mean(d)^2), d = log predicted - log truth, over the
+    `counted` pixels (n, rows, cols, 0 or 1) of images that have any. Depths below `least` count as `least`. Computed as
+    variance + (1 - share) mean^2, which rounding cannot make negative.
+    """
+    import torch
+
+    predicted, truth = predicted.float().clamp(min=least), truth.float().clamp(min=least)
+    difference = (torch.log(predicted) - torch.log(truth)) * counted
+    n = counted.sum((1, 2))
+    mean = difference.sum((1, 2)) / n.clamp(min=1.0)
+    variance = ((difference - mean[:, None, None]) ** 2 * counted).sum((1, 2)) / n.clamp(min=1.0)
+    each = torch.sqrt(variance + (1.0 - share) * mean**2 + _SILOG_EPS)
+    has_any = (n > 0).float()
+    return (each * has_any).sum() / has_any.sum().clamp(min=1.0)

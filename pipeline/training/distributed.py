@@ -1,4 +1,4 @@
-"""One device or several: `torchrun` starts a process for each, and they learn as one with the sum of their batches."""
+"""Training in one process or several: `torchrun` starts one for each device, and their batches are summed."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ProcessGroup:
-    """This process among those that learn together."""
+    """This process among those that train together."""
 
     rank: int
     world_size: int
     device: torch.device
 
     def wrap_distributed(self, network: nn.Module) -> nn.Module:
-        """A network whose gradients are the mean over all processes."""
+        """The network with gradients averaged over all processes."""
         if self.world_size == 1:
             return network
         from torch.nn.parallel import DistributedDataParallel
@@ -30,20 +30,20 @@ class ProcessGroup:
         return DistributedDataParallel(network, device_ids=[self.device] if self.device.type == "cuda" else None)
 
     def average_over_processes(self, *numbers: float) -> list[float]:
-        """The mean of each number over all processes: the same in all of them."""
+        """The mean of each number over all processes."""
         if self.world_size == 1:
             return list(numbers)
         import torch
         from torch import distributed
 
-        together = torch.tensor(numbers, dtype=torch.float64, device=self.device)
-        distributed.all_reduce(together)
-        return (together / self.world_size).tolist()
+        sums = torch.tensor(numbers, dtype=torch.float64, device=self.device)
+        distributed.all_reduce(sums)
+        return (sums / self.world_size).tolist()
 
 
 @contextmanager
 def join_process_group() -> Generator[ProcessGroup, None, None]:
-    """This process's device: the processor, or the CUDA card that is its own, alone or as `torchrun` says."""
+    """Join the processes that `torchrun` started, if any; the device is a GPU of its own or the processor."""
     import torch
     from torch import distributed
 
@@ -61,7 +61,7 @@ def join_process_group() -> Generator[ProcessGroup, None, None]:
 
 
 def wrap_precision(network: nn.Module, precision: str, device: torch.device) -> nn.Module:
-    """A network that computes in that precision and answers in float32; its numbers stay float32."""
+    """The network computing in `precision` with float32 output; its parameters stay float32."""
     import torch
     from torch import nn
 
@@ -75,26 +75,23 @@ def wrap_precision(network: nn.Module, precision: str, device: torch.device) -> 
 
         def forward(self, *inputs: Any) -> Any:
             with torch.autocast(device.type, torch.bfloat16):
-                return _wide(self.network(*inputs))
+                return _to_float32(self.network(*inputs))
 
     return Bf16Wrapper()
 
 
 def unwrap_network(network: Any) -> Any:
-    """The network itself, inside what computes in a precision or on several devices."""
+    """The network without the wrappers for precision and several processes."""
     while (inner := getattr(network, "module", None) or getattr(network, "network", None)) is not None:
         network = inner
     return network
 
 
-def _wide(answer: Any) -> Any:
-    """Tensors of floating point, however nested, as float32."""
-    if isinstance(answer, dict):
-        return {key: _wide(value) for key, value in answer.items()}
-    if isinstance(answer, (tuple, list)):
-        return (
-            type(answer)(*(_wide(v) for v in answer))
-            if hasattr(answer, "_fields")
-            else type(answer)(map(_wide, answer))
-        )
-    return answer.float() if hasattr(answer, "is_floating_point") and answer.is_floating_point() else answer
+def _to_float32(output: Any) -> Any:
+    """Floating-point tensors, however nested, as float32."""
+    if isinstance(output, dict):
+        return {key: _to_float32(value) for key, value in output.items()}
+    if isinstance(output, (tuple, list)):
+        values = [_to_float32(value) for value in output]
+        return type(output)(*values) if hasattr(output, "_fields") else type(output)(values)
+    return output.float() if hasattr(output, "is_floating_point") and output.is_floating_point() else output

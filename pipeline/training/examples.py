@@ -1,4 +1,4 @@
-"""Batches of examples, made ahead by worker processes. Example k depends on seed and k alone, whoever makes it."""
+"""Batches of examples, made ahead by worker processes. Example k depends on seed and k alone."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ if TYPE_CHECKING:
     from pipeline.training.task import Example
 
 MAX_WORKERS = 64
-_NICE = 5  # what learns goes before what makes its examples
-_AHEAD = 2  # batches in work or waiting, for each worker
-_TOGETHER = 4  # held-out examples that one worker makes in a row
+_NICE = 5  # of the workers: training has priority
+_BATCHES_AHEAD = 2  # for each worker
+_CHUNK = 4  # validation examples that a worker makes in one call
 
 
 class ExampleSource:
-    """What a run learns from and is judged by."""
+    """Training batches and validation examples of a task."""
 
     def __init__(self, task: Task, seed: int, batch: int, pool: Executor | None, ahead: int) -> None:
         self._task, self._seed, self._batch, self._pool, self._ahead = task, seed, batch, pool, ahead
 
     def iterate_batches(self, first: int, stride: int) -> Generator[Example, None, None]:
-        """Batches that begin at example `first`, `first + stride` and so on, without end."""
+        """Endless batches that begin at example `first`, `first + stride` and so on."""
         waiting: deque[Future[Example]] = deque()
         try:
             while True:
@@ -41,31 +41,31 @@ class ExampleSource:
                     while len(waiting) < self._ahead:
                         start = first + len(waiting) * stride
                         waiting.append(self._pool.submit(make_batch, self._task, self._seed, start, self._batch))
-                    yield _answer(waiting.popleft())
+                    yield _get_result(waiting.popleft())
                 first += stride
         finally:
             for future in waiting:
                 future.cancel()
 
     def make_validation_set(self, n: int) -> dict[Split, list[Example]]:
-        """The first `n` held-out examples of every split."""
+        """The first `n` validation examples of every split."""
         made: dict[Split, list[Example]] = {}
         for split in SPLITS:
-            starts = range(0, n, _TOGETHER)
-            parts = [range(start, min(start + _TOGETHER, n)) for start in starts]
+            starts = range(0, n, _CHUNK)
+            parts = [range(start, min(start + _CHUNK, n)) for start in starts]
             if self._pool is None:
                 made[split] = [
                     example for part in parts for example in make_validation_examples(self._task, split, part)
                 ]
             else:
                 futures = [self._pool.submit(make_validation_examples, self._task, split, part) for part in parts]
-                made[split] = [example for future in futures for example in _answer(future)]
+                made[split] = [example for future in futures for example in _get_result(future)]
         return made
 
 
 @contextmanager
 def open_example_source(task: Task, seed: int, batch: int, workers: int) -> Generator[ExampleSource, None, None]:
-    """Examples made by `workers` processes, or in this one where there are none; raises SettingProblem."""
+    """Examples made by `workers` processes, in this process for 0; raises SettingProblem."""
     if not 0 <= workers <= MAX_WORKERS:
         raise SettingProblem(f"--workers must lie within 0 and {MAX_WORKERS}, got {workers}")
     if not workers:
@@ -73,26 +73,26 @@ def open_example_source(task: Task, seed: int, batch: int, workers: int) -> Gene
         return
     pool = worker_pool(workers, _NICE)
     try:
-        yield ExampleSource(task, seed, batch, pool, _AHEAD * workers)
+        yield ExampleSource(task, seed, batch, pool, _BATCHES_AHEAD * workers)
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
 
 
 def make_batch(task: Task, seed: int, start: int, n: int) -> Example:
-    """Examples `start` to `start + n` in one: name -> (n, ...)."""
+    """Examples `start` to `start + n` as one batch: name -> (n, ...)."""
     made = [task.sample(np.random.default_rng([seed, index])) for index in range(start, start + n)]
     return {name: np.stack([one[name] for one in made]) for name in made[0]}
 
 
 def make_validation_examples(task: Task, split: Split, indices: Sequence[int]) -> list[Example]:
-    """Held-out examples by their numbers."""
+    """Validation examples by index."""
     return [task.make_validation_example(split, index) for index in indices]
 
 
-def _answer(future: Future[Any]) -> Any:
+def _get_result(future: Future[Any]) -> Any:
     try:
         return future.result()
     except BrokenProcessPool as error:
         raise NotConverged(
-            "a worker process died, perhaps for want of memory; run again with --resume and fewer --workers"
+            "a worker process died, perhaps out of memory; run again with --resume and fewer --workers"
         ) from error

@@ -1,4 +1,4 @@
-"""From a run to weights with their card."""
+"""Export of a training run as weights with their model card."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from pipeline.training.state import TrainingState
 
 
 def export_run(folder: Path, to: Path, *, half: bool = False) -> Weights:
-    """Write the averaged weights of the run in `folder` with their card, also while it goes on; raises FileProblem."""
+    """Write the averaged weights of the run in `folder` with their card, also during the run; raises FileProblem."""
     weights = make_weights(state.load_state(folder), to.stem)
     save_weights(to, weights, use_float16=half)
     return weights

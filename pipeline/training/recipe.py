@@ -1,4 +1,4 @@
-"""A recipe: all that decides what a training gives, as a TOML that can be read, changed and kept with the weights."""
+"""Recipes: everything that decides the result of a training, as a TOML file that is kept with the weights."""
 
 from __future__ import annotations
 
@@ -22,52 +22,54 @@ P = TypeVar("P")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrainingSettings:
-    """The top of a recipe: how much is learned from."""
+    """Top level of a recipe."""
 
     seed: int = setting(0, "Seed", low=0, high=2**31)
-    batch: int = setting(16, "Examples a step", low=1, high=4096, help="for each of several devices")
-    steps: int = setting(10_000, "Steps", low=1, high=10**9, help="--minutes stands in place of it")
+    batch: int = setting(16, "Batch size", low=1, high=4096, help="of each process")
+    steps: int = setting(10_000, "Steps", low=1, high=10**9, help="--minutes replaces them")
     n_cached_examples: int = setting(
-        0, "Examples kept on the device", low=0, high=10**7,
-        help="made once and each shown often, for a device that learns faster than they are made; 0 = each shown once",
+        0, "Cached examples", low=0, high=10**7,
+        help="held on a GPU that trains faster than examples are made; 0 = every example is new",
     )  # fmt: skip
-    initial_weights: str = setting("", "File of weights to begin with", help="empty = random ones")
-    precision: Precision = setting("float32", "Precision", choices=Precision, help="of the network, not of its loss")
+    initial_weights: str = setting("", "Initial weights", help="a file; empty = random weights")
+    precision: Precision = setting(
+        "float32", "Precision", choices=Precision, help="of the network; the loss is float32"
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Optimiser:
-    """[optimiser]: how a loss becomes a change."""
+    """[optimiser]."""
 
-    kind: OptimiserKind = setting("adamw", "Method", choices=OptimiserKind)
+    kind: OptimiserKind = setting("adamw", "Optimiser", choices=OptimiserKind)
     learning_rate: float = setting(1e-3, "Learning rate", low=0.0, high=10.0)
     schedule: Schedule = setting("cosine", "Schedule", choices=Schedule, help="poly is (1 - t)^0.9")
     warm_up_steps: int = setting(100, "Warm-up", unit="steps", low=0, high=10**6)
-    final_share: float = setting(0.01, "Final share of the learning rate", low=0.0, high=1.0)
+    final_share: float = setting(0.01, "Final share", low=0.0, high=1.0, help="of the learning rate")
     weight_decay: float = setting(0.01, "Weight decay", low=0.0, high=10.0)
-    beta2: float = setting(0.99, "Memory of the squared gradient", low=0.0, high=0.99999)
-    max_gradient_norm: float = setting(1.0, "Longest gradient", low=1e-6, high=1e9)
-    ema_decay: float = setting(0.999, "Memory of the averaged weights", low=0.0, high=0.99999)
+    beta2: float = setting(0.99, "Beta 2", low=0.0, high=0.99999)
+    max_gradient_norm: float = setting(1.0, "Max gradient norm", low=1e-6, high=1e9)
+    ema_decay: float = setting(0.999, "EMA decay", low=0.0, high=0.99999)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Validation:
-    """[validation]: how often, and on how many held-out examples of each split."""
+    """[validation]."""
 
-    n_evaluations: int = setting(10, "Times", low=1, high=10_000)
-    n_examples: int = setting(48, "Examples", low=1, high=100_000)
+    n_evaluations: int = setting(10, "Evaluations", low=1, high=10_000)
+    n_examples: int = setting(48, "Examples", low=1, high=100_000, help="of each split")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Data:
     """[data]."""
 
-    recorded_share: float = setting(0.2, "Share of own touches", low=0.0, high=1.0)
+    recorded_share: float = setting(0.2, "Recorded share", low=0.0, high=1.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recipe:
-    """A whole recipe."""
+    """A complete recipe."""
 
     name: str
     task: str  # of `TASKS`
@@ -75,56 +77,63 @@ class Recipe:
     network: Mapping[str, Value]  # kind and the arguments of its class
     training: TrainingSettings = field(default_factory=TrainingSettings)
     optimiser: Optimiser = field(default_factory=Optimiser)
-    rate_factors: Mapping[str, float] = field(default_factory=dict)  # beginning of a parameter's name -> times the rate
+    rate_factors: Mapping[str, float] = field(
+        default_factory=dict
+    )  # prefix of parameter names -> factor of the learning rate
     validation: Validation = field(default_factory=Validation)
-    recordings: tuple[RecordingSource, ...] = ()  # of the user, mixed in for a share
+    recordings: tuple[RecordingSource, ...] = ()  # of the user, a share of the examples
     recorded_share: float = 0.0
 
     @property
     def plain_values(self) -> dict[str, Any]:
-        """All of it in plain values, for files and cards; equal ones give equal runs."""
+        """The recipe in plain values, for files and cards; equal values give equal runs."""
         parts = {"training": self.training, "optimiser": self.optimiser, "settings": self.settings}
-        plain = {name: {key: value for key, (value, _) in list_settings(part).items()} for name, part in parts.items()}
-        if not self.training.n_cached_examples:
-            del plain["training"]["n_cached_examples"]  # runs begun before there was such a thing go on
-        own = [{key: value for key, (value, _) in list_settings(one).items()} for one in self.recordings]
-        told = {"task": self.task, "network": dict(self.network), "rate_factors": dict(self.rate_factors), **plain}
-        return told | ({"data": {"recorded_share": self.recorded_share, "recordings": own}} if own else {})
+        plain: dict[str, Any] = {name: _list_values(part) for name, part in parts.items()}
+        plain |= {"task": self.task, "network": dict(self.network), "rate_factors": dict(self.rate_factors)}
+        if self.recordings:
+            recordings = [_list_values(recording) for recording in self.recordings]
+            plain["data"] = {"recorded_share": self.recorded_share, "recordings": recordings}
+        return plain
+
+
+def _list_values(part: object) -> dict[str, Value]:
+    return {key: value for key, (value, _) in list_settings(part).items()}
 
 
 def list_shipped_recipes(what: str = "") -> tuple[str, ...]:
-    """The names of the recipes that come along, of those that train `what` where that is given."""
+    """Names of the shipped recipes, or of those of one subcommand of `train`."""
     names = sorted(path.stem for path in RECIPES_FOLDER.glob("*.toml"))
-    return tuple(n for n in names if not what or TASKS[read_toml(_path(n), "the recipe")["task"]].subcommand == what)
+    return tuple(
+        n for n in names if not what or TASKS[read_toml(_get_path(n), "the recipe")["task"]].subcommand == what
+    )
 
 
 def load_recipe(name: str, what: str = "") -> Recipe:
-    """The recipe of that name, or in that file.
+    """A shipped recipe by name, or the recipe in a file.
 
-    Raises SettingProblem for a name that does not exist and FileProblem for what is wrong inside, a recipe that trains
-    something else than `what` included.
+    Raises SettingProblem for an unknown name, FileProblem for an invalid recipe or one of another subcommand.
     """
-    path = Path(name) if name.endswith(".toml") else _path(name)
+    path = Path(name) if name.endswith(".toml") else _get_path(name)
     if not name.endswith(".toml") and not path.is_file():
         raise SettingProblem(
             f"no recipe {name!r}; there are {', '.join(list_shipped_recipes(what))}, or give a .toml file"
         )
     data = read_toml(path, "the recipe")
     try:
-        made = _recipe(path.stem, data, path.parent)
-        if what and TASKS[made.task].subcommand != what:
-            raise SettingProblem(f"it trains {TASKS[made.task].subcommand}, not {what}")
+        recipe = _make_recipe(path.stem, data, path.parent)
+        if what and TASKS[recipe.task].subcommand != what:
+            raise SettingProblem(f"it trains {TASKS[recipe.task].subcommand}, not {what}")
     except SettingProblem as error:
         raise FileProblem(f"the recipe cannot be used: {error}", path) from error
-    return made
+    return recipe
 
 
-def _path(name: str) -> Path:
+def _get_path(name: str) -> Path:
     return RECIPES_FOLDER / f"{name}.toml"
 
 
-def _recipe(name: str, data: Mapping[str, Any], folder: Path) -> Recipe:
-    tables = {key: dict(_table(data, key)) for key in ("network", "optimiser", "validation", "settings", "data")}
+def _make_recipe(name: str, data: Mapping[str, Any], folder: Path) -> Recipe:
+    tables = {key: dict(_get_table(data, key)) for key in ("network", "optimiser", "validation", "settings", "data")}
     top = {key: value for key, value in data.items() if key not in (*tables, "task", "name")}
     task = data.get("task")
     if not isinstance(task, str):
@@ -132,64 +141,65 @@ def _recipe(name: str, data: Mapping[str, Any], folder: Path) -> Recipe:
     if not isinstance(tables["network"].get("kind"), str):
         raise SettingProblem("[network] must name its kind")
     factors = tables["optimiser"].pop("rate_factors", {})
-    numbers = isinstance(factors, dict) and all(
+    valid = isinstance(factors, dict) and all(
         isinstance(value, (int, float)) and value >= 0 for value in cast("dict[str, Any]", factors).values()
     )
-    if not numbers:
-        raise SettingProblem("[optimiser.rate_factors] must map beginnings of parameters' names to factors")
+    if not valid:
+        raise SettingProblem("[optimiser.rate_factors] must map prefixes of parameter names to factors")
     return Recipe(
-        name=name, task=task, settings=_filled(import_task_class(task)(), tables["settings"], "[settings] "),
-        network=_plain(tables["network"]), training=_filled(TrainingSettings(), top, ""),
-        optimiser=_filled(Optimiser(), tables["optimiser"], "[optimiser] "),
+        name=name, task=task, settings=_fill(import_task_class(task)(), tables["settings"], "[settings] "),
+        network=_check_plain(tables["network"]), training=_fill(TrainingSettings(), top, ""),
+        optimiser=_fill(Optimiser(), tables["optimiser"], "[optimiser] "),
         rate_factors={key: float(value) for key, value in factors.items()},
-        validation=_filled(Validation(), tables["validation"], "[validation] "),
-        recordings=_recordings(tables["data"], folder), recorded_share=_filled(_Data(), tables["data"], "[data] ").recorded_share,
+        validation=_fill(Validation(), tables["validation"], "[validation] "),
+        recordings=_pop_recordings(tables["data"], folder),
+        recorded_share=_fill(_Data(), tables["data"], "[data] ").recorded_share,
     )  # fmt: skip
 
 
-def _recordings(table: dict[str, Any], folder: Path) -> tuple[RecordingSource, ...]:
-    """The [[data.recordings]], whose paths are told from the recipe's folder; what else is in [data] stays."""
+def _pop_recordings(table: dict[str, Any], folder: Path) -> tuple[RecordingSource, ...]:
+    """Take [[data.recordings]] out of [data]; their paths are relative to the recipe's folder."""
     listed = table.pop("recordings", [])
     if not isinstance(listed, list) or not all(isinstance(one, dict) for one in cast("list[Any]", listed)):
         raise SettingProblem("recordings must be tables, [[data.recordings]]")
-    made: list[RecordingSource] = []
+    recordings: list[RecordingSource] = []
     for one in cast("list[dict[str, Any]]", listed):
-        own = _filled(RecordingSource(), one, "[[data.recordings]] ")
-        if not own.path:
+        recording = _fill(RecordingSource(), one, "[[data.recordings]] ")
+        if not recording.path:
             raise SettingProblem("every one of [[data.recordings]] must name its path")
-        beside = {"path": own.path, "reference": own.reference}
-        made.append(replace(own, **{key: str(folder / name) for key, name in beside.items() if name}))
-    return tuple(made)
+        paths = {"path": recording.path, "reference": recording.reference}
+        recordings.append(replace(recording, **{key: str(folder / name) for key, name in paths.items() if name}))
+    return tuple(recordings)
 
 
-def _table(data: Mapping[str, Any], key: str) -> Mapping[str, Any]:
+def _get_table(data: Mapping[str, Any], key: str) -> Mapping[str, Any]:
     table = data.get(key, {})
     if not isinstance(table, dict):
         raise SettingProblem(f"{key} must be a table, [{key}]")
     return cast("dict[str, Any]", table)
 
 
-def _plain(table: Mapping[str, Any]) -> Mapping[str, Value]:
+def _check_plain(table: Mapping[str, Any]) -> Mapping[str, Value]:
     for key, value in table.items():
         if not isinstance(value, (bool, int, float, str)):
             raise SettingProblem(f"[network] {key} must be a plain value, got {value!r}")
     return table
 
 
-def _filled(part: P, table: Mapping[str, Any], where: str) -> P:
-    """`part` with the values of a table, each checked."""
+def _fill(part: P, table: Mapping[str, Any], where: str) -> P:
+    """`part` with the checked values of a table."""
     for key, value in table.items():
         try:
-            plain = isinstance(value, (bool, int, float, str))
-            part = replace_value(part, key, value if plain else str(value))
+            is_plain = isinstance(value, (bool, int, float, str))
+            part = replace_value(part, key, value if is_plain else str(value))
         except SettingProblem as error:
             raise SettingProblem(f"{where}{error}") from error
     return part
 
 
-def override_training(recipe: Recipe, **pace: int | str) -> Recipe:
-    """The same with another seed, other steps or another beginning."""
-    made = recipe.training
-    for name, value in pace.items():
-        made = replace_value(made, name, value)
-    return replace(recipe, training=made)
+def override_training(recipe: Recipe, **values: int | str) -> Recipe:
+    """The recipe with other values at its top level."""
+    training = recipe.training
+    for name, value in values.items():
+        training = replace_value(training, name, value)
+    return replace(recipe, training=training)

@@ -1,6 +1,6 @@
-"""What is learned: a task gives examples, a loss and figures; it is one module and one line of `TASKS`.
+"""Tasks that can be trained: each gives examples, a loss and metrics, is one module and one line of `TASKS`.
 
-Loads neither torch nor numpy: the command line reads the table to say what can be trained.
+Loads neither torch nor numpy: the command line reads the table to list what can be trained.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, Protocol, runtime_checkable
 
 from pipeline.base.errors import SettingProblem
+from pipeline.base.params import setting
 
 if TYPE_CHECKING:
     import numpy as np
@@ -21,41 +22,45 @@ if TYPE_CHECKING:
 
 Split = Literal["unseen_grasps", "unseen_tools"]
 SPLITS: tuple[Split, ...] = ("unseen_grasps", "unseen_tools")
+VALIDATION_SEED = 7  # of presses for validation; recipes train with press_seed 1
 
 
 class Task(Protocol):
-    """A frozen dataclass whose fields are `pipeline.base.params.setting`s: what a recipe may say under [settings].
+    """A frozen dataclass whose fields are `pipeline.base.params.setting`s: the [settings] of a recipe.
 
-    It travels to worker processes, which make the examples: its module loads no torch when it is imported.
+    Worker processes receive it to make examples, so its module loads no torch on import.
     """
 
     def sample(self, rng: np.random.Generator) -> Example:
-        """One example drawn with `rng` alone: arrays of equal shape every time, channels first, uint8 or float32."""
+        """One training example; `rng` is its only randomness.
+
+        Arrays have the same shapes every time, channels first, uint8 or float32.
+        """
         ...
 
     def make_validation_example(self, split: Split, index: int) -> Example:
-        """Example `index` of those that training never sees; the same each time it is asked for."""
+        """Validation example `index`; the same on every call, and never trained on."""
         ...
 
     def compute_loss(self, network: nn.Module, batch: Mapping[str, Tensor]) -> tuple[Tensor, dict[str, Any]]:
-        """The loss, a mean over the examples, and its parts by name (numbers or tensors of one number).
+        """The loss, a mean over the examples, and its named terms (numbers or scalar tensors).
 
-        `network` is called, `network(x)`, never reached into: it may be one of several that learn together. What it
-        was built with is told by `devices.bare`. What it answers is float32 whatever it computes in.
+        `network` is only called: it may be wrapped for several processes. `distributed.unwrap_network` gives its
+        configuration. Its output is float32 in any precision.
         """
         ...
 
     def evaluate(self, network: nn.Module, held_out: Sequence[Example]) -> dict[str, float]:
-        """How good it is on held-out examples: name with its unit -> number, such as "error in contact, um"."""
+        """Metrics on validation examples: name with unit -> value, such as "error in contact, um"."""
         ...
 
 
 @runtime_checkable
 class HasNotes(Protocol):
-    """What a task has, too, that learns from what somebody recorded."""
+    """Further method of a task that trains on recordings."""
 
     def collect_notes(self) -> tuple[str, ...]:
-        """What was assumed of it or left out; asked for, and with it opened, before the training begins."""
+        """Open the recordings and return what was assumed or left out; called before training starts."""
         ...
 
 
@@ -63,7 +68,7 @@ class HasNotes(Protocol):
 class TaskEntry:
     """One line of the table."""
 
-    subcommand: str  # `tactoscope train WHAT`
+    subcommand: str  # of `tactoscope train`
     import_path: str  # module:class
 
 
@@ -83,8 +88,31 @@ TASKS: dict[str, TaskEntry] = {
 
 
 def import_task_class(name: str) -> type[Any]:
-    """The class of a task; raises SettingProblem for one that does not exist."""
+    """The class of a task; raises SettingProblem for an unknown name."""
     if name not in TASKS:
         raise SettingProblem(f"no task {name!r}; there are {', '.join(TASKS)}")
-    module, _, wanted = TASKS[name].import_path.partition(":")
-    return getattr(importlib.import_module(module), wanted)
+    module, _, class_name = TASKS[name].import_path.partition(":")
+    return getattr(importlib.import_module(module), class_name)
+
+
+# Settings that several tasks share.
+
+
+def presses_setting() -> Any:
+    """Number of simulated presses."""
+    return setting(2000, "Presses", low=1, high=10_000_000, help="simulated presses that all examples are drawn from")
+
+
+def seed_setting() -> Any:
+    """Seed of the simulated presses."""
+    return setting(1, "Seed of presses", low=0, high=2**31 - 1)
+
+
+def folder_setting() -> Any:
+    """Folder that stores simulated presses."""
+    return setting("", "Folder", help="stores simulated presses for other runs; empty = simulated in every run")
+
+
+def augmentation_setting(label: str = "Augmentation share", help: str = "rotated or mirrored examples") -> Any:  # noqa: A002 - as `setting` has it
+    """Share of augmented examples."""
+    return setting(0.5, label, low=0.0, high=1.0, help=help)

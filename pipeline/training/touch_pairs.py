@@ -1,160 +1,135 @@
-"""One touch felt by a gel and by a bubble: what touch to touch learns from. Kept by number as `own_touches` are.
+"""Touches that a gel and a bubble record of the same press, for touch to touch.
 
-The bubble is seen by a camera as wide to every side of its axis, so that a pair can be mirrored (`mirrored`), which is
-the pair that the mirrored object would give. The gel's picture is then taken anew, by another unit: its light knows
-left and right.
+The bubble's camera is widened to be symmetric about its axis, so that a pair can be mirrored: the mirrored pair is what
+the mirrored object gives. The gel's image is rendered anew then, by another sensor instance, since its LEDs are not
+symmetric.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.arrays import Floats, Mask, freeze
-from pipeline.base.memo import Memo
 from pipeline.geometry.camera import Camera
 from pipeline.physics import optics
 from pipeline.sensors.spec import SensorSpec, load_sensor
 from pipeline.simulation import poses, variation
 from pipeline.simulation.datasets import BUBBLE_DEEPER_MM
-from pipeline.simulation.press import simulate_press
+from pipeline.simulation.press import move_bubble_closer, simulate_press
 from pipeline.stages.touch.depth_condition import make_working_sensor
-from pipeline.training.target_touches import (
-    DATA_SPLITS,
-    DataSplit,
-    load_arrays,
-    move_bubble_closer,
-    sample_object_mesh,
-    save_arrays,
-)
+from pipeline.training.object_sampling import DATA_SPLITS, DataSplit, sample_object
+from pipeline.training.sample_cache import SampleCache
+from pipeline.training.target_touches import CATALOGUE_SHARE, DEEPER_MM, SMALL_SHARE
 
-VERSION = 3  # counts up when the same number would give another pair
+VERSION = 3  # part of the seeds: incremented when the same number gives another pair
 GEL, BUBBLE = "gelslim", "soft_bubble"
-_AS_RECORDED, _DEEPER_MM = 0.5, (0.0, 11.0)
-_MOST_BYTES = 1 << 30  # of pairs that a worker remembers
+_AS_RECORDED_SHARE = 0.5  # bubbles that come as close as in the data sets
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TouchPair:
     """Both sides of a touch on their working grids."""
 
-    change_grey: Floats  # (rows, cols, 3) of the gel's picture, with its noise
-    gel_mm: Floats
+    change_grey: Floats  # (rows, cols, 3) change of the gel's image, with noise
+    gel_mm: Floats  # (rows, cols) indentation
     gel_contact: Mask
-    symmetric_bubble_mm: Floats  # the bubble as `symmetric` sees it, without noise
+    symmetric_bubble_mm: Floats  # (rows, cols) of the symmetric camera, without noise
     symmetric_bubble_contact: Mask
-    deeper_mm: Floats  # (1,) how much farther the bubble came to meet the object than described
+    deeper_mm: Floats  # (1,) how much closer to the object the bubble came than described
 
     @property
     def bubble_mm(self) -> Floats:
-        """As the bubble's own camera sees it."""
-        return self.symmetric_bubble_mm[_seen()]
+        """Indentation (rows, cols) in the bubble's own camera."""
+        return self.symmetric_bubble_mm[_crop_to_camera()]
 
     @property
     def bubble_contact(self) -> Mask:
-        """As the bubble's own camera sees it."""
-        return self.symmetric_bubble_contact[_seen()]
+        """Contact (rows, cols) in the bubble's own camera."""
+        return self.symmetric_bubble_contact[_crop_to_camera()]
+
+
+_pairs = SampleCache(TouchPair)
 
 
 def place_nominal_sensors(deeper_mm: float) -> tuple[SensorSpec, SensorSpec]:
-    """Gel and bubble as described, on their working grids and as they stood."""
-    gel, bubble = _described()
+    """Gel and bubble as described, on their working grids, the bubble `deeper_mm` closer to the object."""
+    gel, bubble = _load_working_sensors()
     return gel, move_bubble_closer(bubble, deeper_mm)
 
 
-def simulate_touch_pair(things: DataSplit, seed: int, index: int, folder: str = "") -> TouchPair | None:
-    """Pair `index` of a seed: the same each time; None where the gel feels nothing. `folder` keeps it."""
-    found = _in_memory.get_or_make((things, seed, index), lambda: _kept_or_made(things, seed, index, folder))
-    return found if found.gel_contact.any() else None
+def simulate_touch_pair(split: DataSplit, seed: int, index: int, folder: str = "") -> TouchPair | None:
+    """Pair `index` of a seed, the same on every call; None where the gel has no contact."""
+
+    def make() -> TouchPair:
+        return _simulate_pair(split, np.random.default_rng([VERSION, 13, DATA_SPLITS.index(split), seed, index]), index)
+
+    pair = _pairs.get(f"pair_{split}_{seed}_{index}", folder, make)
+    return pair if pair.gel_contact.any() else None
 
 
-def _kept_or_made(things: DataSplit, seed: int, index: int, folder: str) -> TouchPair:
-    path = Path(folder) / f"pair_{things}_{seed}_{index}.npz" if folder else None
-    found = None if path is None else load_arrays(path, TouchPair)
-    if found is None:
-        rng = np.random.default_rng([VERSION, 13, DATA_SPLITS.index(things), seed, index])
-        found = _simulate_pair(things, rng, index)
-        if path is not None:
-            save_arrays(path, found)
-    return found
-
-
-def _simulate_pair(things: DataSplit, rng: np.random.Generator, index: int) -> TouchPair:
-    usual = things != "learned" or rng.random() < _AS_RECORDED
-    deeper = BUBBLE_DEEPER_MM if usual else rng.uniform(*_DEEPER_MM)
+def _simulate_pair(split: DataSplit, rng: np.random.Generator, index: int) -> TouchPair:
+    as_recorded = split != "training" or rng.random() < _AS_RECORDED_SHARE
+    deeper = BUBBLE_DEEPER_MM if as_recorded else rng.uniform(*DEEPER_MM)
     gel, bubble = (
-        variation.vary_sensor(unit, int(rng.integers(1 << 31)), 1.0) for unit in place_nominal_sensors(deeper)
+        variation.vary_sensor(spec, int(rng.integers(1 << 31)), 1.0) for spec in place_nominal_sensors(deeper)
     )
     bubble = bubble.with_camera(make_symmetric_camera(bubble.camera))
-    thing = sample_object_mesh(things, rng, index)
-    pose = poses.sample_press_pose(thing, rng)
-    below = simulate_press(thing, pose, gel, seed=int(rng.integers(1 << 31)))
-    above = simulate_press(thing, pose, bubble, seed=None).truth
-    under = below.truth
-    assert under.indentation_mm is not None
-    assert under.contact is not None
-    assert above.indentation_mm is not None
-    assert above.contact is not None
-    change = below.image.astype(np.float32) - optics.render_reference(gel).astype(np.float32)
+    _, mesh = sample_object(split, rng, index, catalogue_share=CATALOGUE_SHARE, small_share=SMALL_SHARE)
+    pose = poses.sample_press_pose(mesh, rng)
+    on_gel = simulate_press(mesh, pose, gel, seed=int(rng.integers(1 << 31)))
+    on_bubble = simulate_press(mesh, pose, bubble, seed=None)
+    change = on_gel.image.astype(np.float32) - optics.render_reference(gel).astype(np.float32)
     return TouchPair(
-        change_grey=_as_kept(change), gel_mm=_as_kept(under.indentation_mm), gel_contact=under.contact,
-        symmetric_bubble_mm=_as_kept(above.indentation_mm), symmetric_bubble_contact=above.contact,
-        deeper_mm=_as_kept(np.array([deeper], np.float32)),
+        change_grey=change, gel_mm=on_gel.indentation_mm, gel_contact=on_gel.contact,
+        symmetric_bubble_mm=on_bubble.indentation_mm, symmetric_bubble_contact=on_bubble.contact,
+        deeper_mm=np.array([deeper], np.float32),
     )  # fmt: skip
 
 
 def mirror_pair(pair: TouchPair, rng: np.random.Generator) -> TouchPair:
-    """The pair of the object mirrored across x, across y or both, or as it was; pictured by a unit of its own."""
-    way = int(rng.integers(4))
-    axes = tuple(axis for axis, flips in ((-1, way & 1), (-2, way & 2)) if flips)
+    """The pair mirrored across x, y, both or neither; the gel's image is rendered by another sensor instance."""
+    which = int(rng.integers(4))
+    axes = tuple(axis for axis, flips in ((-1, which & 1), (-2, which & 2)) if flips)
 
     def flip_field(field: NDArray[Any]) -> Any:
         return freeze(np.ascontiguousarray(np.flip(field, axes)))
 
     gel_mm = flip_field(pair.gel_mm)
-    gel = variation.vary_sensor(_described()[0], int(rng.integers(1 << 31)), 1.0)
-    picture = optics.render(gel, gel_mm, seed=int(rng.integers(1 << 31)))
-    change = picture.astype(np.float32) - optics.render_reference(gel).astype(np.float32)
+    gel = variation.vary_sensor(_load_working_sensors()[0], int(rng.integers(1 << 31)), 1.0)
+    image = optics.render(gel, gel_mm, seed=int(rng.integers(1 << 31)))
+    change = image.astype(np.float32) - optics.render_reference(gel).astype(np.float32)
     return replace(
         pair, change_grey=freeze(change), gel_mm=gel_mm, gel_contact=flip_field(pair.gel_contact),
-        symmetric_bubble_mm=flip_field(pair.symmetric_bubble_mm), symmetric_bubble_contact=flip_field(pair.symmetric_bubble_contact),
+        symmetric_bubble_mm=flip_field(pair.symmetric_bubble_mm),
+        symmetric_bubble_contact=flip_field(pair.symmetric_bubble_contact),
     )  # fmt: skip
 
 
 def make_symmetric_camera(camera: Camera) -> Camera:
-    """The least camera with all of this one's pixels that looks straight at its own middle, or half a pixel beside."""
-    (before_x, cols), (before_y, rows) = _sides(camera.cx_px, camera.cols), _sides(camera.cy_px, camera.rows)
-    return replace(
-        camera, rows=rows, cols=cols, cx_px=camera.cx_px + before_x, cy_px=camera.cy_px + before_y,
-    )  # fmt: skip
+    """The smallest camera that holds all pixels of this one and has its axis in the middle, to half a pixel."""
+    (before_x, cols), (before_y, rows) = _pad_axis(camera.cx_px, camera.cols), _pad_axis(camera.cy_px, camera.rows)
+    return replace(camera, rows=rows, cols=cols, cx_px=camera.cx_px + before_x, cy_px=camera.cy_px + before_y)
 
 
-def _sides(centre_px: float, n: int) -> tuple[int, int]:
-    """How many pixels to add before the first of `n`, and how many there are then."""
-    more = round(n - 1 - 2 * centre_px)  # behind the centre than before it
+def _pad_axis(centre_px: float, n: int) -> tuple[int, int]:
+    """(pixels to add before the first of `n`, pixels then)."""
+    more = round(n - 1 - 2 * centre_px)  # pixels behind the centre less those before it
     return max(more, 0), n + abs(more)
 
 
 @lru_cache(maxsize=1)
-def _seen() -> tuple[slice, slice]:
+def _crop_to_camera() -> tuple[slice, slice]:
     """The pixels of the bubble's own camera in the symmetric one."""
-    camera = _described()[1].camera
-    x, y = _sides(camera.cx_px, camera.cols)[0], _sides(camera.cy_px, camera.rows)[0]
+    camera = _load_working_sensors()[1].camera
+    x, y = _pad_axis(camera.cx_px, camera.cols)[0], _pad_axis(camera.cy_px, camera.rows)[0]
     return slice(y, y + camera.rows), slice(x, x + camera.cols)
 
 
-_in_memory: Memo[tuple[DataSplit, int, int], TouchPair] = Memo(most_bytes=_MOST_BYTES)
-
-
 @lru_cache(maxsize=1)
-def _described() -> tuple[SensorSpec, SensorSpec]:
+def _load_working_sensors() -> tuple[SensorSpec, SensorSpec]:
     return make_working_sensor(load_sensor(GEL)), make_working_sensor(load_sensor(BUBBLE))
-
-
-def _as_kept(a: Floats) -> Floats:
-    return freeze(a.astype(np.float16).astype(np.float32))

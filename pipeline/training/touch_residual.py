@@ -1,4 +1,4 @@
-"""Touch to depth to touch: what the target's physical render misses, learned from the target's own touches alone."""
+"""Task of touch to depth to touch: what the physical render misses, trained on touches of the target alone."""
 
 from __future__ import annotations
 
@@ -9,67 +9,77 @@ import numpy as np
 
 from pipeline.base.arrays import Floats
 from pipeline.base.errors import SettingProblem
-from pipeline.base.params import setting
 from pipeline.stages.touch.depth_condition import build_depth_condition
 from pipeline.training.denoising import RESIDUAL_SCALE_MM, DenoisingTask
-from pipeline.training.target_touches import DataSplit, TargetTouchSample, simulate_target_touch
+from pipeline.training.object_sampling import DataSplit
+from pipeline.training.target_touches import TargetTouchSample, simulate_target_touch
+from pipeline.training.task import (
+    VALIDATION_SEED,
+    augmentation_setting,
+    folder_setting,
+    presses_setting,
+    seed_setting,
+)
 
 if TYPE_CHECKING:
     from pipeline.training.task import Example, Split
 
-_HELD_OUT_SEED = 7
-_MOST_EMPTY = 100  # touches in a row of which nothing is told
+MAX_EMPTY = 100  # touches in a row without a contact
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TouchResidualTask(DenoisingTask):
-    """How examples are made, and what counts for how much."""
+    """Settings of the examples and weights of the loss."""
 
-    n_presses: int = setting(2000, "Presses", low=1, high=10_000_000, help="that all examples are drawn from")
-    press_seed: int = setting(1, "Seed of the presses", low=0, high=2**31 - 1)
-    folder: str = setting("", "Folder", help="keeps the presses for other runs; empty = worked out each time")
-    augmentation_share: float = setting(0.5, "Share of turned and mirrored examples", low=0.0, high=1.0)
+    n_presses: int = presses_setting()
+    press_seed: int = seed_setting()
+    folder: str = folder_setting()
+    augmentation_share: float = augmentation_setting()
 
     def sample(self, rng: np.random.Generator) -> Example:
-        """A touch as it is or, half the time, turned by 180 degrees or mirrored."""
-        found = self._example(self._touch("learned", self.press_seed, int(rng.integers(self.n_presses))))
-        return flip_example(found, rng, self.augmentation_share)
+        """A touch, rotated by 180 degrees or mirrored in a share of the examples."""
+        touch = self._get_touch("training", self.press_seed, int(rng.integers(self.n_presses)))
+        return flip_example(self._make_example(touch), rng, self.augmentation_share)
 
     def make_validation_example(self, split: Split, index: int) -> Example:
-        """A touch of a training object as it was never held, or of one that is never learned from."""
-        return self._example(self._touch(split, _HELD_OUT_SEED, index))
+        """A training object in a new pose, or an unseen tool."""
+        return self._make_example(self._get_touch(split, VALIDATION_SEED, index))
 
-    def _touch(self, things: DataSplit, seed: int, index: int) -> TargetTouchSample:
-        """Touch `index`, or the next of which something is told."""
-        for k in range(index, index + _MOST_EMPTY):
-            found = simulate_target_touch(self.target, things, seed, k, self.folder)
-            if found is not None:
-                return found
-        raise SettingProblem(f"nothing is told of {_MOST_EMPTY} touches in a row from {index} on; choose another seed")
+    def _get_touch(self, split: DataSplit, seed: int, index: int) -> TargetTouchSample:
+        """Touch `index`, or the next one that a source observes."""
+        for k in range(index, index + MAX_EMPTY):
+            touch = simulate_target_touch(self.target, split, seed, k, self.folder)
+            if touch is not None:
+                return touch
+        raise SettingProblem(f"no source observes any of {MAX_EMPTY} touches from {index} on; choose another seed")
 
-    def _example(self, touch: TargetTouchSample) -> Example:
-        shown = build_depth_condition(
+    def _make_example(self, touch: TargetTouchSample) -> Example:
+        condition = build_depth_condition(
             self.kind, touch.observed_mm, touch.observed, touch.in_view, touch.physical_mm, touch.physical_contact
         )  # fmt: skip
         return make_residual_example(
-            shown, touch.target_mm - touch.physical_mm, touch.target_contact, touch.physical_contact, self.kind
+            condition, touch.target_mm - touch.physical_mm, touch.target_contact, touch.physical_contact, self.kind
         )
 
 
-def flip_example(found: Example, rng: np.random.Generator, share: float) -> Example:
-    """An example, a share of all times turned by 180 degrees or mirrored."""
-    turns, way = rng.random() < share, int(rng.integers(3))
-    if not turns:
-        return found
-    axes = ((-1,), (-2,), (-2, -1))[way]
-    return {name: np.ascontiguousarray(np.flip(a, axes)) for name, a in found.items()}
+def flip_example(example: Example, rng: np.random.Generator, share: float) -> Example:
+    """The example, with probability `share` rotated by 180 degrees or mirrored."""
+    flips, which = rng.random() < share, int(rng.integers(3))
+    if not flips:
+        return example
+    axes = ((-1,), (-2,), (-2, -1))[which]
+    return {name: np.ascontiguousarray(np.flip(a, axes)) for name, a in example.items()}
 
 
-def make_residual_example(shown: Floats, residual_mm: Floats, contact: Any, base: Any, kind: str) -> Example:
-    """What a denoiser is shown, the residual that it is to find, and where the target touches and was said to."""
-    touched, said = contact.astype(np.float32), base.astype(np.float32)
+def make_residual_example(condition: Floats, residual_mm: Floats, contact: Any, baseline: Any, kind: str) -> Example:
+    """Condition, residual and contact of a denoiser.
+
+    contact: where the target has contact; baseline: where the physical render has. The residual (2, rows, cols) is that
+    of indentation, in units of `RESIDUAL_SCALE_MM`, and that of contact.
+    """
+    true, physical = contact.astype(np.float32), baseline.astype(np.float32)
     return {
-        "condition": np.ascontiguousarray(shown),
-        "residual": np.stack([residual_mm / np.float32(RESIDUAL_SCALE_MM[kind]), touched - said]).astype(np.float32),
-        "contact": np.stack([touched, said]),
+        "condition": np.ascontiguousarray(condition),
+        "residual": np.stack([residual_mm / np.float32(RESIDUAL_SCALE_MM[kind]), true - physical]).astype(np.float32),
+        "contact": np.stack([true, physical]),
     }

@@ -1,4 +1,4 @@
-"""Objects to press: the catalogue, a user's own meshes, and what maps each onto itself."""
+"""Objects to press: the catalogue and a user's meshes, with their symmetries."""
 
 from pipeline.geometry.symmetry import Symmetry
 from pipeline.simulation.shapes.catalogue import GROUPS, list_labelled_shapes, list_shapes, make_shape

@@ -1,4 +1,4 @@
-"""Every object by its name."""
+"""The catalogue of objects by name."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ _MAKERS = {
 
 
 def list_shapes(group: str = "") -> tuple[str, ...]:
-    """The names of a group of "training", "unseen", "task" and "sample", or of all; SettingProblem if unknown."""
+    """Names of the shapes of a group of `GROUPS`, or of all; raises SettingProblem for an unknown group."""
     if group and group not in _MAKERS:
         raise SettingProblem(f"unknown group of shapes {group!r}; there are {', '.join(GROUPS)}")
     return tuple(make.__name__ for g in GROUPS if group in ("", g) for make in _MAKERS[g])
 
 
 def list_labelled_shapes() -> tuple[str, ...]:
-    """What networks know by name, in the order of their labels: all that is trained on, and the unseen tools."""
+    """The objects that networks classify, in the order of their labels: training objects, then unseen tools."""
     return (*list_shapes("training"), *list_shapes("unseen"))
 
 
 @lru_cache(maxsize=64)
 def make_shape(name: str) -> Shape:
-    """The shape of this name; made once. Raises SettingProblem, naming all, when there is none."""
+    """The shape of this name, cached; raises SettingProblem for an unknown name."""
     for makers in _MAKERS.values():
         for make in makers:
             if make.__name__ == name:

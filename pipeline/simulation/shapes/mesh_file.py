@@ -1,4 +1,4 @@
-"""A user's own mesh as an object to press."""
+"""A user's mesh file as an object to press."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ FACES = ("-x", "+x", "-y", "+y", "-z", "+z")
 
 
 def load_mesh_shape(path: Path, unit: str = "auto", face: str = "-z") -> Shape:
-    """The STL, PLY or OBJ file as a shape whose side toward `face` is tactile; no symmetry is claimed.
+    """A shape from an STL, PLY or OBJ file, its tactile side toward `face`; without symmetry.
 
-    That side is turned to -z, and the middle of the extent put over the origin with its lowest point at z = 0.
+    That side is rotated to -z, and the mesh centred over the origin with its lowest point at z = 0.
     Raises SettingProblem for an unknown face, FileProblem or MeshProblem for what `load_mesh` refuses.
     """
     if face not in FACES:
         raise SettingProblem(f"the tactile face must be one of {', '.join(FACES)}, got {face!r}")
-    mesh = transform_mesh(load_mesh(Path(path), unit), _down_from(face))
+    mesh = transform_mesh(load_mesh(Path(path), unit), _rotate_down(face))
     low, high = mesh.vertices_mm.min(axis=0), mesh.vertices_mm.max(axis=0)
     place = np.eye(4)
     place[:3, 3] = (*(-0.5 * (low + high)[:2]), -low[2])
@@ -31,8 +31,8 @@ def load_mesh_shape(path: Path, unit: str = "auto", face: str = "-z") -> Shape:
     return Shape(mesh=mesh, symmetry=asymmetric())
 
 
-def _down_from(face: str) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
-    """The quarter or half turn that takes an axis to -z."""
+def _rotate_down(face: str) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+    """The rotation (4, 4) that takes an axis to -z."""
     axis = "xyz".index(face[1])
     down = np.zeros(3)
     down[axis] = 1.0 if face[0] == "+" else -1.0

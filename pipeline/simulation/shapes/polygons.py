@@ -1,4 +1,4 @@
-"""Plane outlines: their area, their inset and their triangles; and arcs as fine as the objects promise."""
+"""Plane outlines: area, inset and triangulation, and arcs of a given accuracy."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ import numpy as np
 from pipeline.base.arrays import Doubles, Mask
 from pipeline.base.errors import MeshProblem
 
-CHORD_MM = 0.001  # arcs stray no more from their chords; two directions together keep a surface within 2 micrometres
+CHORD_MM = 0.001  # largest distance of chords from their arc; a surface curved in two directions stays within 2 um
 Outline = Sequence[tuple[float, float]]
 _FLAT = 1e-12
 
 
 def compute_arc_step_rad(radius_mm: float) -> float:
-    """The largest turn whose chord stays within `CHORD_MM` of its arc."""
+    """The largest angle whose chord stays within `CHORD_MM` of its arc."""
     return 2.0 * math.acos(max(0.0, 1.0 - CHORD_MM / radius_mm))
 
 
@@ -30,7 +30,7 @@ def make_arc(
 ) -> Doubles:
     """Points (n, 2) on a circle from one angle to the other, both ends included.
 
-    `beyond_mm` is how much farther out a surface reaches that follows the arc, and that the chords are fine enough for.
+    `beyond_mm`: how much farther out a surface along the arc reaches; the chords are fine enough for it.
     """
     turn = math.radians(stop_deg - start_deg)
     n = max(1, math.ceil(abs(turn) / compute_arc_step_rad(radius_mm + beyond_mm)))
@@ -39,7 +39,7 @@ def make_arc(
 
 
 def make_bow(radius_mm: float, turn_deg: float, legs_mm: float, beyond_mm: float) -> Doubles:
-    """An arc (n, 2) that bulges to +x and has its middle in the origin, with straight legs; `beyond_mm` as of `arc`."""
+    """An arc (n, 2) that bulges to +x, its middle in the origin, with straight legs; `beyond_mm` as in `make_arc`."""
     half = 0.5 * turn_deg
     points = make_arc(radius_mm, -half, half, (-radius_mm, 0.0), beyond_mm=beyond_mm)
     leg = legs_mm * np.array([math.sin(math.radians(half)), math.cos(math.radians(half))])
@@ -47,16 +47,16 @@ def make_bow(radius_mm: float, turn_deg: float, legs_mm: float, beyond_mm: float
 
 
 def thin_curve(dense_mm: Doubles, beyond_mm: float) -> Doubles:
-    """As few points (m, 2) of a densely given smooth curve as keep its chords within `CHORD_MM`, both ends among them.
+    """The fewest points (m, 2) of a dense smooth curve that keep chords within `CHORD_MM`, both ends included.
 
-    A chord over a turn t of radius r strays by r t^2 / 8; what follows the curve `beyond_mm` farther out strays more.
+    A chord over an angle t of radius r is off by r t^2 / 8, a surface `beyond_mm` farther out by more.
     """
     step = np.diff(dense_mm, axis=0)
     length, heading = np.linalg.norm(step, axis=1), np.unwrap(np.arctan2(step[:, 1], step[:, 0]))
     bend = np.abs(np.gradient(heading)) / length
-    strays = np.concatenate([[0.0], np.cumsum(np.sqrt((bend + beyond_mm * bend**2) / 8.0) * length)])
-    n = math.ceil(strays[-1] / math.sqrt(CHORD_MM))
-    chosen = np.searchsorted(strays, strays[-1] * np.arange(n) / n)
+    errors = np.concatenate([[0.0], np.cumsum(np.sqrt((bend + beyond_mm * bend**2) / 8.0) * length)])
+    n = math.ceil(errors[-1] / math.sqrt(CHORD_MM))
+    chosen = np.searchsorted(errors, errors[-1] * np.arange(n) / n)
     return dense_mm[np.append(chosen, -1)]
 
 
@@ -92,7 +92,7 @@ def inset_polygon(ring: Doubles, width_mm: float) -> Doubles:
 
 
 def triangulate_polygon(ring: Doubles) -> list[tuple[int, int, int]]:
-    """Triangles of a simple counter-clockwise polygon, by cutting ears; MeshProblem when it touches itself."""
+    """Triangles of a simple counter-clockwise polygon, by ear clipping; MeshProblem when it touches itself."""
     left, triangles = list(range(len(ring))), []
     while len(left) > 3:
         for k, tip in enumerate(left):

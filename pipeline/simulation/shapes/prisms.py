@@ -1,4 +1,4 @@
-"""Prisms over a plane outline, their tactile face at z = 0 and its edge broken all around."""
+"""Prisms over a plane outline, the tactile face at z = 0 with a chamfered or rounded edge."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def make_chamfered_prism(outline_mm: Outline | Doubles, height_mm: float, chamfe
 
 
 def make_rounded_prism(outline_mm: Outline | Doubles, height_mm: float, radius_mm: float, name: str) -> Mesh:
-    """A prism over a simple polygon, its tactile face rounded off by a quarter of a circle.
+    """A prism over a simple polygon, its tactile face rounded by a quarter circle.
 
     Raises MeshProblem when the outline crosses itself or the rounding is wider than the polygon.
     """
@@ -44,7 +44,7 @@ def make_rounded_prism(outline_mm: Outline | Doubles, height_mm: float, radius_m
 
 
 def stack_rings(rings_mm: Sequence[Doubles], name: str) -> Mesh:
-    """A body over level outlines (n, 3) from the tactile face up, all counter-clockwise and with as many points."""
+    """A body over level outlines (n, 3) from the tactile face up, counter-clockwise, with equal numbers of points."""
     n, top = len(rings_mm[0]), (len(rings_mm) - 1) * len(rings_mm[0])
     faces: list[Face] = [
         (c, b, a) for a, b, c in triangulate_polygon(rings_mm[0][:, :2])
@@ -59,6 +59,6 @@ def lift_outline(outline_mm: Doubles, z_mm: float) -> Doubles:
 
 
 def make_rounded_rings(outline_mm: Doubles, radius_mm: float) -> list[Doubles]:
-    """The level outlines (n, 3) of a tactile face rounded off by a quarter of a circle; it ends upright."""
+    """Level outlines (n, 3) of a tactile face rounded by a quarter circle; the last is vertical."""
     quarter = make_arc(radius_mm, -90.0, 0.0, (0.0, radius_mm))
     return [lift_outline(inset_polygon(outline_mm, radius_mm - float(x)), float(z)) for x, z in quarter]

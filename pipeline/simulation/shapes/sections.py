@@ -1,8 +1,8 @@
 """Sections of ridges and of the bodies that carry them, counter-clockwise in (offset, z), tactile side at z = 0.
 
 The lab's pattern tools are beads of 1 mm radius that stand 1.07 mm proud of bodies with rounded shoulders of 7.5 mm
-radius: arms of 30 mm length and 15 mm width, 37 mm from one finger to the other. No gel feels the shoulders, a bubble
-does.
+radius: arms of 30 mm length and 15 mm width, 37 mm from one finger to the other. Bubbles reach the
+shoulders, gels do not.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from pipeline.base.arrays import Doubles
 from pipeline.simulation.shapes.polygons import compute_arc_step_rad, make_arc
 
 SHOULDER_MM = 7.5  # radius of the lab's shoulders, and half the width of its tools' arms
-STAMP_MM = 18.5  # half the width of bodies under compact patterns: 37 mm, what the lab's tools measure between fingers
-FINE_MM = 2.0  # no gel is pressed deeper: above it a few chords do
+STAMP_MM = 18.5  # half the width of bodies under compact patterns: the lab's tools are 37 mm wide between fingers
+FINE_MM = 2.0  # gels are not pressed deeper: above it, chords may be coarse
 _COARSE_RAD = math.radians(10.0)
 
 
@@ -29,7 +29,7 @@ def make_crest(width_mm: float, edge_mm: float) -> Doubles:
 
 
 def make_strip(width_mm: float, edge_mm: float, height_mm: float) -> Doubles:
-    """A `crest` with upright walls; (n, 2)."""
+    """A `make_crest` with vertical walls; (n, 2)."""
     half = 0.5 * width_mm
     return np.concatenate([make_crest(width_mm, edge_mm), [(half, height_mm), (-half, height_mm)]])
 
@@ -48,16 +48,16 @@ def make_shoulder(half_mm: float, proud_mm: float, back_mm: float) -> Doubles:
     The foot lies on a circle of `SHOULDER_MM` radius about the ridge's middle plane.
     """
     rise = math.sqrt(SHOULDER_MM**2 - half_mm**2)
-    return _rounded_off(0.0, proud_mm + rise, math.asin(half_mm / SHOULDER_MM), back_mm)
+    return _make_round(0.0, proud_mm + rise, math.asin(half_mm / SHOULDER_MM), back_mm)
 
 
 def make_stamp(half_mm: float, back_mm: float) -> Doubles:
     """The right side (n, 2) of a body `2 STAMP_MM` wide under a compact pattern of this half width, from its foot.
 
-    The foot is `FINE_MM` over the tactile side, so that no gel feels it even if tilted.
+    The foot is `FINE_MM` above the tactile side, out of reach of a gel even if tilted.
     """
     ledge = STAMP_MM - SHOULDER_MM
-    return np.concatenate([[(half_mm, FINE_MM)], _rounded_off(ledge, FINE_MM + SHOULDER_MM, 0.0, back_mm)])
+    return np.concatenate([[(half_mm, FINE_MM)], _make_round(ledge, FINE_MM + SHOULDER_MM, 0.0, back_mm)])
 
 
 def place_on_shoulders(ridge_mm: Doubles, back_mm: float) -> Doubles:
@@ -67,7 +67,7 @@ def place_on_shoulders(ridge_mm: Doubles, back_mm: float) -> Doubles:
     return np.concatenate([ridge_mm, right, (right * (-1.0, 1.0))[::-1]])
 
 
-def _rounded_off(centre_mm: float, centre_z_mm: float, from_rad: float, back_mm: float) -> Doubles:
+def _make_round(centre_mm: float, centre_z_mm: float, from_rad: float, back_mm: float) -> Doubles:
     """A quarter round of `SHOULDER_MM` from this angle off -z to the side, and the wall from there to the back."""
     lowest = centre_z_mm - FINE_MM
     until = math.acos(lowest / SHOULDER_MM) if lowest < SHOULDER_MM else 0.0

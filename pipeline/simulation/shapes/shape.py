@@ -1,4 +1,4 @@
-"""What an object to press is."""
+"""An object to press."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pipeline.geometry.symmetry import Symmetry
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Shape:
-    """An object to press: one mesh, from which the simulator's contact and the registration's model both come."""
+    """Mesh and symmetry of an object; simulation and registration use the same mesh."""
 
-    mesh: Mesh  # its own frame: z away from the sensor, the tactile face is the side of least z
+    mesh: Mesh  # object frame: z away from the sensor, tactile face at the lowest z
     symmetry: Symmetry

@@ -1,4 +1,4 @@
-"""Closed bodies from rings of points: stacked and lidded, turned on a lathe, or swept along a path.
+"""Closed bodies from rings of points: stacked with lids, revolved, or swept along a path.
 
 Triangles run counter-clockwise seen from outside.
 """
@@ -40,7 +40,7 @@ def make_wall_faces(n_rings: int, n: int, *, endless: bool = False) -> list[Face
 
 
 def loft(rings_mm: Doubles, name: str, *, first_mm: Doubles | None = None, last_mm: Doubles | None = None) -> Mesh:
-    """A body over rings (k, n, 3) that each end sees its middle from; `first_mm` and `last_mm` are tips beyond them.
+    """A body over rings (k, n, 3) with star-shaped ends; `first_mm` and `last_mm` are tips, by default their centres.
 
     The rings run counter-clockwise seen from the last one.
     """
@@ -68,12 +68,12 @@ def revolve_profile(profile_mm: Doubles, n_sides: int, name: str) -> Mesh:
 
 
 def count_circle_sides(radius_mm: float) -> int:
-    """How many sides a circle needs, a multiple of four so that it is as wide as high."""
+    """Number of sides of a circle within `CHORD_MM`, a multiple of four so that it is as wide as high."""
     return 4 * math.ceil(math.pi / (2.0 * compute_arc_step_rad(radius_mm)))
 
 
 def sweep_section(path_mm: Doubles, section_mm: Doubles, name: str, *, endless: bool = False) -> Mesh:
-    """A section (m, 2) of offset to the left and z, carried along a plane path (n, 2), corners mitred.
+    """A section (m, 2) of offset to the left and z, swept along a plane path (n, 2), corners mitred.
 
     The section runs counter-clockwise. An endless path returns to its start and has no ends; others are cut square.
     Raises MeshProblem when the section is wider than the path's bends allow.
@@ -102,6 +102,6 @@ def sweep_section(path_mm: Doubles, section_mm: Doubles, name: str, *, endless: 
 
 
 def transform_mesh(mesh: Mesh, object_from_mesh: Doubles) -> Mesh:
-    """The same body elsewhere in its frame."""
+    """The mesh with `object_from_mesh` (4, 4) applied."""
     vertices = rigid.apply(object_from_mesh, mesh.vertices_mm)
     return Mesh(vertices_mm=freeze(vertices), triangles=mesh.triangles, name=mesh.name)

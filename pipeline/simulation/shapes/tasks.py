@@ -18,7 +18,7 @@ from pipeline.simulation.shapes.training import make_ball_on_shaft
 
 
 def hex_key() -> Shape:
-    """A bent hexagonal key of 4 mm over its flats, lying on a flat: arms of 10 and 20 mm; its frame is on its axis."""
+    """A bent hexagonal key of 4 mm over its flats, lying on a flat: arms of 10 and 20 mm; the origin is on its axis."""
     corner_mm = 4.0 / math.sqrt(3.0)
     angle = np.arange(6) * math.pi / 3.0
     section = corner_mm * np.column_stack([np.cos(angle), np.sin(angle)])
@@ -33,19 +33,20 @@ def screwdriver() -> Shape:
     angle = 2.0 * math.pi * np.arange(64) / 64.0
     round_ = np.column_stack([np.cos(angle), np.sin(angle)])
     rings = [
-        lift_outline(_boxed(round_, 2.9, 0.4), 0.0), lift_outline(_boxed(round_, 3.0, 0.5), 0.1),
-        lift_outline(_boxed(round_, 3.2, 1.4), 6.0), lift_outline(3.0 * round_, 11.0), lift_outline(3.0 * round_, 20.0),
+        lift_outline(_make_rectangle(round_, 2.9, 0.4), 0.0), lift_outline(_make_rectangle(round_, 3.0, 0.5), 0.1),
+        lift_outline(_make_rectangle(round_, 3.2, 1.4), 6.0), lift_outline(3.0 * round_, 11.0),
+        lift_outline(3.0 * round_, 20.0),
     ]  # fmt: skip
     return Shape(mesh=loft(np.stack(rings), "screwdriver"), symmetry=cyclic(2))
 
 
 def spanner() -> Shape:
     """The open mouth of a spanner for 8 mm, turned by 15 degrees from its handle, lying flat."""
-    mouth, depth, head, handle = 4.0, -2.0, 9.0, 3.0  # half widths, the mouth's floor, the head's radius
+    mouth, depth, head, handle = 4.0, -2.0, 9.0, 3.0  # half widths, floor of the mouth, radius of the head
     lip = math.degrees(math.asin(mouth / head))
     neck = math.degrees(math.asin(handle / head))
     near = make_arc(head, lip + 10.0, 195.0 - neck)
-    tail = _turned(np.array([(24.0, -handle), (24.0, handle)]), 195.0)
+    tail = _rotate(np.array([(24.0, -handle), (24.0, handle)]), 195.0)
     far = make_arc(head, 195.0 + neck, 350.0 - lip)
     floor = [(7.6, -mouth), (depth + 2.0, -mouth), (depth, -2.0), (depth, 2.0), (depth + 2.0, mouth), (7.6, mouth)]
     return Shape(
@@ -54,7 +55,7 @@ def spanner() -> Shape:
 
 
 def pencil() -> Shape:
-    """A hexagonal pencil of 7 mm over its flats, lying on a flat, with its sharpened end; its frame is on its axis."""
+    """A hexagonal pencil of 7 mm over its flats, lying on a flat, with its sharpened end; the origin is on its axis."""
     tip_x, end_x, half_flat, half_angle = 13.0, -11.0, 3.5, math.radians(15.0)
     angle = np.linspace(0.0, 2.0 * math.pi, 121)[:-1]
     within = (angle + math.pi / 6.0) % (math.pi / 3.0) - math.pi / 6.0
@@ -62,9 +63,9 @@ def pencil() -> Shape:
     wood = tip_x - radius / math.tan(half_angle)  # where the cone leaves the hexagon: nearer the tip on the flats
     lead = 0.3  # radius of the worn tip
     rings = [
-        _around(angle, radius, np.full(120, end_x)),
-        _around(angle, radius, wood),
-        _around(angle, np.full(120, lead), np.full(120, tip_x - lead / math.tan(half_angle))),
+        _make_ring(angle, radius, np.full(120, end_x)),
+        _make_ring(angle, radius, wood),
+        _make_ring(angle, np.full(120, lead), np.full(120, tip_x - lead / math.tan(half_angle))),
     ]
     upright = loft(np.stack(rings), "pencil")
     # The axis to x; a flat, not an edge, is lowest.
@@ -93,18 +94,18 @@ def notched_elbow() -> Shape:
     )
 
 
-def _boxed(round_: Doubles, half_x_mm: float, half_y_mm: float) -> Doubles:
-    """A rectangle's outline with one point for each of a circle, its corners among them."""
+def _make_rectangle(round_: Doubles, half_x_mm: float, half_y_mm: float) -> Doubles:
+    """The outline of a rectangle with one point for each of a circle, corners included."""
     scale = np.maximum(np.abs(round_[:, 0]), np.abs(round_[:, 1]))[:, None]
     return round_ / scale * (half_x_mm, half_y_mm)
 
 
-def _turned(points: Doubles, angle_deg: float) -> Doubles:
+def _rotate(points: Doubles, angle_deg: float) -> Doubles:
     turn = rigid.rotation((0.0, 0.0, math.radians(angle_deg)))[:2, :2]
     return points @ turn.T
 
 
-def _around(angle: Doubles, radius_mm: Doubles, z_mm: Doubles) -> Doubles:
+def _make_ring(angle: Doubles, radius_mm: Doubles, z_mm: Doubles) -> Doubles:
     return np.column_stack([radius_mm * np.cos(angle), radius_mm * np.sin(angle), z_mm])
 
 

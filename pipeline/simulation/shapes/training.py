@@ -1,7 +1,7 @@
 """The twelve indenters that networks are trained on: flat, curved and angled, sized for a gel of 18 x 13 mm.
 
-As the lab's tools, they are ridges that stand proud of bodies with rounded shoulders: a gel feels the ridge, a bubble
-the body too. The two that end a shaft, a ball and a peg, are as they are held.
+Like the lab's tools, they are ridges proud of bodies with rounded shoulders: a gel touches the ridge, a bubble the
+body too. Ball and peg end a shaft.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from pipeline.simulation.shapes.sections import (
 from pipeline.simulation.shapes.shape import Shape
 from pipeline.simulation.shapes.solids import count_circle_sides, revolve_profile, sweep_section, transform_mesh
 
-_BACK_MM = 18.0  # height of bodies: more than a bubble's reach, 13 mm in data sets, and a press
+_BACK_MM = 18.0  # height of bodies: more than a bubble's approach, 13 mm in data sets, and a press
 _LINE_MM, _LINE_EDGE_MM = 3.0, 1.2  # width of lines, and the radius of their edges
 _ARM_MM = 30.0  # length of lines from where they meet: the lab's
 _STRAIGHT_RAD = 1e-6
@@ -70,7 +70,7 @@ def three_lines() -> Shape:
 
 
 def cylinder() -> Shape:
-    """A rod of 5 mm radius and 60 mm length, lying along x; its frame is on its axis."""
+    """A rod of 5 mm radius and 60 mm length, lying along x; the origin is on its axis."""
     upright = revolve_profile(np.array([(5.0, -_ARM_MM), (5.0, _ARM_MM)]), count_circle_sides(5.0), "cylinder")
     return Shape(
         mesh=transform_mesh(upright, rigid.rotation((0.0, math.pi / 2.0, 0.0))), symmetry=revolution(X, flip=Z)
@@ -85,14 +85,15 @@ def sphere() -> Shape:
 def ring() -> Shape:
     """A ring of 9 mm diameter, its ridge 2 mm wide, on a round body."""
     return Shape(
-        mesh=revolve_profile(_framed(make_crest(2.0, 0.5), 4.5), count_circle_sides(5.5), "ring"), symmetry=revolution()
+        mesh=revolve_profile(_make_frame_profile(make_crest(2.0, 0.5), 4.5), count_circle_sides(5.5), "ring"),
+        symmetry=revolution(),
     )
 
 
 def hexagon() -> Shape:
     """The frame of a hexagon, 11 mm over the middle of its corners, on a hexagonal body."""
     flat = math.cos(math.pi / 6.0)  # of the distance of a side over that of a corner
-    mesh = revolve_profile(_framed(make_crest(1.8, 0.4), 5.5 * flat) * (1.0 / flat, 1.0), 6, "hexagon")
+    mesh = revolve_profile(_make_frame_profile(make_crest(1.8, 0.4), 5.5 * flat) * (1.0 / flat, 1.0), 6, "hexagon")
     return Shape(mesh=mesh, symmetry=cyclic(6))
 
 
@@ -119,8 +120,8 @@ def _lines(directions_deg: tuple[float, ...], name: str) -> Mesh:
     return stack_rings(rings, name)
 
 
-def _framed(ridge_mm: Doubles, middle_mm: float) -> Doubles:
-    """The profile (n, 2) of a frame with this ridge, its middle so far from the axis, on a body with a floor inside."""
+def _make_frame_profile(ridge_mm: Doubles, middle_mm: float) -> Doubles:
+    """The profile (n, 2) of a frame with this ridge at `middle_mm` from the axis, on a body with a floor inside."""
     half = float(ridge_mm[-1, 0])
     floor = [(0.0, FINE_MM), (middle_mm - half, FINE_MM)]
     return np.concatenate([floor, ridge_mm + np.array([middle_mm, 0.0]), make_stamp(middle_mm + half, _BACK_MM)])

@@ -18,7 +18,7 @@ def typed(monkeypatch, tmp_path, capsys):
     """Train the toy with these words; returns exit code, stdout and stderr."""
     monkeypatch.setitem(task.TASKS, "discs", None)
     monkeypatch.setitem(network_factory.NETWORK_CLASSES, "toy_net", "")
-    toy.known()
+    toy.register()
     (tmp_path / "discs.toml").write_text(toy.RECIPE)
 
     def go(*words):
@@ -38,7 +38,7 @@ def test_a_training_ends_in_weights_with_a_card_and_can_be_exported_smaller(type
     weights = load_weights(out / "weights.safetensors")
     assert (weights.kind, weights.config) == ("toy_net", {"width": 4})
     assert weights.card["examples seen"] == "120"
-    assert json.loads(weights.card["recipe"])["pace"]["seed"] == 5
+    assert json.loads(weights.card["recipe"])["training"]["seed"] == 5
     assert {"task", "command", "minutes", "machine", "unseen grasps: overlap, 1"} <= weights.card.keys()
     assert "- steps: 30\n" in (out / "weights.md").read_text()
     code, said, _ = typed("export", out, "--to", tmp_path / "half.safetensors", "--half")
@@ -70,7 +70,7 @@ def test_options_that_cannot_be_are_one_sentence(typed, tmp_path, words, sentenc
 
 def test_what_is_no_training_cannot_be_exported(typed, tmp_path):
     code, _, said = typed("export", tmp_path, "--to", tmp_path / "a.safetensors")
-    assert (code, "no training was begun here" in said) == (EXIT_USER_ERROR, True)
+    assert (code, "holds no training run" in said) == (EXIT_USER_ERROR, True)
     code, _, said = typed("export", tmp_path, "--to", tmp_path / "a.pt")
     assert (code, "choose such a name" in said) == (EXIT_USER_ERROR, True)
 

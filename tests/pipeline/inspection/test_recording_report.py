@@ -87,8 +87,8 @@ def test_one_damaged_frame_is_listed_and_the_others_are_counted(tmp_path: Path):
 @pytest.mark.parametrize(
     ("change", "words"),
     [(lambda p: p[:, :, ::-1], "red and blue look swapped"), (lambda p: p[:, ::-1], "mirrored"),
-     (lambda p: p[::-1, ::-1], "turned by 180"), (lambda p: p.mean(axis=2, keepdims=True) + 0 * p, "no colours"),
-     (lambda p: np.rot90(render_reference(load_sensor("gelsight_mini"))), "it looks like one of gelsight_mini turned a quarter")],
+     (lambda p: p[::-1, ::-1], "rotated by 180"), (lambda p: p.mean(axis=2, keepdims=True) + 0 * p, "no colours"),
+     (lambda p: np.rot90(render_reference(load_sensor("gelsight_mini"))), "it looks like one of gelsight_mini rotated by 90 degrees")],
 )  # fmt: skip
 def test_changed_colours_are_noticed(tmp_path: Path, change, words: str):
     picture = np.ascontiguousarray(change(render_reference(GEL)).astype(np.uint8))

@@ -346,7 +346,7 @@ def test_a_recorded_frame_says_first_what_its_look_up_is_worth():
 
 @pytest.mark.parametrize(("change", "words"), [(lambda p: p[:, :, ::-1], "red and blue look swapped"),
                                                (lambda p: p[::-1], "mirrored top to bottom"),
-                                               (lambda p: p[::-1, ::-1], "turned by 180 degrees")])  # fmt: skip
+                                               (lambda p: p[::-1, ::-1], "rotated by 180 degrees")])  # fmt: skip
 def test_a_recording_whose_colours_lie_elsewhere_is_doubted_unless_a_unit_was_calibrated_so(change, words):
     source, frame, _ = press("digit")
     assert not any("untouched picture" in note for note in estimate_depth_with_notes(frame, source, None, PARAMS).notes)

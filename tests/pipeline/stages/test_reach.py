@@ -13,7 +13,7 @@ from pipeline.stages.touch import t2t
 from pipeline.stages.touch.depth_limit import check_depth_limit
 from pipeline.stages.touch.residual_diffusion import DiffusionParams
 from pipeline.stages.touch.touch_from_change import make_touch_from_change
-from pipeline.training.target_touches import move_bubble_closer
+from pipeline.simulation.press import move_bubble_closer
 from pipeline.values.frames import TactileFrame
 from tests.pipeline.stages.test_learned_touch import Says
 

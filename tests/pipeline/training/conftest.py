@@ -1,4 +1,4 @@
-"""What every test of training may ask for."""
+"""Fixtures of the training tests."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tests.pipeline.training import toy
 def _toys(monkeypatch):
     monkeypatch.setitem(task.TASKS, "discs", None)
     monkeypatch.setitem(network_factory.NETWORK_CLASSES, "toy_net", "")
-    toy.known()
+    toy.register()
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""Depth Anything V2 is taught: its examples, and that a few steps on them lower the paper's loss."""
+"""Training of Depth Anything V2: its examples, and a few steps that lower the paper's loss."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from pipeline.training.examples import make_batch
 TASK = DepthAnythingTask(sensor="digit", side=28, metric_weight=1.0)
 
 
-def test_examples_are_pictures_of_whole_patches_with_the_truth_of_the_press():
+def test_examples_are_images_of_whole_patches_with_the_truth():
     one, again = (TASK.sample(np.random.default_rng([1, 2])) for _ in range(2))
     other = TASK.sample(np.random.default_rng([1, 3]))
     assert all(np.array_equal(one[name], again[name]) for name in one)
-    assert not np.array_equal(one["picture"], other["picture"])
+    assert not np.array_equal(one["image"], other["image"])
     rows, cols = one["indentation_mm"].shape
     assert (min(rows, cols), rows % 14, cols % 14) == (28, 0, 0)
-    assert one["picture"].shape == (3, rows, cols)
-    assert 0.0 <= one["picture"].min() < one["picture"].max() <= 1.001
+    assert one["image"].shape == (3, rows, cols)
+    assert 0.0 <= one["image"].min() < one["image"].max() <= 1.001
     pressed = one["contact"] > 0.5
     assert pressed.any()
     assert one["indentation_mm"][pressed].mean() > one["indentation_mm"][~pressed].mean()
 
 
-def test_a_few_steps_lower_the_loss_and_the_encoder_moves_less_than_its_head():
+def test_a_few_steps_lower_the_loss_and_change_the_encoder_less_than_the_head():
     made = recipe.load_recipe("depth_anything")
     torch.manual_seed(0)
     net = build_network("depth_anything", {"encoder": "vits", "side": 28})
@@ -45,8 +45,8 @@ def test_a_few_steps_lower_the_loss_and_the_encoder_moves_less_than_its_head():
     assert losses[-1] < 0.9 * losses[0]
     assert set(parts) == {"silog", "contact", "metric"}
     moved = {name: float((t - start[name]).abs().max()) for name, t in net.state_dict().items()}
-    head = max(way for name, way in moved.items() if name.startswith("depth_head."))
-    encoder = max(way for name, way in moved.items() if name.startswith("pretrained."))
+    head = max(size for name, size in moved.items() if name.startswith("depth_head."))
+    encoder = max(size for name, size in moved.items() if name.startswith("pretrained."))
     assert 0 < encoder < 0.3 * head
     figures = TASK.evaluate(
         net.eval().requires_grad_(requires_grad=False), [TASK.make_validation_example("unseen_tools", 0)]

@@ -1,4 +1,4 @@
-"""Several devices learn as one with the sum of their batches, and what is computed in 16 bits is answered in 32."""
+"""Several processes train as one with the sum of their batches; networks in 16 bits give output in 32."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 import torch
 from torch import nn
 
-from pipeline.networks.weights import load_weights as load_weights
+from pipeline.networks.weights import load_weights
 from pipeline.training import state
 from pipeline.training.distributed import wrap_precision
 from pipeline.training.loop import TrainingRun, train
@@ -24,7 +24,7 @@ ROUNDING = 2e-3  # relative: the order of sums, through twenty steps of an optim
 
 
 @pytest.mark.timeout(2 * LONG_S)
-def test_two_devices_learn_as_one_with_twice_the_batch(recipe_file, tmp_path):
+def test_two_processes_train_as_one_with_twice_the_batch(recipe_file, tmp_path):
     program = tmp_path / "program.py"
     program.write_text(PROGRAM)
     short = toy.RECIPE.replace("steps = 60", "steps = 25")
@@ -48,7 +48,7 @@ def test_two_devices_learn_as_one_with_twice_the_batch(recipe_file, tmp_path):
     assert load_weights(out / "weights.safetensors").card["examples seen"] == "200"
 
 
-def test_a_network_in_16_bits_answers_in_32_and_learns_in_32():
+def test_a_network_in_16_bits_has_output_and_gradients_in_32():
     class Two(nn.Module):
         def __init__(self):
             super().__init__()

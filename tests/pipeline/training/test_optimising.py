@@ -1,4 +1,4 @@
-"""Learning rates over a run, groups with their share, and the average of the weights."""
+"""Learning rates over a run, factors of parameter groups, and the moving average of the weights."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pipeline.training.recipe import Optimiser
 
 
 @pytest.mark.parametrize("schedule", ["cosine", "poly", "constant"])
-def test_the_rate_warms_up_and_falls_to_its_last_share(schedule):
+def test_the_rate_warms_up_and_falls_to_its_final_share(schedule):
     recipe = Optimiser(learning_rate=2.0, schedule=schedule, warm_up_steps=10, final_share=0.1)
     rates = [optimising.compute_learning_rate(recipe, step, step / 100) for step in range(101)]
     assert rates[0] == pytest.approx(0.2, rel=0.05)
@@ -21,7 +21,7 @@ def test_the_rate_warms_up_and_falls_to_its_last_share(schedule):
     assert np.all(np.diff(rates[10:]) <= 0)
 
 
-def test_the_longest_beginning_that_fits_says_a_parameters_share():
+def test_the_longest_matching_prefix_gives_the_factor_of_a_parameter():
     net = nn.ModuleDict({"encoder": nn.Linear(2, 2), "head": nn.Linear(2, 1)})
     made = optimising.make_optimiser(net, Optimiser(learning_rate=1.0), {"encoder": 0.1, "encoder.bias": 0.5})
     optimising.set_learning_rate(made, 2.0)
@@ -29,7 +29,7 @@ def test_the_longest_beginning_that_fits_says_a_parameters_share():
     assert [rates[id(p)] for p in net.parameters()] == pytest.approx([0.2, 1.0, 2.0, 2.0])
 
 
-def test_the_average_forgets_the_beginning_and_follows_what_is_counted():
+def test_the_average_approaches_the_weights_and_copies_counters():
     net = nn.BatchNorm1d(3)
     mean = optimising.copy_for_averaging(net)
     with torch.no_grad():

@@ -1,4 +1,4 @@
-"""A few real pairs: kept by number, the first ones learned from, moved a little each time."""
+"""A few recorded pairs: the first ones are trained on, jittered on every use."""
 
 from contextlib import closing
 from dataclasses import replace
@@ -7,96 +7,78 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.base.errors import FileProblem, SettingProblem
+from pipeline.base.errors import SettingProblem
 from pipeline.recordings import open_recording
 from pipeline.recordings.hdf5_writer import RecordingWriter
 from pipeline.sensors.spec import load_sensor
 from pipeline.stages.touch.depth_condition import make_working_sensor
 from pipeline.stages.touch.residual_render import resample_to_grid
+from pipeline.training import pair_fine_tuning
 from pipeline.training.loop import TrainingRun, train
-from pipeline.training.pair_files import TrainingPair, load_pairs, save_pair
-from pipeline.training.pair_fine_tuning import PairFineTuningTask, jitter_pair, mix_colours
+from pipeline.training.pair_fine_tuning import PairFineTuningTask, jitter_pair
 from pipeline.training.recipe import load_recipe
+from pipeline.training.recorded_pairs import RecordedPairs, TrainingPair
 
 SAMPLE = Path(__file__).parents[3] / "sample_data" / "recordings" / "first_touch.h5"
 ROWS, COLS = 20, 28
 
 
-def pair(number, channels=13):
+def make_pair(index, channels=13):
     y, x = np.mgrid[:ROWS, :COLS]
-    touch = 6.0 * np.exp(-((x - 8 - 2 * number) ** 2 + (y - 10) ** 2) / 20.0).astype(np.float32)
-    shown = np.stack([touch / 6.0] * (channels - 1) + [np.ones_like(touch)]).astype(np.float32)
-    return TrainingPair(condition=shown, indentation_mm=touch, contact=touch > 2.0)
+    touch = 6.0 * np.exp(-((x - 8 - 2 * index) ** 2 + (y - 10) ** 2) / 20.0).astype(np.float32)
+    condition = np.stack([touch / 6.0] * (channels - 1) + [np.ones_like(touch)]).astype(np.float32)
+    return TrainingPair(condition=condition, indentation_mm=touch, contact=touch > 2.0)
 
 
 @pytest.fixture
-def folder(tmp_path):
-    for number in range(5):
-        save_pair(tmp_path, number, pair(number))
-    return str(tmp_path)
+def use_pairs(monkeypatch):
+    """Give the task these pairs in place of a recording's."""
+
+    def use(pairs):
+        recorded = RecordedPairs(pairs=tuple(pairs), notes=())
+        monkeypatch.setattr(pair_fine_tuning, "load_recorded_pairs", lambda *_: recorded)
+
+    return use
 
 
-def test_the_first_pairs_are_learned_from_and_the_others_held_out(folder):
-    task = PairFineTuningTask(folder=folder, n_pairs=2)
-    assert len(load_pairs(folder)) == 5
-    held = [task.make_validation_example("unseen_tools", k)["residual"][0] for k in range(3)]
-    for k, residual in enumerate(held):
-        assert np.allclose(3.0 * residual, pair(2 + k).indentation_mm, atol=0.01)
+def test_the_first_pairs_are_trained_on_and_the_others_validate(use_pairs):
+    use_pairs(make_pair(k) for k in range(5))
+    task = PairFineTuningTask(n_pairs=2)
+    for k in range(3):
+        residual = task.make_validation_example("unseen_tools", k)["residual"][0]
+        assert np.allclose(3.0 * residual, make_pair(2 + k).indentation_mm, atol=0.01)
     peaks = set()
     for seed in range(40):
         example = task.sample(np.random.default_rng(seed))
         assert example["condition"].shape == (13, ROWS, COLS)
         assert not example["contact"][1].any()
         peaks.add(int(example["residual"][0].max(0).argmax()))
-    assert max(peaks) <= 13 < 16, "a held-out pair was learned from"
-    assert len(peaks) > 3, "pairs are not moved"
+    assert max(peaks) <= 13 < 16, "a validation pair is trained on"
+    assert len(peaks) > 3, "pairs are not jittered"
 
 
-def test_a_pair_is_moved_as_one(folder):
-    one = pair(1)
+def test_condition_and_touch_of_a_pair_are_jittered_together():
+    pair = make_pair(1)
     for seed in range(5):
-        other = jitter_pair(one, np.random.default_rng(seed))
-        alike = np.corrcoef(other.condition[0].ravel(), other.indentation_mm.ravel())[0, 1]
-        assert alike > 0.999
-        assert not np.array_equal(other.indentation_mm, one.indentation_mm)
+        other = jitter_pair(pair, np.random.default_rng(seed))
+        assert np.corrcoef(other.condition[0].ravel(), other.indentation_mm.ravel())[0, 1] > 0.999
+        assert not np.array_equal(other.indentation_mm, pair.indentation_mm)
         assert np.array_equal(other.contact, other.contact & (other.indentation_mm > 1.0))
-        assert (other.condition[-1] == 1.0).all(), "where there is a reading is no brightness"
+        assert (other.condition[-1] == 1.0).all(), "the mask is brightened"
 
 
-def test_colours_are_mixed_pixel_by_pixel_and_nothing_else():
-    one = pair(1)
-    coloured = replace(
-        one, condition=np.concatenate([one.condition[:4], 0.0 * one.condition[4:12], one.condition[12:]])
-    )
-    other = mix_colours(coloured, np.random.default_rng(0), 0.25)
-    peak = np.unravel_index(one.condition[0].argmax(), one.condition[0].shape)
-    shares = [float(other.condition[4 * k][peak] / one.condition[0][peak]) for k in range(3)]
-    assert 0.75 <= shares[0] <= 1.25
-    assert all(0.0 < abs(share) <= 0.25 for share in shares[1:])
-    for k in range(12):
-        assert np.allclose(other.condition[k], shares[k // 4] * one.condition[0], atol=1e-6)
-    assert np.array_equal(other.condition[12], one.condition[12])
-    assert np.array_equal(other.indentation_mm, one.indentation_mm)
-
-
-def test_no_pairs_are_one_sentence(tmp_path):
-    with pytest.raises(FileProblem, match="no drawn pair"):
-        PairFineTuningTask(folder=str(tmp_path)).sample(np.random.default_rng(0))
-
-
-@pytest.mark.parametrize("alike", [0.0, 1.0])
-def test_its_recipe_trains_a_network_that_touch_to_touch_takes(folder, tmp_path, alike):
+def test_the_recipe_trains_a_network_of_touch_to_touch(use_pairs, tmp_path):
+    use_pairs(make_pair(k) for k in range(5))
     recipe = tmp_path / "few.toml"
-    text = "\n".join([
+    recipe.write_text("\n".join([
         'task = "pair_fine_tuning"', "batch = 2", "steps = 3", "[network]", 'kind = "residual_denoiser"', "inputs = 13",
-        "unit_mm = 3.0", "base_channels = 8", "levels = 2", "max_channels = 16", "sigma_max = 10.0", "noise_correlation = 0.125", "[settings]",
-        f'folder = "{folder}"', "n_pairs = 3", f"correlation_weight = {alike}", "[validation]", "n_evaluations = 1", "n_examples = 2",
-    ])  # fmt: skip
-    recipe.write_text(text)
-    found = train(TrainingRun(recipe=load_recipe(str(recipe), "t2t"), folder=tmp_path / "run", n_workers=0))
-    assert found.step == 3
-    names = {row["name"] for row in found.metrics}
-    assert {"in contact, mm", "two samples apart in contact, mm"} <= names
+        "unit_mm = 3.0", "base_channels = 8", "levels = 2", "max_channels = 16", "sigma_max = 10.0",
+        "noise_correlation = 0.125", "[settings]", "n_pairs = 3", "[validation]", "n_evaluations = 1", "n_examples = 2",
+    ]))  # fmt: skip
+    state = train(TrainingRun(recipe=load_recipe(str(recipe), "t2t"), folder=tmp_path / "run", n_workers=0))
+    assert state.step == 3
+    names = {row["name"] for row in state.metrics}
+    assert {"error in contact, mm", "difference of two samples in contact, mm"} <= names
     assert load_recipe("t2t_few_pairs", "t2t").network["inputs"] == 13
 
 
@@ -122,8 +104,8 @@ def test_a_recording_without_the_other_sensor_is_refused():
         )
 
 
-def recorded(path, moments, gel=lambda frame: frame, pairings=True):
-    """A recording of some of the sample's moments by either sensor."""
+def write_recording(path, moments, gel=lambda frame: frame, pairings=True):
+    """Write some moments of the sample recording."""
     with closing(open_recording(SAMPLE)) as sample, RecordingWriter(
         path, pairings=sample.pairings if pairings else (), depth_step_mm=0.05
     ) as writer:  # fmt: skip
@@ -135,33 +117,39 @@ def recorded(path, moments, gel=lambda frame: frame, pairings=True):
     return str(path)
 
 
-def test_what_is_odd_about_own_pairs_is_said_before_they_are_learned_from(tmp_path):
+def test_notes_name_what_was_assumed_and_left_out(tmp_path):
     touched = range(3, 6)
-    whole = recorded(tmp_path / "whole.h5", {"gelslim": touched, "soft_bubble": touched})
+    whole = write_recording(tmp_path / "whole.h5", {"gelslim": touched, "soft_bubble": touched})
     assert PairFineTuningTask(recording=whole, n_pairs=2).collect_notes() == ()
-    (alone,) = PairFineTuningTask(recording=whole, n_pairs=10).collect_notes()
-    assert "all 3 pairs are learned from (10 were asked for), none is held out" in alone
-    odd = recorded(
+    (note,) = PairFineTuningTask(recording=whole, n_pairs=10).collect_notes()
+    assert "all 3 pairs" in note
+    assert "10 requested" in note
+    odd = write_recording(
         tmp_path / "odd.h5", {"gelslim": [0, 3], "soft_bubble": [0, 3, 4]}, lambda f: replace(f, reference=None), False
     )
-    told = "; ".join(PairFineTuningTask(recording=odd).collect_notes())
+    notes = "; ".join(PairFineTuningTask(recording=odd).collect_notes())
     for words in (
-        "has 2 frames, Soft Bubble 3: the first 2", "does not say how its sensors stand",
-        "no untouched reading of GelSlim (markers) is in", "1 of 2 moments are left out", "all 1 pairs",
+        "2 frames, Soft Bubble 3: the first 2", "no target_from_source", "no reference image of GelSlim (markers)",
+        "1 of 2 moments", "all 1 pairs",
     ):  # fmt: skip
-        assert words in told, told
+        assert words in notes, notes
 
 
-def test_pairs_whose_two_sides_are_of_other_touches_are_doubted_before_they_are_learned_from(tmp_path):
+def test_pairs_of_different_touches_give_a_warning(use_pairs):
     y, x = np.mgrid[:ROWS, :COLS]
     rng, dents = np.random.default_rng(3), []
     for at_x, at_y, deep in zip(rng.uniform(4, 24, 20), rng.uniform(4, 16, 20), rng.uniform(2, 8, 20), strict=True):
         dents.append((deep * np.exp(-((x - at_x) ** 2 + (y - at_y) ** 2) / 8.0)).astype(np.float32))
-    for name, order in (("own", range(20)), ("others", rng.permutation(20))):
-        for number, other in enumerate(order):
-            seen = np.stack([dents[number] / 8.0] * 12 + [np.ones((ROWS, COLS))]).astype(np.float32)
-            touch = TrainingPair(condition=seen, indentation_mm=dents[other], contact=dents[other] > 1.0)
-            save_pair(tmp_path / name, number, touch)
-    assert PairFineTuningTask(folder=str(tmp_path / "own"), n_pairs=10).collect_notes() == ()
-    (doubt,) = PairFineTuningTask(folder=str(tmp_path / "others"), n_pairs=10).collect_notes()
-    assert "agree only by chance" in doubt
+
+    def collect_notes(order):
+        use_pairs(
+            TrainingPair(
+                condition=np.stack([dent / 8.0] * 12 + [np.ones((ROWS, COLS))]).astype(np.float32),
+                indentation_mm=dents[other], contact=dents[other] > 1.0,
+            )
+            for dent, other in zip(dents, order, strict=True)
+        )  # fmt: skip
+        return PairFineTuningTask(n_pairs=10).collect_notes()
+
+    assert collect_notes(range(20)) == ()
+    assert len(collect_notes(rng.permutation(20))) == 1

@@ -1,4 +1,4 @@
-"""Recipes: each one that comes along can be used, and what is wrong with another is one sentence."""
+"""Recipes: shipped ones are valid, and errors of others name the key."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pipeline.training import recipe, task
 from tests.pipeline.training import toy
 
 
-def test_a_recipe_says_all_that_decides_a_run(recipe_file):
+def test_a_recipe_holds_all_values_of_its_file(recipe_file):
     made = recipe.load_recipe(str(recipe_file), "discs")
     assert made.settings == toy.Discs(noise=0.2)
     assert (made.training.batch, made.training.steps, made.optimiser.warm_up_steps, made.validation.n_examples) == (
@@ -41,13 +41,13 @@ def test_a_recipe_says_all_that_decides_a_run(recipe_file):
         ("steps = 60", "steps = ", "not valid TOML"),
     ],
 )
-def test_a_wrong_recipe_is_one_sentence(recipe_file, old, new, sentence):
+def test_an_invalid_recipe_names_the_key(recipe_file, old, new, sentence):
     recipe_file.write_text(toy.RECIPE.replace(old, new))
     with pytest.raises(FileProblem, match=sentence):
         recipe.load_recipe(str(recipe_file))
 
 
-def test_a_recipe_for_something_else_and_one_that_is_not_there_are_refused(recipe_file, tmp_path):
+def test_a_recipe_of_another_subcommand_and_a_missing_one_are_refused(recipe_file, tmp_path):
     with pytest.raises(FileProblem, match="it trains discs, not depth"):
         recipe.load_recipe(str(recipe_file), "depth")
     with pytest.raises(SettingProblem, match=r"no recipe 'unheard'; there are .*or give a \.toml file"):
@@ -57,6 +57,6 @@ def test_a_recipe_for_something_else_and_one_that_is_not_there_are_refused(recip
 
 
 @pytest.mark.parametrize("name", recipe.list_shipped_recipes())
-def test_every_recipe_that_comes_along_can_be_used(name):
+def test_every_shipped_recipe_is_valid(name):
     made = recipe.load_recipe(name)
     assert name in recipe.list_shipped_recipes(task.TASKS[made.task].subcommand)

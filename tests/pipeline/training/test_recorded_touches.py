@@ -1,4 +1,4 @@
-"""Own recordings among the examples: touches with truth, presses of a ball, and what cannot be learned from."""
+"""Recordings as training examples: touches with truth, presses of a ball, and recordings that are refused."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ SAMPLE = RecordingSource(path=str(ROOT / "sample_data" / "recordings" / "first_t
 MINI = load_sensor("gelsight_mini")
 BALL_MM = 6.31
 DEEP_MM = 0.5
-MOST_OFF = 0.06  # of the depth: what the look-up and the picture's noise leave
+MAX_ERROR = 0.06  # share of the depth, from the calibration table and the image's noise
 
 
 @pytest.fixture(scope="module")
 def balls(tmp_path_factory):
-    """Pictures of a ball pressed into a Mini's gel as the layer's mechanics have it, and the surfaces themselves."""
+    """Images of a ball pressed into a Mini's gel, and the simulated surfaces."""
     folder, rng, surfaces = tmp_path_factory.mktemp("balls"), np.random.default_rng(3), []
     shape = MINI.camera.shape
     cv2.imwrite(str(folder / "background.png"), optics.render(MINI, np.zeros(shape, np.float32), seed=50)[..., ::-1])
@@ -41,18 +41,18 @@ def balls(tmp_path_factory):
     return folder, surfaces
 
 
-def test_presses_of_a_ball_are_known_by_the_mechanics_of_the_layer(balls):
+def test_the_mechanics_of_the_layer_give_the_surface_under_a_ball(balls):
     folder, surfaces = balls
     mine = RecordingSource(path=str(folder), sensor="gelsight_mini", diameter_mm=BALL_MM)
     assert recorded_touches.count_touches(mine) == len(surfaces)
     for index in range(recorded_touches.count_touches(mine)):
         known = recorded_touches.load_touch(mine, index)
         truth = surfaces[int(Path(known.frame.origin).stem)]
-        assert known.indentation_mm.max() == pytest.approx(DEEP_MM, rel=MOST_OFF)
+        assert known.indentation_mm.max() == pytest.approx(DEEP_MM, rel=MAX_ERROR)
         both, either = (known.contact & truth.contact).sum(), (known.contact | truth.contact).sum()
         assert both / either > 0.92
         off = np.abs(known.indentation_mm - truth.indentation_mm)
-        assert off[truth.contact].mean() < MOST_OFF * DEEP_MM
+        assert off[truth.contact].mean() < MAX_ERROR * DEEP_MM
 
 
 def test_a_recorded_touch_makes_the_same_arrays_as_a_simulated_one():
@@ -73,7 +73,7 @@ class Learns(toy.Discs):
         return {"picture": np.full((1, 16, 16), 5.0, np.float32), "disc": np.zeros((1, 16, 16), np.float32)}
 
 
-def test_a_share_of_the_examples_is_recorded_and_the_stream_stays_the_same():
+def test_a_share_of_the_examples_is_recorded_and_examples_stay_reproducible():
     task = mix_recordings(Learns(), (SAMPLE,), 0.3)
     assert isinstance(task, MixedTask)
     pictures = make_batch(task, 4, 0, 200)["picture"]
@@ -88,19 +88,19 @@ def test_a_share_of_the_examples_is_recorded_and_the_stream_stays_the_same():
     assert mix_recordings(plain, (), 0.3) is plain
 
 
-def test_what_cannot_be_learned_from_is_one_sentence(tmp_path):
-    with pytest.raises(SettingProblem, match="Discs learns from simulated touches alone"):
+def test_unusable_recordings_are_refused(tmp_path):
+    with pytest.raises(SettingProblem, match="Discs"):
         mix_recordings(toy.Discs(), (SAMPLE,), 0.3)
     with pytest.raises(FileProblem):
         mix_recordings(Learns(), (RecordingSource(path=str(tmp_path / "missing.h5"), sensor="digit"),), 0.3)
     picture = np.full((20, 30, 3), 80, np.uint8)
     for name in ("background.png", "a.png"):
         cv2.imwrite(str(tmp_path / name), picture)
-    with pytest.raises(FileProblem, match="no frame of this recording has a truth"):
+    with pytest.raises(FileProblem, match="truth"):
         mix_recordings(Learns(), (RecordingSource(path=str(tmp_path), sensor="digit"),), 0.3)
 
 
-def test_a_recipe_names_recordings_from_its_own_folder(tmp_path):
+def test_paths_of_recordings_are_relative_to_the_recipe(tmp_path):
     text = toy.RECIPE + '\n[data]\nrecorded_share = 0.4\n[[data.recordings]]\npath = "a/b.h5"\nsensor = "digit"\n'
     (tmp_path / "r.toml").write_text(text)
     made = recipe.load_recipe(str(tmp_path / "r.toml"))

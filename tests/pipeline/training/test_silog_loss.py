@@ -1,4 +1,4 @@
-"""The scale-invariant loss is the paper's, and has a gradient where the published form has none."""
+"""The scale-invariant loss equals the paper's and has a gradient where the published form has none."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 import pytest
 import torch
 
-from pipeline.training.silog_loss import compute_silog_loss
+from pipeline.training.depth_anything import compute_silog_loss
 
 
 def published(found, truth, share):
@@ -16,14 +16,14 @@ def published(found, truth, share):
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5, 0.85, 1.0])
-def test_it_is_the_papers_loss(share):
+def test_the_loss_equals_the_published_one(share):
     torch.manual_seed(0)
     found, truth = torch.rand(1, 6, 7) + 0.2, torch.rand(1, 6, 7) + 0.2
     ours = compute_silog_loss(found, truth, torch.ones_like(truth), share=share, least=1e-3)
     assert float(ours) == pytest.approx(float(published(found, truth, share)), rel=1e-4)
 
 
-def test_a_scale_costs_what_the_share_leaves_of_it():
+def test_a_scale_factor_costs_less_with_a_larger_share():
     truth = torch.rand(1, 5, 5) + 0.5
     costs = [
         float(compute_silog_loss(3.0 * truth, truth, torch.ones_like(truth), share=s, least=1e-3))
@@ -47,7 +47,7 @@ def test_value_and_gradient_are_numbers_everywhere(case):
         assert float(loss) == 0.0
 
 
-def test_a_picture_without_a_touch_counts_for_nothing_among_others():
+def test_an_image_without_contact_does_not_count():
     torch.manual_seed(1)
     found, truth = torch.rand(2, 4, 4) + 0.1, torch.rand(2, 4, 4) + 0.1
     counted = torch.ones_like(truth)

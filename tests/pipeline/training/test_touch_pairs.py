@@ -1,6 +1,8 @@
-"""Pairs of touches, and the tasks that learn from them."""
+"""Simulated pairs as squares, and the tasks that train on them."""
 
 from __future__ import annotations
+
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,12 +24,13 @@ def folder(tmp_path_factory):
     return str(tmp_path_factory.mktemp("pairs"))
 
 
-def test_a_kept_touch_is_the_one_that_was_pressed(folder):
-    pressed = simulate_touch_squares("own", 3, 0)
-    first, again = simulate_touch_squares("own", 3, 0, folder), simulate_touch_squares("own", 3, 0, folder)
-    for one in (first, again):
+def test_a_stored_touch_equals_the_simulated_one(folder):
+    pressed = simulate_touch_squares("all_objects", 3, 0)
+    for _ in range(2):  # simulated and stored, then loaded
+        touch_squares._touches.clear()
+        touch = simulate_touch_squares("all_objects", 3, 0, folder)
         assert all(
-            np.array_equal(getattr(one, name), getattr(pressed, name))
+            np.array_equal(getattr(touch, name), getattr(pressed, name))
             for name in (
                 "gel_change",
                 "nominal_gel_change",
@@ -42,24 +45,24 @@ def test_a_kept_touch_is_the_one_that_was_pressed(folder):
 
 
 @pytest.mark.parametrize("damaged", [b"", b"PK\x03\x04", bytes(100)])
-def test_a_damaged_file_is_pressed_again(folder, damaged):
-    first = simulate_touch_squares("own", 3, 0, folder)
-    touch_squares._load_packed.cache_clear()
-    (file,) = (p for p in touch_squares.Path(folder).iterdir() if p.name == "own_3_0.npz")
+def test_a_damaged_file_is_simulated_again(folder, damaged):
+    first = simulate_touch_squares("all_objects", 3, 0, folder)
+    touch_squares._touches.clear()
+    (file,) = (p for p in Path(folder).iterdir() if p.name == "squares_all_objects_3_0.npz")
     file.write_bytes(damaged)
-    assert np.array_equal(simulate_touch_squares("own", 3, 0, folder).gel_change, first.gel_change)
+    assert np.array_equal(simulate_touch_squares("all_objects", 3, 0, folder).gel_change, first.gel_change)
 
 
-def test_the_described_gel_pictures_the_same_touch_as_the_other_unit(folder):
-    """Where one picture changes the other does, though they are lit and printed differently."""
-    touch = simulate_touch_squares("own", 3, 0, folder)
+def test_nominal_and_other_gel_show_the_same_touch(folder):
+    """Both images change at the same places, under other light and markers."""
+    touch = simulate_touch_squares("all_objects", 3, 0, folder)
     a, b = (np.abs(picture).sum(0).ravel() for picture in (touch.gel_change, touch.nominal_gel_change))
     assert not np.array_equal(touch.gel_change, touch.nominal_gel_change)
     assert np.corrcoef(a, b)[0, 1] > 0.6
 
 
 @pytest.mark.parametrize(("direction", "left"), [("gel_to_bubble", 0.7), ("bubble_to_gel", 0.96)])
-def test_a_vqvae_learns_a_pair_by_heart(direction, left, folder):
+def test_a_vqvae_overfits_one_pair(direction, left, folder):
     task = VqVaeTask(direction=direction, n_presses=1, folder=folder)
     batch = to_tensors({k: v[None] for k, v in task.sample(np.random.default_rng(0)).items()}, "cpu")
     torch.manual_seed(0)
@@ -72,7 +75,7 @@ def test_a_vqvae_learns_a_pair_by_heart(direction, left, folder):
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()
-        losses.append(float(parts["made"]))
+        losses.append(float(parts["reconstruction"]))
     assert losses[-1] < left * losses[0]
     figures = task.evaluate(net.eval(), [{k: v[0].numpy() for k, v in batch.items()}])
     unit = "mm" if direction == "gel_to_bubble" else "grey"
@@ -80,10 +83,10 @@ def test_a_vqvae_learns_a_pair_by_heart(direction, left, folder):
 
 
 @pytest.mark.parametrize("direction", ["gel_to_bubble", "bubble_to_gel"])
-def test_a_drawn_source_is_what_the_method_shows_its_network(direction, folder):
-    """Learned on and asked with the very same squares, and never on others than the network says."""
+def test_reprojected_sources_equal_those_of_the_method(direction, folder):
+    """Training and use share the squares; a network of the other kind is refused."""
     task = VqVaeTask(direction=direction, n_presses=1, folder=folder, reprojects_input=True)
-    touch, (gel, bubble) = simulate_touch_squares("learned", 1, 0, folder), touch_squares.load_nominal_sensors()
+    touch, (gel, bubble) = simulate_touch_squares("training", 1, 0, folder), touch_squares.load_nominal_sensors()
     source, target = (gel, bubble) if direction == "gel_to_bubble" else (bubble, gel)
     square = touch.gel_change if direction == "gel_to_bubble" else touch.bubble_imprint_mm
     example = task.sample(np.random.default_rng(0))
@@ -92,11 +95,11 @@ def test_a_drawn_source_is_what_the_method_shows_its_network(direction, folder):
     )
     batch = to_tensors({name: np.stack([array]) for name, array in example.items()}, "cpu")
     net = build_network("vqvae", {"inputs": len(square), "outputs": 4 - len(square), "width": 4, "codes": 8})
-    with pytest.raises(SettingProblem, match="the same"):
+    with pytest.raises(SettingProblem, match="reprojects_input"):
         task.compute_loss(net, batch)
 
 
-def test_mirroring_keeps_source_and_target_together(folder):
+def test_source_and_target_are_mirrored_together(folder):
     plain = VqVaeTask(n_presses=1, folder=folder).sample(np.random.default_rng(0))
     seen = set()
     for seed in range(40):
@@ -113,14 +116,14 @@ def test_mirroring_keeps_source_and_target_together(folder):
 
 
 @pytest.mark.parametrize("name", ["vqvae", "vqvae_gel", "pose", "pose_gel", "latent", "latent_autoencoder"])
-def test_the_recipes_that_come_along_build_their_networks(name):
+def test_shipped_recipes_build_their_networks(name):
     made = recipe.load_recipe(name)
     arguments = {key: value for key, value in made.network.items() if key != "kind"}
     net = build_network(str(made.network["kind"]), arguments)
     assert sum(p.numel() for p in net.parameters()) * 2 < 16 * 2**20
 
 
-def test_a_latent_diffusion_learns_a_touch_by_heart(folder):
+def test_latent_diffusion_overfits_one_touch(folder):
     from pipeline.training.latent import LatentTask
 
     task = LatentTask(n_presses=1, folder=folder, side=32)
@@ -140,8 +143,8 @@ def test_a_latent_diffusion_learns_a_touch_by_heart(folder):
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()
-        losses.append((float(parts["noise"]), float(parts["rebuilt"])))
+        losses.append((float(parts["noise"]), float(parts["reconstruction"])))
     assert losses[-1][0] < 0.9 * losses[0][0]
     assert losses[-1][1] < 0.5 * losses[0][1]
     figures = task.evaluate(net.eval(), [task.make_validation_example("unseen_grasps", 0)])
-    assert set(figures) == {"rebuilt, mm", "noise"}
+    assert set(figures) == {"reconstruction error, mm", "noise error"}

@@ -1,4 +1,4 @@
-"""What the compact diffusion learns from: own touches and no pair for touch to depth to touch, pairs for touch to touch."""
+"""Training data of the compact diffusion: touches of the target for T2D2, pairs for T2T."""
 
 from dataclasses import replace
 
@@ -19,8 +19,8 @@ from pipeline.training.touch_residual import TouchResidualTask
 from pipeline.training.touch_to_touch import TouchToTouchTask
 
 SPLITS = ("unseen_grasps", "unseen_tools")
-MIRROR_MM = 0.02  # what solvers on a lattice leave between an object and its mirror
-NOISE_GREY = 3.0  # two pictures of one surface, each with a camera's noise
+MIRROR_MM = 0.02  # difference between an object and its mirror on a lattice
+NOISE_GREY = 3.0  # two images of one surface, each with noise
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +33,7 @@ def task(folder):
     return TouchResidualTask(target="gelslim", n_presses=2, folder=folder)
 
 
-def test_no_recipe_of_touch_to_depth_to_touch_reads_a_pair(monkeypatch):
+def test_recipes_of_touch_to_depth_to_touch_use_no_pairs(monkeypatch):
     pressed = []
 
     def press(thing, pose, sensor, **how):
@@ -53,13 +53,13 @@ def test_no_recipe_of_touch_to_depth_to_touch_reads_a_pair(monkeypatch):
             pressed.clear()
             with pytest.raises(StopIteration):
                 make(replace(task, folder="", press_seed=987_654))
-            assert pressed == [task.target], "a second sensor took part"
+            assert pressed == [task.target], "a second sensor is pressed"
 
 
-def test_a_touch_is_the_same_whether_it_was_kept_or_not(folder, monkeypatch):
+def test_a_stored_touch_equals_the_simulated_one(folder):
     first = simulate_target_touch("gelslim", "unseen_tools", 7, 0, folder)
     for again in range(2):
-        monkeypatch.setattr(target_touches, "_in_memory", target_touches.Memo(8))
+        target_touches._samples.clear()
         found = simulate_target_touch("gelslim", "unseen_tools", 7, 0, folder if again else "")
         for name in (
             "observed_mm",
@@ -73,11 +73,11 @@ def test_a_touch_is_the_same_whether_it_was_kept_or_not(folder, monkeypatch):
             assert np.array_equal(getattr(first, name), getattr(found, name)), name
 
 
-def test_physics_is_right_where_all_is_told_and_the_residual_is_what_it_misses(task):
+def test_physics_plus_residual_is_the_target(task):
     touches = {index: simulate_target_touch("gelslim", "unseen_tools", 7, index, task.folder) for index in range(4)}
-    told = {index: touch for index, touch in touches.items() if touch is not None}  # of some a source tells nothing
-    assert told
-    for index, touch in told.items():
+    observed = {index: touch for index, touch in touches.items() if touch is not None}
+    assert observed
+    for index, touch in observed.items():
         example = task.make_validation_example("unseen_tools", index)
         assert example["condition"].shape == (CONDITION_CHANNELS, *touch.target_contact.shape)
         whole = touch.physical_mm + RESIDUAL_SCALE_MM["gel"] * example["residual"][0]
@@ -87,13 +87,13 @@ def test_physics_is_right_where_all_is_told_and_the_residual_is_what_it_misses(t
         assert touch.observed[~touch.in_view].sum() == 0
 
 
-def test_an_example_depends_on_its_number_alone(task):
+def test_an_example_depends_on_its_seed_alone(task):
     a, b = (task.sample(np.random.default_rng([1, 5])) for _ in range(2))
     assert all(np.array_equal(a[name], b[name]) for name in a)
     assert {name: array.dtype for name, array in a.items()} == dict.fromkeys(a, np.dtype(np.float32))
 
 
-def test_a_network_comes_nearer_to_a_touch_and_the_figures_begin_with_physics(task):
+def test_a_network_learns_a_touch_and_its_metrics_start_at_the_baseline(task):
     import torch
 
     example = task.make_validation_example("unseen_tools", 0)
@@ -102,8 +102,8 @@ def test_a_network_comes_nearer_to_a_touch_and_the_figures_begin_with_physics(ta
     torch.manual_seed(0)
     net = build_network("residual_denoiser", config)
     before = task.evaluate(net.eval(), [example])
-    for what in ("in contact, mm", "over all, mm", "contact, IoU"):
-        assert before[what] == pytest.approx(before[f"none of it {what}"])
+    for what in ("error in contact, mm", "error over all, mm", "contact IoU"):
+        assert before[what] == pytest.approx(before[f"no-prediction {what}"])
     optimiser, losses = torch.optim.Adam(net.train().parameters(), lr=5e-3), []
     for _ in range(25):
         optimiser.zero_grad()
@@ -116,7 +116,7 @@ def test_a_network_comes_nearer_to_a_touch_and_the_figures_begin_with_physics(ta
 
 
 @pytest.mark.parametrize(("target", "channels"), [("soft_bubble", 13), ("gelslim", 3)])
-def test_a_pair_gives_the_source_s_reading_and_all_of_the_target_s_touch(folder, target, channels):
+def test_a_pair_gives_the_source_change_and_the_target_touch(folder, target, channels):
     task = TouchToTouchTask(target=target, n_presses=2, folder=folder)
     example = task.make_validation_example("unseen_tools", 0)
     pair = touch_pairs.simulate_touch_pair("unseen_tools", 7, 0, folder)
@@ -128,36 +128,36 @@ def test_a_pair_gives_the_source_s_reading_and_all_of_the_target_s_touch(folder,
     assert load_recipe(f"t2t_{'bubble' if channels == 13 else 'gelslim'}", "t2t").network["inputs"] == channels
 
 
-def test_a_mirrored_pair_is_what_the_mirrored_object_gives(monkeypatch):
-    """Pressed by units as described, so that nothing but the mirror differs; both ways at once."""
+def test_a_mirrored_pair_is_that_of_the_mirrored_object(monkeypatch):
+    """Nominal sensors, so that only the mirroring differs; along both axes at once."""
     over = np.diag([-1.0, -1.0, 1.0])
-    monkeypatch.setattr(touch_pairs.variation, "vary_sensor", lambda unit, seed, strength=1.0: unit)
+    monkeypatch.setattr(touch_pairs.variation, "vary_sensor", lambda sensor, seed, strength=1.0: sensor)
     thing, pose = shapes.make_shape("letters").mesh, rigid.translation(1.0, -2.0, -0.6)
-    monkeypatch.setattr(touch_pairs, "sample_object_mesh", lambda *_: thing)
+    monkeypatch.setattr(touch_pairs, "sample_object", lambda *_, **__: ("", thing))
     monkeypatch.setattr(touch_pairs.poses, "sample_press_pose", lambda *_: pose)
     pair = touch_pairs._simulate_pair("unseen_tools", np.random.default_rng(0), 0)
     turned = replace(thing, vertices_mm=freeze(rigid.apply(pose, thing.vertices_mm) @ over))
-    monkeypatch.setattr(touch_pairs, "sample_object_mesh", lambda *_: turned)
+    monkeypatch.setattr(touch_pairs, "sample_object", lambda *_, **__: ("", turned))
     monkeypatch.setattr(touch_pairs.poses, "sample_press_pose", lambda *_: np.eye(4))
     true = touch_pairs._simulate_pair("unseen_tools", np.random.default_rng(0), 0)
 
     class Both:
-        """Draws that ask for both mirrors."""
+        """A generator that asks for both mirrors."""
 
         def integers(self, high):
             return 3 if high == 4 else 0
 
     found = touch_pairs.mirror_pair(pair, Both())
     assert pair.gel_contact.any()
-    assert np.abs(true.bubble_mm - pair.bubble_mm).max() > 1.0, "the press says nothing of mirrors"
+    assert np.abs(true.bubble_mm - pair.bubble_mm).max() > 1.0, "the touch is symmetric: the test shows nothing"
     assert np.abs(found.bubble_mm - true.bubble_mm).max() < MIRROR_MM
     assert np.abs(found.gel_mm - true.gel_mm).max() < MIRROR_MM
     assert np.abs(found.change_grey - true.change_grey).mean() < NOISE_GREY
     assert (found.bubble_contact != true.bubble_contact).mean() < 0.01
 
 
-def test_doubt_is_learned_alone_and_by_the_error(task):
-    """All but the last layer held still, as recipes do: what is told of the touch stays, of its error it moves."""
+def test_uncertainty_alone_is_trained_on_the_error(task):
+    """With all but the last layer frozen, as in recipes, the predicted touch stays and its predicted error changes."""
     example = task.make_validation_example("unseen_tools", 0)
     batch = {name: torch.from_numpy(np.stack([a, a])) for name, a in example.items()}
     net = build_network(
@@ -181,11 +181,13 @@ def test_doubt_is_learned_alone_and_by_the_error(task):
     assert torch.equal(before[:, :2], after[:, :2])
     assert losses[-1] < losses[0] - 0.1
     off = (after[:, 0] - batch["residual"][:, 0]).abs()
-    assert after[:, 2][off > 0.5].mean() > after[:, 2][off < 0.05].mean(), "where it errs more it doubts more"
+    assert after[:, 2][off > 0.5].mean() > after[:, 2][off < 0.05].mean(), (
+        "the predicted error does not grow with the error"
+    )
 
 
-def test_what_differs_from_pixel_to_pixel_counts_where_it_is_asked_to():
-    """An even error costs no slopes, as large an uneven one does."""
+def test_the_slope_term_counts_differences_between_pixels():
+    """A constant error has no slopes, an alternating one of the same size has."""
     net = build_network(
         "residual_denoiser",
         {"inputs": CONDITION_CHANNELS, "unit_mm": 0.2, "base_channels": 8, "levels": 2, "max_channels": 8},
@@ -202,4 +204,4 @@ def test_what_differs_from_pixel_to_pixel_counts_where_it_is_asked_to():
         for slopes in (0.0, 10.0):
             torch.manual_seed(0)
             totals.append(float(denoising.compute_denoising_loss(net, batch, 0.0, slopes)[0].detach()))
-        assert totals[1] - totals[0] == pytest.approx(10.0 * costs, abs=1e-5), "a fresh network adds nothing"
+        assert totals[1] - totals[0] == pytest.approx(10.0 * costs, abs=1e-5), "a new network predicts nothing"

@@ -1,4 +1,4 @@
-"""A task and a network so small that a whole training takes a second: to find a disc in noise."""
+"""A task and a network small enough to train in a second: segment a disc in noise."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ noise = 0.2
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Discs:
     noise: float = setting(0.1, "Noise", low=0.0, high=1.0)
-    bad_from: int = setting(-1, "First value whose examples are no numbers", low=-1, high=100)
+    bad_from: int = setting(-1, "Examples of NaN from this value on", low=-1, high=100)
 
     def sample(self, rng):
         y, x = np.mgrid[:SIDE, :SIDE]
@@ -62,9 +62,9 @@ class Discs:
     def evaluate(self, network, held_out):
         import torch
 
-        told = network(torch.from_numpy(np.stack([one["picture"] for one in held_out]))).numpy() > 0
+        predicted = network(torch.from_numpy(np.stack([one["picture"] for one in held_out]))).numpy() > 0
         truth = np.stack([one["disc"] for one in held_out]) > 0.5
-        return {"overlap, 1": float((told & truth).sum() / (told | truth).sum())}
+        return {"overlap, 1": float((predicted & truth).sum() / (predicted | truth).sum())}
 
 
 def toy_net(width):
@@ -76,7 +76,7 @@ def toy_net(width):
     )  # fmt: skip
 
 
-def known():
-    """Add the two to the tables of this process; worker processes get the task by pickle."""
+def register():
+    """Add both to the tables of this process; worker processes receive the task by pickle."""
     task.TASKS["discs"] = TaskEntry(subcommand="discs", import_path=f"{__name__}:Discs")
     network_factory.NETWORK_CLASSES["toy_net"] = f"{__name__}:toy_net"
