@@ -1,1 +1,1 @@
-"""Learned parts: one network a module, and the weights that are shipped; nothing here knows a sensor."""
+"""Neural networks, one per module, and their weights. Independent of any sensor."""

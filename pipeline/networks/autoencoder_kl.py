@@ -1,6 +1,6 @@
-"""The autoencoder of latent diffusion, under the names of the published one (`kl-f8` of Rombach et al. 2022).
+"""The KL autoencoder of latent diffusion (`kl-f8`, Rombach et al. 2022) with the published tensor names.
 
-Pictures of three channels become a few channels at an eighth of the side and come back.
+It encodes three-channel images to a few channels at 1/8 of the side length, and decodes them.
 """
 
 from __future__ import annotations
@@ -17,46 +17,51 @@ _EPS = 1e-6
 
 
 class AutoencoderKl(nn.Module):
-    """Means and log variances of latents from pictures (n, 3, side, side), and pictures from latents."""
+    """Mean and log variance of latents from images (n, 3, side, side), and images from latents."""
 
     def __init__(
-        self, *, width: int = 128, times: tuple[int, ...] = (1, 2, 4, 4), blocks: int = 2, groups: int = 32
+        self,
+        *,
+        width: int = 128,
+        channel_multipliers: tuple[int, ...] = (1, 2, 4, 4),
+        blocks: int = 2,
+        groups: int = 32,
     ) -> None:
         super().__init__()
-        self.encoder = _Encoder(width, times, blocks, groups)
-        self.decoder = _Decoder(width, times, blocks, groups)
+        self.encoder = _Encoder(width, channel_multipliers, blocks, groups)
+        self.decoder = _Decoder(width, channel_multipliers, blocks, groups)
         self.quant_conv = nn.Conv2d(2 * LATENT_CHANNELS, 2 * LATENT_CHANNELS, 1)
         self.post_quant_conv = nn.Conv2d(LATENT_CHANNELS, LATENT_CHANNELS, 1)
 
-    def encode(self, pictures: Tensor) -> tuple[Tensor, Tensor]:
+    def encode(self, images: Tensor) -> tuple[Tensor, Tensor]:
         """(mean, log variance), each (n, 4, rows / 8, cols / 8) with four levels."""
-        mean, log_variance = self.quant_conv(self.encoder(pictures)).chunk(2, dim=1)
+        mean, log_variance = self.quant_conv(self.encoder(images)).chunk(2, dim=1)
         return mean, log_variance.clamp(-30.0, 20.0)
 
     def decode(self, latents: Tensor) -> Tensor:
-        """Pictures (n, 3, rows, cols)."""
+        """Decode latents to images (n, 3, rows, cols)."""
         return self.decoder(self.post_quant_conv(latents))
 
 
 class _Encoder(nn.Module):
-    def __init__(self, width: int, times: tuple[int, ...], blocks: int, groups: int) -> None:
+    def __init__(self, width: int, channel_multipliers: tuple[int, ...], blocks: int, groups: int) -> None:
         super().__init__()
-        widths = [width, *(width * t for t in times)]
+        widths = [width, *(width * factor for factor in channel_multipliers)]
         self.conv_in = nn.Conv2d(3, width, 3, padding=1)
         self.down = nn.ModuleList()
-        for level, (narrow, wide) in enumerate(pairwise(widths)):
+        for level, (inputs, outputs) in enumerate(pairwise(widths)):
             step = nn.Module()
-            step.block = nn.ModuleList(_Block(narrow if k == 0 else wide, wide, groups) for k in range(blocks))
-            if level < len(times) - 1:
-                step.downsample = _Halved(wide)
+            step.block = nn.ModuleList(_Block(inputs if k == 0 else outputs, outputs, groups) for k in range(blocks))
+            if level < len(channel_multipliers) - 1:
+                step.downsample = _Downsample(outputs)
             self.down.append(step)
         self.mid = _Middle(widths[-1], groups)
         self.norm_out = nn.GroupNorm(groups, widths[-1], _EPS)
         self.conv_out = nn.Conv2d(widths[-1], 2 * LATENT_CHANNELS, 3, padding=1)
 
-    def forward(self, pictures: Tensor) -> Tensor:
-        """Moments before they are mixed."""
-        field = self.conv_in(pictures)
+    def forward(self, images: Tensor) -> Tensor:
+        """Moments before `quant_conv`."""
+        field = self.conv_in(images)
         for step in self.down:
             for block in cast("nn.ModuleList", step.block):
                 field = block(field)
@@ -66,23 +71,25 @@ class _Encoder(nn.Module):
 
 
 class _Decoder(nn.Module):
-    def __init__(self, width: int, times: tuple[int, ...], blocks: int, groups: int) -> None:
+    def __init__(self, width: int, channel_multipliers: tuple[int, ...], blocks: int, groups: int) -> None:
         super().__init__()
-        widths = [width * t for t in times]
+        widths = [width * factor for factor in channel_multipliers]
         self.conv_in = nn.Conv2d(LATENT_CHANNELS, widths[-1], 3, padding=1)
         self.mid = _Middle(widths[-1], groups)
         self.up = nn.ModuleList()
-        for level, wide in enumerate(widths):
+        for level, outputs in enumerate(widths):
             step, deeper = nn.Module(), widths[min(level + 1, len(widths) - 1)]
-            step.block = nn.ModuleList(_Block(deeper if k == 0 else wide, wide, groups) for k in range(blocks + 1))
+            step.block = nn.ModuleList(
+                _Block(deeper if k == 0 else outputs, outputs, groups) for k in range(blocks + 1)
+            )
             if level:
-                step.upsample = _Doubled(wide)
+                step.upsample = _Upsample(outputs)
             self.up.append(step)
         self.norm_out = nn.GroupNorm(groups, widths[0], _EPS)
         self.conv_out = nn.Conv2d(widths[0], 3, 3, padding=1)
 
     def forward(self, latents: Tensor) -> Tensor:
-        """Pictures."""
+        """Images (n, 3, rows, cols)."""
         field = self.mid(self.conv_in(latents))
         for step in reversed(self.up):
             for block in cast("nn.ModuleList", step.block):
@@ -99,7 +106,7 @@ class _Middle(nn.Module):
         self.attn_1 = _Attention(width, groups)
 
     def forward(self, field: Tensor) -> Tensor:
-        """The same shape."""
+        """Features of the same shape."""
         return self.block_2(self.attn_1(self.block_1(field)))
 
 
@@ -113,7 +120,7 @@ class _Block(nn.Module):
             self.nin_shortcut = nn.Conv2d(inputs, outputs, 1)
 
     def forward(self, field: Tensor) -> Tensor:
-        """What is added to the field."""
+        """The input plus its residual."""
         inner = self.conv1(functional.silu(self.norm1(field)))
         inner = self.conv2(functional.silu(self.norm2(inner)))
         return inner + (self.nin_shortcut(field) if hasattr(self, "nin_shortcut") else field)
@@ -126,33 +133,33 @@ class _Attention(nn.Module):
         self.q, self.k, self.v, self.proj_out = (nn.Conv2d(width, width, 1) for _ in range(4))
 
     def forward(self, field: Tensor) -> Tensor:
-        """Every place looks at every other."""
+        """Self-attention over all positions, added to the input."""
         normed = self.norm(field)
-        asked, told, said = (part(normed).flatten(2).transpose(1, 2) for part in (self.q, self.k, self.v))
-        found = functional.scaled_dot_product_attention(asked, told, said)
-        return field + self.proj_out(found.transpose(1, 2).reshape(field.shape))
+        query, key, value = (part(normed).flatten(2).transpose(1, 2) for part in (self.q, self.k, self.v))
+        attended = functional.scaled_dot_product_attention(query, key, value)
+        return field + self.proj_out(attended.transpose(1, 2).reshape(field.shape))
 
 
-class _Halved(nn.Module):
+class _Downsample(nn.Module):
     def __init__(self, width: int) -> None:
         super().__init__()
         self.conv = nn.Conv2d(width, width, 3, stride=2)
 
     def forward(self, field: Tensor) -> Tensor:
-        """Half the side; the published one pads right and below alone."""
+        """Half the side length; as published, padding is added at the right and bottom only."""
         return self.conv(functional.pad(field, (0, 1, 0, 1)))
 
 
-class _Doubled(nn.Module):
+class _Upsample(nn.Module):
     def __init__(self, width: int) -> None:
         super().__init__()
         self.conv = nn.Conv2d(width, width, 3, padding=1)
 
     def forward(self, field: Tensor) -> Tensor:
-        """Twice the side."""
+        """Twice the side length."""
         return self.conv(functional.interpolate(field, scale_factor=2.0, mode="nearest"))
 
 
 def sample_latents(mean: Tensor, log_variance: Tensor, noise: Tensor) -> Tensor:
-    """Latents of these moments."""
+    """Sample latents from a normal distribution with this mean and log variance."""
     return mean + torch.exp(0.5 * log_variance) * noise

@@ -1,4 +1,4 @@
-"""The paper's encoder of the source's touch, under its published names: a ResNet-18 and two transposed convolutions."""
+"""The paper's source encoder with published tensor names: a ResNet-18 and two transposed convolutions."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from torch.nn import functional
 
 
 class ConditionEncoder(nn.Module):
-    """Features (n, width, side / 8, side / 8) of pictures (n, 3, side, side); the published one is 64 wide."""
+    """Features (n, width, side / 8, side / 8) of images (n, 3, side, side); the published width is 64."""
 
     def __init__(self, *, width: int = 64) -> None:
         super().__init__()
@@ -17,14 +17,14 @@ class ConditionEncoder(nn.Module):
         self.deconv1 = nn.ConvTranspose2d(8 * width, 4 * width, 4, 2, 1)
         self.deconv2 = nn.ConvTranspose2d(4 * width, width, 4, 2, 1)
 
-    def forward(self, pictures: Tensor) -> Tensor:
-        """What the denoiser is shown beside the noisy latents."""
-        found = self.deconv1(functional.relu(self.resnet(pictures)))
-        return self.deconv2(functional.relu(found))
+    def forward(self, images: Tensor) -> Tensor:
+        """The condition that is concatenated with the noisy latents."""
+        features = self.deconv1(functional.relu(self.resnet(images)))
+        return self.deconv2(functional.relu(features))
 
 
 class _Resnet18(nn.Module):
-    """He et al. 2016, without its classifier."""
+    """ResNet-18 (He et al. 2016) without its classifier."""
 
     def __init__(self, width: int) -> None:
         super().__init__()
@@ -35,9 +35,9 @@ class _Resnet18(nn.Module):
         self.layer3 = nn.Sequential(_Basic(2 * width, 4 * width, 2), _Basic(4 * width, 4 * width, 1))
         self.layer4 = nn.Sequential(_Basic(4 * width, 8 * width, 2), _Basic(8 * width, 8 * width, 1))
 
-    def forward(self, pictures: Tensor) -> Tensor:
-        """Features at a thirty-second of the side."""
-        field = functional.max_pool2d(functional.relu(self.bn1(self.conv1(pictures))), 3, 2, 1)
+    def forward(self, images: Tensor) -> Tensor:
+        """Features at 1/32 of the side length."""
+        field = functional.max_pool2d(functional.relu(self.bn1(self.conv1(images))), 3, 2, 1)
         return self.layer4(self.layer3(self.layer2(self.layer1(field))))
 
 
@@ -52,7 +52,7 @@ class _Basic(nn.Module):
             self.downsample = nn.Sequential(nn.Conv2d(inputs, outputs, 1, stride, bias=False), nn.BatchNorm2d(outputs))
 
     def forward(self, field: Tensor) -> Tensor:
-        """The field and what is added to it."""
+        """The input plus its residual."""
         inner = self.bn2(self.conv2(functional.relu(self.bn1(self.conv1(field)))))
-        beside = cast("nn.Module", self.downsample)(field) if hasattr(self, "downsample") else field
-        return functional.relu(inner + beside)
+        skip = cast("nn.Module", self.downsample)(field) if hasattr(self, "downsample") else field
+        return functional.relu(inner + skip)

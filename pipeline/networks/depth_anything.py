@@ -1,7 +1,7 @@
-"""Depth Anything V2 with the paper's contact head, under the names of the published weights.
+"""Depth Anything V2 with the paper's contact head, with the published tensor names.
 
 Yang et al. 2024: a DINOv2 encoder (`pretrained.*`) and a DPT decoder (`depth_head.*`). The second head (`mask_head.*`)
-reads the decoder's finest features and tells the contact.
+predicts contact from the decoder's finest features.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from pipeline.networks.dinov2 import ENCODER_SIZES, DinoV2Encoder
 
 DECODER_CHANNELS = {"vits": 64, "vitb": 128, "vitl": 256}
 PROJECTED_CHANNELS = {"vits": (48, 96, 192, 384), "vitb": (96, 192, 384, 768), "vitl": (256, 512, 1024, 1024)}
-MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)  # of the pictures that the encoder was taught on
+MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)  # ImageNet statistics of the encoder's training images
 
 
 class DepthAnything(nn.Module):
-    """Indentation and contact from a picture of whole patches; see `forward`.
+    """Indentation and contact from an image of whole patches; see `forward`.
 
-    `answer` is what its depth head ends in: "metric" is a share of `largest_mm`, "relative" any number from 0, which
-    has no unit. `side` is the shorter side in pixels of the pictures it was taught on, `image_content` what was on them.
+    `answer` is the scale of the depth head: "metric" is a share of `largest_mm`, "relative" is >= 0 and has no unit.
+    `side` is the shorter side (px) of the training images, `image_content` what they showed.
     """
 
     def __init__(
@@ -57,26 +57,25 @@ class DepthAnything(nn.Module):
         self.mask_head = _MaskHead(DECODER_CHANNELS[encoder]) if contact else None
 
     def forward(
-        self, picture: Tensor, window: tuple[int, int, int, int] | None = None, answer: str = ""
+        self, image: Tensor, window: tuple[int, int, int, int] | None = None, answer: str = ""
     ) -> tuple[Tensor, Tensor | None]:
-        """(depth, contact) from a picture (n, 3, rows, cols) of RGB in 0..1, rows and cols of whole patches.
+        """(depth, contact) from RGB images (n, 3, rows, cols) in 0..1 whose size is a multiple of the patch size.
 
-        Depth (n, rows, cols) is a share 0..1 of `largest_mm`, or relative; contact (n, rows, cols) is > 0 where it
-        touches (the logarithm of the odds), None without that head. `window` (top, left, rows, cols), all in patches,
-        says which part of a larger picture this is; the patches of the rest are then not looked at. `answer` stands
-        in place of the network's own where it is given.
+        Depth (n, rows, cols) is a share 0..1 of `largest_mm`, or relative. Contact (n, rows, cols) is a logit, None
+        without the contact head. `window` (top, left, rows, cols) in patches places this crop in a larger image, whose
+        other patches are skipped. A non-empty `answer` replaces the network's own.
         """
-        rows, cols = picture.shape[-2] // PATCH_PX, picture.shape[-1] // PATCH_PX
-        mean, spread = (picture.new_tensor(v)[:, None, None] for v in (MEAN, STD))
-        tokens = self.pretrained((picture - mean) / spread, window or (0, 0, rows, cols))
-        number, features = self.depth_head(tokens, rows, cols)
-        depth = torch.sigmoid(number) if (answer or self.answer) == "metric" else functional.relu(number)
+        rows, cols = image.shape[-2] // PATCH_PX, image.shape[-1] // PATCH_PX
+        mean, std = (image.new_tensor(v)[:, None, None] for v in (MEAN, STD))
+        tokens = self.pretrained((image - mean) / std, window or (0, 0, rows, cols))
+        raw_depth, features = self.depth_head(tokens, rows, cols)
+        depth = torch.sigmoid(raw_depth) if (answer or self.answer) == "metric" else functional.relu(raw_depth)
         contact = None if self.mask_head is None else self.mask_head(features, (rows * PATCH_PX, cols * PATCH_PX))
         return depth[:, 0], None if contact is None else contact[:, 0]
 
 
 class _DepthHead(nn.Module):
-    """A dense prediction transformer's decoder (Ranftl et al. 2021): four levels, joined from coarse to fine."""
+    """Decoder of a dense prediction transformer (Ranftl et al. 2021): four levels, fused from coarse to fine."""
 
     def __init__(self, width: int, features: int, projected: tuple[int, ...]) -> None:
         super().__init__()
@@ -90,10 +89,10 @@ class _DepthHead(nn.Module):
         self.scratch = _Scratch(features, projected)
 
     def forward(self, tokens: list[Tensor], rows: int, cols: int) -> tuple[Tensor, Tensor]:
-        """(a number (n, 1, rows, cols) for every pixel, the finest features)."""
+        """(depth before its activation (n, 1, rows, cols) in pixels, the finest features)."""
         levels: list[Tensor] = []
-        for project, resize, some in zip(self.projects, self.resize_layers, tokens, strict=True):
-            grid = some.transpose(1, 2).reshape(some.shape[0], -1, rows, cols)
+        for project, resize, tokens_of_level in zip(self.projects, self.resize_layers, tokens, strict=True):
+            grid = tokens_of_level.transpose(1, 2).reshape(tokens_of_level.shape[0], -1, rows, cols)
             levels.append(resize(project(grid)))
         features = self.scratch.fuse_levels(levels)
         field = self.scratch.output_conv1(features)
@@ -136,7 +135,7 @@ class _Fusion(nn.Module):
         self.resConfUnit1, self.resConfUnit2 = _Residual(features), _Residual(features)  # published names
 
     def forward(self, path: Tensor, skip: Tensor | None, size: tuple[int, int]) -> Tensor:
-        """The coarser path and the level beside it, at `size`."""
+        """Fuse the coarser path with the skip connection of this level and resize to `size`."""
         path = self.resConfUnit2(path if skip is None else path + self.resConfUnit1(skip))
         return self.out_conv(functional.interpolate(path, size, mode="bilinear", align_corners=True))
 

@@ -1,7 +1,7 @@
-"""Published and own weights of Depth Anything V2: told apart by the names and shapes of their tensors.
+"""Reads weights of Depth Anything V2, published or written by Tactoscope.
 
-The original's files (`depth_anything_v2_vits.pth` and so on), the paper's with a contact head, and safetensors of
-either; halves become float32, which this processor computes a hundred times faster.
+Accepted are the original files (`depth_anything_v2_vits.pth` and so on), the paper's with a contact head, and
+safetensors of either. float16 is converted to float32, which a CPU computes about 100 times faster.
 """
 
 from __future__ import annotations
@@ -20,28 +20,26 @@ _LAST = "depth_head.scratch.output_conv2.2.weight"
 
 
 def read_weights(path: Path) -> Weights:
-    """The weights in a file of any of those kinds; raises FileProblem where it is none of them."""
+    """Read the weights in a file of any of these kinds; raises FileProblem for any other file."""
     if path.suffix == SUFFIX:
         metadata, tensors = load_tensors(path)
         if is_tactoscope_file(metadata):
-            return _checked(load_weights(path), path)
+            return _check_kind(load_weights(path), path)
     else:
         tensors = read_tensors(path)
     tensors = {name.removeprefix("module."): tensor for name, tensor in tensors.items()}
     if "pretrained.cls_token" not in tensors or _LAST not in tensors:
-        raise FileProblem(
-            "these are no weights of Depth Anything V2 under their original names (pretrained.*, depth_head.*)", path
-        )
+        raise FileProblem("not Depth Anything V2 weights: tensors pretrained.* and depth_head.* are missing", path)
     width = tensors["pretrained.cls_token"].shape[-1]
     if width not in _ENCODERS:
-        raise FileProblem(f"an encoder {width} wide is not known here; there are vits, vitb and vitl", path)
+        raise FileProblem(f"unknown encoder of width {width}; supported are vits, vitb and vitl", path)
     config: dict[str, Value] = {"encoder": _ENCODERS[width], "contact": _CONTACT in tensors}
-    # What came with a contact head was taught in metric depth; the general models answer without a unit.
+    # Weights with a contact head were trained on metric depth; the general models predict relative depth.
     config["answer"] = "metric" if _CONTACT in tensors else "relative"
     return Weights(name=path.stem, kind=KIND, config=config, tensors=tensors, card={"task": KIND, "file": path.name})
 
 
-def _checked(weights: Weights, path: Path) -> Weights:
+def _check_kind(weights: Weights, path: Path) -> Weights:
     if weights.kind != KIND:
         raise FileProblem(f"these are weights of {weights.kind!r}, not of Depth Anything V2", path)
     return weights

@@ -1,6 +1,6 @@
-"""How a reading is shown to Depth Anything V2: as a picture of three channels, in a size of whole patches.
+"""Prepares a frame for Depth Anything V2: a three-channel image whose size is a multiple of the patch size.
 
-Loads no torch: it is as much a part of making examples as of using the network.
+Loads no torch, since it is also used to make training examples.
 """
 
 from __future__ import annotations
@@ -12,36 +12,38 @@ from numpy.typing import NDArray
 
 from pipeline.base.arrays import Floats
 
-PATCH_PX = 14
+PATCH_PX = 14  # of DINOv2
 
 
 def prepare_image(image: NDArray[Any], reference: NDArray[Any], image_content: str) -> Floats:
-    """(rows, cols, 3) in 0..1, the least and the largest value at the ends: the picture itself or what has changed.
+    """Image (rows, cols, 3) scaled so that its minimum is 0 and its maximum 1: the frame, or its change.
 
-    Of a depth image it is always the change, three times over, with nothing changed where nothing was read.
+    A depth frame always gives its change toward the camera in three equal channels, 0 where there is no measurement.
     """
     if image.ndim == 2:
         moved = np.nan_to_num(reference.astype(np.float32) - image.astype(np.float32), nan=0.0, posinf=0.0, neginf=0.0)
-        told = np.repeat(moved[:, :, None], 3, axis=2)
+        shown = np.repeat(moved[:, :, None], 3, axis=2)
     else:
-        told = image.astype(np.float32)
+        shown = image.astype(np.float32)
         if image_content == "difference":
-            told = told - reference.astype(np.float32)
-    low, high = float(told.min()), float(told.max())
-    return (told - low) / max(high - low, 1e-6)
+            shown = shown - reference.astype(np.float32)
+    low, high = float(shown.min()), float(shown.max())
+    return (shown - low) / max(high - low, 1e-6)
 
 
 def compute_patch_shape(shape: tuple[int, int], side: int) -> tuple[int, int]:
-    """Rows and columns of whole patches, the shorter of `side` pixels or the next below, the shape nearly kept."""
+    """(rows, cols) in whole patches with a shorter side of about `side` px and nearly the same aspect ratio."""
     scale = max(side, PATCH_PX) / min(shape)
     rows, cols = (max(1, round(scale * n / PATCH_PX)) * PATCH_PX for n in shape)
     return rows, cols
 
 
 def resize_to_patches(field: NDArray[Any], side: int) -> Floats:
-    """A picture or field brought to `shape_of` its size; enlarged smoothly, shrunk by the mean of areas."""
+    """Resize an image or field to `compute_patch_shape` of its size; area mean for shrinking, cubic for enlarging."""
     import cv2
 
     rows, cols = compute_patch_shape((field.shape[0], field.shape[1]), side)
-    how = cv2.INTER_AREA if rows < field.shape[0] else cv2.INTER_CUBIC
-    return np.asarray(cv2.resize(np.ascontiguousarray(field, np.float32), (cols, rows), interpolation=how), np.float32)
+    interpolation = cv2.INTER_AREA if rows < field.shape[0] else cv2.INTER_CUBIC
+    return np.asarray(
+        cv2.resize(np.ascontiguousarray(field, np.float32), (cols, rows), interpolation=interpolation), np.float32
+    )

@@ -1,4 +1,4 @@
-"""From weights to a network that is ready to use. A network is one module of this room and one line of `KINDS`."""
+"""Builds networks from weights. A network is one module of this package and one line of `NETWORK_CLASSES`."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pipeline.networks.weights import NoWeights, Weights
 if TYPE_CHECKING:
     from torch import nn
 
-NETWORK_CLASSES: dict[str, str] = {  # kind -> module:class; torch loads with the module
+NETWORK_CLASSES: dict[str, str] = {  # kind -> module:class; importing a module loads torch
     "compact_unet": "pipeline.networks.compact_unet:CompactUnet",
     "depth_anything": "pipeline.networks.depth_anything:DepthAnything",
     "residual_denoiser": "pipeline.networks.residual_denoiser:ResidualDenoiser",
@@ -24,55 +24,57 @@ NETWORK_CLASSES: dict[str, str] = {  # kind -> module:class; torch loads with th
     "touch_pose": "pipeline.networks.touch_pose:TouchPose",
     "vqvae": "pipeline.networks.vqvae:VqVae",
 }
-ONNX_KINDS = frozenset({"compact_unet", "gel_depth"})  # answered by OpenCV, without torch
-_MOST_BYTES = 2 << 30  # of networks kept ready: a large one takes 1.3 GB
+TORCH_FREE_CLASSES: dict[str, str] = {  # the same for kinds that run without torch
+    "compact_unet": "pipeline.networks.compact_unet_opencv:CompactUnetOpenCv",
+    "gel_depth": "pipeline.networks.gel_depth_opencv:GelDepthNetworkOpenCv",
+}
+_MAX_BYTES = 2 << 30  # of cached networks; the largest takes 1.3 GB
 _loaded_networks: Memo[str, nn.Module] = Memo(
-    4, most_bytes=_MOST_BYTES, weigh=lambda net: sum(p.numel() * p.element_size() for p in net.parameters())
+    4, most_bytes=_MAX_BYTES, weigh=lambda net: sum(p.numel() * p.element_size() for p in net.parameters())
 )
-_predictors: Memo[str, OnnxPredictor] = Memo(4)
+_torch_free: Memo[str, Callable[..., Any]] = Memo(4)
 
 
 def build_network(kind: str, config: Mapping[str, Value]) -> nn.Module:
-    """A network of that kind with random numbers; raises ModelMissing for an unknown kind or wrong arguments."""
+    """A network of this kind with random parameters; raises ModelMissing for an unknown kind or wrong arguments."""
     if kind not in NETWORK_CLASSES:
-        raise ModelMissing(f"no network {kind!r} in this version; there are {', '.join(NETWORK_CLASSES)}")
+        raise ModelMissing(f"unknown network {kind!r}; known are {', '.join(NETWORK_CLASSES)}")
     module, _, name = NETWORK_CLASSES[kind].partition(":")
     try:
         return getattr(importlib.import_module(module), name)(**config)
     except (TypeError, ValueError) as error:
-        raise ModelMissing(f"the network {kind!r} cannot be built so ({error})") from error
+        raise ModelMissing(f"cannot build network {kind!r}: {error}") from error
 
 
 def load_network(weights: Weights | NoWeights) -> nn.Module:
-    """The network of these weights, ready to answer: in eval mode, float32, on the processor, without gradients.
+    """The network of these weights in eval mode, float32, on the CPU, without gradients.
 
-    Kept for the next call; not to be changed. Raises ModelMissing in one sentence where there are no weights, or where
-    they do not fit the network that they name.
+    It is cached; do not modify it. Raises ModelMissing where there are no weights or they do not fit their network.
     """
     if isinstance(weights, NoWeights):
         raise ModelMissing(weights.why)
-    return _loaded_networks.get_or_make(weights.content_digest, lambda: _loaded(weights))
+    return _loaded_networks.of(weights.content_digest, lambda: _build_with_weights(weights))
 
 
 def load_predictor(weights: Weights | NoWeights) -> Callable[..., Any]:
-    """The network of these weights ready to predict: an `OnnxPredictor` for `ONNX_KINDS`, else `load_network`.
+    """A callable for these weights: without torch where `TORCH_FREE_CLASSES` has one, else `load_network`.
 
-    Raises ModelMissing likewise. Weights without an ONNX file are exported first, which loads torch.
+    Torch-free predictors take and return single numpy images, networks batches of tensors. Raises ModelMissing as
+    `load_network` does.
     """
     if isinstance(weights, NoWeights) or weights.kind not in ONNX_KINDS:
         return load_network(weights)
-    return _predictors.get_or_make(weights.content_digest, lambda: _load_predictor(weights))
+    return _torch_free.of(weights.content_digest, lambda: _build_torch_free(weights))
 
 
 def release_networks(keep: Container[str] = ()) -> None:
-    """Keep no network ready but those of weights with these contents; another is built when it is asked for."""
+    """Drop cached networks except those whose weights have one of these digests."""
     _loaded_networks.keep_only(keep)
-    _predictors.keep_only(keep)
+    _torch_free.keep_only(keep)
 
 
-def _load_predictor(weights: Weights) -> OnnxPredictor:
-    from pipeline.networks.onnx_export import export_onnx
-
+def _build_torch_free(weights: Weights) -> Callable[..., Any]:
+    module, _, name = TORCH_FREE_CLASSES[weights.kind].partition(":")
     try:
         return OnnxPredictor(weights.onnx or export_onnx(weights), fold=int(weights.config.get("fold", 2)))
     except ValueError as error:
@@ -80,46 +82,54 @@ def _load_predictor(weights: Weights) -> OnnxPredictor:
 
 
 def use_channels_last(net: nn.Module) -> nn.Module:
-    """The same network with the channels of its filters innermost: a step takes three quarters of the time."""
+    """The same network with channels-last filters, whose steps take 3/4 of the time."""
     import torch
 
-    convert: Any = net.to  # a form of it that torch's types leave out
+    convert: Any = net.to  # this overload is missing from torch's types
     return convert(memory_format=torch.channels_last)
 
 
-def _loaded(weights: Weights) -> nn.Module:
-    made = build_network(weights.kind, weights.config)
-    own: dict[str, Any] = made.state_dict()
-    wrong = own.keys() ^ weights.tensors.keys()
-    wrong |= {name for name, tensor in own.items() if name not in wrong and tensor.shape != weights.tensors[name].shape}
-    if wrong:
-        some = ", ".join(repr(name) for name in sorted(wrong)[:2])
+def _build_with_weights(weights: Weights) -> nn.Module:
+    net = build_network(weights.kind, weights.config)
+    expected: dict[str, Any] = net.state_dict()
+    mismatched = expected.keys() ^ weights.tensors.keys()
+    mismatched |= {
+        name
+        for name, tensor in expected.items()
+        if name not in mismatched and tensor.shape != weights.tensors[name].shape
+    }
+    if mismatched:
+        examples = ", ".join(repr(name) for name in sorted(mismatched)[:2])
         raise ModelMissing(
-            f"the weights {weights.name!r} do not fit the network {weights.kind!r}: {len(wrong)} tensors are missing, "
-            f"too many or of another shape, such as {some}"
+            f"the weights {weights.name!r} do not fit the network {weights.kind!r}: {len(mismatched)} tensors are "
+            f"missing, unexpected or of another shape, such as {examples}"
         )
-    copy_tensors(made, weights.tensors)
-    return use_channels_last(made).eval().requires_grad_(requires_grad=False)
+    copy_tensors(net, weights.tensors)
+    return use_channels_last(net).eval().requires_grad_(requires_grad=False)
 
 
 def initialise_from(net: nn.Module, weights: Weights) -> int:
-    """Copy those tensors that have their like in the network, by name and shape, and say how many they are.
+    """Copy the tensors that match the network by name and shape; returns their number.
 
-    Raises ModelMissing where there is none.
+    Raises ModelMissing where none matches.
     """
-    own: dict[str, Any] = net.state_dict()
-    alike = [name for name, tensor in weights.tensors.items() if name in own and own[name].shape == tensor.shape]
-    if not alike:
-        raise ModelMissing(f"the weights {weights.name!r} have nothing in common with this network; begin with others")
-    copy_tensors(net, {name: weights.tensors[name] for name in alike})
-    return len(alike)
+    expected: dict[str, Any] = net.state_dict()
+    matching = [
+        name for name, tensor in weights.tensors.items() if name in expected and expected[name].shape == tensor.shape
+    ]
+    if not matching:
+        raise ModelMissing(
+            f"the weights {weights.name!r} share no tensor with this network; choose other initial weights"
+        )
+    copy_tensors(net, {name: weights.tensors[name] for name in matching})
+    return len(matching)
 
 
 def copy_tensors(net: nn.Module, tensors: Mapping[str, Any]) -> None:
-    """Copy tensors of the network's own names and shapes into it."""
+    """Copy tensors with the network's state names and shapes into it."""
     import torch
 
-    own: dict[str, Any] = net.state_dict()
+    state: dict[str, Any] = net.state_dict()
     with torch.no_grad():
         for name, tensor in tensors.items():
-            own[name].copy_(torch.from_numpy(tensor.copy()))
+            state[name].copy_(torch.from_numpy(tensor.copy()))

@@ -1,15 +1,15 @@
-"""A compact denoiser of residuals: what is to be added to a first answer, seen through noise, given a condition.
+"""A compact denoiser of residuals: what is added to a prior estimate, from a noisy residual and a condition.
 
-A U-Net like `compact_unet` that also hears how strong the noise is: every block scales and shifts what it has
-normalised by functions of log sigma. Everything is in units of `unit_mm` and told as in `samplers`: noisy = clean +
-sigma * noise. Three things may be predicted, all turned into the clean field here: the field itself, the noise, or
-v, a mixture of both (Salimans and Ho 2022). The noise is as smooth as `smooth` says (`smooth_noise`). At the strongest
-one nothing can be seen, and nothing is shown: the first step, and an answer in one, rest on the condition alone. A last
-channel says how far off the clean field is expected, `doubts` how many times as far off it has to be taken for where a
-source felt and beyond, so that what is held back by it betters what it begins with; `doubt_power` how much faster that
-grows than what is told: by 2, half as much told counts a quarter. Of a source that is coarser than the target, in its
-own pixels: `blur_px` how wide an edge has to be drawn, the middle of all places where it may be, and `reach_px` how far
-contact goes beyond the middles of those pixels that told it.
+A U-Net like `compact_unet` with a noise embedding: every block scales and shifts its normalised features by functions
+of log sigma. Values are in units of `unit_mm`; noisy = clean + sigma * noise, as in `samplers`. The network predicts
+the clean field, the noise, or v, a mixture of both (Salimans and Ho 2022); the output is always the clean field. At
+`sigma_max` the noisy field is replaced by 0, so that the first step and one-step inference use the condition alone.
+
+The last channel is the expected error of the clean field. `error_factor_in_view` and `error_factor_outside` calibrate
+it inside and outside the source's contact, `error_exponent` is its power. `noise_correlation` is the correlation length
+of the noise (`smooth_noise`). For a source coarser than the target, in source pixels: `blur_px` is the width to which
+edges are blurred (the mean over all possible edge positions), `contact_margin_px` how far contact extends beyond the
+centres of source pixels in contact.
 """
 
 from __future__ import annotations
@@ -22,19 +22,22 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 PredictionTarget = Literal["clean", "v", "noise"]
-FIELD_CHANNELS = 2  # channels that are denoised: indentation and contact
-FIELD_LIMIT = 8.0  # units: no clean field goes beyond
-_WAVES = 16
-_HEARD = 64
+FIELD_CHANNELS = 2  # denoised channels: indentation and contact
+FIELD_LIMIT = 8.0  # units; clean fields are clipped to it
+_N_WAVES = 16  # frequencies of the noise embedding
+_EMBEDDING_WIDTH = 64  # width of the noise embedding
 
 
 class ResidualDenoiser(nn.Module):
-    """(clean field, log of its expected error) (n, STATES + 1, rows, cols), from a noisy field and its condition."""
+    """Clean field and log of its expected error (n, FIELD_CHANNELS + 1, rows, cols), from a noisy field."""
 
     def __init__(
-        self, *, inputs: int, unit_mm: float, base_channels: int = 32, levels: int = 4, max_channels: int = 112, fold: int = 2,
-        sigma_max: float = 200.0, sigma_min: float = 0.02, prediction: PredictionTarget = "clean", noise_correlation: float = 0.0,
-        error_factor_in_view: float = 1.0, error_factor_outside: float = 1.0, error_exponent: float = 1.0, blur_px: float = 0.0,
+        self, *, inputs: int, unit_mm: float, base_channels: int = 32, levels: int = 4, max_channels: int = 112,
+        fold: int = 2,
+        sigma_max: float = 200.0, sigma_min: float = 0.02, prediction: PredictionTarget = "clean",
+        noise_correlation: float = 0.0,
+        error_factor_in_view: float = 1.0, error_factor_outside: float = 1.0, error_exponent: float = 1.0,
+        blur_px: float = 0.0,
         contact_margin_px: float = 0.0,
     ) -> None:  # fmt: skip
         super().__init__()
@@ -46,40 +49,43 @@ class ResidualDenoiser(nn.Module):
         self.blur_px, self.contact_margin_px = blur_px, contact_margin_px
         widths = [min(base_channels * 2**level, max_channels) for level in range(levels)]
         self.noise_embedding = nn.Sequential(
-            nn.Linear(2 * _WAVES, _HEARD), nn.SiLU(), nn.Linear(_HEARD, _HEARD), nn.SiLU()
+            nn.Linear(2 * _N_WAVES, _EMBEDDING_WIDTH),
+            nn.SiLU(),
+            nn.Linear(_EMBEDDING_WIDTH, _EMBEDDING_WIDTH),
+            nn.SiLU(),
         )
         self.start = _Block((inputs + FIELD_CHANNELS) * fold * fold, widths[0])
         self.down = nn.ModuleList(_Pair(narrow, wide) for narrow, wide in pairwise(widths))
         self.thin = nn.ModuleList(nn.Conv2d(wide, narrow, 1) for narrow, wide in pairwise(widths))
         self.merge = nn.ModuleList(_Block(width, width) for width in widths[:-1])
         self.finish = nn.Conv2d(widths[0], (FIELD_CHANNELS + 1) * fold * fold, 3, padding=1)
-        nn.init.zeros_(self.finish.weight)  # it begins by adding nothing
+        nn.init.zeros_(self.finish.weight)  # an untrained network adds nothing
         nn.init.zeros_(cast("Tensor", self.finish.bias))
 
     def forward(self, noisy: Tensor, sigma: Tensor, condition: Tensor) -> Tensor:
-        """Of a batch: noisy (n, STATES, rows, cols), sigma (n,), condition (n, inputs, rows, cols)."""
+        """Denoise a batch: noisy (n, FIELD_CHANNELS, rows, cols), sigma (n,), condition (n, inputs, rows, cols)."""
         level = sigma.reshape(-1, 1, 1, 1)
-        seen = torch.where(level < self.sigma_max, noisy / torch.sqrt(1.0 + level**2), torch.zeros_like(noisy))
-        answer = self._network(torch.cat([seen, condition], 1), self.noise_embedding(_waves(sigma))).float()
-        said = answer[:, :FIELD_CHANNELS]
+        scaled = torch.where(level < self.sigma_max, noisy / torch.sqrt(1.0 + level**2), torch.zeros_like(noisy))
+        output = self._network(torch.cat([scaled, condition], 1), self.noise_embedding(_embed_sigma(sigma))).float()
+        clean = output[:, :FIELD_CHANNELS]
         if self.prediction == "noise":
-            said = noisy - level * said
+            clean = noisy - level * clean
         elif self.prediction == "v":
-            said = seen / torch.sqrt(1.0 + level**2) - level / torch.sqrt(1.0 + level**2) * said
-        return torch.cat([said.clamp(-FIELD_LIMIT, FIELD_LIMIT), answer[:, FIELD_CHANNELS:]], 1)
+            clean = scaled / torch.sqrt(1.0 + level**2) - level / torch.sqrt(1.0 + level**2) * clean
+        return torch.cat([clean.clamp(-FIELD_LIMIT, FIELD_LIMIT), output[:, FIELD_CHANNELS:]], 1)
 
-    def _network(self, picture: Tensor, heard: Tensor) -> Tensor:
-        rows, cols = picture.shape[-2:]
-        beyond = (0, -cols % self.fold, 0, -rows % self.fold)
-        whole = functional.pad(picture, beyond, mode="replicate") if any(beyond) else picture
-        seen = [cast("Tensor", self.start(functional.pixel_unshuffle(whole, self.fold), heard))]
+    def _network(self, inputs: Tensor, embedding: Tensor) -> Tensor:
+        rows, cols = inputs.shape[-2:]
+        padding = (0, -cols % self.fold, 0, -rows % self.fold)
+        padded = functional.pad(inputs, padding, mode="replicate") if any(padding) else inputs
+        skips = [cast("Tensor", self.start(functional.pixel_unshuffle(padded, self.fold), embedding))]
         for down in self.down:
-            seen.append(down(functional.max_pool2d(seen[-1], 2, ceil_mode=True), heard))
-        field = seen.pop()
+            skips.append(down(functional.max_pool2d(skips[-1], 2, ceil_mode=True), embedding))
+        field = skips.pop()
         for thin, merge in zip(reversed(self.thin), reversed(self.merge), strict=True):
-            beside = seen.pop()
-            field = functional.interpolate(thin(field), size=beside.shape[-2:], mode="bilinear", align_corners=False)
-            field = merge(beside + field, heard)
+            skip = skips.pop()
+            field = functional.interpolate(thin(field), size=skip.shape[-2:], mode="bilinear", align_corners=False)
+            field = merge(skip + field, embedding)
         return functional.pixel_shuffle(self.finish(field), self.fold)[..., :rows, :cols]
 
 
@@ -88,19 +94,19 @@ class _Block(nn.Module):
         super().__init__()
         self.filter = nn.Conv2d(inputs, outputs, 3, padding=1, bias=False)
         self.norm = nn.BatchNorm2d(outputs)
-        self.modulation = nn.Linear(_HEARD, 2 * outputs)
+        self.modulation = nn.Linear(_EMBEDDING_WIDTH, 2 * outputs)
         nn.init.zeros_(self.modulation.weight)
         nn.init.zeros_(self.modulation.bias)
 
-    def forward(self, field: Tensor, heard: Tensor) -> Tensor:
-        scale, shift = self.modulation(heard).chunk(2, 1)
+    def forward(self, field: Tensor, embedding: Tensor) -> Tensor:
+        scale, shift = self.modulation(embedding).chunk(2, 1)
         if not self.training and len(field) == 1:
-            return self._at_once(field, 1.0 + scale[0], shift[0])
+            return self._forward_folded(field, 1.0 + scale[0], shift[0])
         normed = self.norm(self.filter(field))
         return functional.relu(torch.addcmul(shift[..., None, None], normed, 1.0 + scale[..., None, None]))
 
-    def _at_once(self, field: Tensor, scale: Tensor, shift: Tensor) -> Tensor:
-        """The same of one field, all that follows the filter taken into it: a pass over the field costs as much."""
+    def _forward_folded(self, field: Tensor, scale: Tensor, shift: Tensor) -> Tensor:
+        """The same for a batch of one, with normalisation and modulation folded into the convolution."""
         norm = self.norm
         assert norm.running_var is not None
         assert norm.running_mean is not None
@@ -115,11 +121,11 @@ class _Pair(nn.Module):
         super().__init__()
         self.first, self.second = _Block(inputs, outputs), _Block(outputs, outputs)
 
-    def forward(self, field: Tensor, heard: Tensor) -> Tensor:
-        return self.second(self.first(field, heard), heard)
+    def forward(self, field: Tensor, embedding: Tensor) -> Tensor:
+        return self.second(self.first(field, embedding), embedding)
 
 
-def _waves(sigma: Tensor) -> Tensor:
-    """(n, 2 waves) of log sigma."""
-    phase = torch.log(sigma)[:, None] * (0.25 * 1.35 ** torch.arange(_WAVES, device=sigma.device))
+def _embed_sigma(sigma: Tensor) -> Tensor:
+    """(n, 2 _N_WAVES) sines and cosines of log sigma."""
+    phase = torch.log(sigma)[:, None] * (0.25 * 1.35 ** torch.arange(_N_WAVES, device=sigma.device))
     return torch.cat([phase.sin(), phase.cos()], 1)

@@ -1,9 +1,9 @@
-"""Noise as smooth as the fields that it hides.
+"""Spatially correlated noise for diffusion, as smooth as the fields it is added to.
 
-White noise has hardly any power where a membrane has nearly all: a body that may or may not be there is settled while
-the noise is hundreds of times as strong as the field, where a network sees nothing yet, and all samples come out alike.
-Noise with the spectrum of the fields hides large and small parts at the same strength. What is known of diffusion holds
-for any covariance of the noise: the samplers need not know of it.
+White noise has little power at the long wavelengths where a membrane has nearly all of its power. Whether an object is
+present would be decided at noise levels hundreds of times the field, where the network sees nothing, and all samples
+would be equal. Noise with the spectrum of the fields hides large and small structures at the same level. Diffusion
+theory holds for any noise covariance, so the samplers are unchanged.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from functools import lru_cache
 import torch
 from torch import Tensor
 
-_POWER = 1.5  # of an exponential covariance in the plane: fields with edges
+_POWER = 1.5  # spectrum of an exponential covariance in the plane, as of fields with edges
 
 
 def correlate_noise(white: Tensor, correlation_length: float) -> Tensor:
-    """Of standard normal numbers (..., rows, cols): as many whose neighbours are alike, each standard normal still.
+    """Turn standard normal numbers (..., rows, cols) into correlated ones with unit variance.
 
-    Their correlation falls as exp(-distance / (length * rows)), around the picture's edges; 0 leaves them as they are.
+    The correlation falls as exp(-distance / (correlation_length * rows)), periodic at the borders; 0 returns the input.
     """
     if correlation_length <= 0.0:
         return white
@@ -31,7 +31,7 @@ def correlate_noise(white: Tensor, correlation_length: float) -> Tensor:
 
 @lru_cache(maxsize=8)
 def _amplitude(rows: int, cols: int, length: float) -> Tensor:
-    """(rows, cols // 2 + 1): what each wave is multiplied by, so that the variance stays 1."""
+    """(rows, cols // 2 + 1) factor of each Fourier component, normalised to unit variance."""
     wave = torch.fft.fftfreq(rows)[:, None] ** 2 + torch.fft.fftfreq(cols)[None] ** 2
     power = (wave + (2.0 * math.pi * length * rows) ** -2) ** -_POWER
     return torch.sqrt(power / power.mean())[:, : cols // 2 + 1]

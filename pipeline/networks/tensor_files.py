@@ -1,4 +1,4 @@
-"""Tensors that others have written: safetensors, or a file of torch's, read without running any code."""
+"""Reads tensors of foreign files, safetensors or torch's, without executing code."""
 
 from __future__ import annotations
 
@@ -14,35 +14,35 @@ from pipeline.base.errors import FileProblem
 from pipeline.base.files import read_bytes
 from pipeline.networks.weights import SUFFIX, load_tensors
 
-_WRAPPED = ("model", "state_dict", "model_state_dict")  # keys that training scripts put the tensors under
+_WRAPPED = ("model", "state_dict", "model_state_dict")  # keys of the tensor table in training checkpoints
 
 
 def read_tensors(path: Path) -> dict[str, Floats]:
-    """Every tensor of a file by its name, as float32; raises FileProblem for what is no table of finite tensors."""
+    """All tensors of a file by name, as float32; raises FileProblem if it is not a table of finite tensors."""
     if path.suffix == SUFFIX:
         return load_tensors(path)[1]
-    return _of_torch(path)
+    return _read_torch_file(path)
 
 
-def _of_torch(path: Path) -> dict[str, Floats]:
+def _read_torch_file(path: Path) -> dict[str, Floats]:
     content = read_bytes(path, "the weights")
     import torch
 
     try:
-        held: Any = torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
-    except Exception as error:  # torch's errors of a damaged file have no common root
+        loaded: Any = torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
+    except Exception as error:  # torch's errors for damaged files have no common base
         raise FileProblem(
-            "the weights cannot be read: the file is cut short or damaged, no file of torch's, or holds code", path
+            "cannot read the weights: the file is truncated, damaged, not a torch file, or contains code", path
         ) from error
     for key in _WRAPPED:
-        if isinstance(held, Mapping) and isinstance(held.get(key), Mapping):
-            held = held[key]
-    if not isinstance(held, Mapping):
-        raise FileProblem("the weights are no table of tensors by name", path)
+        if isinstance(loaded, Mapping) and isinstance(loaded.get(key), Mapping):
+            loaded = loaded[key]
+    if not isinstance(loaded, Mapping):
+        raise FileProblem("the weights are not a table of named tensors", path)
     tensors: dict[str, Floats] = {}
-    for name, tensor in cast("Mapping[Any, Any]", held).items():
+    for name, tensor in cast("Mapping[Any, Any]", loaded).items():
         if isinstance(tensor, torch.Tensor):
             tensors[str(name)] = np.array(tensor.float().numpy(), order="C")
     if not all(np.isfinite(tensor).all() for tensor in tensors.values()):
-        raise FileProblem("the weights hold values that are not numbers; fetch them anew", path)
+        raise FileProblem("the weights contain NaN or infinity; download them again", path)
     return tensors

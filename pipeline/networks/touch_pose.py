@@ -1,8 +1,8 @@
-"""Where an object is, and which, from the change that a sensor's reading shows: a few strided convolutions.
+"""Planar object pose and object class from the change of a tactile image: a small strided CNN.
 
-Which object it is may be said; else it goes by what it sees. A turn is told for every symmetry that an object may have,
-as cosine and sine of so many times the angle: of a hexagon 29 and -31 degrees are the same, and no angle says so.
-What it names objects by is also the encoder that sets of touches are compared by.
+The object may be given; otherwise the predicted class is used. The heading is predicted as cosine and sine of k times
+the angle for every fold k of rotational symmetry: for a hexagon 29 and -31 degrees are equal, and no single angle
+represents that. The embedding of the classifier is also the encoder that sets of touches are compared by.
 """
 
 from __future__ import annotations
@@ -15,26 +15,27 @@ from torch import Tensor, nn
 
 from pipeline.networks.square_images import SIDE
 
-TRANSLATION_UNIT_MM = 5.0  # of the shift: half of the square that objects are held over
+TRANSLATION_UNIT_MM = 5.0  # output unit of the translation: half of the square in which objects are placed
 
 
 class PosePrediction(NamedTuple):
-    """What it says of each touch."""
+    """Prediction of each touch."""
 
     translation_mm: Tensor  # (n, 2) of the object's origin, along x and y of the alignment frame
-    headings: Tensor  # (n, folds, 2) cosine and sine of 1, 2, .. times its turn about z, not of unit length
-    object_logits: Tensor  # (n, things) logits
+    headings: Tensor  # (n, n_folds, 2) cosine and sine of 1, 2, ... times the rotation about z, not normalised
+    object_logits: Tensor  # (n, n_objects)
 
 
 class TouchPose(nn.Module):
-    """`Told` from normalised squares (n, inputs, 128, 128); `first` channels, twice as many a level, `widest` at most.
+    """`PosePrediction` from normalised squares (n, inputs, 128, 128).
 
-    `things` are the objects it can name, `seen` the features that it names them by, `folds` the symmetries that a turn
-    is told for; of 0 numbers to `think` with there is no saying which object it is.
+    `base_channels` channels, doubled at each level up to `max_channels`; `n_objects` classes, `embedding_size` features
+    they are classified by, `n_folds` symmetry folds. With `hidden_size` 0 the object cannot be given.
     """
 
     def __init__(
-        self, *, inputs: int, n_objects: int, base_channels: int = 24, max_channels: int = 128, levels: int = 4, embedding_size: int = 32,
+        self, *, inputs: int, n_objects: int, base_channels: int = 24, max_channels: int = 128, levels: int = 4,
+        embedding_size: int = 32,
         n_folds: int = 1, hidden_size: int = 0,
     ) -> None:  # fmt: skip
         super().__init__()
@@ -48,7 +49,7 @@ class TouchPose(nn.Module):
             )
         ))  # fmt: skip
         side = SIDE >> levels
-        # Where in the picture things lie is all that matters: nothing is pooled.
+        # No pooling: the position in the image is the answer.
         self.thin = nn.Conv2d(widths[-1], 32, 1)
         self.fc1 = nn.Linear(32 * side * side, 128)
         self.embed = nn.Linear(128, embedding_size)
@@ -57,23 +58,23 @@ class TouchPose(nn.Module):
         self.pose = nn.Linear(hidden_size or 128 + embedding_size, 2 + 2 * n_folds)
 
     def compute_embedding(self, squares: Tensor) -> Tensor:
-        """(n, seen) what the encoder sees."""
-        return self._looked(squares)[1]
+        """Features (n, embedding_size) of the encoder."""
+        return self._encode(squares)[1]
 
     def forward(self, squares: Tensor, known_object: Tensor | None = None) -> PosePrediction:
-        """Shift, headings and name of what touches; `known` (n, things) has a 1 for what it is known to be."""
-        gathered, seen = self._looked(squares)
-        seen = torch.relu(seen)
-        name = self.classifier(seen)
-        told = torch.cat([gathered, seen], dim=1)
+        """Translation, headings and class of each touch; `known_object` (n, n_objects) is one-hot, 0 if unknown."""
+        features, embedding = self._encode(squares)
+        embedding = torch.relu(embedding)
+        logits = self.classifier(embedding)
+        hidden = torch.cat([features, embedding], dim=1)
         if self.fc2 is not None:
-            said = torch.zeros_like(name) if known_object is None else known_object.to(name.dtype)
-            told = torch.relu(self.fc2(torch.cat([told, said], dim=1)))
-        pose = self.pose(told)
+            given = torch.zeros_like(logits) if known_object is None else known_object.to(logits.dtype)
+            hidden = torch.relu(self.fc2(torch.cat([hidden, given], dim=1)))
+        pose = self.pose(hidden)
         headings = pose[:, 2:].reshape(len(pose), self.n_folds, 2)
-        return PosePrediction(translation_mm=TRANSLATION_UNIT_MM * pose[:, :2], headings=headings, object_logits=name)
+        return PosePrediction(translation_mm=TRANSLATION_UNIT_MM * pose[:, :2], headings=headings, object_logits=logits)
 
-    def _looked(self, squares: Tensor) -> tuple[Tensor, Tensor]:
+    def _encode(self, squares: Tensor) -> tuple[Tensor, Tensor]:
         thin = torch.relu(self.thin(self.body(squares)))
-        gathered = torch.relu(self.fc1(thin.flatten(1)))
-        return gathered, self.embed(gathered)
+        features = torch.relu(self.fc1(thin.flatten(1)))
+        return features, self.embed(features)

@@ -1,12 +1,12 @@
-"""The paper's baseline: a vector-quantised autoencoder that takes one sensor's change for another's.
+"""The paper's baseline: a vector-quantised autoencoder from one sensor's change to another's.
 
-van den Oord et al. 2017, under the names and shapes of the released one (`encoder.*`, `codebook.embedding.weight`,
-`decoder.*`): two strided convolutions and two residual blocks down to a quarter of the side, each place there replaced
-by the nearest entry of a codebook, and the same way back. The paper's is 256 wide with 16,385 codes.
+van den Oord et al. 2017, with the names and shapes of the released network (`encoder.*`, `codebook.embedding.weight`,
+`decoder.*`): two strided convolutions and two residual blocks down to a quarter of the side, each position replaced by
+the nearest codebook entry, and the mirrored decoder. The paper's is 256 wide with 16,385 codes.
 
-As published it sees 50 of 128 pixels around each place, and knows not where that is: between two sensors of other
-sizes, whose pixels do not belong together, it can tell nothing and its codes fall together. `laid`, `reach` and
-`placed` mend that; they are off unless weights were learned with them.
+As published, each position sees 50 of 128 pixels and does not know where it is. Between sensors of different size,
+whose pixels do not correspond, it learns nothing and its codebook collapses. `reprojects_input`, `dilation` and
+`has_position_bias` fix that; they are off unless the weights were trained with them.
 """
 
 from __future__ import annotations
@@ -19,25 +19,24 @@ from torch.nn import functional
 
 from pipeline.networks.square_images import SIDE
 
-_SPREAD = 1.0  # a codebook as wide as this is no new one
-_MANY = 8  # places for each entry, of which one that is used should have some
+_INITIAL_RANGE = 1.0  # times 1 / codes: the largest value of an untrained codebook
+_MIN_POSITIONS_PER_ENTRY = 8  # positions per entry from which on unused entries are replaced
 
 
 class VqVaeOutput(NamedTuple):
-    """What comes out, and what the codebook is taught by."""
+    """Output, and the terms of the codebook loss."""
 
     generated: Tensor  # (n, outputs, side, side)
-    encoded: Tensor  # (n, width, side / 4, side / 4) what the encoder says
-    quantised: Tensor  # the same as codes
+    encoded: Tensor  # (n, width, side / 4, side / 4)
+    quantised: Tensor  # nearest codebook entries, same shape
 
 
 class VqVae(nn.Module):
-    """Normalised squares (n, outputs, side, side) from those of another sensor (n, inputs, side, side); see `forward`.
+    """Normalised squares (n, outputs, side, side) from those of another sensor (n, inputs, side, side).
 
-    `half_turn`: what comes out is to be turned by half a turn to lie as the target's camera sees it, as in the paper's
-    data, whose pairs were turned so. `laid`: what goes in was drawn where the target looks (`picture_input.laid`).
-    `reach`: how far apart a convolution's samples lie in the two middle residual blocks of the four. `placed`: the
-    decoder is told where it is.
+    `half_turn`: the output has to be rotated by 180 degrees for the target's camera, as in the paper's data.
+    `reprojects_input`: the input is resampled to the target's view (`image_condition.reproject_square`).
+    `dilation`: of the two middle residual blocks. `has_position_bias`: the decoder has a learned bias per position.
     """
 
     def __init__(
@@ -57,22 +56,23 @@ class VqVae(nn.Module):
         )  # fmt: skip
         self.codebook = Codebook(codes, width)
         self.decoder = nn.Sequential(
-            ResidualBlock(width, dilation), ResidualBlock(width), nn.ReLU(inplace=True), nn.ConvTranspose2d(width, width, 4, 2, 1),
+            ResidualBlock(width, dilation), ResidualBlock(width), nn.ReLU(inplace=True), nn.ConvTranspose2d(width,
+            width, 4, 2, 1),
             nn.ReLU(inplace=True), nn.ConvTranspose2d(width, outputs, 4, 2, 1),
         )  # fmt: skip
         self.position_bias = nn.Parameter(torch.zeros(1, width, SIDE // 4, SIDE // 4)) if has_position_bias else None
 
     def forward(self, squares: Tensor) -> VqVaeOutput:
-        """Gradients pass the codebook as if it were not there."""
+        """Translate the squares; gradients pass straight through the codebook."""
         encoded = self.encoder(squares)
         quantised = self.codebook(encoded)
-        seen = encoded + (quantised - encoded).detach()
-        made = self.decoder(seen if self.position_bias is None else seen + self.position_bias)
-        return VqVaeOutput(generated=made, encoded=encoded, quantised=quantised)
+        codes = encoded + (quantised - encoded).detach()
+        generated = self.decoder(codes if self.position_bias is None else codes + self.position_bias)
+        return VqVaeOutput(generated=generated, encoded=encoded, quantised=quantised)
 
 
 class ResidualBlock(nn.Module):
-    """A residual block that adds to what its first activation leaves, as the released one does by working in place."""
+    """A residual block that adds to its activated input, as the released in-place version does."""
 
     def __init__(self, width: int, dilation: int = 1) -> None:
         super().__init__()
@@ -84,15 +84,15 @@ class ResidualBlock(nn.Module):
         )
 
     def forward(self, field: Tensor) -> Tensor:
-        """The same shape."""
+        """Features of the same shape."""
         positive = functional.relu(field)
         return positive + self.block[3](self.block[2](self.block[1](positive)))
 
 
 class Codebook(nn.Module):
-    """The nearest of its entries at every place; new ones begin at what the encoder says of a first batch.
+    """Nearest entry at every position; a new codebook is initialised from the first batch.
 
-    Where an entry is nearest to none of a batch's places, though they are many, it begins anew at one of them.
+    An entry that is nearest to no position of a large batch is re-initialised at one of them.
     """
 
     def __init__(self, codes: int, width: int) -> None:
@@ -101,34 +101,36 @@ class Codebook(nn.Module):
         nn.init.uniform_(self.embedding.weight, -1.0 / codes, 1.0 / codes)
 
     def forward(self, encoded: Tensor) -> Tensor:
-        """(n, width, rows, cols) of entries, in float32 whatever the rest computes in."""
-        places = encoded.detach().float().permute(0, 2, 3, 1)
-        flat = places.reshape(-1, places.shape[-1])
+        """Entries (n, width, rows, cols), in float32 for any autocast precision."""
+        positions = encoded.detach().float().permute(0, 2, 3, 1)
+        flat = positions.reshape(-1, positions.shape[-1])
         if self.training and self._is_new():
-            self._begin(flat)
+            self._initialise(flat)
         index = self.assign_codes(flat)
-        if self.training and len(flat) >= _MANY * self.embedding.num_embeddings:
-            self._begin_unused(flat, index)
+        if self.training and len(flat) >= _MIN_POSITIONS_PER_ENTRY * self.embedding.num_embeddings:
+            self._replace_unused(flat, index)
         with torch.autocast(encoded.device.type, enabled=False):
-            found = self.embedding(index).reshape(places.shape)
-        return found.permute(0, 3, 1, 2)
+            entries = self.embedding(index).reshape(positions.shape)
+        return entries.permute(0, 3, 1, 2)
 
-    def assign_codes(self, places: Tensor) -> Tensor:
-        """Which entry (n,) lies nearest to each row of (n, width)."""
+    def assign_codes(self, positions: Tensor) -> Tensor:
+        """Index (n,) of the nearest entry of each row of (n, width)."""
         entries = self.embedding.weight.detach()
-        with torch.autocast(places.device.type, enabled=False):
-            return ((entries**2).sum(1) - 2.0 * places @ entries.T).argmin(1)
+        with torch.autocast(positions.device.type, enabled=False):
+            return ((entries**2).sum(1) - 2.0 * positions @ entries.T).argmin(1)
 
-    def _begin_unused(self, places: Tensor, index: Tensor) -> None:
+    def _replace_unused(self, positions: Tensor, index: Tensor) -> None:
         unused = torch.bincount(index, minlength=self.embedding.num_embeddings) == 0
-        chosen = torch.randint(len(places), (self.embedding.num_embeddings,), device=places.device)
+        chosen = torch.randint(len(positions), (self.embedding.num_embeddings,), device=positions.device)
         with torch.no_grad():
-            self.embedding.weight.copy_(torch.where(unused[:, None], places[chosen], self.embedding.weight))
+            self.embedding.weight.copy_(torch.where(unused[:, None], positions[chosen], self.embedding.weight))
 
     def _is_new(self) -> bool:
-        return float(self.embedding.weight.detach().abs().max()) <= _SPREAD / self.embedding.num_embeddings
+        return float(self.embedding.weight.detach().abs().max()) <= _INITIAL_RANGE / self.embedding.num_embeddings
 
-    def _begin(self, places: Tensor) -> None:
-        chosen = torch.randint(len(places), (self.embedding.num_embeddings,), device=places.device)
+    def _initialise(self, positions: Tensor) -> None:
+        chosen = torch.randint(len(positions), (self.embedding.num_embeddings,), device=positions.device)
         with torch.no_grad():
-            self.embedding.weight.copy_(places[chosen] + 0.01 * places.std() * torch.randn_like(places[chosen]))
+            self.embedding.weight.copy_(
+                positions[chosen] + 0.01 * positions.std() * torch.randn_like(positions[chosen])
+            )

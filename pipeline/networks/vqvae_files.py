@@ -1,4 +1,4 @@
-"""Published and own weights of the VQ-VAE: told apart by the names and shapes of their tensors."""
+"""Reads weights of the VQ-VAE, published or written by Tactoscope; distinguished by tensor names and shapes."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ _FIRST, _LAST, _CODES = "encoder.0.weight", "decoder.5.weight", "codebook.embedd
 
 
 def read_weights(path: Path) -> Weights:
-    """Ours, or a state of the released `VQ-VAE-small`; raises FileProblem where it is neither."""
+    """Read Tactoscope weights or a state of the released `VQ-VAE-small`; raises FileProblem for any other file."""
     if path.suffix == SUFFIX and is_tactoscope_file(load_tensors(path)[0]):
         return load_weights(path)
     tensors = {name.removeprefix("module."): tensor for name, tensor in read_tensors(path).items()}
     if not {_FIRST, _LAST, _CODES} <= tensors.keys():
         raise FileProblem(
-            f"these are no weights of the paper's VQ-VAE under their original names ({_FIRST}, {_CODES}, {_LAST})", path
+            f"not VQ-VAE weights under their original names: {_FIRST}, {_CODES} or {_LAST} is missing", path
         )
     codes, width = tensors[_CODES].shape
     config: dict[str, Value] = {

@@ -1,6 +1,6 @@
-"""Weights of a network as a value, and the one file that they are kept in: safetensors, with a card beside it.
+"""Weights of a network as a value and as a safetensors file with a model card.
 
-Loads no torch: what a method reads is known, and its key made, before any network is built.
+Loads no torch: what a method reads is known, and its cache key computed, before a network is built.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from pipeline.engine.digests import UNDIGESTED, compute_digest
 
 SUFFIX = ".safetensors"
 _WHAT = "the weights"
-_MARK = "tactoscope weights"  # key of the header, whose value is the version of what stands beside it
+_HEADER_KEY = "tactoscope weights"  # header key; its value is the version of the header
 _VERSION = "1"
 _ONNX = "onnx"  # name of the tensor of bytes that holds the ONNX file
 _FLOATS = {"F64": np.float64, "F32": np.float32, "F16": np.float16}
@@ -31,44 +31,39 @@ _COUNTS = {"I64": np.int64, "I32": np.int32, "I16": np.int16, "I8": np.int8, "U8
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Weights:
-    """All that makes a network: which one, with what arguments, and the numbers learned."""
+    """A trained network: its kind, constructor arguments and parameters."""
 
-    name: str  # for people: that of the file
-    kind: str  # of `pipeline.networks.network_factory.KINDS`
-    config: Mapping[str, Value] = field(metadata=UNDIGESTED)  # arguments of the network's class
-    tensors: Mapping[str, Floats] = field(metadata=UNDIGESTED)  # by their names in the network
-    card: Mapping[str, str] = field(default_factory=dict, metadata=UNDIGESTED)  # how they came about, in words
-    onnx: bytes = field(
-        default=b"", metadata=UNDIGESTED, repr=False
-    )  # the network as an ONNX file; b"" if not exported
-    content_digest: str = field(init=False)  # digest of kind, config and tensors: all that a result depends on
+    name: str  # of the file
+    kind: str  # of `network_factory.NETWORK_CLASSES`
+    config: Mapping[str, Value] = field(metadata=UNDIGESTED)  # constructor arguments of the network
+    tensors: Mapping[str, Floats] = field(metadata=UNDIGESTED)  # by name in the network
+    card: Mapping[str, str] = field(default_factory=dict, metadata=UNDIGESTED)  # entries of the model card
+    content_digest: str = field(init=False)  # of kind, config and tensors: all that results depend on
 
     def __post_init__(self) -> None:
-        """Freeze the tensors and work out their digest, once."""
+        """Freeze the tensors and compute their digest once."""
         for tensor in self.tensors.values():
             freeze(tensor)
         object.__setattr__(self, "content_digest", compute_digest((self.kind, dict(self.config), dict(self.tensors))))
 
     @property
     def n_parameters(self) -> int:
-        """How many numbers were learned."""
+        """Number of trained parameters."""
         return sum(tensor.size for tensor in self.tensors.values())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NoWeights:
-    """What a method reads where there are no weights that it could use."""
+    """Input of a method that has no usable weights."""
 
-    why: str  # one sentence
+    why: str  # reason, one sentence
 
 
 def load_weights(path: Path) -> Weights:
-    """The weights in a file of ours, all as float32; raises FileProblem for what is missing, damaged or foreign."""
-    metadata, entries = _read_entries(path)
-    onnx = bytes(entries.pop(_ONNX)["data"]) if _ONNX in entries else b""
-    tensors = _convert_entries(entries, path)
+    """The weights of a Tactoscope file, as float32; raises FileProblem for a missing, damaged or foreign file."""
+    metadata, tensors = load_tensors(path)
     if not is_tactoscope_file(metadata):
-        raise FileProblem("these weights do not say which network they are for; give a file that Tactoscope made", path)
+        raise FileProblem("these weights do not name their network; use a file written by Tactoscope", path)
     try:
         config, card = (cast("dict[str, Any]", json.loads(metadata[key])) for key in ("config", "card"))
         kind = metadata["kind"]
@@ -76,24 +71,18 @@ def load_weights(path: Path) -> Weights:
     except (KeyError, ValueError, AttributeError) as error:
         raise FileProblem(f"{_WHAT} are damaged: their header cannot be read", path) from error
     if not plain:
-        raise FileProblem(f"{_WHAT} are damaged: their header holds more than plain settings", path)
-    card = {str(key): str(value) for key, value in card.items()}
-    return Weights(name=path.stem, kind=kind, config=config, tensors=tensors, onnx=onnx, card=card)
+        raise FileProblem(f"{_WHAT} are damaged: their header holds values that are not plain settings", path)
+    entries = {str(key): str(value) for key, value in card.items()}
+    return Weights(name=path.stem, kind=kind, config=config, tensors=tensors, card=entries)
 
 
 def is_tactoscope_file(metadata: Mapping[str, str]) -> bool:
-    """Whether the header of a safetensors file says that it was written here."""
-    return metadata.get(_MARK) == _VERSION
+    """Whether the header of a safetensors file was written by Tactoscope."""
+    return metadata.get(_HEADER_KEY) == _VERSION
 
 
 def load_tensors(path: Path) -> tuple[dict[str, str], dict[str, Floats]]:
-    """Header and tensors of any safetensors file, halves of either sort as float32; raises FileProblem."""
-    metadata, entries = _read_entries(path)
-    return metadata, _convert_entries(entries, path)
-
-
-def _read_entries(path: Path) -> tuple[dict[str, str], dict[str, Mapping[str, Any]]]:
-    """Header and raw tensors of a safetensors file: name -> dtype, shape, data; raises FileProblem."""
+    """Header and tensors of any safetensors file, 16-bit floats as float32; raises FileProblem."""
     from safetensors import SafetensorError, deserialize
 
     content = read_bytes(path, _WHAT)
@@ -102,59 +91,50 @@ def _read_entries(path: Path) -> tuple[dict[str, str], dict[str, Mapping[str, An
         length = int.from_bytes(content[:8], "little")
         header = cast("dict[str, Any]", json.loads(content[8 : 8 + length]))
     except (SafetensorError, ValueError) as error:
-        raise FileProblem(
-            f"{_WHAT} cannot be read: the file is cut short or damaged, or no safetensors", path
-        ) from error
-    metadata = cast("dict[str, Any]", header.get("__metadata__") or {})
-    return {str(k): str(v) for k, v in metadata.items()}, dict(entries)
-
-
-def _convert_entries(entries: Mapping[str, Mapping[str, Any]], path: Path) -> dict[str, Floats]:
-    """The tensors as float32; raises FileProblem for unknown types and values that are not finite."""
+        raise FileProblem(f"cannot read {_WHAT}: the file is truncated, damaged or not safetensors", path) from error
     tensors: dict[str, Floats] = {}
     for name, entry in entries.items():
         tensor = _as_float(entry)
         if tensor is None:
-            raise FileProblem(f"{_WHAT} hold {name!r} as {entry['dtype']}, which is not known here", path)
+            raise FileProblem(f"{_WHAT} hold {name!r} in the unsupported type {entry['dtype']}", path)
         if not np.isfinite(tensor).all():
-            raise FileProblem(f"{_WHAT} hold values that are not numbers (in {name!r}); train or fetch them anew", path)
+            raise FileProblem(f"{_WHAT} contain NaN or infinity in {name!r}; train or download them again", path)
         tensors[name] = tensor
     return tensors
 
 
 def save_weights(path: Path, weights: Weights, *, use_float16: bool = False) -> None:
-    """Write weights and, beside them, their card as Markdown; `half` keeps them in 16 bits. Raises FileProblem."""
+    """Write weights and their model card (.md); `use_float16` stores 16 bits. Raises FileProblem."""
     from safetensors.numpy import save as to_bytes
 
-    with np.errstate(over="ignore"):  # what is too large for 16 bits is told below
-        kind = np.float16 if use_float16 else np.float32
-        stored: dict[str, NDArray[Any]] = {
-            name: np.asarray(tensor, kind, order="C") for name, tensor in weights.tensors.items()
-        }
+    with np.errstate(over="ignore"):  # overflow of 16 bits is reported below
+        dtype = np.float16 if use_float16 else np.float32
+        stored = {name: np.asarray(tensor, dtype, order="C") for name, tensor in weights.tensors.items()}
     if not all(np.isfinite(tensor).all() for tensor in stored.values()):
         raise FileProblem(
-            f"{_WHAT} hold values that no {16 if use_float16 else 32} bits can keep; nothing is written", path
+            f"{_WHAT} hold values beyond the range of {16 if use_float16 else 32} bits; nothing is written", path
         )
     if weights.onnx:
         stored[_ONNX] = np.frombuffer(weights.onnx, np.uint8)
     header = {
-        _MARK: _VERSION, "kind": weights.kind,
+        _HEADER_KEY: _VERSION, "kind": weights.kind,
         "config": json.dumps(dict(weights.config)), "card": json.dumps(dict(weights.card)),
     }  # fmt: skip
     with open_atomic(path, _WHAT) as file:
         file.write(to_bytes(stored, header))
-    write_text(path.with_suffix(".md"), _card(path.stem, weights), "the card of the weights")
+    write_text(path.with_suffix(".md"), _format_card(path.stem, weights), "the card of the weights")
 
 
-def _card(name: str, weights: Weights) -> str:
-    """What a person wants to know of them before using them."""
+def _format_card(name: str, weights: Weights) -> str:
+    """Model card: a Markdown table of network, parameters and card entries."""
     settings = ", ".join(f"{key} {value}" for key, value in weights.config.items())
-    rows = {"network": f"{weights.kind} ({settings})", "numbers": f"{weights.n_parameters:,}", **weights.card}
-    return f"# {name}\n\n" + "".join(f"- {key}: {value}\n" for key, value in rows.items())
+    rows = {"network": f"{weights.kind} ({settings})", "parameters": f"{weights.n_parameters:,}", **weights.card}
+    table = "".join(f"| {key} | {' '.join(str(value).split()).replace('|', '/')} |\n" for key, value in rows.items())
+    return f"# {name}\n\n| | |\n|---|---|\n{table}"
 
 
 def _as_float(entry: Mapping[str, Any]) -> Floats | None:
-    """A tensor of a file as float32 in memory of its own, None for a type that numpy does not have."""
+    """A tensor of a file as float32 in its own memory; None for a type that numpy lacks."""
     kind, raw = str(entry["dtype"]), bytes(entry["data"])
     if kind == "BF16":  # the upper half of a float32
         wide: NDArray[Any] = (np.frombuffer(raw, np.uint16).astype(np.uint32) << 16).view(np.float32)

@@ -1,4 +1,4 @@
-"""Slots whose value is a `DepthMap`: the source's membrane and the target's are looked at alike."""
+"""Stages whose value is a `DepthMap`: source depth and touch depth share preview, layers, trace and metrics."""
 
 from __future__ import annotations
 
@@ -20,25 +20,27 @@ from pipeline.values.results import DepthMap
 def make_depth_stage(
     *, name: str, title: str, legend: str, sensor_role: SensorRole, methods: tuple[Method, ...]
 ) -> Stage:
-    """The entry of a slot that holds how far the membrane of the sensor at `place` is pushed in."""
+    """A stage whose value is the indentation of the membrane of the sensor in `sensor_role`."""
 
-    def select_sensor(seen: PreviewContext) -> SensorSpec:
-        return seen.source if sensor_role == "source" else seen.target
+    def select_sensor(context: PreviewContext) -> SensorSpec:
+        return context.source if sensor_role == "source" else context.target
 
-    def make_preview(depth: DepthMap, seen: PreviewContext) -> Preview:
+    def make_preview(depth: DepthMap, context: PreviewContext) -> Preview:
         return make_indentation_preview(
-            depth.indentation_mm, depth.depth_mm, depth.contact, depth.camera, select_sensor(seen), seen.display
+            depth.indentation_mm, depth.depth_mm, depth.contact, depth.camera, select_sensor(context), context.display
         )
 
-    def make_layers(depth: DepthMap, seen: PreviewContext, picture: Preview) -> tuple[Layer, ...]:
-        times = seen.display.get_depth_stretch(select_sensor(seen))
-        surface = make_surface_layer(name, depth.depth_mm, depth.indentation_mm, depth.camera, picture.pixels, times)
-        return (surface,) if sensor_role == "source" else (surface, make_membrane_layer(seen.target))
+    def make_layers(depth: DepthMap, context: PreviewContext, preview: Preview) -> tuple[Layer, ...]:
+        stretch = context.display.get_depth_stretch(select_sensor(context))
+        surface = make_surface_layer(name, depth.depth_mm, depth.indentation_mm, depth.camera, preview.pixels, stretch)
+        return (surface,) if sensor_role == "source" else (surface, make_membrane_layer(context.target))
 
     def trace_point(depth: DepthMap, before: ProbePoint) -> ProbePoint:
         index = look_up_element(depth.source_index, before.index)
         return (
-            _mark(name, depth, index) if index >= 0 else ProbePoint(stage=name, index=-1, text="outside the depth map")
+            _make_probe_point(name, depth, index)
+            if index >= 0
+            else ProbePoint(stage=name, index=-1, text="outside the depth map")
         )
 
     def compute_metrics(depth: DepthMap, facts: GroundTruth) -> Mapping[str, float]:
@@ -50,17 +52,18 @@ def make_depth_stage(
 
     return Stage(
         name=name, title=title, legend=legend, sensor_role=sensor_role, methods=methods,
-        make_preview=make_preview, make_layers=make_layers, trace_point=trace_point, compute_metrics=compute_metrics, make_ground_truth=make_ground_truth,
+        make_preview=make_preview, make_layers=make_layers, trace_point=trace_point, compute_metrics=compute_metrics,
+        make_ground_truth=make_ground_truth,
     )  # fmt: skip
 
 
-def _mark(stage: str, depth: DepthMap, index: int) -> ProbePoint:
-    """Where a pixel lies on the membrane."""
+def _make_probe_point(stage: str, depth: DepthMap, index: int) -> ProbePoint:
+    """Position and value of one pixel on the membrane."""
     row, col = divmod(index, depth.camera.cols)
     value, z = float(depth.indentation_mm[row, col]), float(depth.depth_mm[row, col])
     ray_x, ray_y = depth.camera.rays()
     if not np.isfinite(value):
-        text = "no depth reading here"
+        text = "no depth measured here"
     elif not depth.contact[row, col]:
         text = f"{value:.3f} mm, not in contact"
     else:

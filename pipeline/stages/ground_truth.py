@@ -1,6 +1,6 @@
-"""What a slot would hold if everything before it and its own method were perfect, from what is known of a frame.
+"""The true value of each stage, from what a recording knows about a frame.
 
-Shown beside what was worked out, and given in its place to find which slot an error comes from (`translation.blame`).
+Used for truth views, and put in place of computed values to attribute errors (`translation.error_attribution`).
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from pipeline.values.frames import Truth
 from pipeline.values.pixel_index import make_pixel_index
 from pipeline.values.results import DepthMap, GeneratedTouch, ObjectPose, TargetDepth
 
-_NOTE = "the truth, as the recording knows it"
+_NOTE = "ground truth of the recording"
 
 
 def build_depth_map(ground_truth: GroundTruth, sensor_role: SensorRole, sensor: SensorSpec) -> DepthMap | None:
-    """The true membrane of the sensor at `place`; None where indentation or contact is not known at its size."""
+    """True membrane of the sensor in `sensor_role`; None unless indentation and contact are known at its image size."""
     truth = ground_truth.source_truth if sensor_role == "source" else ground_truth.target_truth
     shape = sensor.camera.shape
     if truth is None or truth.indentation_mm is None or truth.contact is None:
@@ -36,16 +36,16 @@ def build_depth_map(ground_truth: GroundTruth, sensor_role: SensorRole, sensor: 
 
 
 def build_target_depth(ground_truth: GroundTruth, target: SensorSpec) -> TargetDepth | None:
-    """What touches the target, all of it: the object's surface is where its membrane lies in contact."""
-    felt = build_depth_map(ground_truth, "target", target)
-    if felt is None:
+    """True object surface seen by the target: its membrane where it is in contact."""
+    depth = build_depth_map(ground_truth, "target", target)
+    if depth is None:
         return None
-    shape = felt.contact.shape
+    shape = depth.contact.shape
     return TargetDepth(
-        depth_mm=freeze(np.where(felt.contact, felt.depth_mm, np.float32(np.nan))),
-        contact=felt.contact,
-        indentation_mm=freeze(np.where(felt.contact, np.maximum(felt.indentation_mm, 0.0), 0.0).astype(np.float32)),
-        camera=felt.camera,
+        depth_mm=freeze(np.where(depth.contact, depth.depth_mm, np.float32(np.nan))),
+        contact=depth.contact,
+        indentation_mm=freeze(np.where(depth.contact, np.maximum(depth.indentation_mm, 0.0), 0.0).astype(np.float32)),
+        camera=depth.camera,
         source_index=freeze(np.full(shape, -1, np.int32)),
         in_view=freeze(np.ones(shape, np.bool_)),
         notes=(_NOTE,),
@@ -57,23 +57,23 @@ def build_touch(ground_truth: GroundTruth, target: SensorSpec) -> GeneratedTouch
     frame = ground_truth.target_observation
     if frame is None or frame.image.shape[:2] != target.camera.shape:
         return None
-    felt = build_depth_map(ground_truth, "target", target)
+    depth = build_depth_map(ground_truth, "target", target)
     return GeneratedTouch(
         image=frame.image, camera=frame.camera or target.camera, source_index=make_pixel_index(target.camera.shape),
-        in_view=freeze(np.ones(target.camera.shape, np.bool_)), membrane=felt, notes=(_NOTE,),
+        in_view=freeze(np.ones(target.camera.shape, np.bool_)), membrane=depth, notes=(_NOTE,),
         reference=np.asarray(frame.reference, np.float32) if frame.is_depth and frame.reference is not None else None,
     )  # fmt: skip
 
 
 def build_pose(ground_truth: GroundTruth, target: SensorSpec) -> ObjectPose | None:
-    """Where the object really is; its points are those of the true contact, and none where that is not known."""
+    """True object pose; its points are those of the true contact, empty where the contact is unknown."""
     truth: Truth | None = ground_truth.target_truth
     if truth is None or truth.sensor_from_object is None:
         return None
-    felt = build_depth_map(ground_truth, "target", target)
-    at = np.zeros(0, np.int32) if felt is None else np.flatnonzero(felt.contact).astype(np.int32)
-    points = np.zeros((0, 3)) if felt is None else felt.camera.back_project(felt.depth_mm).reshape(-1, 3)[at]
+    depth = build_depth_map(ground_truth, "target", target)
+    pixels = np.zeros(0, np.int32) if depth is None else np.flatnonzero(depth.contact).astype(np.int32)
+    points = np.zeros((0, 3)) if depth is None else depth.camera.back_project(depth.depth_mm).reshape(-1, 3)[pixels]
     return ObjectPose(
         sensor_from_object=truth.sensor_from_object, covariance=None, observable=None, weak_directions=(), rmse_mm=0.0,
-        fitness=1.0, scene_mm=freeze(points.astype(np.float32)), source_index=freeze(at), notes=(_NOTE,),
+        fitness=1.0, scene_mm=freeze(points.astype(np.float32)), source_index=freeze(pixels), notes=(_NOTE,),
     )  # fmt: skip

@@ -1,4 +1,4 @@
-"""Methods by network: what answers in their place where there are no weights, and that it says so."""
+"""Fallback of methods by network: another method computes the value where weights are missing, with the reason."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from pipeline.networks import network_factory
 
 
 def fall_back_without_weights(run: Callable[..., Any], fallback: Method) -> Callable[..., Any]:
-    """A method's function that reads weights last: `run` (*reads, network, params, progress) answers by the network.
+    """Wrap `run` (*reads, network, params, progress) as a method's function whose last input is weights.
 
-    Where the weights are missing or do not fit, `instead`, which reads the same without them, answers, and the result
-    says why. Parameters that are not its own leave it on its defaults.
+    Where the weights are missing or do not fit, `fallback`, which has the same inputs without weights, computes the
+    value and the result states the reason. Parameters of another class are replaced by the defaults of `fallback`.
     """
 
     def run_or_fall_back(*args: Any) -> Any:
         *reads, weights, params, progress = args
         try:
-            ready = network_factory.load_predictor(weights)
+            network = network_factory.load_predictor(weights)
         except ModelMissing as problem:
-            told = params if isinstance(params, fallback.params) else fallback.params()
+            fallback_params = params if isinstance(params, fallback.params) else fallback.params()
             return Fallback(
-                result=fallback.run(*reads, told, progress),
-                reason=f"{problem}; {fallback.title.lower()} answers instead",
+                answer=fallback.run(*reads, fallback_params, progress),
+                why=f"{problem}; {fallback.title.lower()} is used instead",
             )
-        return run(*reads, ready, params, progress)
+        return run(*reads, network, params, progress)
 
     return run_or_fall_back

@@ -1,4 +1,4 @@
-"""How a traced pixel is found again in a value of the usual kinds."""
+"""Finds a traced pixel in the next stage."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from pipeline.base.arrays import Indices
 
 
 def look_up_element(source_index: Indices, source_element: int) -> int:
-    """The first element (flat) that was made from element `wanted` of the slot before; -1 if none was."""
+    """The first element (flat) made from `source_element` of the previous stage; -1 if none was."""
     flat = source_index.reshape(-1)
-    if 0 <= source_element < flat.size and flat[source_element] == source_element:  # most maps keep the grid
+    if 0 <= source_element < flat.size and flat[source_element] == source_element:  # most stages keep the grid
         return source_element
-    found = np.flatnonzero(flat == source_element)
-    return int(found[0]) if found.size else -1
+    matches = np.flatnonzero(flat == source_element)
+    return int(matches[0]) if matches.size else -1
 
 
 def to_xyz(point: NDArray[np.floating]) -> tuple[float, float, float]:
-    """A point (3,) as plain numbers."""
+    """A point (3,) as three floats."""
     x, y, z = (float(v) for v in point)
     return x, y, z

@@ -1,7 +1,7 @@
-"""A slot: a value that people look at, the methods that can fill it, and all that others need to know about it.
+"""A stage: one value of the pipeline, the methods that compute it, and everything other packages need to know of it.
 
-Columns, 3D views, sheets, metrics, traces, options and cache keys are derived from these entries: a method is one
-module and one line in its slot's table, a slot is one folder and one line in the catalogue.
+Columns, 3D views, sheets, metrics, traces, options and cache keys are derived from these entries. A new method is one
+module and one line in the table of its stage; a new stage is one folder and one line in the catalogue.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ SensorRole = Literal["source", "target"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PreviewContext:
-    """What a slot's picture and layers are made of."""
+    """Inputs of a stage's preview and 3D layers."""
 
-    outputs: Mapping[str, Any]  # slot -> value, of those worked out so far
+    outputs: Mapping[str, Any]  # stage -> value, of the stages computed so far
     source: SensorSpec
     target: SensorSpec
     mesh: Mesh | None
@@ -35,18 +35,18 @@ class PreviewContext:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GroundTruth:
-    """What is exactly known of a frame, on either side; None where it is not."""
+    """What is exactly known about a frame of source and target; None where it is unknown."""
 
     source_truth: Truth | None = None
     target_observation: TactileFrame | None = None  # what the target sensor recorded of the same touch
     target_truth: Truth | None = None
-    mesh: Mesh | None = None  # of the object that the true pose is about
-    symmetry: Symmetry | None = None  # of that object; None = not known, taken as none
+    mesh: Mesh | None = None  # of the object whose pose is known
+    symmetry: Symmetry | None = None  # of that object; None = unknown, treated as none
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StepCurve:
-    """A figure of every kept step."""
+    """One value per kept step."""
 
     name: str
     unit: str
@@ -55,69 +55,63 @@ class StepCurve:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StepHistory:
-    """What is told of the steps that led to a value."""
+    """Curves and descriptions of the steps that led to a value."""
 
     curves: tuple[StepCurve, ...]
-    stop_reason: str  # why it ended where it did
-    descriptions: tuple[str, ...]  # each of them in words
-    phase_starts: tuple[int, ...] = ()  # steps with which something else begins
+    stop_reason: str  # why the iteration ended
+    descriptions: tuple[str, ...]  # one sentence per step
+    phase_starts: tuple[int, ...] = ()  # steps at which a new phase begins
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ProbePoint:
-    """Where a traced pixel is in one slot."""
+    """Where a traced pixel is in one stage."""
 
     stage: str  # or "source"
-    index: int  # flat index into that slot's elements, -1 = it does not get there
-    row: int = -1  # of an image, -1 where the slot is no image
+    index: int  # flat index into the elements of that stage, -1 = the trace ended before
+    row: int = -1  # of an image, -1 for a stage without one
     col: int = -1
-    point_mm: tuple[float, float, float] | None = None  # in the frame of the slot's place
-    text: str  # what is there, or why the trace ends
+    point_mm: tuple[float, float, float] | None = None  # in the frame of the stage's sensor
+    text: str  # value there, or why the trace ends
 
 
-def _not_known(_facts: GroundTruth, _sensor: SensorSpec) -> Any | None:
+def _no_ground_truth(_facts: GroundTruth, _sensor: SensorSpec) -> Any | None:
     return None
 
 
-def _no_states(_value: Any) -> tuple[Any, ...]:
+def _no_steps(_value: Any) -> tuple[Any, ...]:
     return ()
 
 
-def _no_layers(_state: Any, _seen: PreviewContext, _picture: Preview) -> tuple[Layer, ...]:
+def _no_layers(_step: Any, _context: PreviewContext, _preview: Preview) -> tuple[Layer, ...]:
     return ()
 
 
-def _no_way(_value: Any) -> StepHistory | None:
+def _no_history(_value: Any) -> StepHistory | None:
     return None
 
 
-def _no_figures(_value: Any, _facts: GroundTruth) -> Mapping[str, float]:
+def _no_metrics(_value: Any, _facts: GroundTruth) -> Mapping[str, float]:
     return {}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stage:
-    """Everything about one slot."""
+    """Everything about one stage."""
 
     name: str
     title: str
-    legend: str  # of its 3D view
-    sensor_role: SensorRole  # whose frame its positions are in
-    methods: tuple[Method, ...]  # the first is the one that is meant where nobody says
+    legend: str  # of the 3D view
+    sensor_role: SensorRole  # sensor whose frame positions are in
+    methods: tuple[Method, ...]  # the first is the default
     make_preview: Callable[[Any, PreviewContext], Preview]
     make_layers: Callable[[Any, PreviewContext, Preview], tuple[Layer, ...]]
-    trace_point: Callable[[Any, ProbePoint], ProbePoint]  # (value, mark in what it was made from) -> mark here
-    compute_metrics: Callable[[Any, GroundTruth], Mapping[str, float]] = _no_figures  # name in METRICS -> value
-    make_ground_truth: Callable[[GroundTruth, SensorSpec], Any | None] = (
-        _not_known  # (facts, sensor at its place) -> its value
-    )
-    preview_stages: tuple[str, ...] = ()  # other slots that the picture shows
-    exaggerates_indentation: bool = True  # whether its 3D view draws indentation longer than it is
-    has_steps: bool = False  # whether its value may keep `steps`
-    split_steps: Callable[[Any], tuple[Any, ...]] = (
-        _no_states  # of those steps that are pictures of their own, as values,
-    )
-    make_step_layers: Callable[[Any, PreviewContext, Preview], tuple[Layer, ...]] = (
-        _no_layers  # their 3D; none = the value's own
-    )
-    summarise_steps: Callable[[Any], StepHistory | None] = _no_way  # to the value, where steps were kept
+    trace_point: Callable[[Any, ProbePoint], ProbePoint]  # (value, point in its input) -> point here
+    compute_metrics: Callable[[Any, GroundTruth], Mapping[str, float]] = _no_metrics  # name in METRICS -> value
+    make_ground_truth: Callable[[GroundTruth, SensorSpec], Any | None] = _no_ground_truth  # value of this stage
+    preview_stages: tuple[str, ...] = ()  # other stages that the preview shows
+    exaggerates_indentation: bool = True  # whether the 3D view stretches indentation
+    has_steps: bool = False  # whether values may keep `steps`
+    split_steps: Callable[[Any], tuple[Any, ...]] = _no_steps  # the kept steps as values of this stage
+    make_step_layers: Callable[[Any, PreviewContext, Preview], tuple[Layer, ...]] = _no_layers  # none = as the value
+    summarise_steps: Callable[[Any], StepHistory | None] = _no_history

@@ -1,4 +1,4 @@
-"""Adaptation: the contact pixels as points in the target sensor's frame (paper, depth adaptation stage, eq. P_T)."""
+"""Back-projection of contact pixels to points in the target frame (paper, depth adaptation stage, eq. P_T)."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from pipeline.geometry.camera import MIN_DEPTH_MM
 from pipeline.sensors.alignment import Alignment
 from pipeline.values.results import Cloud, DepthMap
 
-NO_CONTACT = "no contact: there is nothing to carry over"
-MAX_DEPTH_MM = 1e9  # of what may tell the usual depth; beyond a thousand kilometres nothing was felt
+NO_CONTACT = "no contact: the cloud is empty"
+MAX_DEPTH_MM = 1e9  # depths beyond are ignored for the median depth
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BackProjectionParams:
-    """How densely the source grid is carried over."""
+    """Density of the cloud."""
 
     stride: int = setting(
         1,
@@ -30,7 +30,7 @@ class BackProjectionParams:
         low=1,
         high=16,
         step=1,
-        help="more than 1 is a faster, coarser preview",
+        help="use every n-th row and column; more than 1 is a faster, coarser preview",
         source="the paper, eq. P_T",
     )
 
@@ -41,89 +41,91 @@ def back_project_depth(
     """Contact points (n, 3) in the target frame, mm, in the order of their pixels.
 
     P_T = { T_S->T (D_S'(u,v) K_S^-1 (u, v, 1)^T) : M_S'(u,v) = 1 }, computed in float64 and rounded to float32 once.
-    Where the depth tells the object's own surface, it stands for the membrane, and pixels beside the contact come too.
+    Where the depth map has an object surface, it replaces the membrane, and pixels outside the contact are included.
     Raises ShapeError when the arrays do not fit the camera, CalibrationError when the alignment is not rigid.
     """
-    progress.step(0.0, "carrying contact pixels to the target frame")
+    progress.step(0.0, "transforming contact pixels to the target frame")
     if depth.depth_mm.shape != depth.camera.shape or depth.contact.shape != depth.camera.shape:
         raise ShapeError(
             f"depth_mm and contact must have the shape {depth.camera.shape} of their camera, "
             f"got {depth.depth_mm.shape} and {depth.contact.shape}"
         )
     target_from_source = rigid.validate_rigid(alignment.target_from_source, "the alignment T_S->T")
-    points, pixel, n_wanted = _points(depth, target_from_source, params.stride)
-    progress.step(1.0, "carried over")
+    points, pixel, n_contact = _compute_points(depth, target_from_source, params.stride)
+    progress.step(1.0, "transformed")
     return Cloud(
         points_mm=freeze(points),
         source_index=freeze(pixel),
-        field_of_view_mm=_window(depth, target_from_source),
+        field_of_view_mm=_compute_window(depth, target_from_source),
         grid_shape=depth.camera.shape,
         stride=params.stride,
-        notes=_notes(n_wanted=n_wanted, n_points=pixel.size, stride=params.stride),
+        notes=_make_notes(n_contact=n_contact, n_points=pixel.size, stride=params.stride),
         error=depth.error,
     )
 
 
 def skip_without_contact(depth: DepthMap, alignment: Alignment, params: BackProjectionParams) -> Cloud | None:
-    """The empty cloud when no pixel is in contact, else None; same inputs as `adapt`."""
+    """The empty cloud if no pixel is in contact, else None; same inputs as `back_project_depth`."""
     if depth.contact.any():
         return None
     return Cloud(
         points_mm=freeze(np.empty((0, 3), dtype=np.float32)),
         source_index=freeze(np.empty(0, dtype=np.int32)),
-        field_of_view_mm=_window(depth, alignment.target_from_source),
+        field_of_view_mm=_compute_window(depth, alignment.target_from_source),
         grid_shape=depth.camera.shape,
         stride=params.stride,
         notes=(NO_CONTACT,),
     )
 
 
-def _points(depth: DepthMap, target_from_source: Doubles, stride: int) -> tuple[Floats, Indices, int]:
-    """The points z (R (x/z, y/z, 1)) + t, their flat pixels, and how many contact pixels were looked at.
+def _compute_points(depth: DepthMap, target_from_source: Doubles, stride: int) -> tuple[Floats, Indices, int]:
+    """Points z (R (x/z, y/z, 1)) + t (n, 3), their flat pixels (n,), and the number of contact pixels visited.
 
     K^-1 is applied as the ray of a row and a column.
     """
     from pipeline.stages.cloud import back_projection_kernels as kernels
 
     surface_mm = depth.depth_mm if depth.object_depth_mm is None else depth.object_depth_mm
-    # Read-only, as a view of what may be written to: the loop would be compiled for either.
+    # A read-only view: writable and read-only arrays would be compiled separately.
     contact = freeze(
         np.ascontiguousarray(
             depth.contact if depth.object_depth_mm is None else np.isfinite(depth.object_depth_mm)
         ).view()
     )
-    at_most = int(np.count_nonzero(contact[::stride, ::stride]))
-    points = np.empty((at_most + 1, 3), dtype=np.float32)  # one to spare: a point is written before it is judged
-    pixel, wanted = np.empty(at_most + 1, dtype=np.int32), np.empty(contact.shape[1] + 1, dtype=np.int32)
+    capacity = int(np.count_nonzero(contact[::stride, ::stride]))
+    points = np.empty((capacity + 1, 3), dtype=np.float32)  # one spare: a point is written before it is tested
+    pixel, columns = np.empty(capacity + 1, dtype=np.int32), np.empty(contact.shape[1] + 1, dtype=np.int32)
     ray_x, ray_y = depth.camera.rays()
-    depth_mm = np.ascontiguousarray(ensure_float(surface_mm))
-    n, n_wanted = kernels.back_project(
-        depth_mm, contact, stride, ray_x, ray_y, target_from_source[:3], MIN_DEPTH_MM, wanted, points, pixel
+    depth_mm = np.ascontiguousarray(for_geometry(surface_mm))
+    n, n_contact = kernels.back_project(
+        depth_mm, contact, stride, ray_x, ray_y, target_from_source[:3], MIN_DEPTH_MM, columns, points, pixel
     )
-    return points[:n], pixel[:n], int(n_wanted)
+    return points[:n], pixel[:n], int(n_contact)
 
 
-def _window(depth: DepthMap, target_from_source: Doubles) -> Floats:
-    """The image's outer corners on a plane at the surface's usual depth, in the target frame."""
+def _compute_window(depth: DepthMap, target_from_source: Doubles) -> Floats:
+    """Corners (4, 3) of the source image on a plane at its median depth, in the target frame."""
     camera = depth.camera
-    z = _usual(depth.depth_mm[::16, ::16]) or _usual(depth.depth_mm)
+    z = _compute_median_depth(depth.depth_mm[::16, ::16]) or _compute_median_depth(depth.depth_mm)
     x = (np.array([-0.5, camera.cols - 0.5, camera.cols - 0.5, -0.5]) - camera.cx_px) / camera.fx_px
     y = (np.array([-0.5, -0.5, camera.rows - 0.5, camera.rows - 0.5]) - camera.cy_px) / camera.fy_px
     return freeze(rigid.apply(target_from_source, np.stack([z * x, z * y, z * np.ones(4)], axis=-1)).astype(np.float32))
 
 
-def _usual(depth_mm: Floats) -> float:
-    """Median of what is a depth at all, 0 when nothing is."""
-    sound = depth_mm[(depth_mm > MIN_DEPTH_MM) & (depth_mm < MAX_DEPTH_MM)]
-    return float(np.median(sound)) if sound.size else 0.0
+def _compute_median_depth(depth_mm: Floats) -> float:
+    """Median of the valid depths, 0 if there are none."""
+    valid = depth_mm[(depth_mm > MIN_DEPTH_MM) & (depth_mm < MAX_DEPTH_MM)]
+    return float(np.median(valid)) if valid.size else 0.0
 
 
-def _notes(*, n_wanted: int, n_points: int, stride: int) -> tuple[str, ...]:
+def _make_notes(*, n_contact: int, n_points: int, stride: int) -> tuple[str, ...]:
     notes: list[str] = []
-    if n_wanted == 0:
-        notes.append(NO_CONTACT if stride == 1 else f"no contact pixel among every {stride}th; lower the stride")
-    elif n_points < n_wanted:
-        notes.append(f"{n_wanted - n_points:,} of {n_wanted:,} contact pixels have no depth and were left out")
+    if n_contact == 0:
+        notes.append(
+            NO_CONTACT if stride == 1 else f"no contact pixel in every {stride}th row and column; lower the stride"
+        )
+    elif n_points < n_contact:
+        notes.append(f"{n_contact - n_points:,} of {n_contact:,} contact pixels have no depth and were left out")
     if stride > 1 and n_points:
         notes.append(f"preview: every {stride}th row and column")
     return tuple(notes)

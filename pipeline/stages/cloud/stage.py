@@ -1,4 +1,4 @@
-"""The slot *cloud*: the contact as points in the target's frame."""
+"""The stage *cloud*: contact points in the target's frame."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pipeline.stages.pixel_lookup import look_up_element, to_xyz
 from pipeline.stages.stage import PreviewContext, ProbePoint, Stage
 from pipeline.values.results import Cloud
 
-PREVIEW_SCALE = 0.5  # a cloud is drawn on the target's pixels at half density, where neighbours close up
+PREVIEW_SCALE = 0.5  # of the target's resolution, so that neighbouring points leave no holes
 
 BACK_PROJECTION = Method(
     stage="cloud",
@@ -29,47 +29,47 @@ BACK_PROJECTION = Method(
 )
 
 
-def _picture(cloud: Cloud, seen: PreviewContext) -> Preview:
-    """The points where the target's camera would see them, coloured by how far they reach past its rest surface."""
-    target = seen.target
+def _make_preview(cloud: Cloud, context: PreviewContext) -> Preview:
+    """Cloud seen by the target's camera, coloured by how far points reach past its rest surface."""
+    target = context.target
     camera = target.camera.scale(PREVIEW_SCALE)
     index = _splat(cloud, camera)
-    there = index >= 0
+    drawn = index >= 0
     reach = np.full(camera.shape, np.nan, dtype=np.float32)
-    places = np.full((*camera.shape, 3), np.nan, dtype=np.float32)
+    positions = np.full((*camera.shape, 3), np.nan, dtype=np.float32)
     if len(cloud.points_mm):
-        reach[there] = -target.membrane.signed_distance_mm(cloud.points_mm[index[there]])
-        places[there] = cloud.points_mm[index[there]]
-    scale = _scale(seen)
+        reach[drawn] = -target.membrane.signed_distance_mm(cloud.points_mm[index[drawn]])
+        positions[drawn] = cloud.points_mm[index[drawn]]
+    scale = _make_scale(context)
     return Preview(
         pixels=apply_colour_map(reach, scale), values=freeze(reach), scale=scale, frame_name=f"{target.name} frame",
-        positions_mm=freeze(places), pixel_mm=compute_pixel_mm(camera, target), element_index=index, camera=camera,
+        positions_mm=freeze(positions), pixel_mm=compute_pixel_mm(camera, target), element_index=index, camera=camera,
         caption=f"{len(cloud.points_mm)} points; past rest surface, + toward camera",
     )  # fmt: skip
 
 
-def _layers(cloud: Cloud, seen: PreviewContext, _picture: Preview) -> tuple[Layer, ...]:
-    """The points over the target's faint rest surface."""
-    points = stretch_depth(cloud.points_mm, seen.target, seen.display.get_depth_stretch(seen.target))
-    reach = -seen.target.membrane.signed_distance_mm(cloud.points_mm).astype(np.float32)
-    layer = make_cloud_layer("cloud", points.astype(np.float32), apply_colour_map(reach, _scale(seen)), 3.0)
-    return (layer, make_membrane_layer(seen.target))
+def _make_layers(cloud: Cloud, context: PreviewContext, _preview: Preview) -> tuple[Layer, ...]:
+    """The points over the faint rest surface."""
+    points = stretch_depth(cloud.points_mm, context.target, context.display.get_depth_stretch(context.target))
+    reach = -context.target.membrane.signed_distance_mm(cloud.points_mm).astype(np.float32)
+    layer = make_cloud_layer("cloud", points.astype(np.float32), apply_colour_map(reach, _make_scale(context)), 3.0)
+    return (layer, make_membrane_layer(context.target))
 
 
-def _follow(cloud: Cloud, before: ProbePoint) -> ProbePoint:
+def _trace_point(cloud: Cloud, before: ProbePoint) -> ProbePoint:
     point = look_up_element(cloud.source_index, before.index)
     if point < 0:
-        why = "thinned out of the cloud" if cloud.stride > 1 else "not carried over"
+        why = "skipped by the stride" if cloud.stride > 1 else "not in the cloud"
         return ProbePoint(stage="cloud", index=-1, text=why)
     x, y, z = to_xyz(cloud.points_mm[point])
     return ProbePoint(stage="cloud", index=point, point_mm=(x, y, z), text=f"({x:.2f}, {y:.2f}, {z:.2f}) mm")
 
 
-def _scale(seen: PreviewContext) -> ColourScale:
-    limit, sets = seen.display.get_limit_mm(seen.target), f"{seen.target.kind}_limit_mm"
+def _make_scale(context: PreviewContext) -> ColourScale:
+    limit, setting = context.display.get_limit_mm(context.target), f"{context.target.kind}_limit_mm"
     return ColourScale(
         colour_map="diverging", low=-limit, high=limit, unit="mm", quantity="past rest surface, + toward camera",
-        low_setting=sets, high_setting=sets,
+        low_setting=setting, high_setting=setting,
     )  # fmt: skip
 
 
@@ -79,18 +79,18 @@ def _splat(cloud: Cloud, camera: Camera) -> Indices:
         x_px, y_px, visible = camera.project(cloud.points_mm)
         rows, cols = np.rint(y_px[visible]).astype(np.intp), np.rint(x_px[visible]).astype(np.intp)
         which = np.flatnonzero(visible)
-        nearest_last = np.argsort(-cloud.points_mm[which, 2], kind="stable")  # so that the nearest wins its pixel
+        nearest_last = np.argsort(-cloud.points_mm[which, 2], kind="stable")  # the nearest wins its pixel
         index[rows[nearest_last], cols[nearest_last]] = which[nearest_last]
     return freeze(index)
 
 
 STAGE = Stage(
     name="cloud",
-    title="Adapted cloud",
+    title="Cloud",
     legend="points, target at rest",
     sensor_role="target",
     methods=(BACK_PROJECTION,),
-    make_preview=_picture,
-    make_layers=_layers,
-    trace_point=_follow,
+    make_preview=_make_preview,
+    make_layers=_make_layers,
+    trace_point=_trace_point,
 )

@@ -1,4 +1,4 @@
-"""The basin map of a felt touch: from where its registration ends in the answer that was given."""
+"""Basin map of a touch: the starts from which the registration reaches the given pose."""
 
 from __future__ import annotations
 
@@ -14,21 +14,24 @@ from pipeline.values.results import DepthMap, ObjectPose
 
 _ROTATION_STEP_DEG = 15.0
 _N_TRANSLATIONS = 9
-_REACH = 1.5  # times the contact's radius, either way
+_MAX_TRANSLATION = 1.5  # times the contact's radius, in both directions
 
 
 def compute_basin_map(
     touch_depth: DepthMap, mesh: Mesh | None, pose: ObjectPose, params: PoseParams, along: ShiftAxis = "x",
     progress: Progress = SILENT,
 ) -> StartBasins:  # fmt: skip
-    """Starts all around the contact's normal and 1.5 of its radii to both sides of `pose`; raises SettingProblem."""
+    """Map starts rotated about the contact's normal and translated by up to 1.5 contact radii around `pose`.
+
+    Raises SettingProblem where there is no pose.
+    """
     if pose.sensor_from_object is None:
-        raise SettingProblem(f"there is no pose to look around: {(pose.notes or ('none was found',))[0]}")
-    ready = prepare_search(touch_depth, mesh, params, SubProgress(progress, 0.0, 0.1))
-    if isinstance(ready, ObjectPose):
-        raise SettingProblem(f"there is no pose to look around: {ready.notes[0]}")
-    search, _ = ready
-    reach = _REACH * search.points.radius_mm
-    turns: Doubles = np.arange(-180.0, 180.0, _ROTATION_STEP_DEG)
-    shifts: Doubles = np.linspace(-reach, reach, _N_TRANSLATIONS)
-    return map_basins(search, pose.sensor_from_object, turns, shifts, along, SubProgress(progress, 0.1, 0.9))
+        raise SettingProblem(f"there is no pose to map: {(pose.notes or ('none was found',))[0]}")
+    prepared = prepare_search(touch_depth, mesh, params, Share(progress, 0.0, 0.1))
+    if isinstance(prepared, ObjectPose):
+        raise SettingProblem(f"there is no pose to map: {prepared.notes[0]}")
+    search, _ = prepared
+    max_translation_mm = _MAX_TRANSLATION * search.points.radius_mm
+    rotations_deg: Doubles = np.arange(-180.0, 180.0, _ROTATION_STEP_DEG)
+    translations_mm: Doubles = np.linspace(-max_translation_mm, max_translation_mm, _N_TRANSLATIONS)
+    return map_basins(search, pose.sensor_from_object, rotations_deg, translations_mm, along, Share(progress, 0.1, 0.9))

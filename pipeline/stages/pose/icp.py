@@ -1,4 +1,4 @@
-"""Open3D's point-to-plane ICP on sampled points, as the paper registers objects, as an answer of the pose stage."""
+"""Open3D's point-to-plane ICP on sampled points, as in the paper, as a method of the pose stage."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ from pipeline.registration.scene import ContactScene
 from pipeline.registration.starts import InitialPose, list_starts
 from pipeline.values.results import ObjectPose, PoseStep
 
-NOTE = "icp: the start of most points near the object, then of least rmse; nothing says what is open"
-N_MODEL_POINTS = 20_000  # points that the object is sampled at, as in benchmarks/pose.py
-_QUICK, _N_REFINED = 3, 6  # iterations from each start; starts that are registered to the end
+NOTE = "icp: the result with the largest fitness, then the least rmse; pose ambiguity is not estimated"
+N_MODEL_POINTS = 20_000  # sampled on the object, as in benchmarks/pose.py
+_QUICK, _N_REFINED = 3, 6  # iterations from each start; starts that are iterated to the end
 _SETTLED = 1e-6  # Open3D's own relative change of fitness and rmse that ends its iterations
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Icp:
-    """A felt cloud and an object's cloud, as Open3D wants them."""
+    """Scene and object point clouds of Open3D."""
 
     source: Any
     target: Any
     max_distance_mm: float
 
     def iterate(self, start: Doubles, n_iterations: int) -> PoseStep:
-        """Where so many iterations lead from a sensor_from_object; the felt points are moved, the object stays."""
+        """Run `n_iterations` from a sensor_from_object; the scene points move, the object is fixed."""
         import open3d
 
         registration = open3d.pipelines.registration
@@ -45,7 +45,7 @@ class _Icp:
         try:
             pose = rigid.invert(rigid.validate_rigid(np.array(found.transformation), "the result of ICP"))
         except CalibrationError:
-            # A system that nothing determines is solved to something that is no motion: such a start is worth nothing.
+            # An underdetermined system yields a matrix that is not rigid: the start is discarded.
             return PoseStep(sensor_from_object=freeze(start), rmse_mm=math.inf, fitness=0.0)
         return PoseStep(
             sensor_from_object=freeze(pose), rmse_mm=float(found.inlier_rmse), fitness=float(found.fitness),
@@ -54,12 +54,13 @@ class _Icp:
 
 
 def register_icp(
-    scene: ContactScene, mesh: Mesh, model: ObjectModel, *, face: str, n_starts: int, n_iterations: int, max_distance_mm: float,
+    scene: ContactScene, mesh: Mesh, model: ObjectModel, *, face: str, n_starts: int, n_iterations: int,
+    max_distance_mm: float,
     seed: int, keep_steps: bool, progress: Progress = SILENT,
 ) -> ObjectPose:  # fmt: skip
-    """ICP from the first guesses of our own search, a few iterations each, the most promising to the end.
+    """ICP from the starts of our own search, a few iterations each, the best of them to convergence.
 
-    Points beyond `max_distance_mm` have no partner. The side of the object is told by the starts alone.
+    Points beyond `max_distance_mm` have no correspondence. The face of the object is set by the starts only.
     """
     import open3d
 
@@ -69,57 +70,61 @@ def register_icp(
     ]
     clouds[1].normals = open3d.utility.Vector3dVector(np.array(normals))
     icp = _Icp(source=clouds[0], target=clouds[1], max_distance_mm=max_distance_mm)
-    tried = _one_a_group(list_starts(scene, model, face, n_starts))
-    # Open3D adds up on as many threads as there are, each time in another order.
+    starts = _select_one_per_group(list_starts(scene, model, face, n_starts))
+    # Open3D sums on several threads in varying order; one thread is deterministic.
     n_threads = open3d.utility.get_max_threads()
     open3d.utility.set_max_threads(1)
     try:
-        way = _best_way(icp, tried, n_iterations, progress)
+        history = _find_best_history(icp, starts, n_iterations, progress)
     finally:
         open3d.utility.set_max_threads(n_threads)
-    best = way[-1]
-    known = best.fitness > 0
+    best = history[-1]
+    is_known = best.fitness > 0
     return ObjectPose(
-        sensor_from_object=best.sensor_from_object if known else None, covariance=None, observable=None, weak_directions=(),
-        rmse_mm=best.rmse_mm if known else math.nan, fitness=best.fitness,
+        sensor_from_object=best.sensor_from_object if is_known else None, covariance=None, observable=None,
+        weak_directions=(),
+        rmse_mm=best.rmse_mm if is_known else math.nan, fitness=best.fitness,
         scene_mm=freeze(scene.points_mm.astype(np.float32)), source_index=freeze(scene.pixel),
-        steps=tuple(way) if keep_steps else (), stop_reason=_stopped(len(way) - 1, n_iterations) if known else "",
-        starts_tried=len(tried),
-        notes=(NOTE,) if known else ("icp: no point lies within the search distance of the object from any start",),
+        steps=tuple(history) if keep_steps else (), stop_reason=_describe_stop(len(history) - 1,
+        n_iterations) if is_known else "",
+        starts_tried=len(starts),
+        notes=(NOTE,) if is_known else ("icp: no start has points within the search distance of the object",),
     )  # fmt: skip
 
 
-def _best_way(icp: _Icp, tried: list[InitialPose], n_iterations: int, progress: Progress) -> list[PoseStep]:
-    """A few iterations from each start, then on from the best of these, one by one."""
+def _find_best_history(icp: _Icp, starts: list[Start], n_iterations: int, progress: Progress) -> list[PoseStep]:
+    """A few iterations from each start, then single iterations from the best of them."""
     quick: list[PoseStep] = []
-    for k, start in enumerate(tried):
-        progress.step(k / (len(tried) + 1), f"ICP from start {k + 1} of {len(tried)}")
+    for k, start in enumerate(starts):
+        progress.step(k / (len(starts) + 1), f"ICP from start {k + 1} of {len(starts)}")
         quick.append(icp.iterate(start.sensor_from_object, _QUICK))
-    progress.step(1.0 - 1.0 / (len(tried) + 1), "ICP from the best of these")
-    ways = [_way(icp, begun, n_iterations) for begun in sorted(quick, key=_worth)[:_N_REFINED]]
-    return min(ways, key=lambda steps: _worth(steps[-1]))
+    progress.step(1.0 - 1.0 / (len(starts) + 1), "ICP from the best starts")
+    histories = [
+        _iterate_to_end(icp, first_step, n_iterations) for first_step in sorted(quick, key=_rank_step)[:_N_REFINED]
+    ]
+    return min(histories, key=lambda steps: _rank_step(steps[-1]))
 
 
-def _stopped(n: int, most: int) -> str:
-    if n < most:
-        return "settled: the last iteration changed the rms by less than a millionth of it"
-    return f"ended after {n} iterations, as many as are allowed"
+def _describe_stop(n: int, max_iterations: int) -> str:
+    if n < max_iterations:
+        return "converged: the last iteration changed the rms by less than a millionth"
+    return f"stopped at the limit of {n} iterations"
 
 
-def _worth(step: PoseStep) -> tuple[float, float]:
+def _rank_step(step: PoseStep) -> tuple[float, float]:
     return -step.fitness, step.rmse_mm
 
 
-def _one_a_group(tried: list[InitialPose]) -> list[InitialPose]:
-    """The first start of each orientation, the middle of its face on the contact's."""
-    groups: dict[tuple[str, int], InitialPose] = {}
-    for start in tried:
+def _select_one_per_group(starts: list[Start]) -> list[Start]:
+    """The first start of each orientation, with the centre of its face on the contact's centre."""
+    groups: dict[tuple[str, int], Start] = {}
+    for start in starts:
         groups.setdefault(start.group, start)
     return list(groups.values())
 
 
-def _way(icp: _Icp, begun: PoseStep, n_iterations: int) -> list[PoseStep]:
-    steps = [begun]
+def _iterate_to_end(icp: _Icp, first_step: PoseStep, n_iterations: int) -> list[PoseStep]:
+    steps = [first_step]
     for _ in range(n_iterations):
         steps.append(icp.iterate(steps[-1].sensor_from_object, 1))
         if abs(steps[-1].rmse_mm - steps[-2].rmse_mm) <= _SETTLED * max(steps[-2].rmse_mm, _SETTLED):

@@ -1,8 +1,8 @@
-"""Pose by a network that has learned objects by a sensor's own touches: the paper's tactile metric.
+"""Object pose by a network trained on a sensor's own touches: the paper's tactile metric.
 
-It knows where the objects lie that it was taught, in the plane: their shift and turn. An object that it was taught is
-known by its mesh, any other is what it takes it for. What a plane does not tell is taken from the touch: the object
-stands level on the nearest point that was felt.
+The network estimates translation and rotation in the plane of objects that it was trained on. A trained object is
+identified by its mesh; for any other mesh the network's class is used. Tilt is taken as 0, and the height is that of
+the contact point nearest to the camera.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ from pipeline.values.results import DepthMap, GeneratedTouch, ObjectPose
 if TYPE_CHECKING:
     from torch import nn
 
-_SAME_MM = 1e-3
+_SAME_MM = 1e-3  # tolerance of vertices of the same mesh
 READS = ("touch", "touch_depth", "target", "mesh")
-NOTE = "by network: shift and turn in the plane of an object that it was taught; level, and as high as was felt"
+NOTE = "pose by network: planar translation and rotation of a trained object; tilt 0, height from the contact"
 
 
 def select_weights(_source: SensorSpec, target: SensorSpec, file: Path | None) -> Weights | NoWeights:
-    """The network that reads touches of this target."""
+    """The pose network of this target sensor."""
     return weights_registry.load_for_task("touch_pose", f"pose_{target.name}", file)
 
 
@@ -49,71 +49,72 @@ def predict_pose(
     params: PoseParams,
     progress: Progress = SILENT,
 ) -> ObjectPose | Skipped:
-    """sensor_from_object (4, 4) in mm of the object whose mesh is given, as its network tells it from the picture."""
-    nothing = signed_distances.skip_without_contact(touch_depth, mesh, params)
-    if nothing is not None or mesh is None:
-        assert nothing is not None
-        return Skipped(output=nothing, reason=nothing.notes[0])
-    untouched = target.render_reference()
-    shown = normalise(resize_to_square(compute_change(target.kind, touch.image, untouched)), target.kind)
-    x, y, turn = _told(network, shown, mesh)
-    level = rigid.translation(x, y, 0.0) @ rigid.rotation((0.0, 0.0, turn))
-    at = rigid.invert(target.alignment_from_sensor) @ level
-    points, pixel = _felt_points(touch_depth, params)
+    """Predict sensor_from_object (4, 4) in mm of the given mesh from the tactile image."""
+    skipped = signed_distances.skip_without_contact(touch_depth, mesh, params)
+    if skipped is not None or mesh is None:
+        assert skipped is not None
+        return Skipped(output=skipped, why=skipped.notes[0])
+    reference = optics.render_reference(target) if target.kind == "gel" else target.rest_depth_mm
+    square = normalise(resize_to_square(compute_change(target.kind, touch.image, reference)), target.kind)
+    x, y, angle_rad = _predict_planar_pose(network, square, mesh)
+    alignment_from_object = rigid.translation(x, y, 0.0) @ rigid.rotation((0.0, 0.0, angle_rad))
+    at = rigid.invert(target.alignment_from_sensor) @ alignment_from_object
+    points, pixel = _sample_contact_points(touch_depth, params)
     nearest = float(points[:, 2].min()) - float(rigid.apply(at, mesh.vertices_mm)[:, 2].min())
-    progress.step(1.0, "told")
+    progress.step(1.0, "predicted")
     return ObjectPose(
-        sensor_from_object=freeze(rigid.translation(0.0, 0.0, nearest) @ at), covariance=None, observable=None, weak_directions=(),
+        sensor_from_object=freeze(rigid.translation(0.0, 0.0, nearest) @ at), covariance=None, observable=None,
+        weak_directions=(),
         rmse_mm=math.nan, fitness=0.0, scene_mm=points, source_index=pixel, notes=(NOTE,),
     )  # fmt: skip
 
 
-def _told(network: nn.Module, shown: Floats, mesh: Mesh) -> tuple[float, float, float]:
-    """(x mm, y mm, turn rad) of the object's origin in the alignment frame."""
+def _predict_planar_pose(network: nn.Module, square: Floats, mesh: Mesh) -> tuple[float, float, float]:
+    """(x mm, y mm, rotation rad) of the object origin in the alignment frame."""
     import torch
 
-    net, label, names = cast("Any", network), _label(mesh), shapes.list_labelled_shapes()
-    said = torch.zeros(1, net.n_objects)
+    net, label, names = cast("Any", network), _find_label(mesh), shapes.list_labelled_shapes()
+    one_hot = torch.zeros(1, net.n_objects)
     if label is not None and label < net.n_objects:
-        said[0, label] = 1.0
+        one_hot[0, label] = 1.0
     with torch.inference_mode():
-        told = net(torch.from_numpy(np.array(shown)[None]), said)
-    label = int(told.object_logits[0].argmax()) if label is None else label
-    (x, y), headings = told.translation_mm[0].tolist(), told.headings[0].tolist()
+        prediction = net(torch.from_numpy(np.array(square)[None]), one_hot)
+    label = int(prediction.object_logits[0].argmax()) if label is None else label
+    (x, y), headings = prediction.translation_mm[0].tolist(), prediction.headings[0].tolist()
     fold = max(1, shapes.make_shape(names[label]).symmetry.fold)
-    times = fold if fold <= len(headings) else 1
-    cosine, sine = headings[times - 1]
-    return x, y, math.atan2(sine, cosine) / times
+    multiple = fold if fold <= len(headings) else 1
+    cosine, sine = headings[multiple - 1]
+    return x, y, math.atan2(sine, cosine) / multiple
 
 
-def _label(mesh: Mesh) -> int | None:
-    """Which of the objects that networks are taught this is; None = none of them, vertex for vertex."""
+def _find_label(mesh: Mesh) -> int | None:
+    """Class of the trained object with the same vertices; None if there is none."""
     for label, name in enumerate(shapes.list_labelled_shapes()):
-        own = shapes.make_shape(name).mesh.vertices_mm
-        if own.shape == mesh.vertices_mm.shape and np.allclose(own, mesh.vertices_mm, atol=_SAME_MM):
+        vertices_mm = shapes.make_shape(name).mesh.vertices_mm
+        if vertices_mm.shape == mesh.vertices_mm.shape and np.allclose(vertices_mm, mesh.vertices_mm, atol=_SAME_MM):
             return label
     return None
 
 
-def _felt_points(touch_depth: DepthMap, params: PoseParams) -> tuple[Floats, Indices]:
-    """Contact points (n, 3) in mm and their pixels, `max_points` at most."""
+def _sample_contact_points(touch_depth: DepthMap, params: PoseParams) -> tuple[Floats, Indices]:
+    """Contact points (n, 3) in mm and their pixels, at most `max_points`."""
     usable = np.flatnonzero(touch_depth.contact & np.isfinite(touch_depth.depth_mm)).astype(np.int32)
     chosen = usable[:: max(1, math.ceil(len(usable) / params.max_points))]
     points: Doubles = touch_depth.camera.back_project(touch_depth.depth_mm).reshape(-1, 3)[chosen]
     return freeze(points.astype(np.float32)), freeze(chosen)
 
 
-def _registered(
-    touch: GeneratedTouch,  # noqa: ARG001 - what the network in whose place it stands reads
+def _register(
+    touch: GeneratedTouch,  # noqa: ARG001 - an input of the replaced method
     touch_depth: DepthMap,
     target: SensorSpec,  # noqa: ARG001 - as above
     mesh: Mesh | None,
     params: PoseParams,
     progress: Progress = SILENT,
 ) -> ObjectPose | Skipped:
-    nothing = signed_distances.skip_without_contact(touch_depth, mesh, params)
-    if nothing is not None:
-        return Skipped(output=nothing, reason=nothing.notes[0])
+    skipped = signed_distances.skip_without_contact(touch_depth, mesh, params)
+    if skipped is not None:
+        return Skipped(output=skipped, why=skipped.notes[0])
     return signed_distances.estimate_pose(touch_depth, mesh, params, progress)
 
 
@@ -121,8 +122,8 @@ REGISTRATION_OF_TOUCH = Method(
     stage="pose",
     name="registration_of_touch",
     title="Signed distances",
-    run=_registered,
+    run=_register,
     params=PoseParams,
     reads=READS,
 )
-"""In place of a network for which there are no weights; it is no entry of the catalogue."""
+"""Fallback of the network without weights; not in the catalogue."""

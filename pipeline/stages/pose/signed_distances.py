@@ -1,8 +1,8 @@
-"""Pose: where the touched object is in the target sensor's frame (paper: ICP against the object's mesh).
+"""Object pose in the target sensor's frame by registration on signed distances (paper: ICP against the object's mesh).
 
-A contact is a one-sided, partial view of the object, so a single registration ends in some minimum, confidently. Here
-many first guesses are compared by what was felt and by what was not, the best are registered on the object's signed
-distances, and what is left open is said: directions that nothing shows, and other poses that fit as well.
+A contact is a one-sided, partial view of the object, so a single registration converges to some minimum. Here many
+starts are scored by contact and by free space, the best are registered on the object's signed distances, and pose
+ambiguity is reported: unobservable directions, and other poses that fit equally well.
 """
 
 from __future__ import annotations
@@ -29,48 +29,48 @@ from pipeline.registration.starts import FACES, list_edge_starts, list_starts
 from pipeline.stages.pose.icp import register_icp
 from pipeline.values.results import DepthMap, ObjectPose
 
-NO_CONTACT = "no contact: nothing was felt to find a pose from"
-NO_MESH = "no object mesh was given; a pose needs one"
-_MIN_POINTS = 20  # six unknowns, three times over
-_MIN_FITNESS = 0.05  # share of the contact on the object below which there is no pose to speak of
-_LARGEST = 100.0  # times the contact's size: a larger object's surface would be one plane
+NO_CONTACT = "no contact: there is no pose"
+NO_MESH = "no object mesh is given; a pose needs one"
+_MIN_POINTS = 20  # contact points, about three per unknown
+_MIN_FITNESS = 0.05  # inlier share below which there is no pose
+_MAX_SIZE_RATIO = 100.0  # object size over contact radius; a larger object would appear as a plane
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PoseParams:
-    """How the registration is done."""
+    """Settings of the registration."""
 
     face: str = setting(
         "auto",
         "Face toward the sensor",
         choices=("auto", *FACES),
-        help="axis of the object that points at the sensor",
-        source="our own; the paper's evaluation knows it",
+        help="axis of the object that points toward the sensor",
+        source="the paper's evaluation assumes it known",
     )
     n_starts: int = setting(
-        72, "Starts", unit="starts", low=1, high=1000, step=6, help="orientations that are tried",
-        source="our own: turns about the normals of the object's faces",
+        72, "Starts", unit="starts", low=1, high=1000, step=6, help="initial orientations of the search",
+        source="rotations about the normals of the object's faces",
     )  # fmt: skip
     n_iterations: int = setting(
         30, "Iterations", unit="iterations", low=1, high=200, step=5,
-        help="of one registration at most; it ends sooner once it moves no more",
+        help="limit of one registration, which stops earlier on convergence",
         source="Gauss-Newton with the weights of Geman and McClure 1985; ICP: Chen and Medioni 1992",
     )  # fmt: skip
     max_distance_mm: float = setting(
         2.0, "Search distance", unit="mm", low=0.05, high=20.0, step=0.1,
-        help="points farther from the object do not count as on it",
+        help="points farther from the object are outliers",
         source="point to surface on signed distances; covariance: Bonnabel 2014",
     )  # fmt: skip
     max_points: int = setting(
-        1500, "Points", unit="points", low=50, high=100_000, step=100, help="contact points that are used",
-        source="our own: drawn evenly from the contact",
+        1500, "Points", unit="points", low=50, high=100_000, step=100, help="number of contact points used",
+        source="sampled evenly from the contact",
     )  # fmt: skip
     keep_steps: bool = setting(
-        False, "Keep iterations", help="so that the way to the pose can be stepped through",
-        source="our own; changes no answer",
+        False, "Keep iterations", help="keep the iterations for the step view; does not change the result",
+        source="Tactoscope",
     )  # fmt: skip
     seed: int = setting(
-        0, "Seed", low=0, high=2**31 - 1, step=1, help="of the points that are drawn",
+        0, "Seed", low=0, high=2**31 - 1, step=1, help="seed of the sampled points",
         source="PCG64: O'Neill 2014, as numpy has it",
     )  # fmt: skip
 
@@ -78,12 +78,12 @@ class PoseParams:
 def estimate_pose(
     touch_depth: DepthMap, mesh: Mesh | None, params: PoseParams, progress: Progress = SILENT
 ) -> ObjectPose:
-    """sensor_from_object (4, 4) in mm with its covariance and what it leaves open; None where it cannot be said.
+    """sensor_from_object (4, 4) in mm with covariance and pose ambiguity; None where it cannot be determined.
 
     Raises MeshProblem when the mesh has no surface, SettingProblem for an unknown face.
     """
-    ready = prepare_search(touch_depth, mesh, params, progress)
-    return ready if isinstance(ready, ObjectPose) else _searched(*ready, params, progress, None)
+    prepared = prepare_search(touch_depth, mesh, params, progress)
+    return prepared if isinstance(prepared, ObjectPose) else _search_pose(*prepared, params, progress, None)
 
 
 def track_pose(
@@ -95,24 +95,24 @@ def track_pose(
     *,
     alternatives: Sequence[Doubles] = (),
 ) -> ObjectPose:
-    """`pose` of the next touch of a sequence: followed from the `previous` sensor_from_object (4, 4) where that fits.
+    """Pose of the next touch of a sequence, tracked from the `previous` sensor_from_object (4, 4) where that fits.
 
-    `others` are the poses that fitted the last touch as well (`ObjectPose.alternatives`): they are followed too, so
-    that a touch that tells them apart does. Where that leaves more than the depth's error explains, everything is
-    searched anew. Of poses that fit equally well, the one nearest to `previous` is answered. Raises what `pose` does,
-    CalibrationError when `previous` is no rigid transform.
+    `alternatives` are the poses that fitted the last touch equally well (`ObjectPose.alternatives`); they are tracked
+    too, so that a later touch can decide between them. Where the remaining misfit exceeds the depth error, the full
+    search runs. Of equally good poses the one nearest to `previous` is returned. Raises as `estimate_pose` does, and
+    CalibrationError when `previous` is not rigid.
     """
-    ready = prepare_search(touch_depth, mesh, params, progress)
-    if isinstance(ready, ObjectPose):
-        return ready
-    search, checked = ready
-    found = search.track_previous_poses(
-        [rigid.validate_rigid(start, "the previous pose") for start in (previous, *alternatives)]
-    )
-    if found:
-        told = _told(search, checked, found, 0, ("followed from the touch before",), previous, progress)
-        return replace(told, steps=search.prepend_history(np.array([previous, *alternatives]), told.steps))
-    return _searched(search, checked, params, progress, previous)
+    prepared = prepare_search(touch_depth, mesh, params, progress)
+    if isinstance(prepared, ObjectPose):
+        return prepared
+    search, checked = prepared
+    minima = search.follow([rigid.validate_rigid(start, "the previous pose") for start in (previous, *alternatives)])
+    if minima:
+        pose = _select_answer(
+            search, checked, minima, 0, ("tracked from the pose of the previous touch",), previous, progress
+        )
+        return replace(pose, steps=search.way_to(np.array([previous, *alternatives]), pose.steps))
+    return _search_pose(search, checked, params, progress, previous)
 
 
 def estimate_or_track_pose(
@@ -122,7 +122,7 @@ def estimate_or_track_pose(
     params: PoseParams,
     progress: Progress = SILENT,
 ) -> ObjectPose:
-    """The stage: `pose_from` where the touch before is given and has a pose, else `pose`."""
+    """`track_pose` where the previous touch has a pose, else `estimate_pose`."""
     if previous is None or previous.sensor_from_object is None:
         return estimate_pose(touch_depth, mesh, params, progress)
     return track_pose(
@@ -133,11 +133,11 @@ def estimate_or_track_pose(
 def estimate_pose_planar(
     touch_depth: DepthMap, mesh: Mesh | None, params: PoseParams, progress: Progress = SILENT
 ) -> ObjectPose:
-    """The pose by the paper's released planar evaluation, for comparison; raises what `pose` does."""
-    ready = prepare_search(touch_depth, mesh, params, progress)
-    if isinstance(ready, ObjectPose):
-        return ready
-    search, checked = ready
+    """Pose by the paper's released planar evaluation, for comparison; raises as `estimate_pose` does."""
+    prepared = prepare_search(touch_depth, mesh, params, progress)
+    if isinstance(prepared, ObjectPose):
+        return prepared
+    search, checked = prepared
     return estimate_planar_pose(
         search.scene, checked, search.object.model, params.face, params.n_iterations, keep_steps=params.keep_steps,
         progress=progress,
@@ -147,11 +147,11 @@ def estimate_pose_planar(
 def estimate_pose_icp(
     touch_depth: DepthMap, mesh: Mesh | None, params: PoseParams, progress: Progress = SILENT
 ) -> ObjectPose:
-    """The pose by Open3D's point-to-plane ICP, the paper's own way; raises what `pose` does."""
-    ready = prepare_search(touch_depth, mesh, params, progress)
-    if isinstance(ready, ObjectPose):
-        return ready
-    search, checked = ready
+    """Pose by Open3D's point-to-plane ICP, as in the paper; raises as `estimate_pose` does."""
+    prepared = prepare_search(touch_depth, mesh, params, progress)
+    if isinstance(prepared, ObjectPose):
+        return prepared
+    search, checked = prepared
     return register_icp(
         search.scene, checked, search.object.model, face=params.face, n_starts=params.n_starts,
         n_iterations=params.n_iterations, max_distance_mm=params.max_distance_mm, seed=params.seed,
@@ -162,94 +162,94 @@ def estimate_pose_icp(
 def skip_pose(
     touch_depth: DepthMap,
     mesh: Mesh | None,
-    previous: ObjectPose | None,  # noqa: ARG001 - a shortcut takes what its stage takes
+    previous: ObjectPose | None,  # noqa: ARG001 - the inputs of the method
     params: PoseParams,
 ) -> ObjectPose | None:
-    """`without_contact` with the inputs of `posed`."""
+    """`skip_without_contact` with the inputs of `estimate_or_track_pose`."""
     return skip_without_contact(touch_depth, mesh, params)
 
 
 def skip_without_contact(touch_depth: DepthMap, mesh: Mesh | None, params: PoseParams) -> ObjectPose | None:  # noqa: ARG001
-    """The answer "unknown" when there is no mesh or no contact, else None; same inputs as `pose`."""
+    """The unknown pose if there is no mesh or no contact, else None; same inputs as `estimate_pose`."""
     if not touch_depth.contact.any():
-        return _unknown(NO_CONTACT)
-    return _unknown(NO_MESH) if mesh is None else None
+        return _make_unknown_pose(NO_CONTACT)
+    return _make_unknown_pose(NO_MESH) if mesh is None else None
 
 
 def prepare_search(
     touch_depth: DepthMap, mesh: Mesh | None, params: PoseParams, progress: Progress = SILENT
-) -> ObjectPose | tuple[PoseSearch, Mesh]:  # fmt: skip
-    """What a search needs, or the answer where there is nothing to search."""
+) -> ObjectPose | tuple[Search, Mesh]:  # fmt: skip
+    """The prepared search and mesh, or the unknown pose where a search is impossible."""
     early = skip_without_contact(touch_depth, mesh, params)
     if early is not None or mesh is None:
-        return early or _unknown(NO_MESH)
-    _check(params)
+        return early or _make_unknown_pose(NO_MESH)
+    _check_face(params)
     scene = extract_scene(touch_depth, params.max_points, params.seed)
-    few = f"only {len(scene.points_mm)} contact points show a surface; a pose needs at least {_MIN_POINTS}"
+    too_few = f"only {len(scene.points_mm)} contact points have a surface normal; a pose needs at least {_MIN_POINTS}"
     if len(scene.points_mm) < _MIN_POINTS:
-        return _unknown(few, scene)
-    points = CentredPoints.from_points(scene.points_mm)
+        return _make_unknown_pose(too_few, scene)
+    points = Points.of(scene.points_mm)
     if isinstance(points, NotDetermined):
-        return _unknown(points.reason, scene)
-    if len(mesh.vertices_mm) and _size_mm(mesh) > _LARGEST * points.radius_mm:
-        return _unknown(_not_laid(mesh), scene)
-    progress.step(0.0, "measuring the object")
-    ready = prepare_object(mesh, params.seed, SubProgress(progress, 0.0, 0.2))
-    return PoseSearch(
-        scene=scene, points=points, object=ready, outward=FACES.get(params.face),
+        return _make_unknown_pose(points.why, scene)
+    if len(mesh.vertices_mm) and _size_mm(mesh) > _MAX_SIZE_RATIO * points.radius_mm:
+        return _make_unknown_pose(_explain_failure(mesh), scene)
+    progress.step(0.0, "preparing the object")
+    prepared = prepare_object(mesh, params.seed, Share(progress, 0.0, 0.2))
+    return Search(
+        scene=scene, points=points, object=prepared, outward=FACES.get(params.face),
         max_distance_mm=params.max_distance_mm, n_iterations=params.n_iterations, keep_steps=params.keep_steps,
     ), mesh  # fmt: skip
 
 
-def _check(params: PoseParams) -> None:
+def _check_face(params: PoseParams) -> None:
     if params.face not in ("auto", *FACES):
         raise SettingProblem(f"pose.face must be one of auto, {', '.join(FACES)}, got {params.face!r}")
 
 
-def _searched(
-    search: PoseSearch, mesh: Mesh, params: PoseParams, progress: Progress, near: Doubles | None
+def _search_pose(
+    search: Search, mesh: Mesh, params: PoseParams, progress: Progress, near_pose: Doubles | None
 ) -> ObjectPose:  # fmt: skip
-    """The answer from all first guesses."""
-    progress.step(0.2, "comparing first guesses")
-    tried = list_starts(search.scene, search.object.model, params.face, params.n_starts)
-    progress.step(0.21, "registering the most promising")
-    firsts = search.select_likeliest(tried)
-    found = search.find_minima(search.find_promising(firsts), SubProgress(progress, 0.3, 0.4))
-    if not (found and search.explains(found[0])):
-        progress.step(0.7, "comparing first guesses on edges and corners")
-        further = list_edge_starts(search.scene, search.object.model, params.face, params.n_starts)
-        edges = search.select_likeliest(further)
-        more = search.find_minima(search.find_promising(edges), SubProgress(progress, 0.75, 0.25))
-        firsts = np.concatenate([firsts, edges])
-        tried, found = [*tried, *further], sorted([*found, *more], key=lambda m: m.misfit_mm)
-    told = _told(search, mesh, found, len(tried), (), near, progress)
-    return replace(told, steps=search.prepend_history(firsts, told.steps))
+    """Pose by the full search from all starts."""
+    progress.step(0.2, "scoring starts")
+    starts = list_starts(search.scene, search.object.model, params.face, params.n_starts)
+    progress.step(0.21, "registering the best starts")
+    first_poses = search.likeliest(starts)
+    minima = search.best(search.promising(first_poses), Share(progress, 0.3, 0.4))
+    if not (minima and search.explains(minima[0])):
+        progress.step(0.7, "scoring starts on edges and corners")
+        edge_starts = list_edge_starts(search.scene, search.object.model, params.face, params.n_starts)
+        edges = search.likeliest(edge_starts)
+        more = search.best(search.promising(edges), Share(progress, 0.75, 0.25))
+        first_poses = np.concatenate([first_poses, edges])
+        starts, minima = [*starts, *edge_starts], sorted([*minima, *more], key=lambda m: m.misfit_mm)
+    pose = _select_answer(search, mesh, minima, len(starts), (), near_pose, progress)
+    return replace(pose, steps=search.way_to(first_poses, pose.steps))
 
 
-def _told(
-    search: PoseSearch,
+def _select_answer(
+    search: Search,
     mesh: Mesh,
-    found: list[PoseMinimum],
+    minima: list[PoseMinimum],
     n_tried: int,
     notes: tuple[str, ...],
-    near: Doubles | None,
+    near_pose: Doubles | None,
     progress: Progress,
 ) -> ObjectPose:
-    """The best of the minima, the others that fit as well, and what is not known; of equals, the one `near` a pose."""
-    best = select_pose(search, found, progress)
+    """Pose of the best minimum with its ambiguity; of equally good ones the one nearest to `near_pose`."""
+    best = select_pose(search, minima, progress)
     if best is None or best.minimum.fit.fitness < _MIN_FITNESS:
-        return _unknown(_not_laid(mesh), search.scene)
-    if near is not None and best.alternatives:
+        return _make_unknown_pose(_explain_failure(mesh), search.scene)
+    if near_pose is not None and best.alternatives:
         equal = (best.minimum.fit.sensor_from_object, *best.alternatives)
-        nearest = min(equal, key=lambda pose: search.measure_distance_mm(near, pose))
+        nearest = min(equal, key=lambda pose: search.between_mm(near_pose, pose))
         other = None if nearest is equal[0] else search.polish(nearest, dense=True)
-        best = (select_pose(search, [other, *found], progress) if other is not None else None) or best
-    return _pose_of(search, best, n_tried, notes)
+        best = (select_pose(search, [other, *minima], progress) if other is not None else None) or best
+    return _make_pose(search, best, n_tried, notes)
 
 
-def _pose_of(search: PoseSearch, best: SelectedPose, n_tried: int, notes: tuple[str, ...]) -> ObjectPose:
-    fit, known = best.minimum.fit, best.observability
-    points, pixel = _frozen(search.scene)
+def _make_pose(search: Search, best: SelectedPose, n_tried: int, notes: tuple[str, ...]) -> ObjectPose:
+    fit, known = best.minimum.fit, best.known
+    points, pixel = _freeze_scene(search.scene)
     return ObjectPose(
         sensor_from_object=freeze(fit.sensor_from_object), covariance=freeze(known.covariance),
         observable=freeze(known.observable), weak_directions=known.weak_directions, rmse_mm=fit.rmse_mm, fitness=fit.fitness,
@@ -258,23 +258,23 @@ def _pose_of(search: PoseSearch, best: SelectedPose, n_tried: int, notes: tuple[
     )  # fmt: skip
 
 
-def _unknown(why: str, scene: ContactScene | None = None) -> ObjectPose:
-    points, pixel = _frozen(scene)
+def _make_unknown_pose(why: str, scene: ContactScene | None = None) -> ObjectPose:
+    points, pixel = _freeze_scene(scene)
     return ObjectPose(
         sensor_from_object=None, covariance=None, observable=None, weak_directions=(), rmse_mm=math.nan, fitness=0.0,
         scene_mm=points, source_index=pixel, notes=(why,),
     )  # fmt: skip
 
 
-def _not_laid(mesh: Mesh) -> str:
-    return f"the object, {_size_mm(mesh):.3g} mm long, could not be laid on the contact; check the mesh's unit and face"
+def _explain_failure(mesh: Mesh) -> str:
+    return f"the object ({_size_mm(mesh):.3g} mm long) does not fit the contact; check unit of the mesh and face"
 
 
 def _size_mm(mesh: Mesh) -> float:
     return float(np.ptp(mesh.vertices_mm, axis=0).max())
 
 
-def _frozen(scene: ContactScene | None) -> tuple[Floats, Indices]:
+def _freeze_scene(scene: ContactScene | None) -> tuple[Floats, Indices]:
     if scene is None:
         return freeze(np.empty((0, 3), dtype=np.float32)), freeze(np.empty(0, dtype=np.int32))
     return freeze(scene.points_mm.astype(np.float32)), freeze(scene.pixel)

@@ -1,14 +1,14 @@
 # pyright: basic
-"""Compiled loops of the project stage: where each point falls, the z-buffer, and what the drawn image comes to.
+"""Compiled loops of the projection: pixel of each point, z-buffer, depth and contact of the drawn image.
 
-Pixel centres are at integer coordinates, so a pixel owns the half-open square from -0.5 up to, not including, +0.5.
-Points are flat (3 n) float32, images flat in rows. What belongs together comes as plain tuples, which are taken apart
-where they are used (numba's cache would not survive the renaming of a named one):
+Pixel centres are at integer coordinates; a pixel owns the half-open square from -0.5 to +0.5. Points are flat (3 n)
+float32, images flat in row-major order. Related arguments are plain tuples (numba's cache does not survive the renaming
+of named tuples):
 
-    lens   fx, fy, cx, cy, rows, cols, and the depth up to which a point counts as behind the lens
-    rest   the target's membrane: x0, y0, 1 / step, z (ny, nx)
-    image  what is drawn into, the largest 1/z winning its pixel: 1/z, 0 = nothing there; 1/z of the veil, which is what
-           is left out and hides what lies behind it all the same; the point drawn there, -1 = none
+    lens   fx, fy, cx, cy, rows, cols, and the depth up to which a point is behind the lens
+    rest   the target's membrane at rest: x0, y0, 1 / step, z (ny, nx)
+    image  drawing buffers, the largest 1/z wins its pixel: 1/z, 0 = nothing; 1/z of the veil (omitted triangles, which
+           still hide what lies behind them); the point drawn, -1 = none
 """
 
 from __future__ import annotations
@@ -22,16 +22,13 @@ MIN_INVERSE_Z = 1.0 / float(np.finfo(np.float32).max)  # 1/mm
 
 @inner_kernel()
 def project_to_pixel(x, y, z, lens):
-    """Where a point is seen (u, v), px, its 1/z, and the pixel that it falls on, -1 = not in view.
-
-    No branches, so that it runs on vectors of points.
-    """
+    """Pixel coordinates (u, v), 1/z and flat pixel (-1 = not in view) of a point; branch-free for vectorisation."""
     fx, fy, cx, cy, rows, cols, behind = lens
     w = 1.0 / z
     u, v = fx * x * w + cx, fy * y * w + cy
-    # On floats, before any cast: what an integer cannot hold would come out as some other pixel. False for NaN.
+    # Compared as floats: values beyond the integer range would wrap to another pixel. False for NaN.
     ok = (z > behind) & (z < np.inf) & (u >= -0.5) & (u < cols - 0.5) & (v >= -0.5) & (v < rows - 0.5)
-    # Not floor(u + 0.5), which would round 0.49999999999999994 up.
+    # Not floor(u + 0.5), which rounds 0.49999999999999994 up.
     col, row = np.floor(u if ok else 0.0), np.floor(v if ok else 0.0)
     col, row = (col if u - col < 0.5 else col + 1.0), (row if v - row < 0.5 else row + 1.0)
     return u, v, w, np.int32(row * cols + col) if ok else np.int32(-1)
@@ -39,7 +36,7 @@ def project_to_pixel(x, y, z, lens):
 
 @kernel()
 def project_points(flat, lens, pixel):
-    """Write into `pixel` (n,) the pixel that each point falls on, -1 = not in view; returns how many are in view."""
+    """Write the flat pixel of each point into `pixel` (n,), -1 = not in view; returns the number of points in view."""
     inside = 0
     for i in range(pixel.shape[0]):
         x, y, z = np.float64(flat[3 * i]), np.float64(flat[3 * i + 1]), np.float64(flat[3 * i + 2])
@@ -50,9 +47,9 @@ def project_points(flat, lens, pixel):
 
 @kernel()
 def fill_zbuffer(flat, order, pixel, depth, source):
-    """The z-buffer: the smallest z wins its pixel, equal ones go to the smaller `order`, whatever the sequence.
+    """Fill the z-buffer: the smallest z wins its pixel, ties go to the smaller `order`, for any sequence of points.
 
-    `depth` comes in as NaN and `source` as -1; returns how many pixels were won.
+    `depth` is initially NaN and `source` -1; returns the number of pixels drawn.
     """
     won = 0
     for i in range(pixel.shape[0]):
@@ -60,7 +57,7 @@ def fill_zbuffer(flat, order, pixel, depth, source):
         if p < 0:
             continue
         z = flat[3 * i + 2]
-        if not z >= depth[p]:  # true for the NaN of a pixel that nobody has won yet
+        if not z >= depth[p]:  # also true for the NaN of an empty pixel
             won += source[p] < 0
             depth[p] = z
             source[p] = i
@@ -71,7 +68,7 @@ def fill_zbuffer(flat, order, pixel, depth, source):
 
 @kernel()
 def splat_points(flat, wanted, order, lens, image):
-    """Points drawn among triangles: as `nearest`, on 1/z and for the wanted points only; how many are in view."""
+    """Draw selected points among triangles: as `fill_zbuffer`, on 1/z; returns the number of points in view."""
     inverse_z, _, source = image
     inside = 0
     for i in range(wanted.shape[0]):
@@ -88,10 +85,10 @@ def splat_points(flat, wanted, order, lens, image):
 
 @kernel()
 def mark_hidden_points(flat, depth, lens, tolerance, pixel):
-    """Set to -1 the pixel of every point that is not part of what the image shows there; returns how many are hidden.
+    """Set to -1 the pixel of every point that the image does not show there; returns the number of hidden points.
 
-    A point is part of it when it lies at most `tolerance` behind the depth drawn in its pixel or, on a slope, in one
-    of the eight around it; where nothing is drawn it is cut away, not hidden.
+    A point is shown if it lies at most `tolerance` behind the depth of its pixel or, on a slope, of one of the eight
+    around it. Where nothing is drawn it was cut away, not hidden.
     """
     _, _, _, _, rows, cols, _ = lens
     hidden = 0
@@ -115,7 +112,7 @@ def mark_hidden_points(flat, depth, lens, tolerance, pixel):
 
 @inner_kernel()
 def sample_rest_surface(x, y, rest):
-    """The rest surface at (x, y): bilinear, level beyond the border."""
+    """Rest surface at (x, y): bilinear, constant beyond the border."""
     x0, y0, per_mm, z = rest
     ny, nx = z.shape
     u = min(max((x - x0) * per_mm, 0.0), nx - 1.0)
@@ -139,11 +136,10 @@ def mark_contact_points(flat, pixel, rest, contact):
 
 @kernel()
 def resolve_depth_and_contact(image, veiled, tolerance, rays, rest, depth, contact):
-    """Depth of every drawn pixel from its 1/z, and whether what it sees reaches the membrane.
+    """Depth of every drawn pixel from its 1/z, and whether that point reaches the membrane.
 
-    Taken back is what lies more than `tolerance` behind a veil, if there is any, and what lies beyond any length that
-    float32 holds (a rim drawn on from points almost there). Returns how many pixels are drawn, and how many a veil
-    hides.
+    Pixels more than `tolerance` behind a veil, and depths beyond the float32 range (a rim extrapolated from points
+    close to the lens), are cleared. Returns the numbers of pixels drawn and of pixels hidden by a veil.
     """
     inverse_z, veil, source = image
     ray_x, ray_y = rays
@@ -153,7 +149,7 @@ def resolve_depth_and_contact(image, veiled, tolerance, rays, rest, depth, conta
         for col in range(cols):
             p = row * cols + col
             there = inverse_z[p] > MIN_INVERSE_Z
-            if veiled and there and 1.0 / inverse_z[p] - 1.0 / veil[p] > tolerance:  # 1 / 0 is farther than anything
+            if veiled and there and 1.0 / inverse_z[p] - 1.0 / veil[p] > tolerance:  # 1 / 0 is infinitely far
                 there = False
                 hidden += 1
             if not there:

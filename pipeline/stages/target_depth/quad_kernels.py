@@ -1,15 +1,15 @@
 # pyright: basic
-"""Compiled loops of the surface mode: the source grid, and which of its quads are worth a look.
+"""Compiled loops of the surface mode: the source grid, and which of its quads can cover a target pixel centre.
 
-Most quads of a fine source lie between the pixel centres of a coarse target. They are told apart for a strip of the
-grid at once, on vectors, before any triangle is made. Further tuples, beside those of `project_kernels`:
+Most quads of a fine source lie between the pixel centres of a coarse target. They are rejected for a strip of the grid
+at once, vectorised, before any triangle is made. Tuples in addition to those of `projection_kernels`:
 
-    corners  what triangles hang on, the points of a strip of the source and then room for what the rim of a touch adds:
-             x, y, z of the points in turn, mm; those of the room, each with the point that it begins at; where each is
-             seen, px, and 1/z (3, m); the pixel centres that it lies between, across and down (2, m), see `between`
-    cells    source pixels of the strip, with an empty column on either side (rows, cols): the corner there,
-             NONE = none; THERE and UNSEEN; between which centres, both in one number; what is to be done with the quad
-             whose upper left corner this is, see `tell_apart`
+    corners  vertices of triangles, the points of a strip of the source followed by room for vertices of the rim:
+             x, y, z of the points, mm; those of the rim, each with the point it starts from; pixel coordinates and 1/z
+             (3, m); the pixel centres it lies between in x and y (2, m), see `bracket_pixel_centres`
+    cells    source pixels of the strip, with an empty column on either side (rows, cols): the vertex, NO_POINT = none;
+             PRESENT and NOT_VISIBLE; its bracketing centres in one number; the class of the quad whose upper left
+             corner this is, see `classify_quads`
 """
 
 from __future__ import annotations
@@ -18,21 +18,21 @@ import numpy as np
 
 from pipeline.base.cached_kernels import inner_kernel, kernel
 
-SLACK = 1e-9  # barycentric and px: neighbours share the pixels on their common edge, so that no crack opens
+SLACK = 1e-9  # barycentric and px: neighbours share pixels on their common edge, so that no crack opens
 NO_POINT = np.uint32(0xFFFFFFFF)  # no point
-PRESENT, NOT_VISIBLE = np.uint8(1), np.uint8(2)  # bits of a corner: a point, and one behind the lens or not finite
-PARITY_BITS, LOW_BITS = np.int64(1 << 32 | 1), np.int64((1 << 32) - 1)  # of two places in one number
+PRESENT, NOT_VISIBLE = np.uint8(1), np.uint8(2)  # bits of a vertex: a point; behind the lens or not finite
+PARITY_BITS, LOW_BITS = np.int64(1 << 32 | 1), np.int64((1 << 32) - 1)  # of two brackets in one number
 HAS_TRIANGLE, NEEDS_DRAWING, RIM, BEHIND = (
     np.uint8(bit) for bit in (1, 2, 4, 8)
-)  # bits of a quad: three corners or more, a centre near them; see `tell_apart`
+)  # bits of a quad, see `classify_quads`
 
 
 @inner_kernel()
 def bracket_pixel_centres(u, size):
     """The pixel centres that a coordinate lies between, as first not before + last not after.
 
-    That sum is even on a centre, to the slack, and odd between two: half of it, rounded up and down, gives them back.
-    Clamped as floats to between two centres outside the image.
+    The sum is even on a centre (within the slack) and odd between two: half of it, rounded up and down, gives both
+    back. Clamped as floats to between two centres outside the image.
     """
     near = u if u > -1.5 else -1.5
     near = near if near < size + 0.5 else size + 0.5
@@ -41,7 +41,7 @@ def bracket_pixel_centres(u, size):
 
 @inner_kernel()
 def project_corners(lens, n, corners, state):
-    """Write where the first `n` points are seen, and which are; anything, harmlessly, for the others."""
+    """Project the first `n` points and mark which are visible; the values of the others are arbitrary."""
     flat, _, screen, between_px = corners
     u, v, w = screen[0], screen[1], screen[2]
     across, down = between_px[0], between_px[1]
@@ -60,7 +60,7 @@ def project_corners(lens, n, corners, state):
 
 @kernel()
 def measure_neighbour_distances(flat, index, stride, every, behind, squares):
-    """Write the distances, squared, of every `every`-th pair of points that are neighbours in a row; how many."""
+    """Write squared distances of every `every`-th pair of row neighbours; returns their number."""
     n = 0
     for i in range(0, index.shape[0] - 1, every):
         p = 3 * i
@@ -76,12 +76,12 @@ def measure_neighbour_distances(flat, index, stride, every, behind, squares):
 
 @inner_kernel()
 def place_corners(index, starts, bounds, strip, state, corners, cells, alone):
-    """Put the corners of a strip in its cells.
+    """Put the vertices first_point a strip into its cells.
 
-    `starts` are where each source row begins in the points, `bounds` the first source row and column, the columns of
-    the source and those of the cells, and the stride, `strip` the first source row of it and the one after its last.
-    Corners count from the strip's first point. Of several points of one source pixel the last stays; the others stand
-    `alone`, as do those between the rows and columns that a stride looks at.
+    `starts`: first point first_point each source row. `bounds`: first source row and column, columns first_point the
+    source and first_point the cells, stride. `strip`: first source row, the one after its last, and its first row
+    first_point cells. Vertices count from the strip's first point. Of several points first_point one source pixel the
+    last is used; the others, and those that the stride skips, are marked `alone`.
     """
     top, left, grid_cols, cols, stride = bounds
     from_row, to_row, first_cells = strip
@@ -100,40 +100,41 @@ def place_corners(index, starts, bounds, strip, state, corners, cells, alone):
         gaps = 0
         for i in range(begin, end - 1):
             gaps += index[i + 1] - index[i] != 1
-        if stride == 1 and gaps == 0 and begin < end:  # most rows: on vectors
-            # Unsigned places, which cannot count from an array's end: numba's checks for that keep vectors away.
-            n, to, of = np.uint64(end - begin), np.uint64(g + index[begin] - first), np.uint64(begin - start)
+        if stride == 1 and gaps == 0 and begin < end:  # most rows: vectorised
+            # Unsigned indices: numba's check for negative ones prevents vectorisation.
+            n, first_cell = np.uint64(end - begin), np.uint64(g + index[begin] - first)
+            first_point = np.uint64(begin - start)
             for k in range(n):
-                corner[to + k] = of + k
+                corner[first_cell + k] = first_point + k
             for k in range(n):
-                state_at[to + k] = state[of + k]
+                state_at[first_cell + k] = state[first_point + k]
             for k in range(n):
-                centres_at[to + k] = (np.int64(down[of + k]) << 32) ^ np.int64(across[of + k])
+                centres_at[first_cell + k] = (np.int64(down[first_point + k]) << 32) ^ np.int64(across[first_point + k])
             continue
         for i in range(begin, end):
             column = index[i] - first
-            apart = stride > 1 and ((top + r) % stride != 0 or (left + column) % stride != 0)
-            if apart or (i + 1 < end and index[i + 1] == index[i]):
+            skipped = stride > 1 and ((top + r) % stride != 0 or (left + column) % stride != 0)
+            if skipped or (i + 1 < end and index[i + 1] == index[i]):
                 alone[i] = True
                 continue
-            at, k = g + ((left + column) // stride - left // stride if stride > 1 else column), i - start
-            corner[at] = k
-            state_at[at] = state[k]
-            centres_at[at] = (np.int64(down[k]) << 32) ^ np.int64(across[k])
+            cell, k = g + ((left + column) // stride - left // stride if stride > 1 else column), i - start
+            corner[cell] = k
+            state_at[cell] = state[k]
+            centres_at[cell] = (np.int64(down[k]) << 32) ^ np.int64(across[k])
 
 
 @inner_kernel()
 def classify_quads(cells, todo, late):
-    """Say of each quad what is to be done with it, and list row by row those of the strip itself that want a look.
+    """Classify each quad, and list row by row the quads of the strip that need drawing.
 
-    JOINED: three corners or more are there. LOOK: these, all of them seen, and a pixel centre may lie in their box.
-    BEHIND: not all of them are seen. RIM: some corners are there, all of them seen, and others are not.
+    HAS_TRIANGLE: at least three corners exist. NEEDS_DRAWING: these, all visible, and a pixel centre may lie in their
+    bounding box. BEHIND: some corners are not visible. RIM: some but not all corners exist, all visible.
 
-    A box holds no centre if all four lie between the same two, in x or in y; what an absent corner left behind may
-    widen it, which costs a look and no more. All of it in bits, on vectors.
+    A box holds no centre if all four lie between the same two in x or in y; a stale value of an absent corner may
+    enlarge it, which costs time only. Computed with bits, vectorised.
 
-    An entry of `todo` is twice the quad, plus one for its rim, which comes after the row's quads. Returns how many
-    entries there are, and how many quads reach behind the lens.
+    An entry of `todo` is twice the quad, plus one for its rim, listed after the quads of the row. Returns the number of
+    entries and of quads that reach behind the lens.
     """
     _, state, centres, quad = cells
     rows, cols = quad.shape
@@ -154,7 +155,7 @@ def classify_quads(cells, todo, late):
         if r == 0 or r > rows - 3:
             continue
         m = 0
-        for c in range(cols - 1):  # no branch: which quads hold a centre is beyond guessing
+        for c in range(cols - 1):  # branch-free: whether a quad holds a centre is unpredictable
             todo[n] = 2 * (r * cols + c)
             n += (quad[r, c] & NEEDS_DRAWING) >> 1
             late[m] = 2 * (r * cols + c) + 1
@@ -169,15 +170,15 @@ def classify_quads(cells, todo, late):
 
 @inner_kernel()
 def mark_isolated_points(cells, start, alone):
-    """Set in `alone` the points, from `start` on, without neighbours to form a triangle with, drawn or not."""
+    """Mark in `alone` the points, from `start` on, without neighbours to form a triangle, drawn or not."""
     corner, state, _, quad = cells
     rows, cols = quad.shape
     for r in range(rows - 3):
-        above, beside, there = quad[r], quad[r + 1], state[r + 1]
-        lonely = np.uint8(0)
+        above, below, present = quad[r], quad[r + 1], state[r + 1]
+        any_alone = np.uint8(0)
         for c in range(cols - 2):
-            lonely |= (there[c + 1] != 0) & ~(above[c] | above[c + 1] | beside[c] | beside[c + 1]) & HAS_TRIANGLE
-        if lonely:
+            any_alone |= (present[c + 1] != 0) & ~(above[c] | above[c + 1] | below[c] | below[c + 1]) & HAS_TRIANGLE
+        if any_alone:
             for c in range(cols - 2):
-                if there[c + 1] != 0 and (above[c] | above[c + 1] | beside[c] | beside[c + 1]) & HAS_TRIANGLE == 0:
+                if present[c + 1] != 0 and (above[c] | above[c + 1] | below[c] | below[c + 1]) & HAS_TRIANGLE == 0:
                     alone[start + corner[r + 1, c + 1]] = True

@@ -1,4 +1,4 @@
-"""Drawing a cloud in a camera's image: as the points that it is, or as the surface that its pixel grid spans."""
+"""Rasterisation of a cloud in a camera image, as points or as the surface of its pixel grid."""
 
 from __future__ import annotations
 
@@ -14,32 +14,32 @@ from pipeline.geometry.camera import MIN_DEPTH_MM, Camera
 from pipeline.geometry.membrane import Membrane
 from pipeline.values.results import Cloud
 
-SAME_SURFACE_MM = 0.2  # a point this close behind what its pixel shows is part of it, not hidden by it
-_CELLS_PER_STRIP = 8192  # cells laid out at once
-_SPACING_SAMPLES = 1024  # neighbours looked at to learn how far apart source pixels are
+SAME_SURFACE_MM = 0.2  # mm; a point this close behind the depth of its pixel counts as visible
+_CELLS_PER_STRIP = 8192  # cells processed at once, so that they stay in cache
+_SPACING_SAMPLES = 1024  # neighbour pairs that the point spacing is estimated from
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rasterisation:
-    """What the loops saw, all of it flat; nothing is drawn in a pixel whose `source` is -1."""
+    """Result of a rasterisation, all flat; nothing is drawn in a pixel whose `point_index` is -1."""
 
     depth_mm: Floats  # (rows * cols,) NaN = nothing there
     point_index: Indices  # (rows * cols,) the point drawn there
     contact: Mask  # (rows * cols,) reaches the membrane
     n_drawn_px: int
-    triangle_counts: NDArray[np.int64]  # of triangles by fate, see desk_kernels
-    n_veiled_px: int = 0  # pixels of what lies behind triangles that were left out
-    is_point_splat: bool = False  # a touch too small for a surface
+    triangle_counts: NDArray[np.int64]  # triangles by outcome, see triangle_batch_kernels
+    n_veiled_px: int = 0  # pixels hidden by omitted triangles
+    is_point_splat: bool = False  # the touch was too small for a surface
 
 
 def splat_cloud(cloud: Cloud, camera: Camera, membrane: Membrane, pixel: Indices) -> Rasterisation:
-    """Each point in the one pixel that it falls on, the nearest winning; the membrane is asked for every point."""
+    """Draw each point in its pixel, the nearest winning; contact is tested for every point."""
     from pipeline.stages.target_depth import projection_kernels as kernels
     from pipeline.stages.target_depth.triangle_batch_kernels import N_COUNTS
 
     depth_mm, source, n_drawn = compute_zbuffer(cloud, camera, pixel)
     contact = np.zeros(source.size, dtype=np.bool_)
-    kernels.mark_contact_points(flatten_read_only(cloud.points_mm), pixel, _rest_of(membrane), contact)
+    kernels.mark_contact_points(flatten_read_only(cloud.points_mm), pixel, _pack_membrane(membrane), contact)
     return Rasterisation(
         depth_mm=depth_mm, point_index=source, contact=contact, n_drawn_px=n_drawn,
         triangle_counts=np.zeros(N_COUNTS, dtype=np.int64),
@@ -47,10 +47,10 @@ def splat_cloud(cloud: Cloud, camera: Camera, membrane: Membrane, pixel: Indices
 
 
 def compute_zbuffer(cloud: Cloud, camera: Camera, pixel: Indices) -> tuple[Floats, Indices, int]:
-    """(Depth of each pixel, the point in it, how many are drawn) of a splat, given the `pixel` of each point.
+    """(depth of each pixel in mm, NaN = nothing; the point in it; number of pixels drawn) of a splat.
 
-    Depth is mm, NaN = nothing; the nearest point wins and equal depths go to the smaller `source_index`, so the order
-    of the points changes nothing.
+    `pixel` (n,) is the pixel of each point. The nearest point wins, ties go to the smaller `source_index`: the order of
+    the points has no effect.
     """
     from pipeline.stages.target_depth import projection_kernels as kernels
 
@@ -64,7 +64,7 @@ def compute_zbuffer(cloud: Cloud, camera: Camera, pixel: Indices) -> tuple[Float
 
 
 def assign_pixels(cloud: Cloud, camera: Camera) -> tuple[Indices, int]:
-    """(The pixel that each point falls on (n,), -1 = not in the image; how many are in it)."""
+    """(flat pixel of each point (n,), -1 = outside the image; number of points inside)."""
     from pipeline.stages.target_depth import projection_kernels as kernels
 
     pixel = np.empty(len(cloud.points_mm), dtype=np.int32)
@@ -75,10 +75,10 @@ def assign_pixels(cloud: Cloud, camera: Camera) -> tuple[Indices, int]:
 def rasterise_surface(
     cloud: Cloud, camera: Camera, membrane: Membrane, *, jump_mm: float, grazing_deg: float
 ) -> Rasterisation:
-    """The source grid as triangles; points without neighbours as points. The membrane is asked in every pixel.
+    """Rasterise the source grid as triangles, isolated points as points; contact is tested in every pixel.
 
-    Left out are triangles with an edge `jump_mm` longer than the usual spacing, and those seen flatter than
-    `grazing_deg` from their normal; what lies behind the latter is hidden all the same.
+    Triangles with an edge `jump_mm` longer than the usual spacing, and those seen flatter than `grazing_deg` from their
+    normal, are omitted; the latter still hide what lies behind them.
     """
     from pipeline.stages.target_depth import projection_kernels as kernels
     from pipeline.stages.target_depth.triangle_batch_kernels import GRAZING
@@ -89,79 +89,91 @@ def rasterise_surface(
         flatten_read_only(cloud.source_index, np.int32),
     )
     if (index[1:] < index[:-1]).any():
-        return _in_turn(cloud, camera, membrane, jump_mm=jump_mm, grazing_deg=grazing_deg)
-    longest_mm = jump_mm + 2.0 * _spacing_mm(points, index, cloud.stride)  # a diagonal, on a slope
+        return _rasterise_unordered(cloud, camera, membrane, jump_mm=jump_mm, grazing_deg=grazing_deg)
+    longest_mm = jump_mm + 2.0 * _measure_spacing_mm(points, index, cloud.stride)  # the diagonal of a cell on a slope
     image = (np.zeros(n), np.zeros(n), np.full(n, -1, dtype=np.int32))
     limits = (longest_mm * longest_mm, math.cos(math.radians(grazing_deg)))
-    alone, counts = _triangles(cloud, pack_camera(camera), limits, image)
-    as_points = not counts[0].any() and not (image[2] >= 0).any()
-    # A pixel without neighbours spans no triangle; it is kept as the point that it is.
-    if as_points or alone.any():
-        as_points &= kernels.splat_points(points, alone | as_points, index, pack_camera(camera), image) > 0
+    alone, counts = _rasterise_triangles(cloud, pack_camera(camera), limits, image)
+    splats_points = not counts[0].any() and not (image[2] >= 0).any()
+    # A pixel without neighbours forms no triangle; it is drawn as a point.
+    if splats_points or alone.any():
+        splats_points &= kernels.splat_points(points, alone | splats_points, index, pack_camera(camera), image) > 0
     depth_mm, contact = np.empty(n, dtype=np.float32), np.empty(n, dtype=np.bool_)
     n_drawn, n_veiled = kernels.resolve_depth_and_contact(
-        image, bool(counts[:, GRAZING].any()), SAME_SURFACE_MM, camera.rays(), _rest_of(membrane), depth_mm, contact
+        image,
+        bool(counts[:, GRAZING].any()),
+        SAME_SURFACE_MM,
+        camera.rays(),
+        _pack_membrane(membrane),
+        depth_mm,
+        contact,
     )
     return Rasterisation(
         depth_mm=depth_mm, point_index=image[2], contact=contact, n_drawn_px=int(n_drawn), n_veiled_px=int(n_veiled),
-        triangle_counts=counts[0], is_point_splat=as_points and not bool(alone.all()),
+        triangle_counts=counts[0], is_point_splat=splats_points and not bool(alone.all()),
     )  # fmt: skip
 
 
-def _in_turn(cloud: Cloud, camera: Camera, membrane: Membrane, *, jump_mm: float, grazing_deg: float) -> Rasterisation:
-    """As `rasterised`, of points that do not come in the order of their source pixels."""
+def _rasterise_unordered(
+    cloud: Cloud, camera: Camera, membrane: Membrane, *, jump_mm: float, grazing_deg: float
+) -> Rasterisation:
+    """`rasterise_surface` of points that are not in the order of their source pixels."""
     order = np.argsort(cloud.source_index, kind="stable").astype(np.int32)
-    in_turn = replace(cloud, points_mm=cloud.points_mm[order], source_index=cloud.source_index[order])
-    drawing = rasterise_surface(in_turn, camera, membrane, jump_mm=jump_mm, grazing_deg=grazing_deg)
-    return replace(drawing, point_index=np.where(drawing.point_index >= 0, order[drawing.point_index], np.int32(-1)))
+    ordered = replace(cloud, points_mm=cloud.points_mm[order], source_index=cloud.source_index[order])
+    rasterisation = rasterise_surface(ordered, camera, membrane, jump_mm=jump_mm, grazing_deg=grazing_deg)
+    return replace(
+        rasterisation,
+        point_index=np.where(rasterisation.point_index >= 0, order[rasterisation.point_index], np.int32(-1)),
+    )
 
 
 def flatten_read_only(array: NDArray[Any], kind: type = np.float32) -> NDArray[Any]:
-    """The array in one row, of one type and read-only: what the loops are compiled for, once."""
+    """The array flat, of one dtype and read-only: the single signature that the kernels are compiled for."""
     return freeze(np.ascontiguousarray(array, dtype=kind).reshape(-1))
 
 
 def pack_camera(camera: Camera) -> tuple[float, float, float, float, int, int, float]:
-    """The camera as the loops take it, see project_kernels."""
+    """The camera as the `lens` tuple of `projection_kernels`."""
     focal, centre = (float(camera.fx_px), float(camera.fy_px)), (float(camera.cx_px), float(camera.cy_px))
     return *focal, *centre, int(camera.rows), int(camera.cols), MIN_DEPTH_MM
 
 
-def _rest_of(membrane: Membrane) -> tuple[float, float, float, Doubles]:
+def _pack_membrane(membrane: Membrane) -> tuple[float, float, float, Doubles]:
     z_mm = flatten_read_only(membrane.z_mm, np.float64).reshape(membrane.z_mm.shape)
     return float(membrane.x0_mm), float(membrane.y0_mm), float(1.0 / membrane.step_mm), z_mm
 
 
-def _triangles(
+def _rasterise_triangles(
     cloud: Cloud, lens: tuple[float, ...], limits: tuple[float, float], image: tuple[NDArray[Any], ...]
 ) -> tuple[Mask, NDArray[np.int64]]:
-    """Draw the triangles of points in turn.
+    """Rasterise the triangles of ordered points.
 
-    (Which points have no neighbours to form a triangle with, how many triangles by fate: of the touch, and of its rim.)
+    Returns which points have no neighbours to form a triangle (n,), and counts of triangles by outcome: of the surface,
+    and of its rim.
     """
-    from pipeline.stages.target_depth import triangle_batch_kernels as desk
+    from pipeline.stages.target_depth import triangle_batch_kernels as batch_kernels
     from pipeline.stages.target_depth import triangle_kernels as triangles
 
     points, index = flatten_read_only(cloud.points_mm), flatten_read_only(cloud.source_index, np.int32)
-    starts, bounds, n_rows = _rows_of(index, cloud.grid_shape[1], cloud.stride)
+    starts, bounds, n_rows = _lay_out_rows(index, cloud.grid_shape[1], cloud.stride)
     cols, room = bounds[3], triangles.N_RIM_CORNERS
     grid = (min(max(_CELLS_PER_STRIP // cols, 8), n_rows + 4), cols)
     high = min(grid[0] * cloud.stride, len(starts) - 1)  # source rows of a strip
     n = int((starts[high:] - starts[:-high]).max()) + room
     corners = (np.empty(4 * room), np.empty((3, n)), np.empty((2, n), np.int32), np.empty(n, np.uint8))
     cells = (np.empty(grid, np.uint32), np.empty(grid, np.uint8), np.zeros(grid, np.int64), np.empty(grid, np.uint8))
-    lists = (np.empty(2 * grid[0] * cols, np.uint32), np.empty(cols, np.uint32), np.empty(desk.BATCH_LENGTH))
-    alone, counts = np.zeros(len(index), dtype=np.bool_), np.zeros((2, desk.N_COUNTS), dtype=np.int64)
+    lists = (np.empty(2 * grid[0] * cols, np.uint32), np.empty(cols, np.uint32), np.empty(batch_kernels.BATCH_LENGTH))
+    alone, counts = np.zeros(len(index), dtype=np.bool_), np.zeros((2, batch_kernels.N_COUNTS), dtype=np.int64)
     triangles.rasterise_grid((points, index, starts), bounds, lens, limits, corners, cells, lists, image, counts, alone)
     return alone, counts
 
 
-def _rows_of(
+def _lay_out_rows(
     index: Indices, grid_cols: int, stride: int
 ) -> tuple[NDArray[np.intp], tuple[int, int, int, int, int], int]:
-    """Where each source row begins in the points; what they span, as `place` takes it; and how many rows of cells.
+    """First point of each source row; the bounds as `place_corners` takes them; and the number of rows of cells.
 
-    The cells are every `stride`-th source pixel in each direction, with an empty column on either side.
+    Cells are every `stride`-th source pixel in each direction, with an empty column on either side.
     """
     top, bottom = int(index[0]) // grid_cols, int(index[-1]) // grid_cols
     row = np.arange(top, bottom + 2, dtype=np.int32) * np.int32(grid_cols)
@@ -173,14 +185,14 @@ def _rows_of(
     return starts, (top, left, grid_cols, cols, stride), bottom // stride - top // stride + 1
 
 
-def _spacing_mm(points: Floats, index: Indices, stride: int) -> float:
-    """The usual distance of neighbouring points, 0 when none has a neighbour."""
+def _measure_spacing_mm(points: Floats, index: Indices, stride: int) -> float:
+    """Median distance of neighbouring points, 0 if none has a neighbour."""
     from pipeline.stages.target_depth import quad_kernels as kernels
 
     squares = np.empty(_SPACING_SAMPLES, dtype=np.float64)
     for every in (max(1, len(index) // _SPACING_SAMPLES), 1):
         n = kernels.measure_neighbour_distances(points, index, stride, every, MIN_DEPTH_MM, squares)
         if n > 0:
-            low, high = (n - 1) // 2, n // 2  # as np.median, at a third of its time
+            low, high = (n - 1) // 2, n // 2  # np.median takes three times as long
             return float(np.sqrt(np.partition(squares[:n], (low, high))[[low, high]]).sum() / 2.0)
     return 0.0

@@ -1,4 +1,4 @@
-"""The slot *view*: the cloud as the target's camera would see it."""
+"""The stage *target_depth*: the cloud as depth and contact in the target's image."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ SURFACE = Method(
     stage="target_depth",
     name="surface",
     title="Surface",
-    help="triangles between neighbouring pixels",
+    help="triangles between neighbouring source pixels, rasterised with a z-buffer",
     run=skip_if_exact(surface_projection.skip_without_contact, surface_projection.project_cloud),
     params=surface_projection.SurfaceProjectionParams,
     reads=("cloud", "target"),
@@ -26,7 +26,7 @@ SURFACE = Method(
 POINT_SPLAT = Method(
     stage="target_depth",
     name="paper",
-    title="Paper",
+    title="Point splat (paper)",
     help="single points, as in the equations (D_T'' and M_T'')",
     run=skip_if_exact(surface_projection.skip_without_contact, surface_projection.project_cloud),
     params=surface_projection.PointSplatParams,
@@ -34,57 +34,61 @@ POINT_SPLAT = Method(
 )
 
 
-def make_preview(view: TargetDepth, seen: PreviewContext) -> Preview:
-    """Target depth as indentation where there is a surface, with the mask's outline."""
-    shown = freeze(np.asarray(compute_rest_depth_mm(seen.target, view.camera) - view.depth_mm, dtype=np.float32))
+def make_preview(depth: TargetDepth, context: PreviewContext) -> Preview:
+    """Indentation of the target's rest surface wherever there is depth, with the contact outline."""
+    shown = freeze(np.asarray(compute_rest_depth_mm(context.target, depth.camera) - depth.depth_mm, dtype=np.float32))
     caption = f"{INDENTATION_LABEL}; mask outlined"
-    return make_indentation_preview(shown, view.depth_mm, view.contact, view.camera, seen.target, seen.display, caption)
-
-
-def make_layers(view: TargetDepth, seen: PreviewContext, picture: Preview) -> tuple[Layer, ...]:
-    """The surface that the target would see, over its faint rest surface."""
-    rest = compute_rest_depth_mm(seen.target, view.camera)
-    shown = rest - seen.display.get_depth_stretch(seen.target) * (rest - view.depth_mm)
-    return (
-        make_grid_layer("target_depth", view.camera.back_project(shown), picture.pixels),
-        make_membrane_layer(seen.target),
+    return make_indentation_preview(
+        shown, depth.depth_mm, depth.contact, depth.camera, context.target, context.display, caption
     )
 
 
-def _follow(view: TargetDepth, before: ProbePoint) -> ProbePoint:
-    """The target pixel that a cloud point falls on: several points may share one where the target is coarser."""
-    where = before.point_mm
-    if where is None:
-        return ProbePoint(stage="target_depth", index=-1, text="not carried over")
-    x_px, y_px, visible = (a[0] for a in view.camera.project(np.array([where])))
+def make_layers(depth: TargetDepth, context: PreviewContext, preview: Preview) -> tuple[Layer, ...]:
+    """The surface seen by the target, over its faint rest surface."""
+    rest = compute_rest_depth_mm(context.target, depth.camera)
+    shown = rest - context.display.get_depth_stretch(context.target) * (rest - depth.depth_mm)
+    return (
+        make_grid_layer("target_depth", depth.camera.back_project(shown), preview.pixels),
+        make_membrane_layer(context.target),
+    )
+
+
+def _trace_point(depth: TargetDepth, before: ProbePoint) -> ProbePoint:
+    """The target pixel of a cloud point; several points share one where the target is coarser."""
+    point = before.point_mm
+    if point is None:
+        return ProbePoint(stage="target_depth", index=-1, text="not in the cloud")
+    x_px, y_px, visible = (a[0] for a in depth.camera.project(np.array([point])))
     if not visible:
-        out_x = max(-x_px, x_px - view.camera.cols + 1, 0.0)
-        out_y = max(-y_px, y_px - view.camera.rows + 1, 0.0)
+        out_x = max(-x_px, x_px - depth.camera.cols + 1, 0.0)
+        out_y = max(-y_px, y_px - depth.camera.rows + 1, 0.0)
         return ProbePoint(
-            stage="target_depth", index=-1, point_mm=where, text=f"outside the image by {max(out_x, out_y):.0f} px"
+            stage="target_depth", index=-1, point_mm=point, text=f"outside the image by {max(out_x, out_y):.0f} px"
         )
     row, col = int(np.floor(y_px + 0.5)), int(np.floor(x_px + 0.5))
-    seen_mm = float(view.depth_mm[row, col])
-    index, place = -1, f"({col}, {row})"
+    seen_mm = float(depth.depth_mm[row, col])
+    index, pixel_text = -1, f"({col}, {row})"
     if not np.isfinite(seen_mm):
-        text = f"{place}, cut away at a depth jump"
-    elif where[2] > seen_mm + surface_projection.SAME_SURFACE_MM:
-        text = f"{place}, hidden behind what is {where[2] - seen_mm:.2f} mm nearer"
+        text = f"{pixel_text}, omitted at a depth jump"
+    elif point[2] > seen_mm + surface_projection.SAME_SURFACE_MM:
+        text = f"{pixel_text}, hidden by a surface {point[2] - seen_mm:.2f} mm nearer"
     else:
-        pushed = float(view.indentation_mm[row, col])
-        index = row * view.camera.cols + col
-        text = f"{place}, " + (f"{pushed:.3f} mm in" if view.contact[row, col] else "does not reach the membrane")
-    return ProbePoint(stage="target_depth", index=index, row=row, col=col, point_mm=where, text=text)
+        pushed_mm = float(depth.indentation_mm[row, col])
+        index = row * depth.camera.cols + col
+        text = f"{pixel_text}, " + (
+            f"{pushed_mm:.3f} mm in" if depth.contact[row, col] else "does not reach the membrane"
+        )
+    return ProbePoint(stage="target_depth", index=index, row=row, col=col, point_mm=point, text=text)
 
 
 STAGE = Stage(
     name="target_depth",
-    title="Target view",
-    legend="what the target sees",
+    title="Target depth",
+    legend="surface seen by the target",
     sensor_role="target",
     methods=(SURFACE, POINT_SPLAT),
     make_preview=make_preview,
     make_layers=make_layers,
-    trace_point=_follow,
+    trace_point=_trace_point,
     make_ground_truth=ground_truth.build_target_depth,
 )

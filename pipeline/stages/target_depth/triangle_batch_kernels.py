@@ -1,11 +1,11 @@
 # pyright: basic
-"""Compiled loops of the surface mode: triangles judged many at once, on vectors, and drawn one after the other.
+"""Compiled loops of the surface mode: triangles are classified in vectorised batches and drawn one by one.
 
-They lie on a desk, a flat array of which row by row holds one figure of all its triangles: of the corners a, b and c
-where they are (mm, and px on screen), their 1/z and the point that each stands for; the box of pixel centres that the
-triangle may cover; the pixel that its weights are reckoned from; whether it belongs to a rim; and what `judge` finds:
-its fate, and, for the first pixel of the box, the 1/z there and the point that is nearest on screen. Rows begin at
-numbers that are known when this is compiled, and all of them in one array: only so are the loops put on vectors.
+A batch is one flat array; each row of it holds one quantity of all its triangles: of the corners a, b and c the
+position (mm, and px on screen), 1/z and point; the box of pixel centres that the triangle may cover; the pixel that its
+barycentric weights are relative to; whether it belongs to a rim; and the results of `classify_triangles`: its outcome,
+and 1/z and nearest point on screen at the first pixel of the box. Row offsets are compile-time constants of a single
+array, which numba needs to vectorise the loops.
 """
 
 from __future__ import annotations
@@ -15,17 +15,16 @@ import numpy as np
 from pipeline.base.cached_kernels import inner_kernel
 from pipeline.stages.target_depth.quad_kernels import SLACK
 
-# What becomes of a triangle. From GRAZING on it is drawn: that one as a veil, which is not seen and hides.
+# Outcome of a triangle. From GRAZING on it is drawn, GRAZING as a veil: invisible, but hiding what is behind.
 JUMP, OVERFULL, BEHIND, GRAZING, FLIPPED, DRAWN = range(6)
-PIXELS_SPENT = 6  # how many pixels large triangles have taken so far
+PIXELS_SPENT = 6  # counter: pixels that large triangles have visited
 N_COUNTS = 7
-NOT_COVERING = 6.0  # as a fate: covers no pixel centre
-LARGE_PX = 16  # pixels of a triangle's box from which on it is asked first whether it is worth drawing
-MAX_LAYERS = (
-    8  # times that large triangles may fill the image: surfaces fold over once or twice, noise at the lens endlessly
-)
+NOT_COVERING = 6.0  # as a outcome: covers no pixel centre
+LARGE_PX = 16  # pixels of the box from which on a triangle counts as large
+# Times that large triangles may fill the image: surfaces overlap once or twice, noise close to the lens endlessly.
+MAX_LAYERS = 8
 
-BATCH_SIZE = 64  # triangles on a desk
+BATCH_SIZE = 64  # triangles per batch
 (
     AX, AY, AZ, AU, AV, AW, A_POINT, BX, BY, BZ, BU, BV, BW, B_POINT, CX, CY, CZ, CU, CV, CW, C_POINT,
     LEFT, RIGHT, TOP, BOTTOM, ORIGIN_X, ORIGIN_Y, RIM, OUTCOME, INVERSE_Z, POINT,
@@ -35,14 +34,14 @@ BATCH_LENGTH = 31 * BATCH_SIZE
 
 @inner_kernel()
 def classify_triangles(batch, limits):
-    """Find the fate, and what the first pixel sees, of all triangles; no branches, so that it runs on vectors.
+    """Outcome and first-pixel values of all triangles of a batch; branch-free, for vectorisation.
 
-    The fate is by the edges and by the angle between normal and line of sight; MISSED, if the box is one pixel that the
-    triangle does not cover.
+    The outcome follows from the edge lengths and the angle between normal and line of sight; NOT_COVERING if the box is
+    one pixel that the triangle does not cover.
     """
     longest_sq, least_cos = limits
-    for turn in range(BATCH_SIZE):
-        t = np.uint64(turn)
+    for lane in range(BATCH_SIZE):
+        t = np.uint64(lane)
         x, y, z = batch[t + AX], batch[t + AY], batch[t + AZ]
         bx, by, bz = batch[t + BX] - x, batch[t + BY] - y, batch[t + BZ] - z
         cx, cy, cz = batch[t + CX] - x, batch[t + CY] - y, batch[t + CZ] - z
@@ -57,22 +56,22 @@ def classify_triangles(batch, limits):
         along = nx * mx + ny * my + nz * mz
         limit_sq = least_cos * least_cos * (nx * nx + ny * ny + nz * nz) * (mx * mx + my * my + mz * mz)
         steep = (along * along >= limit_sq) & (along != 0.0)
-        fate = (FLIPPED + 0.0) + (along > 0.0)
-        fate = fate if steep else GRAZING + 0.0
-        fate = fate if short else JUMP + 0.0
-        from_x, from_y = batch[t + ORIGIN_X], batch[t + ORIGIN_Y]
-        au, bu, cu = batch[t + AU] - from_x, batch[t + BU] - from_x, batch[t + CU] - from_x
-        av, bv, cv = batch[t + AV] - from_y, batch[t + BV] - from_y, batch[t + CV] - from_y
+        outcome = (FLIPPED + 0.0) + (along > 0.0)
+        outcome = outcome if steep else GRAZING + 0.0
+        outcome = outcome if short else JUMP + 0.0
+        origin_x, origin_y = batch[t + ORIGIN_X], batch[t + ORIGIN_Y]
+        au, bu, cu = batch[t + AU] - origin_x, batch[t + BU] - origin_x, batch[t + CU] - origin_x
+        av, bv, cv = batch[t + AV] - origin_y, batch[t + BV] - origin_y, batch[t + CV] - origin_y
         area = (bu - au) * (cv - av) - (cu - au) * (bv - av)
-        u, v, scale = batch[t + LEFT] - from_x, batch[t + TOP] - from_y, 1.0 / area
+        u, v, scale = batch[t + LEFT] - origin_x, batch[t + TOP] - origin_y, 1.0 / area
         wa = ((bu - u) * (cv - v) - (cu - u) * (bv - v)) * scale
         wb = ((cu - u) * (av - v) - (au - u) * (cv - v)) * scale
         wc = 1.0 - wa - wb
         off = (batch[t + RIGHT] == batch[t + LEFT]) & (batch[t + BOTTOM] == batch[t + TOP])
         off = off & ((wa < -SLACK) | (wb < -SLACK) | (wc < -SLACK))
-        batch[t + OUTCOME] = NOT_COVERING if off | (area == 0.0) else fate
+        batch[t + OUTCOME] = NOT_COVERING if off | (area == 0.0) else outcome
         batch[t + INVERSE_Z] = wa * batch[t + AW] + wb * batch[t + BW] + wc * batch[t + CW]
-        # The corner with the largest weight is the nearest one on screen.
+        # The corner with the largest weight is nearest on screen.
         a_point, b_point, c_point = batch[t + A_POINT], batch[t + B_POINT], batch[t + C_POINT]
         largest, point = (wb if wb > wa else wa), (b_point if wb > wa else a_point)
         batch[t + POINT] = c_point if wc > largest else point
@@ -80,9 +79,9 @@ def classify_triangles(batch, limits):
 
 @inner_kernel()
 def rasterise_triangle(batch, t, rows, cols, image, counts):
-    """Draw one triangle in the pixels of its box that it covers; it counts if there is one, or if the box is large."""
+    """Draw one triangle in the covered pixels of its box; it is counted if it covers one, or if its box is large."""
     inverse_z, veil, source = image
-    rim, fate = np.uint64(batch[t + RIM]), np.uint64(batch[t + OUTCOME])
+    rim, outcome = np.uint64(batch[t + RIM]), np.uint64(batch[t + OUTCOME])
     x0, y0 = np.int64(batch[t + ORIGIN_X]), np.int64(batch[t + ORIGIN_Y])
     left, right = np.int64(batch[t + LEFT]) - x0, np.int64(batch[t + RIGHT]) - x0
     top, bottom = np.int64(batch[t + TOP]) - y0, np.int64(batch[t + BOTTOM]) - y0
@@ -91,9 +90,9 @@ def rasterise_triangle(batch, t, rows, cols, image, counts):
     scale = 1.0 / ((xb - xa) * (yc - ya) - (xc - xa) * (yb - ya))
     large, counted = (right - left + 1) * (bottom - top + 1) > LARGE_PX, False
     if large:
-        fate = np.uint64(OVERFULL) if counts[rim, PIXELS_SPENT] > MAX_LAYERS * rows * cols else fate
-        counts[rim, fate] += 1
-        if fate < GRAZING:
+        outcome = np.uint64(OVERFULL) if counts[rim, PIXELS_SPENT] > MAX_LAYERS * rows * cols else outcome
+        counts[rim, outcome] += 1
+        if outcome < GRAZING:
             return
     for y in range(top, bottom + 1):
         begin, end = left, right
@@ -101,7 +100,7 @@ def rasterise_triangle(batch, t, rows, cols, image, counts):
             wa = ((xb - left) * (yc - y) - (xc - left) * (yb - y)) * scale
             wb = ((xc - left) * (ya - y) - (xa - left) * (yc - y)) * scale
             slopes = ((yb - yc) * scale, (yc - ya) * scale, (ya - yb) * scale)
-            begin, end = _columns((wa, wb, 1.0 - wa - wb), slopes, left, right)
+            begin, end = _clip_row((wa, wb, 1.0 - wa - wb), slopes, left, right)
             counts[rim, PIXELS_SPENT] += max(end - begin + 1, 0) + 1
         for x in range(begin, end + 1):
             wa = ((xb - x) * (yc - y) - (xc - x) * (yb - y)) * scale
@@ -111,21 +110,21 @@ def rasterise_triangle(batch, t, rows, cols, image, counts):
                 continue
             if not (large or counted):
                 counted = True
-                counts[rim, fate] += 1
+                counts[rim, outcome] += 1
             near, p = wa * batch[t + AW] + wb * batch[t + BW] + wc * batch[t + CW], np.uint64((y + y0) * cols + x + x0)
-            if fate == GRAZING:
+            if outcome == GRAZING:
                 veil[p] = max(veil[p], near)
-            elif fate > GRAZING and near > inverse_z[p]:
+            elif outcome > GRAZING and near > inverse_z[p]:
                 inverse_z[p] = near
                 largest, point = (wb, batch[t + B_POINT]) if wb > wa else (wa, batch[t + A_POINT])
                 source[p] = np.int32(batch[t + C_POINT] if wc > largest else point)
 
 
-@inner_kernel()
-def _columns(weights, slopes, first, last):
-    """The columns of a row in which no weight is negative, to a pixel more on either side.
+@inner()
+def _clip_row(weights, slopes, first, last):
+    """Column range of a row in which no weight is negative, one pixel wider on either side.
 
-    `weights` are those at column `first`, `slopes` what they gain per column.
+    `weights` are those at column `first`, `slopes` their change per column.
     """
     low, high = 0.0, np.float64(last - first)
     for k in range(3):

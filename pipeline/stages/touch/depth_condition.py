@@ -1,8 +1,4 @@
-"""What the residual denoiser is shown, for its teacher and its user alike; each (channels, rows, cols) float32.
-
-Of a view (touch to depth to touch): the physical render, what was felt and where that could be, and the relief of it,
-finer. Of a picture (touch to touch): how the source's reading changed, drawn where the target would see it.
-"""
+"""Input of the T2D2 denoiser, for training and inference: physical render, contact, view, and fine relief."""
 
 from __future__ import annotations
 
@@ -16,13 +12,13 @@ from pipeline.engine.digests import compute_cached_digest
 from pipeline.sensors.spec import SensorSpec
 
 CONDITION_CHANNELS = 6
-WORKING_GRID_FACTOR = {"gel": 2, "bubble": 1}  # the working grid, in pixels of the target's own
+WORKING_GRID_FACTOR = {"gel": 2, "bubble": 1}  # target pixels per pixel of the working grid
 
 
 @dataclass(frozen=True, slots=True)
 class _Scale:
     coarse_mm: float
-    relief_mm: float  # at most
+    max_relief_mm: float
     fine_mm: float
 
 
@@ -30,27 +26,25 @@ _SCALES = {"gel": _Scale(0.6, 1.0, 0.25), "bubble": _Scale(6.0, 2.0, 0.5)}
 
 
 def make_working_sensor(target: SensorSpec) -> SensorSpec:
-    """The target on the grid that the denoiser works on."""
-    coarser = WORKING_GRID_FACTOR[target.kind]
-    if coarser == 1:
+    """The target with the camera of the working grid."""
+    factor = WORKING_GRID_FACTOR[target.kind]
+    if factor == 1:
         return target
-    return _coarser.get_or_make(
-        compute_cached_digest(target), lambda: target.with_camera(target.camera.scale(1.0 / coarser))
-    )
+    return _working_sensors.of(content(target), lambda: target.with_camera(target.camera.scale(1.0 / factor)))
 
 
-_coarser: Memo[str, SensorSpec] = Memo(8)
+_working_sensors: Memo[str, SensorSpec] = Memo(8)
 
 
 def build_depth_condition(
-    kind: str, indentation_mm: Floats, contact: Mask, known: Mask, physical_mm: Floats, physical_contact: Mask
+    kind: str, indentation_mm: Floats, contact: Mask, in_view: Mask, physical_mm: Floats, physical_contact: Mask
 ) -> Floats:
-    """(VIEW_CHANNELS, rows, cols) for a target of that kind; each argument on the working grid."""
+    """(CONDITION_CHANNELS, rows, cols) float32 for a target of that kind; all arguments on the working grid."""
     scale = _SCALES[kind]
     deepest = float(indentation_mm[contact].max()) if contact.any() else 0.0
-    lowest = np.float32(-scale.relief_mm)
+    lowest = np.float32(-scale.max_relief_mm)
     relief = np.where(contact, np.clip(indentation_mm - deepest, lowest, 0.0), lowest)
     return freeze(np.stack([
         physical_mm / scale.coarse_mm, np.where(contact, indentation_mm, 0.0) / scale.coarse_mm, relief / scale.fine_mm,
-        contact, known, physical_contact,
+        contact, in_view, physical_contact,
     ]).astype(np.float32))  # fmt: skip

@@ -1,4 +1,4 @@
-"""The target's touch by latent diffusion: the paper's touch to touch, with its three steps that lead back to mm."""
+"""Touch by latent diffusion: the paper's touch to touch, with its three steps from images back to mm."""
 
 from __future__ import annotations
 
@@ -37,58 +37,59 @@ from pipeline.values.results import GeneratedTouch
 if TYPE_CHECKING:
     from torch import Tensor, nn
 
-_DRAFTED = 4
+_DRAFT_STEPS = 4
 RawCondition = Literal["as trained", "yes", "no"]
-NOTE = "a picture alone, sampled from the source's picture alone: no depth, no alignment and no membrane is behind it"
+NOTE = "image only, sampled from the source image: no depth, alignment or membrane is used"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LatentParams:
-    """How a touch is sampled; as they come, the paper's numbers."""
+    """Sampling settings; defaults are those of the paper."""
 
     steps: int = setting(
         200, "Denoising steps", unit="steps", low=1, high=MAX_STEPS, step=1,
-        help="from noise to the sample; as many calls of the network, twice as many with guidance",
+        help="network passes from noise to the sample; guidance doubles them",
         source="the paper: 200 steps; DDIM: Song et al. 2021",
     )  # fmt: skip
     guidance: float = setting(
         2.54, "Guidance scale", unit="x", low=0.0, high=MAX_WEIGHT, step=0.1,
-        help="how much more the source counts than it was learned to; 1 costs half as much as any other above 0",
+        help="strength of the source condition; 1 is unguided and costs half",
         source="Ho and Salimans 2022",
     )  # fmt: skip
     sampler: Solver = setting(
         "ddim",
         "Sampler",
         choices=Solver,
-        help="how a step follows from those before it",
+        help="solver of the denoising steps",
         source="DDIM: Song et al. 2021; DPM-Solver++ 2M: Lu et al. 2022; corrected: after Zhao et al. 2023",
     )
     seed: int = setting(
-        0, "Seed", low=0, high=2**31 - 1, step=1, help="of the sample", source="torch's own generator"
+        0, "Seed", low=0, high=2**31 - 1, step=1, help="random seed of the sample", source="torch.Generator"
     )  # fmt: skip
     renormalise_depth: bool = setting(
-        True, "Bring to the taught mean and spread", help="the paper's third step, of a bubble",
-        source="the paper, touch to touch: from pictures back to mm",
+        True, "Match training statistics",
+        help="rescale a bubble's imprint to mean and standard deviation of the training data",
+        source="the paper, touch to touch, third step",
     )  # fmt: skip
     raw_condition: RawCondition = setting(
         "as trained", "Condition in greys", choices=RawCondition,
-        help="the published weights were taught on changes of 0..255 with the spread of 0..1",
+        help="scale the input change to 0..255, as the published weights were trained",
         source="the released code and weights",
     )  # fmt: skip
     double_mapping: bool = setting(
-        False, "Map to mm twice", help="as the released scripts do: all of an imprint in the upper half of its range",
+        False, "Map to mm twice", help="as in the released scripts: imprints lie in the upper half of the range",
         source="the released code",
     )  # fmt: skip
-    draft: bool = False  # fewer steps than were asked for
+    draft: bool = False  # fewer steps than requested
 
 
 def make_draft_params(params: LatentParams) -> LatentParams:
-    """What to show while a parameter is dragged: the fewest steps in which guidance does anything."""
-    return replace(params, steps=min(params.steps, _DRAFTED), draft=params.steps > _DRAFTED)
+    """Parameters while one is dragged: the fewest steps in which guidance has an effect."""
+    return replace(params, steps=min(params.steps, _DRAFT_STEPS), draft=params.steps > _DRAFT_STEPS)
 
 
 def select_weights(source: SensorSpec, target: SensorSpec, file: Path | None) -> Weights | NoWeights:
-    """The weights of that very direction."""
+    """The weights of this pair of sensors in this direction."""
     return weights_registry.load_for_task(
         latent_diffusion_files.TASK, f"latent_{source.name}_to_{target.name}", file, latent_diffusion_files.read_weights
     )
@@ -98,78 +99,87 @@ def generate_touch(
     frame: TactileFrame,
     source: SensorSpec,
     calibration: Calibration | None,
-    alignment: Alignment,  # the network is not told: what is doubted of its touch
+    alignment: Alignment,  # only for warnings; not an input of the network
     target: SensorSpec,
     network: nn.Module,
     params: LatentParams,
     progress: Progress = SILENT,
 ) -> GeneratedTouch | Skipped:
-    """What `target` would have recorded; the same seed gives the same bytes. Raises ShapeError without a reference."""
+    """Generate what `target` would record; deterministic per seed. Raises ShapeError without a reference image."""
     depth.check_frame(frame, source)
     if frame.reference is None:
-        raise ShapeError(f"the touch by latent diffusion needs {source.name}'s untouched reading; give --reference")
+        raise ShapeError(f"the touch by latent diffusion needs a reference image of {source.name}; add --reference")
     if depth.skip_without_contact(frame, source, calibration, depth.DepthParams()) is not None:
         return Skipped(output=physical_render.make_reference_touch(target), reason=physical_render.NO_CONTACT)
     net: Any = network
-    changed = resize_to_square(compute_change(source.kind, frame.image, frame.reference), net.side)
+    square = resize_to_square(compute_change(source.kind, frame.image, frame.reference), net.side)
     if params.raw_condition == "yes" or (params.raw_condition == "as trained" and net.raw_condition):
-        changed = changed * np.float32(source.sensor_kind.full_change)
-    shown = normalise(changed, source.kind)
-    found, notes = sample_image(net, np.broadcast_to(shown, (3, *shown.shape[1:])), params, progress)
-    made = decode_image(found, target.kind, map_twice=params.double_mapping)
+        square = square * np.float32(255.0 if source.kind == "gel" else 1.0)
+    condition = normalise(square, source.kind)
+    encoded, notes = sample_image(net, np.broadcast_to(condition, (3, *condition.shape[1:])), params, progress)
+    generated = decode_image(encoded, target.kind, map_twice=params.double_mapping)
     if target.kind == "bubble" and params.renormalise_depth:
-        made = _renormalise_depth(made, net.generated_stats, net.true_stats)
+        generated = _renormalise_depth(generated, net.generated_stats, net.true_stats)
     if net.half_turn:
-        made = made[:, ::-1, ::-1]
-    touch = make_touch_from_change(target, resize_from_square(np.ascontiguousarray(made), target.camera.shape))
-    doubtful = (
+        generated = generated[:, ::-1, ::-1]
+    touch = make_touch_from_change(target, resize_from_square(np.ascontiguousarray(generated), target.camera.shape))
+    warnings = (
         *depth.warn_of_mismatch(frame, source, calibration),
         *check_depth_limit(touch, source, target, alignment),
     )
-    return replace(touch, notes=(*doubtful, NOTE, *notes))
+    return replace(touch, notes=(*warnings, NOTE, *notes))
 
 
 def sample_image(
-    net: Any, shown: Floats, params: LatentParams, progress: Progress = SILENT
+    net: Any, condition: Floats, params: LatentParams, progress: Progress = SILENT
 ) -> tuple[Floats, tuple[str, ...]]:
-    """A picture (3, side, side) in -1..1 for a condition of the same shape, and what was done otherwise than asked."""
+    """Sample an image (3, side, side) in -1..1 for a condition of the same shape; also returns notes."""
     import torch
 
     from pipeline.networks.latent_diffusion import LATENT_LIMIT, compute_alphas_cumprod
 
     levels, times = make_timestep_schedule(params.steps, compute_alphas_cumprod())
     time_of = {float(level): time for level, time in zip(levels, times, strict=False)}
-    how = plan_guidance(params.guidance, len(times), LATENT_LIMIT)
+    guidance_plan = plan_guidance(params.guidance, len(times), LATENT_LIMIT)
 
     def make_denoiser(embedding: Tensor) -> Any:
         def denoise(noisy: Tensor, sigma: float) -> Tensor:
             n = len(embedding)
-            at = noisy / (1.0 + sigma * sigma) ** 0.5  # the network was taught on noise that keeps the spread
+            scaled_input = noisy / (1.0 + sigma * sigma) ** 0.5  # trained on variance-preserving noise
             return noisy - sigma * net.predict_noise(
-                at.expand(n, -1, -1, -1), torch.full((n,), time_of[sigma]), embedding
+                scaled_input.expand(n, -1, -1, -1), torch.full((n,), time_of[sigma]), embedding
             )
 
         return denoise
 
     with torch.inference_mode():
-        told = net.cond_stage_model(torch.from_numpy(np.array(shown, np.float32)[None]))
+        source_embedding = net.cond_stage_model(torch.from_numpy(np.array(condition, np.float32)[None]))
         rng = torch.Generator().manual_seed(params.seed)
         noise = torch.randn((1, 4, net.side // 8, net.side // 8), generator=rng)
-        untold = torch.zeros_like(told)
-        both = make_denoiser(torch.cat([told, untold]))  # two at once cost less than one after the other
-        guided = GuidedDenoiser(
-            make_denoiser(told),
-            make_denoiser(untold),
-            how,
+        no_condition = torch.zeros_like(source_embedding)
+        denoise_pair = make_denoiser(
+            torch.cat([source_embedding, no_condition])
+        )  # one batch of two is faster than two passes
+        guided_denoiser = GuidedDenoiser(
+            make_denoiser(source_embedding),
+            make_denoiser(no_condition),
+            guidance_plan,
             LATENT_LIMIT,
-            lambda noisy, sigma: both(noisy, sigma).split(1),
+            lambda noisy, sigma: denoise_pair(noisy, sigma).split(1),
         )
-        found = sample(guided, noise, levels, solver=params.sampler, max_degree=how.max_degree, progress=progress)
-        return net.decode_images(found.clean)[0].numpy(), (how.note,) if how.note else ()
+        encoded = sample(
+            guided_denoiser,
+            noise,
+            levels,
+            solver=params.sampler,
+            max_degree=guidance_plan.max_degree,
+            progress=progress,
+        )
+        return net.decode_images(encoded.clean)[0].numpy(), (guidance_plan.note,) if guidance_plan.note else ()
 
 
-def _renormalise_depth(made_mm: Floats, made: tuple[float, float], true: tuple[float, float]) -> Floats:
-    """An imprint renormalised from the mean and spread that the network's imprints had to those of true ones."""
-    if made[1] <= 0.0 or true[1] <= 0.0:
+def _renormalise_depth(made_mm: Floats, generated: tuple[float, float], true: tuple[float, float]) -> Floats:
+    """Rescale an imprint from the statistics (mean, std in mm) of generated imprints to those of true ones."""
+    if generated[1] <= 0.0 or true[1] <= 0.0:
         return made_mm
-    return ((made_mm - made[0]) * (true[1] / made[1]) + true[0]).astype(np.float32)
+    return ((made_mm - generated[0]) * (true[1] / generated[1]) + true[0]).astype(np.float32)

@@ -1,8 +1,8 @@
-"""Generation: the touch that the target sensor would have felt, by physics.
+"""Physical render: the touch that the target sensor would record, by simulation.
 
-The target view says where the object is, and only where the source felt it. A gel is pressed onto those points as an
-elastic layer and photographed by the sensor's optics; a bubble is a slack membrane over them, watched by its depth
-camera. Nothing is claimed of the object beyond the points: there the membrane is free.
+The target depth says where the object is, but only where the source measured it. A gel is pressed onto those points as
+an elastic layer and rendered by the sensor's optics; a bubble is a slack membrane over them, observed by its depth
+camera. Elsewhere the membrane is free.
 """
 
 from __future__ import annotations
@@ -28,36 +28,36 @@ from pipeline.values.results import DepthMap, GeneratedTouch, TargetDepth
 
 GelSurfaceMode = Literal["press", "follow"]
 
-NO_CONTACT = "no contact: the target's untouched reading is the exact answer"
+NO_CONTACT = "no contact: the target's reference image is exact"
 
-_TELL_CLIPPED = 0.02  # of the pixels
+_MAX_CLIPPED_SHARE = 0.02  # share of clipped pixels from which on there is a warning
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PhysicalRenderParams:
-    """How the target's touch is made."""
+    """Settings of the simulation."""
 
     surface: GelSurfaceMode = setting(
         "press",
         "Gel surface",
         choices=GelSurfaceMode,
-        help="press: the gel rests on the object and may lift off dents of the depth; follow: it takes every value",
+        help="press: contact simulation, the gel may bridge dents; follow: the gel takes every depth value",
         source="contact of a bonded layer: Johnson 1985, Polonsky and Keer 1999",
     )
     add_noise: bool = setting(
-        False, "Sensor noise", help="add the target sensor's own noise to the reading",
-        source="measured or assumed, in the sensor's description",
+        False, "Sensor noise", help="add the target sensor's noise to the image",
+        source="sensor description",
     )  # fmt: skip
     seed: int = setting(
-        0, "Seed", low=0, high=2**31 - 1, step=1, help="of the noise", source="PCG64: O'Neill 2014, as numpy has it"
+        0, "Seed", low=0, high=2**31 - 1, step=1, help="random seed of the noise", source="PCG64: O'Neill 2014 (numpy)"
     )  # fmt: skip
     contact_gap_mm: float = setting(
         0.1, "Contact gap", unit="mm", low=0.0, high=2.0, step=0.05,
-        help="a bubble's membrane this close to the object counts as touching it: it bridges the depth's own noise",
+        help="gap below which a bubble's membrane counts as touching; bridges depth noise",
         source="obstacle problem: Kinderlehrer and Stampacchia 1980",
     )  # fmt: skip
     tolerance_um: float = setting(
-        0.5, "Solver tolerance", unit="um", low=0.01, high=50.0, step=0.1, help="of the surface where it touches",
+        0.5, "Solver tolerance", unit="um", low=0.01, high=50.0, step=0.1, help="tolerance of the surface in contact",
         source="truncated multigrid: Graeser and Kornhuber 2009",
     )  # fmt: skip
 
@@ -65,28 +65,24 @@ class PhysicalRenderParams:
 def render_touch(
     view: TargetDepth, target: SensorSpec, params: PhysicalRenderParams, progress: Progress = SILENT
 ) -> GeneratedTouch:
-    """What `target` would have recorded of `view`; raises ShapeError when the view is of another image size."""
-    exact = skip_without_contact(view, target, params)
-    if exact is not None:
-        return exact
-    view, left_out = _without_gaps(view)
-    exact = skip_without_contact(view, target, params)
-    if exact is not None:
-        return replace(exact, notes=(*left_out, *exact.notes))
+    """Simulate what `target` would record of `view`; raises ShapeError for a view of another image size."""
+    reference_touch = skip_without_contact(view, target, params)
+    if reference_touch is not None:
+        return reference_touch
+    view, gap_notes = _drop_invalid_pixels(view)
+    reference_touch = skip_without_contact(view, target, params)
+    if reference_touch is not None:
+        return replace(reference_touch, notes=(*gap_notes, *reference_touch.notes))
     progress.step(0.0, "pressing the target's membrane")
-    depth_limited, cut = _within_limits(view, target)
-    renderer = target.sensor_kind.touch_renderer
-    if not renderer:
-        raise SettingProblem(
-            f"the physical render has no model of sensors of kind {target.kind!r} such as {target.name}"
-        )
-    touch = load_reference(renderer)(view, depth_limited, target, params, [*left_out, *cut])
+    depth_limited, limit_notes = _limit_indentation(view, target)
+    make = _render_gel if target.kind == "gel" else _render_bubble
+    touch = make(view, depth_limited, target, params, [*gap_notes, *limit_notes])
     progress.step(1.0, "pressed")
     return touch
 
 
 def skip_without_contact(view: TargetDepth, target: SensorSpec, params: PhysicalRenderParams) -> GeneratedTouch | None:  # noqa: ARG001 - the stage contract
-    """The target's untouched reading when the view has no contact, else None; kept per sensor, so it costs nothing."""
+    """The reference touch if the view has no contact, else None; cached per sensor."""
     if view.contact.shape != target.camera.shape:
         raise ShapeError(
             f"the target view must have the shape {target.camera.shape} of {target.name}, got {view.contact.shape}"
@@ -97,131 +93,137 @@ def skip_without_contact(view: TargetDepth, target: SensorSpec, params: Physical
 
 
 def make_reference_touch(target: SensorSpec) -> GeneratedTouch:
-    """The target's untouched reading; kept per sensor."""
-    return _untouched_touches.get_or_make(compute_cached_digest(target), lambda: _untouched(target))
+    """The target's reference image as a touch; cached per sensor."""
+    return _reference_touches.of(content(target), lambda: _make_reference_touch(target))
 
 
-_untouched_touches: Memo[str, GeneratedTouch] = Memo(8)
+_reference_touches: Memo[str, GeneratedTouch] = Memo(8)
 
 
-def _untouched(target: SensorSpec) -> GeneratedTouch:
+def _make_reference_touch(target: SensorSpec) -> GeneratedTouch:
     shape = target.camera.shape
-    at_rest = _membrane(target, np.zeros(shape, np.float32), np.zeros(shape, np.bool_))
+    rest_membrane = _make_membrane(target, np.zeros(shape, np.float32), np.zeros(shape, np.bool_))
     return GeneratedTouch(
-        image=target.render_reference(),
+        image=optics.render_reference(target) if target.kind == "gel" else rest_membrane.depth_mm,
         camera=target.camera,
         source_index=freeze(np.full(shape, -1, np.int32)),
         in_view=freeze(np.ones(shape, np.bool_)),
-        membrane=at_rest,
+        membrane=rest_membrane,
         notes=(NO_CONTACT,),
     )
 
 
-def _without_gaps(view: TargetDepth) -> tuple[TargetDepth, list[str]]:
-    """The view without what is no surface: contact that is not pushed in, depth that no camera sees, no numbers."""
+def _drop_invalid_pixels(view: TargetDepth) -> tuple[TargetDepth, list[str]]:
+    """The view without invalid pixels: contact that is not indented, depth behind the camera, NaN."""
     usable = view.contact & (view.indentation_mm >= 0) & (view.indentation_mm < np.inf)  # false for NaN as well
-    seen = (view.depth_mm > MIN_DEPTH_MM) & (view.depth_mm < np.inf)
+    surface_depth = (view.depth_mm > MIN_DEPTH_MM) & (view.depth_mm < np.inf)
     n_lost = int(np.count_nonzero(view.contact) - np.count_nonzero(usable))
-    if not n_lost and not (np.isfinite(view.depth_mm) & ~seen).any():
+    if not n_lost and not (np.isfinite(view.depth_mm) & ~surface_depth).any():
         return view, []
-    depth: Floats = np.where(seen, view.depth_mm, np.float32(np.nan))
+    depth: Floats = np.where(surface_depth, view.depth_mm, np.float32(np.nan))
     indentation: Floats = np.where(usable, view.indentation_mm, np.float32(0.0))
-    notes = [f"{n_lost:,} contact pixels of the target view have no value and were left out"] if n_lost else []
+    notes = [f"{n_lost:,} contact pixels of the target depth have no valid depth and were left out"] if n_lost else []
     return replace(view, contact=usable, depth_mm=freeze(depth), indentation_mm=freeze(indentation)), notes
 
 
-def _within_limits(view: TargetDepth, target: SensorSpec) -> tuple[Floats, list[str]]:
-    """The view's indentation, nowhere deeper than the sensor can go; a note says how much was cut."""
+def _limit_indentation(view: TargetDepth, target: SensorSpec) -> tuple[Floats, list[str]]:
+    """The view's indentation limited to the sensor's maximum, with a warning."""
     limit = target.limits.indentation_max_mm
-    deeper = view.contact & (view.indentation_mm > limit)
-    if not deeper.any():
+    too_deep = view.contact & (view.indentation_mm > limit)
+    if not too_deep.any():
         return view.indentation_mm, []
-    deepest = float(view.indentation_mm[deeper].max())
+    deepest = float(view.indentation_mm[too_deep].max())
     note = StageWarning(
-        f"{int(deeper.sum())} of {int(view.contact.sum())} contact pixels lie up to {deepest:.2f} mm deep and were "
+        f"{int(too_deep.sum())} of {int(view.contact.sum())} contact pixels lie up to {deepest:.2f} mm deep and were "
         f"cut at the {limit:g} mm that {target.title} can be pressed"
     )
     return np.minimum(view.indentation_mm, np.float32(limit)), [note]
 
 
-def render_gel_touch(
+def _render_gel(
     view: TargetDepth, indentation_mm: Floats, target: SensorSpec, params: PhysicalRenderParams, notes: list[str]
 ) -> GeneratedTouch:
     """The image of a gel pressed by the view, and its surface."""
     if target.gel is None:
-        raise SettingProblem(f"{target.name} has no gel to press; its description lacks [gel]")
-    # Where the object leaves the picture it goes on beyond it: the pad does not end at the camera's view.
-    margin = int(np.ceil(target.gel.thickness_mm / target.pixel_mm)) if _at_border(view.contact) else 0
+        raise SettingProblem(f"{target.name} has no gel: its description lacks [gel]")
+    # An object at the image border continues outside: the pad is larger than the camera's view.
+    margin = int(np.ceil(target.gel.thickness_mm / target.pixel_mm)) if _touches_border(view.contact) else 0
     mask = np.pad(view.contact, margin, mode="edge")
-    wanted = np.pad(indentation_mm, margin, mode="edge")
+    padded = np.pad(indentation_mm, margin, mode="edge")
     tolerance_mm = 1e-3 * params.tolerance_um
     if params.surface == "follow":
-        answer = gel.relax_gel(target.gel, target.pixel_mm, wanted, mask, tolerance_mm=tolerance_mm)
+        solution = gel.relax_gel(target.gel, target.pixel_mm, padded, mask, tolerance_mm=tolerance_mm)
     elif params.surface == "press":
-        answer = gel.press_gel(target.gel, target.pixel_mm, np.where(mask, wanted, -np.inf), tolerance_mm=tolerance_mm)
+        solution = gel.press_gel(
+            target.gel, target.pixel_mm, np.where(mask, padded, -np.inf), tolerance_mm=tolerance_mm
+        )
     else:
         assert_never(params.surface)
     rows, cols = target.camera.shape
     inner = (slice(margin, margin + rows), slice(margin, margin + cols))
-    surface: Floats = np.ascontiguousarray(answer.indentation_mm[inner])
-    if not answer.converged:
-        told = f"the gel's surface is only known to {1e3 * answer.residual_mm:.1f} um: its solve ran out of steps"
-        notes.append(StageWarning(told))
+    surface: Floats = np.ascontiguousarray(solution.indentation_mm[inner])
+    if not solution.converged:
+        text = f"the gel solver did not converge: the surface is only accurate to {1e3 * solution.residual_mm:.1f} um"
+        notes.append(StageWarning(text))
     image: Image = optics.render(target, surface, seed=params.seed if params.add_noise else None)
     clipped = float(((image == 0) | (image == 255)).any(axis=2).mean())
-    if clipped > _TELL_CLIPPED:
+    if clipped > _MAX_CLIPPED_SHARE:
         notes.append(
-            StageWarning(f"{clipped:.0%} of the picture's colours are clipped: it is brighter or darker than shown")
+            StageWarning(f"{clipped:.0%} of the image is clipped: its true brightness is outside the camera's range")
         )
-    contact: Mask = np.ascontiguousarray(answer.contact[inner])
+    contact: Mask = np.ascontiguousarray(solution.contact[inner])
     if params.surface == "follow":
         contact = view.contact.copy()
-    return _touch(view, target, image, surface, contact, notes)
+    return _make_touch(view, target, image, surface, contact, notes)
 
 
-def render_bubble_touch(
+def _render_bubble(
     view: TargetDepth, indentation_mm: Floats, target: SensorSpec, params: PhysicalRenderParams, notes: list[str]
 ) -> GeneratedTouch:
     """The depth image of a bubble pressed by the view, and its membrane."""
     if target.bubble is None:
-        raise SettingProblem(f"{target.name} has no membrane to press; its description lacks [bubble]")
+        raise SettingProblem(f"{target.name} has no membrane: its description lacks [bubble]")
     on = bubble.make_lattice(target.bubble)
-    seen = np.where(view.contact, target.rest_depth_mm - indentation_mm, view.depth_mm)
-    ceiling = bubble_camera.compute_ceiling_from_depth(target, seen, on)
-    answer = bubble.press_bubble(target.bubble, ceiling, on, tolerance_mm=1e-3 * params.tolerance_um)
-    if not answer.converged:
-        notes.append(StageWarning("the air pressure of the bubble was not settled; its bulge is doubtful"))
-    depth = _in_front_of(view, seen, bubble_camera.compute_depth_from_deviation(target, answer.deviation_mm, on))
-    pressed = lattice.sample_mask_at_pixels(target.camera, answer.contact, on, depth)
-    # A membrane bridges every dent of an estimated surface, so that its force sits on the bumps of the noise alone.
+    surface_depth = np.where(view.contact, target.rest_depth_mm - indentation_mm, view.depth_mm)
+    ceiling = bubble_camera.compute_ceiling_from_depth(target, surface_depth, on)
+    solution = bubble.press_bubble(target.bubble, ceiling, on, tolerance_mm=1e-3 * params.tolerance_um)
+    if not solution.converged:
+        notes.append(
+            StageWarning("the bubble's air pressure did not converge: the shape outside the contact is inaccurate")
+        )
+    depth = _limit_to_surface(
+        view, surface_depth, bubble_camera.compute_depth_from_deviation(target, solution.deviation_mm, on)
+    )
+    touching = lattice.sample_mask_at_pixels(target.camera, solution.contact, on, depth)
+    # On a noisy surface the contact force acts on noise peaks only: pixels within the gap are added.
     with np.errstate(invalid="ignore"):
-        contact = pressed | (view.contact & (seen - depth <= params.contact_gap_mm))
-    notes.append(f"air pressure {target.bubble.pressure_kpa:.2f} -> {answer.pressure_kpa:.2f} kPa")
+        contact = touching | (view.contact & (surface_depth - depth <= params.contact_gap_mm))
+    notes.append(f"air pressure {target.bubble.pressure_kpa:.2f} -> {solution.pressure_kpa:.2f} kPa")
     image = bubble_camera.simulate_depth_frame(target, depth, params.seed if params.add_noise else None)
-    return _touch(view, target, image, (target.rest_depth_mm - depth).astype(np.float32), contact, notes)
+    return _make_touch(view, target, image, (target.rest_depth_mm - depth).astype(np.float32), contact, notes)
 
 
-def _in_front_of(view: TargetDepth, seen: Floats, depth: Doubles) -> Doubles:
-    """The membrane's depth, nowhere behind the surface that is felt.
+def _limit_to_surface(view: TargetDepth, surface_depth: Floats, depth: Doubles) -> Doubles:
+    """The membrane's depth, nowhere behind the measured surface.
 
-    The lattice's cells end at the middles of the outermost pixels that show the object: the membrane falls away from
-    there, half a pixel before the object's edge.
+    The lattice cells end at the centres of the outermost pixels of the object, so the membrane falls off half a pixel
+    before the object's edge.
     """
-    return np.where(view.contact, np.minimum(depth, seen), depth)
+    return np.where(view.contact, np.minimum(depth, surface_depth), depth)
 
 
-def _touch(
+def _make_touch(
     view: TargetDepth, target: SensorSpec, image: Image | Floats, surface: Floats, contact: Mask, notes: list[str]
 ) -> GeneratedTouch:
-    here = np.arange(contact.size, dtype=np.int32).reshape(contact.shape)
-    source: Indices = np.where(view.source_index >= 0, here, np.int32(-1))
+    pixel_index = np.arange(contact.size, dtype=np.int32).reshape(contact.shape)
+    source: Indices = np.where(view.source_index >= 0, pixel_index, np.int32(-1))
     return GeneratedTouch(
         image=image, camera=target.camera, source_index=freeze(source), in_view=view.in_view,
-        membrane=replace(_membrane(target, surface, contact), error=view.error), notes=tuple(notes),
+        membrane=replace(_make_membrane(target, surface, contact), error=view.error), notes=tuple(notes),
     )  # fmt: skip
 
 
-def _membrane(target: SensorSpec, surface: Floats, contact: Mask) -> DepthMap:
+def _make_membrane(target: SensorSpec, surface: Floats, contact: Mask) -> DepthMap:
     return DepthMap(
         indentation_mm=freeze(surface),
         depth_mm=freeze((target.rest_depth_mm - surface).astype(np.float32)),
@@ -231,5 +233,5 @@ def _membrane(target: SensorSpec, surface: Floats, contact: Mask) -> DepthMap:
     )
 
 
-def _at_border(mask: Mask) -> bool:
+def _touches_border(mask: Mask) -> bool:
     return bool(mask[[0, -1]].any() or mask[:, [0, -1]].any())

@@ -1,4 +1,4 @@
-"""A membrane and a correction of it, as the touch that the target sensor would have recorded."""
+"""Renders a membrane with a correction as the touch that the target sensor would record."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ _HALF = 0.5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EdgeUncertainty:
-    """How far apart the places are where an edge may be that a coarse source told."""
+    """Uncertainty of edge positions from a coarse source."""
 
-    blur_mm: float = 0.0  # of all of the membrane
-    contact_margin_mm: float = 0.0  # that contact goes beyond the middles of the source's pixels
+    blur_mm: float = 0.0  # standard deviation of the edge position, blurs the membrane
+    contact_margin_mm: float = 0.0  # by which contact extends beyond the source's pixel centres
 
 
 NO_EDGE_UNCERTAINTY = EdgeUncertainty()
@@ -32,50 +32,50 @@ def render_correction(
     seed: int | None,
     edge_uncertainty: EdgeUncertainty = NO_EDGE_UNCERTAINTY,
 ) -> GeneratedTouch:
-    """`first` with a sample's correction, drawn from the working grid to the target's own pixels.
+    """`first` with a sample's correction, resampled from the working grid to the target's pixels.
 
-    The membrane goes no deeper than the sensor can be pressed. `seed` is of the sensor's noise, None = no noise. All of
-    the picture is told, `membrane.spread_mm` says how surely. A picture shows slopes, and an edge whose place is
-    `unsure` is in the middle of all pictures as wide as that.
+    The membrane is limited to the sensor's maximum indentation. `seed` sets the sensor noise, None = no noise. The
+    whole image is in view; `membrane.expected_error_mm` holds the uncertainty. With `edge_uncertainty` edges are
+    blurred, as in the mean over all possible edge positions.
     """
-    at_first = first.membrane
-    assert at_first is not None
-    spread = freeze(_sized(sample.expected_error_mm, target.camera.shape))
-    image, told = _touch(at_first, target, sample.final, seed, edge_uncertainty)
+    prior_membrane = first.membrane
+    assert prior_membrane is not None
+    error_mm = freeze(_resize(sample.expected_error_mm, target.camera.shape))
+    image, corrected = _render_state(prior_membrane, target, sample.final, seed, edge_uncertainty)
     steps = [
-        TouchStep(image=drawn, sigma=state.sigma, membrane=membrane)
+        TouchStep(image=rendered, sigma=state.sigma, membrane=membrane)
         for state in sample.states
-        for drawn, membrane in (_touch(at_first, target, state, None, edge_uncertainty),)
+        for rendered, membrane in (_render_state(prior_membrane, target, state, None, edge_uncertainty),)
     ]
     return replace(
         first,
         image=image,
-        membrane=replace(told, expected_error_mm=spread),
+        membrane=replace(corrected, expected_error_mm=error_mm),
         in_view=freeze(np.ones(target.camera.shape, np.bool_)),
         notes=(*first.notes, *sample.notes),
         steps=tuple(steps),
     )
 
 
-def _touch(
-    first: DepthMap, target: SensorSpec, state: DenoisingState, seed: int | None, unsure: EdgeUncertainty
+def _render_state(
+    first: DepthMap, target: SensorSpec, state: DenoisingState, seed: int | None, edge_uncertainty: EdgeUncertainty
 ) -> tuple[Image | Floats, DepthMap]:
     shape = target.camera.shape
-    surface = first.indentation_mm + _sized(state.residual_mm, shape)
-    if unsure.blur_mm > 0.0:
-        surface = _blurred(surface, unsure.blur_mm / target.pixel_mm)
+    surface = first.indentation_mm + _resize(state.residual_mm, shape)
+    if edge_uncertainty.blur_mm > 0.0:
+        surface = _blur(surface, edge_uncertainty.blur_mm / target.pixel_mm)
     surface = np.minimum(surface, np.float32(target.limits.indentation_max_mm)).astype(np.float32)
-    before = _grown(first.contact, unsure.contact_margin_mm / target.pixel_mm)
-    contact: Mask = before.astype(np.float32) + _sized(state.contact_correction, shape) > _HALF
+    prior_contact = _dilate(first.contact, edge_uncertainty.contact_margin_mm / target.pixel_mm)
+    contact: Mask = prior_contact.astype(np.float32) + _resize(state.contact_correction, shape) > _HALF
     depth: Floats = (target.rest_depth_mm - surface).astype(np.float32)
-    told = replace(
+    corrected = replace(
         first, indentation_mm=freeze(surface), depth_mm=freeze(depth), contact=freeze(contact), is_generated=True
     )
-    return target.sensor_kind.simulate_image(target, surface, depth, seed), told
+    return target.sensor_kind.simulate_image(target, surface, depth, seed), corrected
 
 
 def resample_to_grid(field: Floats | Mask, shape: tuple[int, int]) -> Floats:
-    """A field as the mean over the pixels of a coarser grid of the same view."""
+    """A field as area means on a coarser grid of the same view."""
     import cv2
 
     whole = np.asarray(field, np.float32)
@@ -84,21 +84,21 @@ def resample_to_grid(field: Floats | Mask, shape: tuple[int, int]) -> Floats:
     return np.asarray(cv2.resize(whole, shape[::-1], interpolation=cv2.INTER_AREA), np.float32)
 
 
-def _grown(mask: Mask, by_px: float) -> Mask:
+def _dilate(mask: Mask, radius_px: float) -> Mask:
     import cv2
 
-    if by_px <= 0.0 or not mask.any():
+    if radius_px <= 0.0 or not mask.any():
         return mask
-    return np.asarray(cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5)) <= by_px
+    return np.asarray(cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5)) <= radius_px
 
 
-def _blurred(field: Floats, by_px: float) -> Floats:
+def _blur(field: Floats, radius_px: float) -> Floats:
     import cv2
 
-    return np.asarray(cv2.GaussianBlur(field, (0, 0), by_px), np.float32)
+    return np.asarray(cv2.GaussianBlur(field, (0, 0), radius_px), np.float32)
 
 
-def _sized(field: Floats, shape: tuple[int, int]) -> Floats:
+def _resize(field: Floats, shape: tuple[int, int]) -> Floats:
     import cv2
 
     if field.shape == shape:

@@ -1,4 +1,4 @@
-"""The slot *touch*: what the target sensor would have recorded."""
+"""The stage *touch*: what the target sensor would have recorded."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ PHYSICS = Method(
     stage="touch",
     name="physics",
     title="Physical render",
-    help="the target's gel or membrane pressed onto the view, and photographed",
+    help="simulation of the target's gel or membrane and its optics",
     run=skip_if_exact(physical_render.skip_without_contact, physical_render.render_touch),
     params=physical_render.PhysicalRenderParams,
     reads=("target_depth", "target"),
@@ -37,7 +37,7 @@ T2D2 = Method(
     stage="touch",
     name="t2d2",
     title="T2D2, compact diffusion",
-    help="the physical render, and what a network that knows the target's touches adds to it",
+    help="physical render plus a residual from a network trained on the target sensor",
     run=skip_if_exact(t2d2.skip_without_contact, fall_back_without_weights(t2d2.generate_touch, fallback=PHYSICS)),
     params=DiffusionParams,
     reads=(*PHYSICS.reads, "touch_weights"),
@@ -49,7 +49,7 @@ T2T = Method(
     stage="touch",
     name="t2t",
     title="T2T, compact diffusion",
-    help="the target's touch from the source's reading, as pairs have taught it; where one step is unsure, physics",
+    help="image-to-image diffusion trained on pairs; falls back to the physical render where uncertain",
     run=fall_back_without_weights(t2t.generate_touch, fallback=t2t.PHYSICS_FROM_FRAME),
     params=DiffusionParams,
     reads=(*t2t.READS, "touch_weights"),
@@ -61,7 +61,7 @@ LATENT = Method(
     stage="touch",
     name="latent",
     title="T2T, latent diffusion",
-    help="the paper's own: 200 steps from noise, guided by what an encoder sees in the source's picture",
+    help="the paper's method: 200 steps from noise, conditioned on the encoded source image",
     run=fall_back_without_weights(latent_diffusion.generate_touch, fallback=t2t.PHYSICS_FROM_FRAME),
     params=LatentParams,
     reads=(*t2t.READS, "touch_weights"),
@@ -72,7 +72,7 @@ VQVAE = Method(
     stage="touch",
     name="vqvae",
     title="VQ-VAE, the paper's baseline",
-    help="picture to picture at 128 x 128 through a codebook; needs no depth",
+    help="image-to-image at 128 x 128 through a codebook; uses no depth",
     run=fall_back_without_weights(vqvae.generate_touch, fallback=t2t.PHYSICS_FROM_FRAME),
     params=NoParams,
     reads=(*t2t.READS, "touch_weights"),
@@ -80,67 +80,67 @@ VQVAE = Method(
 )
 
 
-def _picture(touch: GeneratedTouch, seen: PreviewContext) -> Preview:
+def _make_preview(touch: GeneratedTouch, context: PreviewContext) -> Preview:
     membrane = touch.membrane
     return make_frame_preview(
-        touch.image, touch.camera, seen.target, seen.display,
+        touch.image, touch.camera, context.target, context.display,
         depth_mm=None if membrane is None else membrane.depth_mm,
         contact=None if membrane is None else membrane.contact, reference=touch.reference, is_recorded=False,
     )  # fmt: skip
 
 
-def _layers(touch: GeneratedTouch, seen: PreviewContext, picture: Preview) -> tuple[Layer, ...]:
-    """The target's membrane under the generated touch, wearing its picture."""
+def _make_layers(touch: GeneratedTouch, context: PreviewContext, preview: Preview) -> tuple[Layer, ...]:
+    """The target's membrane, textured with the generated image."""
     at = touch.membrane
     if at is None:
-        return (make_frame_layer("touch", touch.image, touch.camera, picture.pixels, seen.target),)
-    times = seen.display.get_depth_stretch(seen.target)
-    return (make_surface_layer("touch", at.depth_mm, at.indentation_mm, touch.camera, picture.pixels, times),)
+        return (make_frame_layer("touch", touch.image, touch.camera, preview.pixels, context.target),)
+    times = context.display.get_depth_stretch(context.target)
+    return (make_surface_layer("touch", at.depth_mm, at.indentation_mm, touch.camera, preview.pixels, times),)
 
 
-def _follow(touch: GeneratedTouch, before: ProbePoint) -> ProbePoint:
+def _trace_point(touch: GeneratedTouch, before: ProbePoint) -> ProbePoint:
     index = look_up_element(touch.source_index, before.index)
     if index < 0:
-        untouched = touch.membrane is not None and not touch.membrane.contact.any()
-        text = "generated untouched" if untouched else "this method does not tell where a pixel comes from"
+        has_no_contact = touch.membrane is not None and not touch.membrane.contact.any()
+        text = "generated without contact" if has_no_contact else "source pixel unknown for this method"
         return ProbePoint(stage="touch", index=-1, text=text)
     row, col = divmod(index, touch.camera.cols)
     if touch.image.ndim == 2:
-        text = f"{_from_rest(touch, row, col)}{float(touch.image[row, col]):.2f} mm from the camera"
+        text = f"{_describe_displacement(touch, row, col)}{float(touch.image[row, col]):.2f} mm from the camera"
     else:
         text = "generated rgb {} {} {}".format(*(int(v) for v in touch.image[row, col]))
     return ProbePoint(stage="touch", index=index, row=row, col=col, point_mm=before.point_mm, text=text)
 
 
-def _from_rest(touch: GeneratedTouch, row: int, col: int) -> str:
-    """How far a bubble's membrane went, where that is known, and which way."""
+def _describe_displacement(touch: GeneratedTouch, row: int, col: int) -> str:
+    """Displacement of a bubble's membrane and its direction, where it is known."""
     if touch.membrane is None:
         return ""
     moved_mm = float(touch.membrane.indentation_mm[row, col])
     return f"{abs(moved_mm):.2f} mm {'out' if moved_mm < 0 else 'in'}, "
 
 
-def _states(touch: GeneratedTouch) -> tuple[GeneratedTouch, ...]:
+def _split_steps(touch: GeneratedTouch) -> tuple[GeneratedTouch, ...]:
     return tuple(replace(touch, image=step.image, membrane=step.membrane, steps=()) for step in touch.steps)
 
 
-def _way(touch: GeneratedTouch) -> StepHistory | None:
-    """How far each state is from the one before and from the last, and from which on nothing changes to speak of."""
+def _summarise_steps(touch: GeneratedTouch) -> StepHistory | None:
+    """Change per step and distance from the last step, and the step of convergence."""
     if not touch.steps:
         return None
     heights = [np.nan_to_num(step.membrane.indentation_mm) for step in touch.steps]
-    off = [heights[0] * 0, *(b - a for a, b in pairwise(heights))]
+    changes = [heights[0] * 0, *(b - a for a, b in pairwise(heights))]
     last_mm = tuple(_rms_mm(h - heights[-1]) for h in heights)
     span_mm = max(float(np.ptp(heights[-1])), 1e-9)
-    settled = next(k for k, h in enumerate(heights) if _most(h - heights[-1]) <= span_mm / 255)
+    settled = next(k for k, h in enumerate(heights) if _percentile_99(h - heights[-1]) <= span_mm / 255)
     return StepHistory(
         curves=(
-            StepCurve(name="changed", unit="mm", values=tuple(_rms_mm(o) for o in off)),
+            StepCurve(name="changed", unit="mm", values=tuple(_rms_mm(o) for o in changes)),
             StepCurve(name="from the last", unit="mm", values=last_mm),
         ),
-        stop_reason=f"settled at {settled + 1} of {len(heights)}: from there on 99 % of the pixels stay within 1/255 of the "
-        "whole indentation; it ends as all steps that were asked for are done",
-        descriptions=tuple(f"seen through noise of {s.sigma:.3g} units, {d:.3g} mm (rms) from the last"
+        stop_reason=f"converged at step {settled + 1} of {len(heights)}: after it 99 % of the pixels "
+        "change by less than 1/255 of the indentation range",
+        descriptions=tuple(f"noise level {s.sigma:.3g}, {d:.3g} mm (rms) from the last step"
                     for s, d in zip(touch.steps, last_mm, strict=True)),
     )  # fmt: skip
 
@@ -149,11 +149,11 @@ def _rms_mm(gap: Floats) -> float:
     return float(np.sqrt((gap.astype(np.float64) ** 2).mean()))
 
 
-def _most(gap: Floats) -> float:
+def _percentile_99(gap: Floats) -> float:
     return float(np.percentile(np.abs(gap), 99.0))
 
 
-def _figures(touch: GeneratedTouch, facts: GroundTruth) -> Mapping[str, float]:
+def _compute_metrics(touch: GeneratedTouch, facts: GroundTruth) -> Mapping[str, float]:
     return {} if facts.target_observation is None else compute_image_metrics(touch.image, facts.target_observation)
 
 
@@ -163,12 +163,12 @@ STAGE = Stage(
     legend="target's membrane",
     sensor_role="target",
     methods=(PHYSICS, T2D2, T2T, LATENT, VQVAE),
-    make_preview=_picture,
-    make_layers=_layers,
-    trace_point=_follow,
-    compute_metrics=_figures,
+    make_preview=_make_preview,
+    make_layers=_make_layers,
+    trace_point=_trace_point,
+    compute_metrics=_compute_metrics,
     make_ground_truth=ground_truth.build_touch,
     has_steps=True,
-    split_steps=_states,
-    summarise_steps=_way,
+    split_steps=_split_steps,
+    summarise_steps=_summarise_steps,
 )

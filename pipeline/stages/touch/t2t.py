@@ -1,8 +1,8 @@
-"""Touch to touch, compact: the target's touch from the source's reading alone, learned from pairs; no depth between.
+"""T2T, compact: the target's touch directly from the source frame, trained on sensor pairs, without depth in between.
 
-Of an object that it has never seen it may be sure of a body that is not there. One step, the likeliest touch, is
-therefore drawn toward the physical render where it is unsure, for the time that this costs, and given up for it where
-it contradicts what the source felt; without caution, and of samples, nothing but the network is asked.
+On an unseen object the network may be confident of a contact that does not exist. The posterior mean (one step) is
+therefore shrunk toward the physical render by its uncertainty, which costs the time of that render, and replaced by it
+where it contradicts the source's contact. Without confidence weighting, and for samples, only the network runs.
 """
 
 from __future__ import annotations
@@ -47,17 +47,19 @@ if TYPE_CHECKING:
     from torch import nn
 
 SHIPPED_WEIGHTS = {("gelslim", "bubble"): "t2t_bubble", ("soft_bubble", "gel"): "t2t_gelslim"}
-TASKS = "touch_to_touch", "pair_fine_tuning"  # tasks: pairs that were simulated, and real ones on top
-_CONTRADICTED = 3.0  # times; of 70 touches that were not learned from five come to as much
-NETWORK_ONLY_WARNING = "no contact is read from the picture: what touches here is what the network alone makes of it"
+TASKS = "touch_to_touch", "pair_fine_tuning"  # training tasks: simulated pairs, and fine-tuning on recorded pairs
+_MAX_ERROR_RATIO = 3.0  # error over expected error; 5 of 70 held-out touches exceed it
+NETWORK_ONLY_WARNING = (
+    "physics finds no contact in the source image: this contact is the network's alone; check the source"
+)
 READS = ("frame", "source", "calibration", "alignment", "target")
 
 
 def select_weights(source: SensorSpec, target: SensorSpec, file: Path | None) -> Weights | NoWeights:
-    """The weights of a source and a target: only those two that pairs were learned from."""
+    """The weights of a source and a target sensor: only trained pairs."""
     name = SHIPPED_WEIGHTS.get((source.name, target.kind))
     if file is None and (name is None or not t2d2.has_trained_pixel_size(target)):
-        return NoWeights(why=f"no pairs of {source.title} and {target.title} were ever learned from")
+        return NoWeights(why=f"the shipped weights are not trained on pairs of {source.title} and {target.title}")
     return weights_registry.load_for_task(TASKS, name or "", file)
 
 
@@ -71,71 +73,76 @@ def generate_touch(
     params: DiffusionParams,
     progress: Progress = SILENT,
 ) -> GeneratedTouch | Skipped:
-    """What `target` would have recorded of the touch in `frame`; raises ShapeError for a frame that cannot be read.
+    """Generate what `target` would record of the touch in `frame`; raises ShapeError for an invalid frame.
 
-    An untouched frame gives the untouched target and costs nothing; no denoising step gives the physical render.
+    A frame without contact gives the reference touch at no cost; no denoising step gives the physical render.
     """
     depth.check_frame(frame, source)
     rest, seed = physical_render.make_reference_touch(target), params.seed if params.add_noise else None
     if depth.skip_without_contact(frame, source, calibration, depth.DepthParams()) is not None:
-        return Skipped(output=rest, reason=physical_render.NO_CONTACT)
-    careful = params.steps == 1 and params.confidence_weighting > 0.0
+        return Skipped(output=rest, why=physical_render.NO_CONTACT)
+    is_weighted = params.steps == 1 and params.confidence_weighting > 0.0
     physical = rest
-    if careful or not params.steps:
-        wanted = physical_render.PhysicalRenderParams(add_noise=params.add_noise, seed=params.seed)
-        physical = _physical(frame, source, calibration, alignment, target, wanted, SubProgress(progress, 0.0, 0.8))
+    if is_weighted or not params.steps:
+        render_params = physical_render.PhysicalRenderParams(add_noise=params.add_noise, seed=params.seed)
+        physical = _render_cached(
+            frame, source, calibration, alignment, target, render_params, Share(progress, 0.0, 0.8)
+        )
     if not params.steps:
         return physical
-    asked = SubProgress(progress, 0.8, 0.2) if careful else progress
-    found = sample_residual(
+    sampling_progress = Share(progress, 0.8, 0.2) if is_weighted else progress
+    sample = sample_residual(
         network,
         build_condition(frame, source, alignment, target),
         params,
-        asked,
+        sampling_progress,
         draw_last_noise=target.kind == "bubble",
     )
     membrane = physical.membrane
-    if not careful or membrane is None or not membrane.contact.any():
-        alone = (
-            (StageWarning(NETWORK_ONLY_WARNING),) if careful else ()
-        )  # what is said of a target at rest is not said of this touch
-        made = render_correction(replace(rest, notes=alone), target, found, seed)
-        return _doubted(made, frame, source, calibration, check_depth_limit(made, source, target, alignment))
-    found = express_as_correction(found, membrane)
-    times = compute_error_ratio(found, membrane.contact & physical.in_view)
-    if times > _CONTRADICTED:
+    if not is_weighted or membrane is None or not membrane.contact.any():
+        network_warnings = (
+            (StageWarning(NETWORK_ONLY_WARNING),) if is_weighted else ()
+        )  # replaces the notes of the reference touch
+        touch = render_correction(replace(rest, notes=network_warnings), target, sample, seed)
+        return _add_warnings(touch, frame, source, calibration, check_depth_limit(touch, source, target, alignment))
+    sample = express_as_correction(sample, membrane)
+    error_ratio = compute_error_ratio(sample, membrane.contact & physical.in_view)
+    if error_ratio > _MAX_ERROR_RATIO:
         note = (
-            f"the network is {times:.0f} times farther than it expects from what was felt: the physical render answers"
+            f"the network deviates from the measured contact by {error_ratio:.0f} times its expected error: "
+            "the physical render is used"
         )
         return replace(physical, notes=(*physical.notes, note))
-    found = shrink_to_prior(found, physical.in_view, params.confidence_weighting, read_error_calibration(network))
-    return render_correction(physical, target, found, seed, _unsure(source, target, network))
+    sample = shrink_to_prior(sample, physical.in_view, params.confidence_weighting, read_error_calibration(network))
+    return render_correction(physical, target, sample, seed, _estimate_edge_uncertainty(source, target, network))
 
 
-def _unsure(source: SensorSpec, target: SensorSpec, network: nn.Module) -> EdgeUncertainty:
-    """Where edges may be that a source told whose pixels are wider than the working grid's."""
-    wide_mm = source.pixel_mm if source.pixel_mm > t2d2.WORKING_GRID_FACTOR[target.kind] * target.pixel_mm else 0.0
-    blur_px, reach_px = cast("float", network.blur_px), cast("float", network.contact_margin_px)
-    return EdgeUncertainty(blur_mm=wide_mm * blur_px, contact_margin_mm=wide_mm * reach_px)
+def _estimate_edge_uncertainty(source: SensorSpec, target: SensorSpec, network: nn.Module) -> EdgeUncertainty:
+    """Uncertainty of edges from a source whose pixels are larger than the working grid's."""
+    source_pixel_mm = (
+        source.pixel_mm if source.pixel_mm > t2d2.WORKING_GRID_FACTOR[target.kind] * target.pixel_mm else 0.0
+    )
+    blur_px, margin_px = cast("float", network.blur_px), cast("float", network.contact_margin_px)
+    return EdgeUncertainty(blur_mm=source_pixel_mm * blur_px, contact_margin_mm=source_pixel_mm * margin_px)
 
 
-def _doubted(
+def _add_warnings(
     touch: GeneratedTouch,
     frame: TactileFrame,
     source: SensorSpec,
     calibration: Calibration | None,
-    also: tuple[StageWarning, ...],
+    more_warnings: tuple[StageWarning, ...],
 ) -> GeneratedTouch:
-    """A touch that no depth lies behind, with what speaks against the source's picture, and against it `also`."""
-    return replace(touch, notes=(*depth.warn_of_mismatch(frame, source, calibration), *also, *touch.notes))
+    """A touch without depth, with the warnings about the source frame and `more_warnings`."""
+    return replace(touch, notes=(*depth.warn_of_mismatch(frame, source, calibration), *more_warnings, *touch.notes))
 
 
-def _physical(*reads: Any) -> GeneratedTouch:
-    """The physical render by depth and view; the last few are kept, so that a dragged slider asks the network alone."""
+def _render_cached(*reads: Any) -> GeneratedTouch:
+    """The physical render from the frame, cached: a dragged slider then costs network passes only."""
 
     def render() -> GeneratedTouch:
-        made = render_from_frame(*reads)
-        return made.output if isinstance(made, Skipped) else made
+        touch = render_from_frame(*reads)
+        return touch.output if isinstance(touch, Skipped) else touch
 
     return _rendered.get_or_make(compute_cached_digest(reads[:-1]), render)
 
@@ -144,15 +151,18 @@ _rendered: Memo[str, GeneratedTouch] = Memo(4)
 
 
 def build_condition(frame: TactileFrame, source: SensorSpec, alignment: Alignment, target: SensorSpec) -> Floats:
-    """(channels, rows, cols) on the working grid; see `picture_input.of_picture`."""
-    eye = source.camera if frame.camera is None else frame.camera
+    """(channels, rows, cols) on the working grid; see `image_condition.build_image_condition`."""
+    camera = source.camera if frame.camera is None else frame.camera
     reference: Any = frame.reference
     if reference is None:
-        reference = source.with_camera(eye).render_reference()
+        reference = (
+            optics.render_reference(source.with_camera(camera)) if source.kind == "gel" else source.rest_depth_mm
+        )
     if reference.shape != frame.image.shape:
-        raise ShapeError(f"the untouched reading must have the shape {frame.image.shape}, got {reference.shape}")
-    change = source.sensor_kind.compute_change(frame.image, reference)
-    return build_image_condition(change, eye, source, make_working_sensor(target), alignment)
+        raise ShapeError(f"the reference image must have the shape {frame.image.shape}, got {reference.shape}")
+    now, rest_image = frame.image.astype(np.float32), reference.astype(np.float32)
+    change = now - rest_image if source.kind == "gel" else rest_image - now
+    return build_image_condition(change, camera, source, make_working_sensor(target), alignment)
 
 
 def render_from_frame(
@@ -164,21 +174,23 @@ def render_from_frame(
     params: physical_render.PhysicalRenderParams,
     progress: Progress = SILENT,
 ) -> GeneratedTouch | Skipped:
-    """The touch by depth, cloud, view and physical render, each as it comes."""
-    plain = depth.DepthParams()
-    exact = depth.skip_without_contact(frame, source, calibration, plain)
-    if exact is not None:
-        return Skipped(output=physical_render.make_reference_touch(target), reason=physical_render.NO_CONTACT)
-    felt = _felt(frame, source, calibration, SubProgress(progress, 0.0, 0.5))
-    cloud = adaptation.skip_without_contact(felt, alignment, adaptation.BackProjectionParams())
+    """The touch by depth, cloud, target depth and physical render, with default parameters."""
+    depth_params = depth.DepthParams()
+    skipped = depth.skip_without_contact(frame, source, calibration, depth_params)
+    if skipped is not None:
+        return Skipped(output=physical_render.make_reference_touch(target), why=physical_render.NO_CONTACT)
+    depth_map = _estimate_depth(frame, source, calibration, Share(progress, 0.0, 0.5))
+    cloud = adaptation.skip_without_contact(depth_map, alignment, adaptation.BackProjectionParams())
     if cloud is None:
-        cloud = adaptation.back_project_depth(felt, alignment, adaptation.BackProjectionParams())
+        cloud = adaptation.back_project_depth(depth_map, alignment, adaptation.BackProjectionParams())
     view = projection.project_cloud(cloud, target, projection.SurfaceProjectionParams())
-    made = physical_render.render_touch(view, target, params, SubProgress(progress, 0.6, 0.4))
-    return replace(made, notes=(*select_warnings((*felt.notes, *view.notes)), *made.notes))
+    touch = physical_render.render_touch(view, target, params, Share(progress, 0.6, 0.4))
+    return replace(touch, notes=(*select_warnings((*depth_map.notes, *view.notes)), *touch.notes))
 
 
-def _felt(frame: TactileFrame, source: SensorSpec, calibration: Calibration | None, progress: Progress) -> DepthMap:
+def _estimate_depth(
+    frame: TactileFrame, source: SensorSpec, calibration: Calibration | None, progress: Progress
+) -> DepthMap:
     reads = depth_network.select_weights(source, source, None)
     if isinstance(reads, NoWeights):
         return depth.estimate_depth_with_notes(frame, source, calibration, depth.DepthParams(), progress)
@@ -191,7 +203,7 @@ PHYSICS_FROM_FRAME = Method(
     stage="touch",
     name="physics_from_frame",
     title="Physical render",
-    help="depth, cloud, view and render in one",
+    help="depth, cloud, target depth and render in one",
     run=render_from_frame,
     params=physical_render.PhysicalRenderParams,
     reads=READS,

@@ -1,4 +1,4 @@
-"""A change of a sensor's reading as a touch, for methods that know the picture alone."""
+"""Turns the change of a frame into a touch, for methods that generate images only."""
 
 from __future__ import annotations
 
@@ -9,15 +9,17 @@ from pipeline.sensors.spec import SensorSpec
 from pipeline.values.results import GeneratedTouch
 
 
-def make_touch_from_change(target: SensorSpec, changed: Floats, notes: tuple[str, ...] = ()) -> GeneratedTouch:
-    """A change (rows, cols, channels) of `target`: a gel's in shares of full brightness, a bubble's imprint in mm.
+def make_touch_from_change(target: SensorSpec, change: Floats, notes: tuple[str, ...] = ()) -> GeneratedTouch:
+    """Touch of a change (rows, cols, channels): a gel's in shares of full brightness, a bubble's imprint in mm.
 
-    It is laid onto the described unit's untouched reading; where a pixel comes from is not told.
+    The change is added to the reference image of the described sensor; source pixels are unknown.
     """
     shape = target.camera.shape
-    kind = target.sensor_kind
-    change = np.float32(kind.full_change) * (changed[..., 0] if kind.is_depth else changed)
-    image = kind.apply_change(target.render_reference(), change)
+    if target.kind == "gel":
+        grey = optics.render_reference(target) + np.float32(255.0) * change
+        image = np.clip(np.rint(grey), 0, 255).astype(np.uint8)
+    else:
+        image = (target.rest_depth_mm - change[..., 0]).astype(np.float32)
     return GeneratedTouch(
         image=freeze(image), camera=target.camera, source_index=freeze(np.full(shape, -1, np.int32)),
         in_view=freeze(np.ones(shape, np.bool_)), notes=notes,

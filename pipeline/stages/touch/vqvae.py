@@ -1,6 +1,6 @@
-"""The target's touch by the paper's baseline, a VQ-VAE: the source's change at 128 x 128 in, the target's out.
+"""Touch by the paper's baseline, a VQ-VAE: the source's change at 128 x 128 in, the target's out.
 
-Weights of our own are shown the change where the target looks, the published ones as the source sees it.
+Shipped weights take the change resampled to the target's view, published ones the source's own view.
 """
 
 from __future__ import annotations
@@ -39,18 +39,18 @@ from pipeline.values.results import GeneratedTouch
 if TYPE_CHECKING:
     from torch import nn
 
-NOTE = "a picture alone, from the source's picture alone: no depth and no membrane is behind it"
+NOTE = "image only, from the source image: no depth or membrane is used"
 
 
 def select_weights(source: SensorSpec, target: SensorSpec, file: Path | None) -> Weights | NoWeights:
-    """The weights of that very direction: those of a pair of sensors know no other."""
+    """The weights of this pair of sensors in this direction."""
     name = f"vqvae_{source.name}_to_{target.name}"
     found = weights_registry.load_for_task(vqvae_files.TASK, name, file, vqvae_files.read_weights)
     if isinstance(found, NoWeights):
         return found
     channels = {"inputs": CHANNELS[source.kind], "outputs": CHANNELS[target.kind]}
     if any(found.config.get(name) != n for name, n in channels.items()):
-        return NoWeights(why=f"the weights {found.name!r} do not take a {source.kind}'s change for a {target.kind}'s")
+        return NoWeights(why=f"the weights {found.name!r} do not translate from a {source.kind} to a {target.kind}")
     return found
 
 
@@ -61,23 +61,25 @@ def generate_touch(
     alignment: Alignment,
     target: SensorSpec,
     network: nn.Module,
-    params: NoParams,  # noqa: ARG001 - nothing to set
+    params: NoParams,  # noqa: ARG001 - no settings
     progress: Progress = SILENT,
 ) -> GeneratedTouch | Skipped:
-    """What `target` would have recorded, as far as 128 x 128 pixels tell; raises ShapeError without a reference."""
+    """Generate what `target` would record, at 128 x 128 pixels; raises ShapeError without a reference image."""
     depth.check_frame(frame, source)
     if frame.reference is None:
-        raise ShapeError(f"the touch by VQ-VAE needs {source.name}'s untouched reading; give --reference")
+        raise ShapeError(f"the touch by VQ-VAE needs a reference image of {source.name}; add --reference")
     if depth.skip_without_contact(frame, source, calibration, depth.DepthParams()) is not None:
-        return Skipped(output=physical_render.make_reference_touch(target), reason=physical_render.NO_CONTACT)
-    changed = resize_to_square(compute_change(source.kind, frame.image, frame.reference))
-    drawn = getattr(network, "reprojects_input", False)
-    shown = reproject_square(changed, source, target, alignment) if drawn else normalise(changed, source.kind)
-    made = denormalise(_run_network(network, shown), target.kind)
+        return Skipped(output=physical_render.make_reference_touch(target), why=physical_render.NO_CONTACT)
+    square = resize_to_square(compute_change(source.kind, frame.image, frame.reference))
+    reprojects = getattr(network, "reprojects_input", False)
+    network_input = (
+        reproject_square(square, source, target, alignment) if reprojects else normalise(square, source.kind)
+    )
+    generated = denormalise(_run_network(network, network_input), target.kind)
     if getattr(network, "half_turn", False):
-        made = made[:, ::-1, ::-1]
+        generated = generated[:, ::-1, ::-1]
     progress.step(1.0, "generated")
-    touch = make_touch_from_change(target, resize_from_square(np.ascontiguousarray(made), target.camera.shape))
+    touch = make_touch_from_change(target, resize_from_square(np.ascontiguousarray(generated), target.camera.shape))
     return replace(
         touch,
         notes=(
@@ -88,8 +90,8 @@ def generate_touch(
     )
 
 
-def _run_network(network: nn.Module, shown: Any) -> Any:
+def _run_network(network: nn.Module, network_input: Any) -> Any:
     import torch
 
     with torch.inference_mode():
-        return network(torch.from_numpy(np.array(shown)[None])).generated[0].numpy()
+        return network(torch.from_numpy(np.array(network_input)[None])).generated[0].numpy()

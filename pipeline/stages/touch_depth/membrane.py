@@ -1,7 +1,7 @@
-"""Feeling: the depth of the generated touch in the target's frame, which the pose is registered to.
+"""Depth of the generated touch in the target's frame; the pose is registered to it.
 
-A method that knows the membrane behind its picture (physics) hands it on; any touch, a network's too, can be read the
-way the target's own recordings are read, which also tells how much of a touch survives its picture.
+A method that computes the membrane (physics) passes it on. Any generated image can also go through the target's depth
+method, which shows how much of a touch the image preserves.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from pipeline.values.frames import TactileFrame
 from pipeline.values.results import DepthMap, GeneratedTouch
 
 NO_CONTACT = "no contact: the target's membrane is at rest"
-NO_MEMBRANE = "the generated touch is a picture without a membrane: it is read as a recording of the target"
+NO_MEMBRANE = "the generated touch has no membrane: its depth is estimated from the image"
 
 
 def use_membrane(
@@ -27,14 +27,14 @@ def use_membrane(
     params: NoParams,  # noqa: ARG001 - a method's arguments
     progress: Progress = SILENT,
 ) -> DepthMap | Fallback:
-    """The membrane that the touch was made with; where its method knows only the picture, that is read."""
+    """The membrane of the generated touch; estimated from its image where there is none."""
     if touch.membrane is None:
         return Fallback(result=estimate_from_image(touch, target, DepthParams(), progress), reason=NO_MEMBRANE)
     return replace(touch.membrane, in_view=touch.in_view)
 
 
 def skip_without_contact(touch: GeneratedTouch, target: SensorSpec, params: object) -> DepthMap | None:  # noqa: ARG001 - as above
-    """The membrane at rest where the touch is known to be none, else None; same inputs as the two methods."""
+    """The membrane at rest if the touch has no contact, else None; same inputs as both methods."""
     if touch.membrane is None or touch.membrane.contact.any():
         return None
     return replace(touch.membrane, in_view=touch.in_view, notes=(NO_CONTACT,))
@@ -43,14 +43,14 @@ def skip_without_contact(touch: GeneratedTouch, target: SensorSpec, params: obje
 def estimate_from_image(
     touch: GeneratedTouch, target: SensorSpec, params: DepthParams, progress: Progress = SILENT
 ) -> DepthMap:
-    """The touch read as a recording of the target, against its untouched picture; raises what the depth stage does."""
-    frame = _as_recorded(touch, target)
-    felt = depth.skip_without_contact(frame, target, None, params) or depth.estimate_depth(
+    """Depth of the generated image by the target's depth method and reference image; raises as the depth stage does."""
+    frame = _make_frame(touch, target)
+    touch_depth = depth.skip_without_contact(frame, target, None, params) or depth.estimate_depth(
         frame, target, None, params, progress
     )
-    return replace(felt, in_view=touch.in_view)
+    return replace(touch_depth, in_view=touch.in_view)
 
 
-def _as_recorded(touch: GeneratedTouch, target: SensorSpec) -> TactileFrame:
-    reference = target.render_reference()
+def _make_frame(touch: GeneratedTouch, target: SensorSpec) -> TactileFrame:
+    reference = optics.render_reference(target) if target.kind == "gel" else target.rest_depth_mm.astype(np.float32)
     return TactileFrame(sensor=target.name, image=touch.image, reference=reference, origin="generated touch")

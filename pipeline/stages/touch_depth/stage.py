@@ -1,4 +1,4 @@
-"""The slot *felt*: the depth of the generated touch, in the target's frame."""
+"""The stage *touch_depth*: depth of the generated touch in the target's frame."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from pipeline.stages.touch_depth import membrane
 MEMBRANE = Method(
     stage="touch_depth",
     name="membrane",
-    title="Its membrane",
-    help="the membrane that the touch was made with",
+    title="Membrane",
+    help="the membrane computed with the generated touch",
     run=skip_if_exact(membrane.skip_without_contact, membrane.use_membrane),
     params=NoParams,
     reads=("touch", "target"),
 )
 FROM_IMAGE = Method(
     stage="touch_depth",
-    name="reading",
-    title="Read as recorded",
-    help="the picture goes through the target's own depth method",
+    name="from_image",
+    title="From the image",
+    help="the target's depth method on the generated image",
     run=skip_if_exact(membrane.skip_without_contact, membrane.estimate_from_image),
     params=DepthParams,
     reads=("touch", "target"),
@@ -32,8 +32,8 @@ FROM_IMAGE = Method(
 
 STAGE = make_depth_stage(
     name="touch_depth",
-    title="Felt",
-    legend="as the target feels it",
+    title="Touch depth",
+    legend="depth of the generated touch",
     sensor_role="target",
     methods=(MEMBRANE, FROM_IMAGE),
 )

@@ -1,4 +1,4 @@
-"""Data of which the exact denoiser is known: points with a spread around each, some of them picked by a condition."""
+"""Data with a known exact denoiser: normal distributions around points, some of them selected by a condition."""
 
 from __future__ import annotations
 

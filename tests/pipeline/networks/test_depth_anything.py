@@ -1,4 +1,4 @@
-"""Depth Anything V2 under its published names: the table of keys and shapes, files of every kind, and what it answers."""
+"""Depth Anything V2: published tensor names and shapes, files of every kind, and its output."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def small():
 
 
 @pytest.mark.parametrize("encoder", sorted(ENCODER_SIZES))
-def test_every_tensor_has_its_published_name_and_shape(encoder):
+def test_tensors_have_the_published_names_and_shapes(encoder):
     with torch.device("meta"):
         net = DepthAnything(encoder=encoder)
     own = {name: tuple(tensor.shape) for name, tensor in net.state_dict().items()}
@@ -87,14 +87,14 @@ def test_every_tensor_has_its_published_name_and_shape(encoder):
     assert without == PUBLISHED[encoder]["numbers"]
 
 
-def test_without_a_contact_head_it_has_no_names_of_one():
+def test_no_contact_head_means_no_tensors_of_it():
     with torch.device("meta"):
         names = DepthAnything(contact=False).state_dict().keys()
     assert set(names) == {name for name in table("vits") if not name.startswith("mask_head.")}
 
 
 @pytest.mark.parametrize("kind", ["wrapped", "half", "bf16", "safetensors", "bare"])
-def test_files_of_every_kind_are_read_in_float32(small, tmp_path, kind):
+def test_all_file_kinds_are_read_as_float32(small, tmp_path, kind):
     tensors = small.state_dict()
     path = tmp_path / ("w.safetensors" if kind == "safetensors" else "w.pth")
     if kind == "safetensors":
@@ -121,15 +121,15 @@ def test_files_of_every_kind_are_read_in_float32(small, tmp_path, kind):
 
 
 @pytest.mark.parametrize("fault", ["cut", "other", "list", "wide", "nan", "code", "missing"])
-def test_other_files_are_one_sentence(small, tmp_path, fault):
+def test_other_files_are_refused(small, tmp_path, fault):
     path = tmp_path / "w.pth"
     tensors = dict(small.state_dict())
     wrong = {
-        "cut": ("cut short or damaged", tensors), "other": ("no weights of Depth Anything V2", {"x": torch.ones(3)}),
-        "list": ("no table of tensors", [1, 2]),
-        "wide": ("1536 wide is not known", tensors | {"pretrained.cls_token": torch.zeros(1, 1, 1536)}),
-        "nan": ("not numbers", tensors | {"pretrained.norm.bias": torch.full((384,), torch.nan)}),
-        "code": ("or holds code", {"x": pytest.approx}), "missing": ("No such file", {}),
+        "cut": ("truncated", tensors), "other": ("Depth Anything V2", {"x": torch.ones(3)}),
+        "list": ("table", [1, 2]),
+        "wide": ("1536", tensors | {"pretrained.cls_token": torch.zeros(1, 1, 1536)}),
+        "nan": ("NaN", tensors | {"pretrained.norm.bias": torch.full((384,), torch.nan)}),
+        "code": ("code", {"x": pytest.approx}), "missing": ("No such file", {}),
     }  # fmt: skip
     torch.save(wrong[fault][1], path)
     if fault == "cut":
@@ -140,7 +140,7 @@ def test_other_files_are_one_sentence(small, tmp_path, fault):
         files.read_weights(path)
 
 
-def test_it_answers_pictures_of_any_whole_patches(small):
+def test_any_image_of_whole_patches_is_accepted(small):
     with torch.inference_mode():
         for rows, cols in ((14, 14), (42, 28), (28, 70)):
             depth, contact = small(torch.rand(2, 3, rows, cols))
@@ -150,7 +150,7 @@ def test_it_answers_pictures_of_any_whole_patches(small):
         assert float(relative.min()) >= 0
 
 
-def test_a_window_keeps_its_places_and_a_whole_window_is_the_whole(small):
+def test_a_crop_keeps_its_position_embeddings(small):
     picture = torch.rand(1, 3, 56, 70)
     with torch.inference_mode():
         whole = small(picture)[0]
@@ -161,19 +161,19 @@ def test_a_window_keeps_its_places_and_a_whole_window_is_the_whole(small):
     assert not torch.allclose(here, there)
 
 
-def test_places_of_the_taught_size_are_those_of_the_file(small):
+def test_position_embeddings_of_the_training_size_are_unchanged(small):
     encoder = small.pretrained
-    first, places = encoder._places(37, 37)
+    first, places = encoder._position_embeddings(37, 37)
     again = places.permute(0, 2, 3, 1).reshape(1, 37 * 37, -1)
     assert torch.equal(torch.cat((first, again), 1), encoder.pos_embed)
-    wide = encoder._places(10, 21)[1]
+    wide = encoder._position_embeddings(10, 21)[1]
     assert wide.shape[-2:] == (10, 21)
     # what published code does: stretched by a tenth of a patch more than the size needs
     grid = encoder.pos_embed[:, 1:].reshape(1, 37, 37, -1).permute(0, 3, 1, 2)
     torch.testing.assert_close(wide, functional.interpolate(grid, scale_factor=(10.1 / 37, 21.1 / 37), mode="bicubic"))
 
 
-def test_attention_is_the_sum_weighted_by_likeness(small):
+def test_attention_is_the_weighted_sum_of_values(small):
     attention, tokens = small.pretrained.blocks[0].attn, torch.randn(1, 5, 384)
     with torch.inference_mode():
         q, k, v = attention.qkv(tokens).reshape(5, 3, 6, 64).permute(1, 2, 0, 3)
@@ -182,7 +182,7 @@ def test_attention_is_the_sum_weighted_by_likeness(small):
         torch.testing.assert_close(attention(tokens), by_hand, rtol=1e-4, atol=1e-5)
 
 
-def test_unknown_words_are_refused():
+def test_unknown_configuration_values_are_refused():
     from pipeline.base.errors import ModelMissing
 
     with pytest.raises(ModelMissing, match="no encoder 'vitg'"):

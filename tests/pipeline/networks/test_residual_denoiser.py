@@ -1,4 +1,4 @@
-"""The denoiser of residuals: three ways to predict, one answer; noise and condition are both heard."""
+"""The residual denoiser: three prediction targets, one output format; noise level and condition have an effect."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ PREDICTIONS = ("clean", "v", "noise")
 
 
 def small(prediction="clean", seed=0, scale=0.3, levels=2):
-    """A network that says something: as built, the last layer adds nothing."""
+    """A network with a random last layer; the initial one adds nothing."""
     torch.manual_seed(seed)
     net = ResidualDenoiser(
         inputs=3, unit_mm=1.0, base_channels=8, levels=levels, max_channels=16, prediction=prediction
@@ -25,7 +25,7 @@ def small(prediction="clean", seed=0, scale=0.3, levels=2):
 
 @pytest.mark.parametrize("prediction", PREDICTIONS)
 @pytest.mark.parametrize("size", [(24, 32), (23, 17)])
-def test_every_prediction_gives_fields_of_the_picture_s_size_within_reach_at_every_noise(prediction, size):
+def test_outputs_have_the_input_size_and_stay_within_the_limit(prediction, size):
     net = small(prediction)
     condition = torch.randn(2, 3, *size)
     with torch.inference_mode():
@@ -36,12 +36,12 @@ def test_every_prediction_gives_fields_of_the_picture_s_size_within_reach_at_eve
             assert answer[:, :2].abs().max() <= FIELD_LIMIT
 
 
-def test_a_fresh_network_adds_nothing():
+def test_an_untrained_network_adds_nothing():
     net = ResidualDenoiser(inputs=3, unit_mm=1.0, base_channels=8, levels=2, max_channels=16).eval()
     assert not net(torch.randn(1, 2, 16, 16), torch.ones(1), torch.randn(1, 3, 16, 16)).any()
 
 
-def test_what_is_seen_through_little_noise_is_nearly_kept_where_noise_or_v_is_predicted():
+def test_noise_and_v_prediction_keep_a_nearly_clean_field():
     noisy, condition = torch.randn(1, 2, 16, 16), torch.randn(1, 3, 16, 16)
     for prediction in ("v", "noise"):
         with torch.inference_mode():
@@ -49,7 +49,7 @@ def test_what_is_seen_through_little_noise_is_nearly_kept_where_noise_or_v_is_pr
         assert (answer[:, :2] - noisy).abs().max() < 0.05
 
 
-def test_noise_level_and_condition_are_heard():
+def test_noise_level_and_condition_change_the_output():
     net, noisy, condition = small(), torch.randn(1, 2, 16, 16), torch.randn(1, 3, 16, 16)
     with torch.inference_mode():
         plain = net(noisy, torch.ones(1), condition)
@@ -57,7 +57,7 @@ def test_noise_level_and_condition_are_heard():
         assert not torch.allclose(plain, net(noisy, torch.ones(1), 0 * condition), atol=1e-3)
 
 
-def test_one_field_alone_and_as_one_of_two_is_answered_alike():
+def test_a_single_field_and_a_batch_give_equal_outputs():
     net, noisy, condition = small(), torch.randn(2, 2, 23, 17), torch.randn(2, 3, 23, 17)
     for part in net.modules():
         if isinstance(part, torch.nn.BatchNorm2d):
@@ -72,6 +72,6 @@ def test_one_field_alone_and_as_one_of_two_is_answered_alike():
             assert torch.allclose(net(noisy[k : k + 1], sigma[k : k + 1], condition[k : k + 1])[0], both[k], atol=1e-4)
 
 
-def test_another_prediction_is_refused():
+def test_an_unknown_prediction_target_is_refused():
     with pytest.raises(ValueError, match="prediction"):
         ResidualDenoiser(inputs=3, unit_mm=1.0, prediction="image")

@@ -1,4 +1,4 @@
-"""Samplers against data whose exact denoiser is known: right in the limit, sane everywhere else."""
+"""Samplers on data with a known exact denoiser: correct in the limit, bounded elsewhere."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ def _error(solver, steps, denoise):
 
 
 @pytest.mark.parametrize(("solver", "gains"), [("ddim", 1.6), ("dpmpp_2m", 3.0), ("corrected", 5.0)])
-def test_twice_the_steps_gain_what_the_order_promises(solver, gains):
+def test_doubling_the_steps_reduces_the_error_by_the_solver_order(solver, gains):
     denoise = denoiser(modes(), 0.3)
     assert _error(solver, 100, denoise) * gains < _error(solver, 50, denoise)
 
 
-def test_one_step_is_the_expected_value():
-    """That is the best answer there is, and the same whatever the noise was."""
+def test_one_step_gives_the_posterior_mean():
+    """It is the same for every noise."""
     denoise = denoiser(modes(), 0.3)
     levels = make_sigma_schedule(1, sigma_max=1e4, sigma_min=LEAST)
     for solver in SOLVERS:
@@ -49,7 +49,7 @@ def test_one_step_is_the_expected_value():
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
-def test_samples_spread_as_the_data_do(solver):
+def test_samples_have_the_distribution_of_the_data(solver):
     def denoise(noisy, sigma):  # of a normal distribution around 0.4
         return (0.05**2 * noisy + sigma**2 * 0.4) / (0.05**2 + sigma**2)
 
@@ -59,7 +59,7 @@ def test_samples_spread_as_the_data_do(solver):
     assert clean.std() == pytest.approx(0.05, rel=0.06)
 
 
-def test_every_number_of_steps_guidance_and_solver_stays_within_the_data():
+def test_samples_stay_in_the_data_range_for_all_settings():
     conditional, unconditional = denoiser(modes()[:PICKED], 0.05), denoiser(modes(), 0.05)
     reach = float(abs(modes()).max()) + 0.3
     noise = _noise(4)
@@ -76,13 +76,13 @@ def test_every_number_of_steps_guidance_and_solver_stays_within_the_data():
 
 
 @given(st.integers(1, 60), st.sampled_from((0.0, 1.0)))
-def test_no_guidance_costs_one_pass_a_step(steps, weight):
+def test_no_guidance_costs_one_pass_per_step(steps, weight):
     counted = GuidedDenoiser(lambda x, _: 0.5 * x, lambda x, _: 0.4 * x, plan_guidance(weight, steps, 10.0), 10.0)
     assert sample(counted, np.ones((1, 2)), make_sigma_schedule(steps, sigma_max=MOST, sigma_min=LEAST)).passes == steps
     assert counted.passes == steps
 
 
-def test_guidance_costs_two_passes_where_it_works():
+def test_guidance_costs_two_passes_in_its_interval():
     how, levels = plan_guidance(2.54, 50, 1e9), make_sigma_schedule(50, sigma_max=MOST, sigma_min=LEAST)
     counted = GuidedDenoiser(lambda x, _: 0.5 * x, lambda x, _: 0.4 * x, how, 1e9)
     together = GuidedDenoiser(counted, counted, how, 1e9, lambda x, _: (0.5 * x, 0.4 * x))
@@ -91,14 +91,14 @@ def test_guidance_costs_two_passes_where_it_works():
     assert np.array_equal(*found)
 
 
-def test_too_few_steps_to_guide_are_said():
+def test_too_few_steps_for_guidance_are_noted():
     how = plan_guidance(2.54, 3, 1.0)
     assert how.weight == 1.0
-    assert "without it" in how.note
+    assert "without guidance" in how.note
 
 
 @given(st.integers(1, 1000))
-def test_levels_fall_to_nothing_and_none_comes_twice(steps):
+def test_noise_levels_fall_strictly_to_zero(steps):
     levels = make_sigma_schedule(steps, sigma_max=MOST, sigma_min=LEAST)
     assert len(levels) == steps + 1
     assert (np.diff(levels) < 0).all()
@@ -106,7 +106,7 @@ def test_levels_fall_to_nothing_and_none_comes_twice(steps):
 
 
 @given(st.integers(1, 1000), st.sampled_from((25, 50, 100, 999, 1000)))
-def test_trained_times_come_once_each_the_last_one_first(steps, count):
+def test_timesteps_are_unique_and_start_at_the_last(steps, count):
     cumulative = np.cumprod(1 - np.linspace(math.sqrt(0.0015), math.sqrt(0.0155), count) ** 2)
     levels, times = make_timestep_schedule(steps, cumulative)
     assert times[0] == count - 1
@@ -115,8 +115,8 @@ def test_trained_times_come_once_each_the_last_one_first(steps, count):
     assert (np.diff(levels) < 0).all()
 
 
-def test_a_share_of_nothing_is_refused():
-    with pytest.raises(SettingProblem, match="nothing is left to denoise"):
+def test_a_signal_share_of_zero_is_refused():
+    with pytest.raises(SettingProblem, match="between 0 and 1"):
         make_timestep_schedule(5, np.linspace(0.9, 0.0, 10))
 
 
@@ -132,7 +132,7 @@ def test_a_guidance_out_of_range_is_refused(weight):
         plan_guidance(weight, 50, 1.0)
 
 
-def test_sampling_is_cancelled_between_two_passes():
+def test_sampling_can_be_cancelled_between_passes():
     class Stops:
         def step(self, fraction, text):
             if fraction >= 0.5:
@@ -149,7 +149,7 @@ def test_sampling_is_cancelled_between_two_passes():
     assert len(passes) == 5
 
 
-def test_kept_steps_tell_the_way_and_the_last_one_is_the_sample():
+def test_kept_steps_end_with_the_sample():
     denoise = denoiser(modes(), 0.3)
     answer = sample(denoise, _noise(2), make_sigma_schedule(12, sigma_max=MOST, sigma_min=LEAST), keep_steps=True)
     assert len(answer.steps) == 12

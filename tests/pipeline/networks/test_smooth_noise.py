@@ -1,4 +1,4 @@
-"""Noise as smooth as fields: standard normal, alike nearby, and such that samples are as many as a posterior allows."""
+"""Correlated noise: standard normal, correlated nearby, and with the right sample variance."""
 
 import math
 
@@ -15,7 +15,7 @@ def white(n, rows=48, cols=64, seed=0):
     return torch.randn(n, 2, rows, cols, generator=torch.Generator().manual_seed(seed))
 
 
-def test_it_stays_standard_normal_and_neighbours_are_alike():
+def test_it_is_standard_normal_and_correlated():
     made = correlate_noise(white(300), LENGTH)
     assert abs(float(made.mean())) < 0.03
     assert float(made.std()) == pytest.approx(1.0, abs=0.03)
@@ -27,20 +27,20 @@ def test_it_stays_standard_normal_and_neighbours_are_alike():
 
 
 @pytest.mark.parametrize("size", [(33, 20), (20, 33), (17, 17)])
-def test_any_size_keeps_its_shape_and_two_channels_know_nothing_of_each_other(size):
+def test_any_size_is_kept_and_channels_are_independent(size):
     made = correlate_noise(white(400, *size), LENGTH)
     assert made.shape == (400, 2, *size)
     assert abs(float((made[:, 0] * made[:, 1]).mean())) < 0.05
 
 
-def test_no_length_leaves_white_noise_to_the_byte():
+def test_zero_correlation_length_returns_the_input():
     noise = white(1)
     assert correlate_noise(noise, 0.0) is noise
 
 
 @pytest.mark.parametrize("solver", ["dpmpp_2m", "corrected"])
 @pytest.mark.parametrize("spread", [0.3, 1.0])
-def test_with_the_exact_denoiser_samples_spread_as_what_is_sampled(solver, spread):
+def test_samples_of_the_exact_denoiser_have_the_data_variance(solver, spread):
     middle = torch.linspace(-1, 1, 64)
 
     def denoise(noisy, sigma):

@@ -18,7 +18,7 @@ def small(seed=0, **other):
     return VqVae(**{**SMALL, **other})
 
 
-def test_the_papers_width_has_the_released_names_and_shapes():
+def test_the_published_configuration_has_the_released_tensors():
     with torch.device("meta"):
         shapes = {name: tuple(t.shape) for name, t in VqVae().state_dict().items()}
     assert shapes["encoder.0.weight"] == (256, 3, 4, 4)
@@ -31,7 +31,7 @@ def test_the_papers_width_has_the_released_names_and_shapes():
     assert len(shapes) == 25
 
 
-def test_a_residual_block_adds_to_what_its_first_activation_leaves():
+def test_a_residual_block_adds_to_its_activated_input():
     """The released blocks work in place: their first ReLU changes what the sum adds to."""
     block = small().encoder[3]
     field = torch.randn(1, 8, 6, 6)
@@ -39,19 +39,19 @@ def test_a_residual_block_adds_to_what_its_first_activation_leaves():
     assert torch.allclose(block(field), torch.relu(field) + inner, atol=1e-6)
 
 
-def test_every_place_becomes_its_nearest_code_and_gradients_pass_by():
+def test_positions_take_the_nearest_code_and_gradients_pass_straight_through():
     net = small().train()
     net.codebook.embedding.weight.data.normal_()
     x = torch.randn(2, 3, 16, 16, requires_grad=True)
     found = net(x)
     gaps = (found.encoded[:, :, None] - net.codebook.embedding.weight.T[None, :, :, None, None]).pow(2).sum(1)
-    told = net.codebook.embedding.weight[gaps.argmin(1)].permute(0, 3, 1, 2)
-    assert torch.allclose(found.quantised, told)
+    nearest_codes = net.codebook.embedding.weight[gaps.argmin(1)].permute(0, 3, 1, 2)
+    assert torch.allclose(found.quantised, nearest_codes)
     found.generated.sum().backward()
     assert x.grad.abs().sum() > 0
 
 
-def test_a_new_codebook_begins_at_what_the_encoder_says_and_a_taught_one_stays():
+def test_only_a_new_codebook_is_initialised_from_the_batch():
     net = small().train()
     x = torch.randn(4, 3, 32, 32)
     found = net(x)
@@ -61,7 +61,7 @@ def test_a_new_codebook_begins_at_what_the_encoder_says_and_a_taught_one_stays()
     assert torch.equal(net.codebook.embedding.weight.detach(), before)
 
 
-def test_entries_that_are_nearest_nowhere_begin_anew_and_the_others_stay():
+def test_only_unused_entries_are_replaced():
     net = small().train()
     entries = net.codebook.embedding.weight
     with torch.no_grad():
@@ -75,8 +75,8 @@ def test_entries_that_are_nearest_nowhere_begin_anew_and_the_others_stay():
     assert len(torch.unique(net.codebook.eval().assign_codes(rows))) > 10
 
 
-def test_what_is_told_its_place_can_answer_with_a_picture_that_its_source_does_not_hold():
-    """A source without anything in it looks alike everywhere; published ones answer it alike everywhere."""
+def test_a_position_bias_makes_the_output_depend_on_position():
+    """A constant source gives a constant output without it."""
     still = torch.zeros(1, 3, 128, 128)
     plain, placed = small(), small(has_position_bias=True)
     with torch.no_grad():
@@ -86,7 +86,7 @@ def test_what_is_told_its_place_can_answer_with_a_picture_that_its_source_does_n
     assert answers[0][:, ::4].std(dim=1).max() < 1e-5 < answers[1][:, ::4].std(dim=1).max()
 
 
-def test_reach_widens_what_a_place_depends_on():
+def test_dilation_widens_the_receptive_field():
     def seen(net):
         x = torch.randn(1, 3, 128, 128, requires_grad=True)
         net.eval().decoder(net.encoder(x))[0, 0, 64, 64].backward()
@@ -96,7 +96,7 @@ def test_reach_widens_what_a_place_depends_on():
     assert seen(small(dilation=4)) > 90
 
 
-def test_a_state_of_the_released_network_is_known_by_its_tensors(tmp_path):
+def test_a_released_state_is_recognised_by_its_tensors(tmp_path):
     net = small(codes=33)
     torch.save(net.state_dict(), tmp_path / "best.pt")
     found = vqvae_files.read_weights(tmp_path / "best.pt")
@@ -105,7 +105,7 @@ def test_a_state_of_the_released_network_is_known_by_its_tensors(tmp_path):
     assert torch.allclose(load_network(found)(x).generated, net.eval()(x).generated, atol=1e-6)
 
 
-def test_something_else_is_no_vqvae(tmp_path):
+def test_other_files_are_refused(tmp_path):
     torch.save({"weight": torch.zeros(3)}, tmp_path / "other.pt")
     with pytest.raises(FileProblem, match=r"encoder\.0\.weight"):
         vqvae_files.read_weights(tmp_path / "other.pt")
@@ -113,7 +113,7 @@ def test_something_else_is_no_vqvae(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_papers_width_learns_a_few_steps():
+def test_the_published_configuration_can_be_trained():
     torch.manual_seed(1)
     net = build_network("vqvae", {"inputs": 3, "outputs": 1}).train()
     optimiser = torch.optim.Adam(net.parameters(), 2e-4)

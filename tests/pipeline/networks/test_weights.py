@@ -1,4 +1,4 @@
-"""Weights survive their file, halves are read as float32, and whatever is wrong with a file is one sentence."""
+"""Weights are read back unchanged, 16-bit floats become float32, and every faulty file is refused in one sentence."""
 
 from __future__ import annotations
 
@@ -19,27 +19,26 @@ from pipeline.networks.weights import NoWeights, Weights, load_tensors, load_wei
 def some(scale=1.0, **more):
     rng = np.random.default_rng(2)
     tensors = {"a.weight": scale * rng.standard_normal((3, 2)).astype(np.float32), "a.bias": np.zeros(2, np.float32)}
-    told = {"kind": "compact_unet", "config": {"inputs": 3, "name": "x"}, "card": {"task": "gel_depth", "seed": "4"}}
-    return Weights(**{"name": "some", "tensors": tensors, **told, **more})
+    header = {"kind": "compact_unet", "config": {"inputs": 3, "name": "x"}, "card": {"task": "gel_depth", "seed": "4"}}
+    return Weights(**{"name": "some", "tensors": tensors, **header, **more})
 
 
-def test_weights_come_back_as_they_were_saved_with_a_card_to_read(tmp_path):
+def test_saved_weights_and_their_card_are_read_back(tmp_path):
     weights, path = some(), tmp_path / "some.safetensors"
     save_weights(path, weights)
     back = load_weights(path)
     assert (back.kind, dict(back.config), dict(back.card)) == (weights.kind, weights.config, weights.card)
     assert all(np.array_equal(back.tensors[name], t) for name, t in weights.tensors.items())
     assert compute_digest(back) == compute_digest(weights)
-    assert "- seed: 4\n" in (tmp_path / "some.md").read_text()
+    assert "| seed | 4 |\n" in (tmp_path / "some.md").read_text()
 
 
 def test_a_single_number_keeps_its_shape(tmp_path):
-    """As the batches that a normalisation has counted."""
     save_weights(tmp_path / "one.safetensors", some(tensors={"count": np.array(7.0, np.float32)}))
     assert load_weights(tmp_path / "one.safetensors").tensors["count"].shape == ()
 
 
-def test_halves_of_either_sort_are_read_as_float32(tmp_path):
+def test_both_16_bit_formats_are_read_as_float32(tmp_path):
     save_weights(tmp_path / "half.safetensors", some(), use_float16=True)
     half = load_weights(tmp_path / "half.safetensors")
     assert all(t.dtype == np.float32 for t in half.tensors.values())
@@ -53,43 +52,43 @@ def test_halves_of_either_sort_are_read_as_float32(tmp_path):
     np.testing.assert_allclose(x, [1.0, -2.5, 3e38], rtol=4e-3)
 
 
-def test_what_a_result_depends_on_makes_the_digest_and_nothing_else():
-    alike = compute_digest(some())
-    assert compute_digest(some(card={"seed": "5"})) == alike
-    assert compute_digest(some(scale=1.001)) != alike
-    assert compute_digest(some(config={"inputs": 4, "name": "x"})) != alike
+def test_the_digest_covers_tensors_and_configuration_only():
+    digest = compute_digest(some())
+    assert compute_digest(some(card={"seed": "5"})) == digest
+    assert compute_digest(some(scale=1.001)) != digest
+    assert compute_digest(some(config={"inputs": 4, "name": "x"})) != digest
     with pytest.raises(ValueError, match="read-only"):
         some().tensors["a.bias"][0] = 1.0
 
 
 @settings(max_examples=40, deadline=None)
 @given(data=st.data())
-def test_a_file_cut_short_anywhere_or_damaged_is_one_sentence(tmp_path_factory, data):
+def test_a_truncated_or_damaged_file_is_refused(tmp_path_factory, data):
     path = tmp_path_factory.mktemp("cut") / "w.safetensors"
     save_weights(path, some())
     whole = path.read_bytes()
     length = data.draw(st.integers(0, len(whole) - 1))
     path.write_bytes(whole[:length])
-    with pytest.raises(FileProblem, match="cut short or damaged, or no safetensors"):
+    with pytest.raises(FileProblem, match="truncated"):
         load_weights(path)
     assert isinstance(weights_registry.load_file(path), NoWeights)
 
 
-def test_a_missing_file_a_foreign_one_and_numbers_that_are_none_are_told_apart(tmp_path):
+def test_missing_foreign_and_non_finite_files_are_refused(tmp_path):
     path = tmp_path / "w.safetensors"
     with pytest.raises(FileProblem, match=r"cannot read the weights \(No such file"):
         load_weights(path)
     save_file({"x": np.ones(3, np.float32)}, path)
-    with pytest.raises(FileProblem, match="do not say which network they are for"):
+    with pytest.raises(FileProblem, match="Tactoscope"):
         load_weights(path)
     save_file({"x": np.array([1.0, np.nan], np.float32)}, path)
-    with pytest.raises(FileProblem, match=r"not numbers \(in 'x'"):
+    with pytest.raises(FileProblem, match="'x'"):
         load_weights(path)
-    with pytest.raises(FileProblem, match="no 16 bits can keep"):
+    with pytest.raises(FileProblem, match="16 bits"):
         save_weights(path, some(scale=1e6), use_float16=True)
 
 
-def test_the_shelf_reads_a_file_again_once_it_has_changed(tmp_path):
+def test_a_changed_file_is_read_again(tmp_path):
     path = tmp_path / "some.safetensors"
     save_weights(path, some())
     first = weights_registry.load_file(path)
@@ -101,16 +100,16 @@ def test_the_shelf_reads_a_file_again_once_it_has_changed(tmp_path):
     assert "No such file" in weights_registry.load_file(path).why
 
 
-def test_weights_of_another_task_are_not_taken(tmp_path):
+def test_weights_of_another_task_are_not_used(tmp_path):
     path = tmp_path / "some.safetensors"
     save_weights(path, some())
     assert isinstance(weights_registry.load_for_task("gel_depth", "gel", path), Weights)
-    other = weights_registry.load_for_task("bubble_reading", "bubble", path)
-    assert other.why == "the weights 'some' have learned gel_depth, not bubble_reading; give others as --weights"
-    assert "come along; train them" in weights_registry.load_for_task("gel_depth", "unheard", None).why
+    other = weights_registry.load_for_task("bubble_depth", "bubble", path)
+    assert all(fact in other.why for fact in ("'some'", "gel_depth", "bubble_depth", "--weights"))
+    assert "'unknown'" in weights_registry.load_for_task("gel_depth", "unknown", None).why
 
 
-def test_what_comes_along_can_be_read_and_is_small():
+def test_shipped_weights_are_readable_and_small():
     files = sorted(weights_registry.WEIGHTS_FOLDER.glob("*.safetensors"))
     for path in files:
         assert isinstance(weights_registry.load_shipped(path.stem), Weights)
@@ -119,8 +118,8 @@ def test_what_comes_along_can_be_read_and_is_small():
     assert sum(path.stat().st_size for path in files) <= 60 << 20
 
 
-def test_a_tensor_of_one_number_without_axes_keeps_none(tmp_path):
-    """Batch normalisation counts its batches in one; with an axis it would not fit its own network."""
+def test_a_scalar_tensor_keeps_its_shape(tmp_path):
+    """Such as the batch counter of batch normalisation."""
     save_weights(
         tmp_path / "some.safetensors",
         some(tensors={"n": np.array(7.0, np.float32), "a": np.ones((2, 1), np.float32)}),

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from pipeline.networks.square_images import compute_change, denormalise, normalise, resize_from_square, resize_to_square
 
 
-def test_a_gels_change_is_signed_and_a_bubbles_is_toward_the_camera():
+def test_gel_changes_are_signed_and_bubble_changes_are_toward_the_camera():
     rest = np.full((4, 5, 3), 100, np.uint8)
     assert np.allclose(compute_change("gel", rest - 51, rest), -0.2)
     depth = np.full((4, 5), 60.0, np.float32)
@@ -19,12 +19,12 @@ def test_a_gels_change_is_signed_and_a_bubbles_is_toward_the_camera():
 
 
 @given(st.integers(0, 2**31))
-def test_what_is_made_normal_can_be_measured_again(seed):
+def test_normalisation_is_invertible(seed):
     squares = np.random.default_rng(seed).normal(size=(3, 8, 8)).astype(np.float32)
     assert np.allclose(denormalise(normalise(squares, "gel"), "gel"), squares, atol=1e-6)
 
 
-def test_a_square_keeps_the_mean_and_leads_back_to_where_it_came_from():
+def test_resizing_keeps_the_mean_and_is_invertible():
     y, x = np.mgrid[:64, :96] / 32.0
     smooth = np.stack([np.sin(x + y), np.cos(y)], axis=-1).astype(np.float32)
     small = resize_to_square(smooth, 32)

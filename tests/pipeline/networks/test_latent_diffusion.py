@@ -34,8 +34,8 @@ def paper():
         return LatentDiffusion()
 
 
-def test_the_papers_width_has_the_published_parts():
-    """Names, shapes and counts of the released configuration: 295.08 million numbers in 520 tensors."""
+def test_the_published_configuration_has_the_published_tensors():
+    """Names, shapes and counts of the released configuration: 295.08 million parameters in 520 tensors."""
     shapes = {name: tuple(t.shape) for name, t in paper().state_dict().items()}
     unet = {n.removeprefix("model.diffusion_model."): s for n, s in shapes.items() if n.startswith("model.diffusion")}
     assert len(unet) == 520
@@ -54,21 +54,21 @@ def test_the_papers_width_has_the_published_parts():
     assert shapes["scale_factor"] == ()
 
 
-def test_noise_rises_as_published():
-    left = compute_alphas_cumprod()
-    assert left[0] == pytest.approx(1 - 0.0015)
-    assert left[-1] == pytest.approx(left[-2] * (1 - 0.0155))
-    assert (np.diff(left) < 0).all()
+def test_the_noise_schedule_is_the_published_one():
+    alphas = compute_alphas_cumprod()
+    assert alphas[0] == pytest.approx(1 - 0.0015)
+    assert alphas[-1] == pytest.approx(alphas[-2] * (1 - 0.0155))
+    assert (np.diff(alphas) < 0).all()
 
 
-def test_pictures_become_latents_of_an_eighth_and_come_back():
+def test_images_are_encoded_to_an_eighth_and_decoded():
     net = small().eval()
     mean, log_variance = net.first_stage_model.encode(batch()["target"])
     assert mean.shape == log_variance.shape == (2, 4, 4, 4)
     assert net.decode_images(mean).shape == (2, 3, 32, 32)
 
 
-def test_the_denoiser_does_not_teach_the_autoencoder():
+def test_the_noise_loss_has_no_gradients_in_the_autoencoder():
     net = small().train()
     found = net(**batch())
     (found.predicted_noise - found.true_noise).abs().mean().backward()
@@ -76,7 +76,7 @@ def test_the_denoiser_does_not_teach_the_autoencoder():
     assert any(p.grad is not None for p in net.cond_stage_model.parameters())
 
 
-def test_its_parts_may_learn_one_after_the_other():
+def test_autoencoder_and_denoiser_can_be_trained_separately():
     net = small().train()
     found = net(**batch(), part="autoencoder")
     assert found.predicted_noise is None
@@ -91,20 +91,22 @@ def test_its_parts_may_learn_one_after_the_other():
     assert torch.equal(net.scale_factor, scale)
 
 
-def test_an_untold_example_is_not_shown_its_source():
+def test_an_unconditioned_example_ignores_its_source():
     net = small().eval()
     one = batch()
     with torch.no_grad():
         net.model["diffusion_model"].out[2].weight.normal_()
-        told = net(**one).predicted_noise
+        conditioned = net(**one).predicted_noise
         other = net(**{**one, "source": one["source"].flip(0)}).predicted_noise
-        untold = net(**{**one, "has_condition": torch.zeros(2)}).predicted_noise
-        untold_other = net(**{**one, "has_condition": torch.zeros(2), "source": one["source"].flip(0)}).predicted_noise
-    assert not torch.allclose(told, other)
-    assert torch.equal(untold, untold_other)
+        unconditioned = net(**{**one, "has_condition": torch.zeros(2)}).predicted_noise
+        unconditioned_other = net(
+            **{**one, "has_condition": torch.zeros(2), "source": one["source"].flip(0)}
+        ).predicted_noise
+    assert not torch.allclose(conditioned, other)
+    assert torch.equal(unconditioned, unconditioned_other)
 
 
-def test_latents_are_brought_to_spread_one():
+def test_latents_are_scaled_to_unit_standard_deviation():
     net = small().train()
     for _ in range(80):
         net(**batch())
@@ -113,7 +115,7 @@ def test_latents_are_brought_to_spread_one():
 
 
 def released(net, changed=None):
-    """A checkpoint as the released training writes it: EMA, the source's encoder twice, a loss, a schedule."""
+    """A checkpoint as the released training writes it: EMA, a second copy of the encoder, a loss, a schedule."""
     state = dict(net.state_dict())
     for name, tensor in list(state.items()):
         if name.startswith("model."):
@@ -126,7 +128,7 @@ def released(net, changed=None):
     return {"state_dict": state, "global_step": 7}
 
 
-def test_a_released_checkpoint_is_known_and_its_average_is_taken(tmp_path):
+def test_a_released_checkpoint_is_read_with_averaged_weights(tmp_path):
     like = {
         "side": 256, "channel_multipliers": "1 2 2 4 4", "blocks": 2, "attention": "1 2 4 8", "heads": 8, "groups": 32,
         "autoencoder_multipliers": "1 2 4 4", "autoencoder_blocks": 2,
@@ -143,14 +145,14 @@ def test_a_released_checkpoint_is_known_and_its_average_is_taken(tmp_path):
     assert torch.equal(ready.state_dict()[first], net.state_dict()[first])
 
 
-def test_something_else_is_no_latent_diffusion(tmp_path):
+def test_other_files_are_refused(tmp_path):
     torch.save({"state_dict": {"weight": torch.zeros(3)}}, tmp_path / "other.ckpt")
-    with pytest.raises(FileProblem, match="latent diffusion under their original names"):
+    with pytest.raises(FileProblem, match="latent diffusion"):
         latent_diffusion_files.read_weights(tmp_path / "other.ckpt")
 
 
 @pytest.mark.slow
-def test_the_papers_width_learns_a_few_steps():
+def test_the_published_configuration_can_be_trained():
     torch.manual_seed(0)
     net = build_network("latent", {"side": 128}).train()
     one = {name: tensor[:1] for name, tensor in batch(2, 128).items() if name != "noises"}
