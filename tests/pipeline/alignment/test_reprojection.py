@@ -13,8 +13,8 @@ from pipeline.geometry.camera import Camera
 from pipeline.sensors.alignment import Alignment
 from pipeline.stages.cloud.back_projection import BackProjectionParams, back_project_depth
 from pipeline.stages.target_depth.surface_projection import SurfaceProjectionParams, project_cloud
-from tests.pipeline.stages.test_adapt import by, depth_map
-from tests.pipeline.stages.test_project import CENTRE_MM, PAPER, SOURCE, SURFACE, sphere_depth_mm, target_sensor
+from tests.pipeline.stages.test_back_projection import by, depth_map
+from tests.pipeline.stages.test_target_depth import CENTRE_MM, PAPER, SOURCE, SURFACE, sphere_depth_mm, target_sensor
 
 ROUND_TRIP_MM = 2e-4  # two interpolations between pixels of 0.045 mm on a sphere of 15 mm: 2e-5 each, and float32
 FLOAT32_ULP = 2.0**-23  # relative

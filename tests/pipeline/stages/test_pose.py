@@ -123,7 +123,7 @@ def test_the_same_input_gives_the_same_bytes():
     assert one.scene_mm.tobytes() == two.scene_mm.tobytes()
 
 
-def test_steps_are_kept_on_request_and_the_answer_is_the_same_with_and_without():
+def test_keeping_steps_does_not_change_the_pose():
     touch = felt(notched_wedge(), lying(0.3, 0.2, 0.8, 2.0, 30.0))
     kept, plain = (estimate_pose(touch, notched_wedge().mesh, PoseParams(keep_steps=keep)) for keep in (True, False))
     np.testing.assert_allclose(kept.steps[-1].sensor_from_object, kept.sensor_from_object, atol=1e-12)
@@ -133,7 +133,7 @@ def test_steps_are_kept_on_request_and_the_answer_is_the_same_with_and_without()
     assert kept.stop_reason.startswith("settled: ")
 
 
-def test_the_way_begins_at_a_first_guess_and_tells_every_step():
+def test_the_step_history_begins_at_a_start():
     touch = felt(notched_wedge(), lying(0.3, 0.2, 0.8, 2.0, 30.0))
     found = estimate_pose(touch, notched_wedge().mesh, PoseParams(keep_steps=True))
     told = step_history.summarise_steps(found)
@@ -146,19 +146,19 @@ def test_the_way_begins_at_a_first_guess_and_tells_every_step():
     assert step_history.summarise_steps(estimate_pose(touch, notched_wedge().mesh, PoseParams())) is None
 
 
-def test_partners_lie_on_the_object_and_those_out_of_reach_are_told():
+def test_correspondences_lie_on_the_object_and_outliers_are_marked():
     touch = felt(notched_wedge(), lying(0.3, 0.2, 0.8, 2.0, 30.0))
     found = estimate_pose(touch, notched_wedge().mesh, PoseParams(keep_steps=True))
     at, radius_mm = np.array([0.3, -0.2, 26.0]), 6.0
     step = PoseStep(sensor_from_object=rigid.translation(*at), rmse_mm=1.0, fitness=1.0, max_correspondence_mm=0.4)
     (state,) = step_history.split_steps(replace(found, steps=(step,)))
-    partners = step_history.compute_correspondences(state, load_distance_grid(ball(radius_mm)))
-    near = np.abs(partners.distance_mm) < 1.0  # farther off the lattice is coarser: 0.024 mm there
+    correspondences = step_history.compute_correspondences(state, load_distance_grid(ball(radius_mm)))
+    near = np.abs(correspondences.distance_mm) < 1.0  # farther off the lattice is coarser: 0.024 mm there
     assert near.sum() > 20
-    from_middle_mm = np.linalg.norm(partners.nearest_mm[near] - at, axis=1)
+    from_middle_mm = np.linalg.norm(correspondences.nearest_mm[near] - at, axis=1)
     np.testing.assert_allclose(from_middle_mm, radius_mm, atol=0.03)
-    np.testing.assert_array_equal(partners.is_inlier, np.abs(partners.distance_mm) <= 0.4)
-    assert 0 < partners.is_inlier.sum() < len(partners.is_inlier)
+    np.testing.assert_array_equal(correspondences.is_inlier, np.abs(correspondences.distance_mm) <= 0.4)
+    assert 0 < correspondences.is_inlier.sum() < len(correspondences.is_inlier)
 
 
 def test_scene_points_lie_on_the_membrane_at_their_pixels():
@@ -181,7 +181,7 @@ def test_no_contact_and_no_mesh_are_answered_without_work():
     assert "no object mesh" in skip_without_contact(touched, None, PoseParams()).notes[0]
 
 
-def test_too_few_points_are_told_instead_of_fitted():
+def test_too_few_points_give_no_pose_with_a_reason():
     contact = np.zeros(CAMERA.shape, bool)
     contact[50:53, 60:63] = True
     found = estimate_pose(touch_of(np.where(contact, REST_MM - 0.3, REST_MM), contact), slab().mesh, PoseParams())
@@ -190,7 +190,7 @@ def test_too_few_points_are_told_instead_of_fitted():
 
 
 @pytest.mark.parametrize("scale", [1e-3, 1e3])
-def test_a_mesh_in_another_unit_gives_no_pose_but_its_size(scale):
+def test_a_mesh_in_another_unit_gives_no_pose_and_names_its_size(scale):
     bar = l_bar()
     scaled = Mesh(vertices_mm=bar.mesh.vertices_mm * scale, triangles=bar.mesh.triangles)
     found = estimate_pose(
@@ -211,7 +211,7 @@ def test_a_mesh_without_surface_and_an_unknown_face_are_refused():
 
 
 @pytest.mark.parametrize("doing", ["registering", "refining", "leaves open", "fit as well"])
-def test_a_pose_nobody_wants_any_more_is_cancelled(doing):
+def test_pose_estimation_can_be_cancelled(doing):
     class Impatient:
         def step(self, fraction, text):
             if doing in text:
@@ -246,7 +246,7 @@ def test_a_sphere_patch_rolls_in_three_ways():
     assert np.abs(told.observable @ turn_about_centre).max() < 0.05
 
 
-def test_a_pose_that_fits_as_well_turned_is_said():
+def test_equally_good_rotated_poses_are_reported():
     corners = [(-4, -2), (4, -2), (4, 2), (-4, 2)]
     box = extruded(corners, [corners], 0.0, 6.0)
     found = estimate_pose(felt(box, lying(1.3, -0.9, 0.5, 6.0, 17.0)), box.mesh, PoseParams(face="+z"))
@@ -261,7 +261,7 @@ def test_a_pose_that_only_one_place_explains_has_no_alternative():
     assert estimate_pose(felt(l_bar(), truth), l_bar().mesh, PoseParams()).alternatives == ()
 
 
-def test_a_pose_whose_object_would_be_felt_where_nothing_was_is_doubted():
+def test_a_pose_with_missing_contact_has_a_warning():
     truth = lying(1.0, -0.5, 0.6, 4.0, 20.0, origin_mm=(5.0, 3.5))
     whole = felt(l_bar(), truth)
     there = rigid.apply(rigid.invert(truth), CAMERA.back_project(whole.depth_mm).reshape(-1, 3).astype(float))
@@ -274,7 +274,7 @@ def test_a_pose_whose_object_would_be_felt_where_nothing_was_is_doubted():
     assert MISSING_CONTACT_WARNING not in estimate_pose(whole, l_bar().mesh, PoseParams()).notes
 
 
-def test_the_next_touch_is_followed_and_a_far_one_is_searched():
+def test_a_near_touch_is_tracked_and_a_far_one_searched():
     bar = notched_wedge()
     before = estimate_pose(felt(bar, lying(0.3, 0.2, 0.8, 2.0, 30.0)), bar.mesh, PoseParams())
     for angle_deg, is_followed in ((33.0, True), (150.0, False)):
@@ -283,7 +283,7 @@ def test_the_next_touch_is_followed_and_a_far_one_is_searched():
         mm, deg = error(found, truth)
         assert mm < POSITION_TOLERANCE_MM
         assert deg < TURN_TOLERANCE_DEG
-        assert ("followed from the touch before" in found.notes) == is_followed
+        assert ("tracked from the pose of the previous touch" in found.notes) == is_followed
         assert (found.starts_tried == 0) == is_followed
 
 
@@ -311,7 +311,7 @@ def test_a_touch_farther_on_is_found_to_the_end_and_not_turned_over(solid, place
 
 
 @pytest.mark.parametrize("angle_deg", [17.0, 197.0])
-def test_of_poses_that_fit_equally_well_the_one_nearest_to_the_touch_before_is_answered(angle_deg):
+def test_of_equally_good_poses_the_nearest_to_the_previous_is_returned(angle_deg):
     corners = [(-4, -2), (4, -2), (4, 2), (-4, 2)]
     box = extruded(corners, [corners], 0.0, 6.0)
     touch = felt(box, lying(1.3, -0.9, 0.5, 6.0, 17.0))
@@ -322,7 +322,7 @@ def test_of_poses_that_fit_equally_well_the_one_nearest_to_the_touch_before_is_a
     assert rigid.rotation_angle_deg(found.sensor_from_object @ rigid.invert(before)) < TURN_TOLERANCE_DEG
 
 
-def test_a_face_that_only_nears_the_membrane_beside_its_contact_is_not_unfelt():
+def test_a_face_close_to_the_membrane_is_not_missing_contact():
     truth = lying(0.0, 0.0, 0.3, 5.0, 10.0, tilt_deg=(0.0, 2.0))
     scene = extract_scene(noisy(felt(slab(), truth)), 1500, 0)
     plate = prepare_object(slab().mesh, 0)
@@ -330,7 +330,7 @@ def test_a_face_that_only_nears_the_membrane_beside_its_contact_is_not_unfelt():
     assert by.misfit_mm([truth])[0] < 1.2 * NOISE_MM
 
 
-def test_a_light_part_of_a_contact_that_is_lost_in_the_error_of_the_depth_speaks_against_no_pose():
+def test_light_contact_within_the_depth_error_does_not_reject_a_pose():
     truth = lying(0.0, 0.0, 0.3, 5.0, 10.0, tilt_deg=(0.0, 2.0))
     touch = felt(slab(), truth)
     light = touch.contact & (touch.indentation_mm < 0.15)
@@ -349,8 +349,8 @@ def test_a_light_part_of_a_contact_that_is_lost_in_the_error_of_the_depth_speaks
     assert exact_mm > 0.3, "where depth is exact, what is not felt is not there"
 
 
-def test_a_generated_touch_speaks_against_a_pose_by_no_more_than_it_tells_of_its_own_error():
-    """A network left out half of a wedge's sides; the wedge sticks out there, as far as the network said it may."""
+def test_a_generated_touch_counts_by_its_expected_error():
+    """The network missed half of a wedge's sides; the wedge sticks out there within the predicted error."""
     truth = lying(0.3, 0.2, 0.8, 2.0, 30.0)
     touch = felt(notched_wedge(), truth)
     beside = ~touch.contact & (np.arange(touch.contact.shape[1]) > touch.contact.shape[1] // 2)
@@ -371,14 +371,14 @@ def test_a_generated_touch_speaks_against_a_pose_by_no_more_than_it_tells_of_its
     assert misfit_mm(recorded) == silent, "a recording has an error of its own"
 
 
-def test_an_object_smaller_than_its_contact_is_asked_for_its_unit():
+def test_an_object_smaller_than_its_contact_has_a_unit_warning():
     bar = l_bar()
     small = replace(bar.mesh, vertices_mm=0.1 * bar.mesh.vertices_mm)
     found = estimate_pose(felt(bar, lying(0.3, 0.2, 0.8, 2.0, 30.0)), small, PoseParams(n_starts=12))
     assert any("is smaller than its contact" in note and "check the mesh's unit" in note for note in found.notes)
 
 
-def test_the_stage_follows_a_touch_that_had_a_pose_and_searches_after_one_that_had_none():
+def test_the_stage_tracks_only_after_a_touch_with_a_pose():
     bar = l_bar()
     touch, params = felt(bar, lying(0.3, 0.2, 0.8, 2.0, 30.0)), PoseParams()
     before = estimate_or_track_pose(touch, bar.mesh, None, params)
@@ -388,7 +388,7 @@ def test_the_stage_follows_a_touch_that_had_a_pose_and_searches_after_one_that_h
     assert estimate_or_track_pose(touch, bar.mesh, lost, params).starts_tried == before.starts_tried
 
 
-def test_what_fitted_as_well_before_is_followed_too():
+def test_alternatives_are_tracked_too():
     bar = l_bar()
     truth = lying(1.0, -0.5, 0.6, 4.0, 20.0, tilt_deg=(1.5, -2.0), origin_mm=(5.0, 3.5))
     wrong = lying(1.0, -0.5, 0.6, 4.0, 200.0, tilt_deg=(1.5, -2.0), origin_mm=(5.0, 3.5))
@@ -396,7 +396,7 @@ def test_what_fitted_as_well_before_is_followed_too():
     assert mm < POSITION_TOLERANCE_MM
 
 
-def test_the_method_of_the_paper_moves_in_the_plane_only():
+def test_the_planar_method_moves_in_the_plane_only():
     truth = lying(1.0, -0.5, 0.6, 4.0, 10.0, origin_mm=(5.0, 3.5))
     found = estimate_pose_planar(felt(l_bar(), truth), l_bar().mesh, PoseParams(face="+z", keep_steps=True))
     assert found.sensor_from_object is not None
@@ -405,7 +405,7 @@ def test_the_method_of_the_paper_moves_in_the_plane_only():
     assert len(found.steps) >= 1
 
 
-def test_icp_on_sampled_points_finds_a_wedge_and_says_that_it_knows_no_more():
+def test_icp_finds_a_wedge_without_ambiguity_estimate():
     truth = lying(-0.8, 0.7, 0.8, 2.0, 70.0, tilt_deg=(4.0, -2.0))
     touch = felt(notched_wedge(), truth, noise_mm=0.01)
     found, again, plain = (
@@ -423,7 +423,7 @@ def test_icp_on_sampled_points_finds_a_wedge_and_says_that_it_knows_no_more():
     assert found.notes[0].startswith("icp:")
 
 
-def test_a_mesh_that_names_missing_vertices_is_refused():
+def test_a_mesh_with_missing_vertices_is_refused():
     broken = Mesh(vertices_mm=slab().mesh.vertices_mm, triangles=np.array([[0, 1, 999]], np.int32))
     with pytest.raises(MeshProblem, match="does not have"):
         estimate_pose(felt(slab(), lying(0.0, 0.0, 0.5, 5.0, 0.0)), broken, PoseParams())
@@ -456,7 +456,7 @@ def test_a_box_on_its_edge_is_found_with_all_eight_poses_that_fit_as_well(turn_d
     assert max(onto_itself) <= 0.1, "each takes the axes of the box to themselves"
 
 
-def test_a_short_cylinder_on_its_rim_is_searched_on_until_it_fits():
+def test_a_short_cylinder_on_its_rim_is_found_by_edge_starts():
     stub = rod(4.904, 6.279, 96)
     turn = rigid.rotation([0.0, 0.0, np.deg2rad(353.051)]) @ rigid.rotation([0.0, np.deg2rad(52.5), 0.0])
     corners = rigid.apply(turn, stub.mesh.vertices_mm)
@@ -467,7 +467,7 @@ def test_a_short_cylinder_on_its_rim_is_searched_on_until_it_fits():
     assert found.rmse_mm < 0.02
 
 
-def test_a_fit_that_is_far_above_the_noise_is_said_to_be_doubtful():
+def test_a_fit_far_above_the_noise_has_a_warning():
     wide, narrow = bar_of(14.0, 5.0), bar_of(14.0, 4.4)
     found = estimate_pose(
         felt(wide, pressed_deep(wide, 45.0, 10.0, 1.4)), rod(1.2, 14.0, 48).mesh, PoseParams(n_starts=24)
@@ -526,7 +526,7 @@ def sheet(x, y, z):
     return Mesh(vertices_mm=vertices, triangles=triangles)
 
 
-def test_turns_of_a_ball_are_not_seen_by_its_outline():
+def test_the_outline_of_a_ball_does_not_determine_its_rotation():
     body = ball(6.0)
     depth, contact = height_felt(
         lying(0.3, 0.2, 0.8, 6.0, 0.0), lambda x, y: np.sqrt(np.maximum(36.0 - x**2 - y**2, 1.0))

@@ -1,4 +1,4 @@
-"""Methods that make a touch of the source's reading itself, and what stands in their place."""
+"""Methods that generate a touch from the source frame alone, and their fallbacks."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def weights_of(kind, task, **config):
 
 
 @pytest.fixture(scope="module")
-def touched():
+def contact_frame():
     y, x = np.mgrid[: GEL.camera.rows, : GEL.camera.cols] * GEL.pixel_mm
     dent = np.maximum(0.6 - ((x - 9.0) ** 2 + (y - 7.0) ** 2) / 12.0, 0.0).astype(np.float32)
     image = optics.render(GEL, dent, seed=1)
@@ -61,8 +61,8 @@ def run(frame, weights, slot="touch"):
     return graph.evaluate([slot], inputs(frame, touch_weights=weights), {})
 
 
-def test_a_picture_is_made_of_the_picture_alone_and_felt_by_reading_it(touched):
-    found = run(touched, weights_of("vqvae", "vqvae", inputs=3, outputs=1, width=4, codes=8), "touch_depth")
+def test_an_image_only_touch_has_its_depth_from_the_image(contact_frame):
+    found = run(contact_frame, weights_of("vqvae", "vqvae", inputs=3, outputs=1, width=4, codes=8), "touch_depth")
     assert list(found) == ["touch", "touch_depth"]  # no depth, no cloud, no view
     touch = found["touch"].output
     assert touch.image.shape == BUBBLE.camera.shape
@@ -70,25 +70,31 @@ def test_a_picture_is_made_of_the_picture_alone_and_felt_by_reading_it(touched):
     assert found["touch_depth"].fallback == NO_MEMBRANE
 
 
-def test_without_weights_the_physical_chain_answers_and_says_so(touched):
-    found = run(touched, NoWeights(why="none come along"))["touch"]
-    assert "none come along; physical render answers instead" in found.notes[0]
+def test_missing_weights_fall_back_to_the_physical_chain(contact_frame):
+    found = run(contact_frame, NoWeights(why="none are shipped"))["touch"]
+    assert "none are shipped; physical render is used instead" in found.notes[0]
     assert found.output.membrane.contact.any()
-    direct = Graph(BUILT_IN.methods("t2d2", {})).evaluate(["touch"], inputs(touched), {})["touch"].output
+    direct = Graph(BUILT_IN.methods("t2d2", {})).evaluate(["touch"], inputs(contact_frame), {})["touch"].output
     assert np.array_equal(found.output.image, direct.image)
 
 
-def test_what_speaks_against_the_source_speaks_against_a_touch_that_no_depth_stands_before(touched):
-    swapped = replace(touched, image=touched.image[:, :, ::-1], reference=touched.reference[:, :, ::-1])
+def test_source_warnings_are_passed_to_touches_without_depth(contact_frame):
+    swapped = replace(
+        contact_frame, image=contact_frame.image[:, :, ::-1], reference=contact_frame.reference[:, :, ::-1]
+    )
     weights = weights_of("vqvae", "vqvae", inputs=3, outputs=1, width=4, codes=8)
-    for frame, said in ((touched, False), (swapped, True)):
-        for given in (weights, NoWeights(why="none come along")):
-            assert any("red and blue look swapped" in doubt for doubt in run(frame, given)["touch"].warnings) is said
-    assert any("uncalibrated" in doubt for doubt in run(touched, NoWeights(why="none come along"))["touch"].warnings)
+    for frame, said in ((contact_frame, False), (swapped, True)):
+        for given in (weights, NoWeights(why="none are shipped")):
+            assert (
+                any("red and blue look swapped" in warning for warning in run(frame, given)["touch"].warnings) is said
+            )
+    assert any(
+        "uncalibrated" in warning for warning in run(contact_frame, NoWeights(why="none are shipped"))["touch"].warnings
+    )
 
 
-def test_an_untouched_frame_costs_no_look_of_the_network(touched, monkeypatch):
-    still = replace(touched, image=touched.reference)
+def test_a_frame_without_contact_skips_the_network(contact_frame, monkeypatch):
+    still = replace(contact_frame, image=contact_frame.reference)
     weights = weights_of("vqvae", "vqvae", inputs=3, outputs=1, width=4, codes=8)
     monkeypatch.setattr(vqvae, "_run_network", lambda *_: pytest.fail("the network was asked"))
     found = run(still, weights)["touch"]
@@ -96,20 +102,20 @@ def test_an_untouched_frame_costs_no_look_of_the_network(touched, monkeypatch):
     assert np.array_equal(found.output.image, make_reference_touch(BUBBLE).image)
 
 
-def test_weights_of_another_direction_are_refused_in_words(tmp_path):
+def test_weights_of_another_direction_are_refused(tmp_path):
     from pipeline.networks.weights import save_weights
 
     file = tmp_path / "other.safetensors"
     save_weights(file, weights_of("vqvae", "vqvae", inputs=1, outputs=3, width=4, codes=8))
     found = vqvae.select_weights(GEL, BUBBLE, file)
     assert isinstance(found, NoWeights)
-    assert "do not take a gel's change for a bubble's" in found.why
+    assert "from a gel to a bubble" in found.why
     assert isinstance(vqvae.select_weights(BUBBLE, GEL, file), Weights)
 
 
-def test_half_a_turn_turns_the_answer(touched):
+def test_half_turn_rotates_the_output(contact_frame):
     plain, turned = (
-        run(touched, weights_of("vqvae", "vqvae", inputs=3, outputs=1, width=4, codes=8, half_turn=turn))[
+        run(contact_frame, weights_of("vqvae", "vqvae", inputs=3, outputs=1, width=4, codes=8, half_turn=turn))[
             "touch"
         ].output
         for turn in (False, True)
@@ -118,7 +124,7 @@ def test_half_a_turn_turns_the_answer(touched):
     assert np.allclose(made[0][::-1, ::-1], made[1], atol=0.05)
 
 
-def test_a_source_is_drawn_where_the_target_looks():
+def test_the_source_square_is_resampled_to_the_target_view():
     """A spot of the gel's square lands where the bubble's camera sees that place of the gel's surface."""
     both = alignment.resolve_alignment(GEL, BUBBLE)
     eye, onto = (one.camera.resize(SIDE, SIDE) for one in (GEL, BUBBLE))
@@ -136,17 +142,17 @@ def test_a_source_is_drawn_where_the_target_looks():
         assert abs(float((weight * cols).sum()) - x[0]) < 0.6
 
 
-def test_weights_taught_on_drawn_sources_are_shown_such_and_others_are_not(touched, monkeypatch):
+def test_only_reprojecting_weights_get_a_resampled_square(contact_frame, monkeypatch):
     seen = []
     monkeypatch.setattr(vqvae, "_run_network", lambda _net, shown: seen.append(shown) or np.zeros((1, SIDE, SIDE)))
     for drawn in (False, True):
-        run(touched, weights_of("vqvae", "vqvae", inputs=3, outputs=1, width=4, codes=8, reprojects_input=drawn))
-    plain = resize_to_square(compute_change("gel", touched.image, touched.reference))
+        run(contact_frame, weights_of("vqvae", "vqvae", inputs=3, outputs=1, width=4, codes=8, reprojects_input=drawn))
+    plain = resize_to_square(compute_change("gel", contact_frame.image, contact_frame.reference))
     assert np.array_equal(seen[0], normalise(plain, "gel"))
     assert np.array_equal(seen[1], reproject_square(plain, GEL, BUBBLE, alignment.resolve_alignment(GEL, BUBBLE)))
 
 
-def test_a_change_is_laid_onto_the_untouched_reading():
+def test_a_change_is_added_to_the_reference_image():
     change = np.zeros((*GEL.camera.shape, 3), np.float32)
     change[10, 20] = (0.1, -0.1, 2.0)
     image = make_touch_from_change(GEL, change).image
@@ -157,13 +163,13 @@ def test_a_change_is_laid_onto_the_untouched_reading():
     assert abs(int(image[10, 20, 0]) - int(rest[10, 20, 0]) - 25.5) <= 1
 
 
-def test_a_pose_by_network_is_the_told_one_on_the_felt_surface(touched):
+def test_a_network_pose_stands_on_the_measured_surface(contact_frame):
     from pipeline.simulation import shapes
 
     mesh = shapes.make_shape("star").mesh
     weights = weights_of("touch_pose", "touch_pose", inputs=1, n_objects=2, base_channels=4)
     graph = Graph(BUILT_IN.methods("t2d2", {"pose": "network"}))
-    found = graph.evaluate(["pose"], inputs(touched, mesh=mesh, pose_weights=weights), {})
+    found = graph.evaluate(["pose"], inputs(contact_frame, mesh=mesh, pose_weights=weights), {})
     pose, felt = found["pose"].output, found["touch_depth"].output
     placed = BUBBLE.alignment_from_sensor @ pose.sensor_from_object
     assert np.allclose(placed[:2, 3], (2.0, -1.0), atol=1e-5)
@@ -172,8 +178,8 @@ def test_a_pose_by_network_is_the_told_one_on_the_felt_surface(touched):
     assert pose.notes == (pose_network.NOTE,)
 
 
-@pytest.mark.parametrize(("name", "turn_deg"), [("star", 100.0 / 5), ("ellipse", 40.0 / 2), ("letters", 20.0)])
-def test_a_pose_by_network_is_told_for_the_symmetry_of_the_object(name, turn_deg):
+@pytest.mark.parametrize(("name", "rotation_deg"), [("star", 100.0 / 5), ("ellipse", 40.0 / 2), ("letters", 20.0)])
+def test_a_network_pose_uses_the_symmetry_of_the_object(name, rotation_deg):
     """Cosine and sine of so many times the turn, and the network is said which object it is."""
     network = build_network(
         "touch_pose",
@@ -187,15 +193,15 @@ def test_a_pose_by_network_is_told_for_the_symmetry_of_the_object(name, turn_deg
     with torch.no_grad():
         network.pose.weight.zero_()
         network.pose.bias.copy_(torch.tensor([0.0, 0.0, *np.column_stack([np.cos(angles), np.sin(angles)]).ravel()]))
-    x, y, turn = pose_network._told(network, np.zeros((1, 128, 128), np.float32), make_shape(name).mesh)
+    x, y, turn = pose_network._predict_planar_pose(network, np.zeros((1, 128, 128), np.float32), make_shape(name).mesh)
     assert (x, y) == (0.0, 0.0)
-    assert np.degrees(turn) == pytest.approx(turn_deg, abs=1e-4)
+    assert np.degrees(turn) == pytest.approx(rotation_deg, abs=1e-4)
     assert np.flatnonzero(said[0]).tolist() == [list_labelled_shapes().index(name)]
-    pose_network._told(network, np.zeros((1, 128, 128), np.float32), make_shape("hex_key").mesh)
-    assert not said[1].any(), "of an object that it was not taught nothing is said"
+    pose_network._predict_planar_pose(network, np.zeros((1, 128, 128), np.float32), make_shape("hex_key").mesh)
+    assert not said[1].any(), "an unknown object has no label"
 
 
-def test_a_pose_by_network_without_weights_is_registered(touched):
+def test_missing_pose_weights_fall_back_to_registration(contact_frame):
     graph = Graph(BUILT_IN.methods("t2d2", {"pose": "network"}))
-    given = inputs(touched, mesh=None, pose_weights=NoWeights(why="none come along"))
-    assert "signed distances answers instead" in graph.evaluate(["pose"], given, {})["pose"].notes[0]
+    given = inputs(contact_frame, mesh=None, pose_weights=NoWeights(why="none are shipped"))
+    assert "signed distances is used instead" in graph.evaluate(["pose"], given, {})["pose"].notes[0]

@@ -1,4 +1,4 @@
-"""Where a registration ends from starts around its pose."""
+"""Basin maps: where registrations end from starts around a pose."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def mapped(solid, truth):
     return map_basins(search, found.sensor_from_object, TURNS, SHIFTS, "x")
 
 
-def test_starts_are_turned_about_the_normal_and_shifted_in_the_plane():
+def test_starts_are_rotated_about_the_normal_and_translated_in_the_plane():
     touch = felt(l_bar(), lying(0.5, 0.5, 0.6, 4.0, 30.0, origin_mm=(5.0, 3.5)))
     search, _ = prepare_search(touch, l_bar().mesh, PoseParams())
     own = lying(0.5, 0.5, 0.6, 4.0, 30.0, origin_mm=(5.0, 3.5))
@@ -39,7 +39,7 @@ def test_starts_are_turned_about_the_normal_and_shifted_in_the_plane():
     assert abs(off[1]) > 0.49
 
 
-def test_a_square_has_four_answers_that_fit_equally_well():
+def test_a_square_has_four_equally_good_poses():
     of = mapped(extruded(SQUARE, [SQUARE], 0.0, 4.0), lying(0.3, -0.2, 0.6, 4.0, 10.0))
     at = of.minimum_index[1]
     assert at[2] == 0
@@ -52,7 +52,7 @@ def test_a_square_has_four_answers_that_fit_equally_well():
     assert rigid.rotation_angle_deg(turned) == pytest.approx(90.0, abs=1.0)
 
 
-def test_an_l_bar_is_safe_near_its_pose_and_counts_add_up():
+def test_starts_near_the_pose_of_an_l_bar_reach_it():
     of = mapped(l_bar(), lying(1.0, -0.5, 0.6, 4.0, 20.0, tilt_deg=(1.5, -2.0), origin_mm=(5.0, 3.5)))
     assert of.safe_range[0] >= 15.0
     assert of.safe_range[1] >= 0.5
@@ -61,7 +61,7 @@ def test_an_l_bar_is_safe_near_its_pose_and_counts_add_up():
     assert np.isfinite(of.rmse_mm[of.minimum_index != NO_MINIMUM]).all()
 
 
-def test_without_a_pose_it_says_why_and_it_can_be_stopped():
+def test_no_pose_raises_the_reason_and_the_map_can_be_cancelled():
     truth = lying(0.0, 0.0, 0.6, 4.0, 0.0)
     touch = felt(l_bar(), truth)
     with pytest.raises(SettingProblem, match="no object mesh"):

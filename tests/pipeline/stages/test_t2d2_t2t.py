@@ -1,4 +1,4 @@
-"""Touches by diffusion between real sensors: what a network adds to physics, and what it may not change."""
+"""T2D2 and T2T between described sensors: what the network adds to physics, and what it must not change."""
 
 from dataclasses import replace
 
@@ -34,13 +34,13 @@ from pipeline.values.results import TargetDepth
 GEL, BUBBLE = load_sensor("gelslim"), load_sensor("soft_bubble")
 
 
-def taking_all(**how):
-    """Parameters that hold nothing back, unless told to."""
+def unweighted(**how):
+    """Parameters without confidence weighting by default."""
     return DiffusionParams(**{"confidence_weighting": 0.0, **how})
 
 
-class Says(torch.nn.Module):
-    """A denoiser that answers one number everywhere, and remembers what it was shown."""
+class ConstantDenoiser(torch.nn.Module):
+    """A denoiser with constant output that records its conditions."""
 
     unit_mm, sigma_max, sigma_min, field_limit, noise_correlation, blur_px, contact_margin_px = (
         1.0,
@@ -78,20 +78,20 @@ def view_of(target, deep_mm=3.0):
 
 
 @pytest.mark.parametrize("target", [BUBBLE, GEL], ids=["bubble", "gel"])
-def test_no_step_is_physics_to_the_byte_and_asks_no_network(target):
-    view, net = view_of(target, 0.5), Says(1.0)
+def test_zero_steps_give_the_physical_render_without_the_network(target):
+    view, net = view_of(target, 0.5), ConstantDenoiser(1.0)
     physics = physical_render.render_touch(view, target, physical_render.PhysicalRenderParams(add_noise=True, seed=3))
-    touch = t2d2.generate_touch(view, target, net, taking_all(steps=0, add_noise=True, seed=3))
+    touch = t2d2.generate_touch(view, target, net, unweighted(steps=0, add_noise=True, seed=3))
     assert touch.image.tobytes() == physics.image.tobytes()
     assert touch.membrane.indentation_mm.tobytes() == physics.membrane.indentation_mm.tobytes()
     assert not net.shown
 
 
 @pytest.mark.parametrize("target", [BUBBLE, GEL], ids=["bubble", "gel"])
-def test_a_residual_is_added_to_the_render_and_the_picture_follows(target):
+def test_the_residual_is_added_and_the_image_rendered_again(target):
     view = view_of(target, 0.5)
     physics = physical_render.render_touch(view, target, physical_render.PhysicalRenderParams())
-    touch = t2d2.generate_touch(view, target, Says(0.2), taking_all())
+    touch = t2d2.generate_touch(view, target, ConstantDenoiser(0.2), unweighted())
     assert np.abs(touch.membrane.indentation_mm - physics.membrane.indentation_mm - 0.2).max() < 1e-5
     assert np.allclose(touch.membrane.depth_mm, target.rest_depth_mm - touch.membrane.indentation_mm, atol=1e-4)
     assert np.allclose(touch.membrane.expected_error_mm, 0.1)
@@ -101,106 +101,106 @@ def test_a_residual_is_added_to_the_render_and_the_picture_follows(target):
     else:
         same = optics.render(target, touch.membrane.indentation_mm, seed=None)
         assert np.array_equal(touch.image, same)
-    assert any("expected to be off by 0.1 mm" in note for note in touch.notes)
+    assert any("expected error 0.1 mm" in note for note in touch.notes)
 
 
-def test_samples_differ_where_the_network_is_unsure_by_what_the_least_noise_hides_and_a_gels_picture_gets_none_of_it():
-    """The middle is the same for every seed here: what differs is what the last step would have left out."""
+def test_bubble_samples_have_the_variance_below_the_least_noise_and_gel_samples_none():
+    """The posterior mean is the same for every seed; samples differ by the last ancestral step."""
 
-    def spread(target, told):
-        made = [t2d2.generate_touch(view_of(target, 0.5), target, Says(0.2, spread=told), taking_all(steps=4, seed=s))
+    def spread(target, expected):
+        generated = [t2d2.generate_touch(view_of(target, 0.5), target, ConstantDenoiser(0.2, spread=expected), unweighted(steps=4, seed=s))
                 for s in range(4)]  # fmt: skip
-        return float(np.stack([touch.membrane.indentation_mm for touch in made]).std(0, ddof=1).mean())
+        return float(np.stack([touch.membrane.indentation_mm for touch in generated]).std(0, ddof=1).mean())
 
-    assert 0.6 * Says.sigma_min < spread(BUBBLE, 1.0) < 1.2 * Says.sigma_min
+    assert 0.6 * ConstantDenoiser.sigma_min < spread(BUBBLE, 1.0) < 1.2 * ConstantDenoiser.sigma_min
     assert 0.004 < spread(BUBBLE, 0.007) < 0.012, "no more than is open"
     assert spread(GEL, 1.0) < 1e-6
 
 
-def test_a_residual_of_nothing_leaves_the_render_and_contact_follows_the_network():
+def test_a_zero_residual_keeps_the_render_and_contact_follows_the_network():
     view = view_of(GEL, 0.5)
     physics = physical_render.render_touch(view, GEL, physical_render.PhysicalRenderParams())
-    nothing = t2d2.generate_touch(view, GEL, Says(0.0), taking_all())
+    nothing = t2d2.generate_touch(view, GEL, ConstantDenoiser(0.0), unweighted())
     assert np.array_equal(nothing.image, physics.image)
     assert np.array_equal(nothing.membrane.contact, physics.membrane.contact)
-    assert t2d2.generate_touch(view, GEL, Says(0.0, contact=1.0), taking_all()).membrane.contact.all()
-    assert not t2d2.generate_touch(view, GEL, Says(0.0, contact=-1.0), taking_all()).membrane.contact.any()
+    assert t2d2.generate_touch(view, GEL, ConstantDenoiser(0.0, contact=1.0), unweighted()).membrane.contact.all()
+    assert not t2d2.generate_touch(view, GEL, ConstantDenoiser(0.0, contact=-1.0), unweighted()).membrane.contact.any()
 
 
-def told_by(view, pixels):
-    """The same view, as a source tells it whose pixels are so many times as wide as the target's."""
+def with_source_pixels(view, pixels):
+    """The same view from a source whose pixels are `pixels` times as wide."""
     rows, cols = np.indices(view.contact.shape) // pixels
     coarse = (rows * (view.contact.shape[1] // pixels + 1) + cols).astype(np.int32)
     return replace(view, source_index=np.where(view.contact, coarse, -1))
 
 
-def test_an_edge_is_drawn_and_contact_reaches_as_far_as_a_coarse_source_is_unsure_of_them():
+def test_a_coarse_source_blurs_edges_and_widens_contact():
     view = view_of(GEL, 0.5)
 
-    def made(pixels, blur_px, reach_px, steps=1):
-        net = Says(0.0)
+    def generated(pixels, blur_px, reach_px, steps=1):
+        net = ConstantDenoiser(0.0)
         net.blur_px, net.contact_margin_px = blur_px, reach_px
-        return t2d2.generate_touch(told_by(view, pixels), GEL, net, taking_all(steps=steps)).membrane
+        return t2d2.generate_touch(with_source_pixels(view, pixels), GEL, net, unweighted(steps=steps)).membrane
 
     def steepest(membrane):
         return np.abs(np.diff(membrane.indentation_mm, axis=1)).max()
 
-    sharp = made(8, 0.0, 0.0)
-    assert steepest(made(8, 0.9, 0.0)) < 0.7 * steepest(sharp)
-    assert steepest(made(8, 0.9, 0.0, steps=2)) == steepest(sharp), "a sample is one of many, and sharp"
-    assert steepest(made(1, 0.9, 0.0)) == steepest(sharp), "of a fine source every edge is where it is told"
-    assert np.array_equal(made(1, 0.0, 0.9).contact, sharp.contact)
-    wider = made(8, 0.0, 0.5).contact
+    sharp = generated(8, 0.0, 0.0)
+    assert steepest(generated(8, 0.9, 0.0)) < 0.7 * steepest(sharp)
+    assert steepest(generated(8, 0.9, 0.0, steps=2)) == steepest(sharp), "a sample is one of many, and sharp"
+    assert steepest(generated(1, 0.9, 0.0)) == steepest(sharp), "of a fine source every edge is where it is expected"
+    assert np.array_equal(generated(1, 0.0, 0.9).contact, sharp.contact)
+    wider = generated(8, 0.0, 0.5).contact
     assert (wider & sharp.contact).sum() == sharp.contact.sum()
     across = [np.count_nonzero(mask[mask.shape[0] // 2]) for mask in (wider, sharp.contact)]
     assert 6 <= across[0] - across[1] <= 10, "half a pixel of the source on either side"
 
 
-def test_what_a_gel_felt_stays_in_contact_with_a_bubble():
+def test_contact_of_the_source_gel_is_kept_for_a_bubble():
     view = view_of(BUBBLE)
-    touch = t2d2.generate_touch(view, BUBBLE, Says(0.0, contact=-1.0), taking_all())
+    touch = t2d2.generate_touch(view, BUBBLE, ConstantDenoiser(0.0, contact=-1.0), unweighted())
     assert touch.membrane.contact[view.contact].mean() > 0.95
 
 
-def test_no_membrane_goes_deeper_than_the_sensor_can():
-    touch = t2d2.generate_touch(view_of(GEL, 0.5), GEL, Says(8.0), taking_all())
+def test_indentation_is_limited_to_the_sensor_maximum():
+    touch = t2d2.generate_touch(view_of(GEL, 0.5), GEL, ConstantDenoiser(8.0), unweighted())
     assert touch.membrane.indentation_mm.max() <= GEL.limits.indentation_max_mm + 1e-6
 
 
-def test_a_touch_that_is_not_there_asks_neither_weights_nor_network():
-    answer = T2D2.run(view_of(BUBBLE, 0.0), BUBBLE, NoWeights(why="none"), taking_all(steps=200), SILENT)
+def test_no_contact_needs_neither_weights_nor_network():
+    answer = T2D2.run(view_of(BUBBLE, 0.0), BUBBLE, NoWeights(why="none"), unweighted(steps=200), SILENT)
     assert isinstance(answer, Skipped)
     assert not answer.output.membrane.contact.any()
 
 
-def test_without_weights_physics_answers_and_says_so():
+def test_missing_weights_fall_back_to_physics_with_the_reason():
     view = view_of(BUBBLE)
-    answer = T2D2.run(view, BUBBLE, NoWeights(why="none at hand"), taking_all(), SILENT)
+    answer = T2D2.run(view, BUBBLE, NoWeights(why="none at hand"), unweighted(), SILENT)
     assert isinstance(answer, Fallback)
     assert "none at hand" in answer.reason
     physics = PHYSICS.run(view, BUBBLE, physical_render.PhysicalRenderParams(), SILENT)
     assert answer.result.image.tobytes() == physics.image.tobytes()
 
 
-def test_kept_states_are_pictures_and_the_last_of_them_is_the_touch():
-    touch = t2d2.generate_touch(view_of(GEL, 0.5), GEL, Says(0.2), taking_all(steps=3, keep_states=True))
+def test_kept_states_are_rendered_and_end_with_the_touch():
+    touch = t2d2.generate_touch(view_of(GEL, 0.5), GEL, ConstantDenoiser(0.2), unweighted(steps=3, keep_states=True))
     assert len(touch.steps) == 3
     assert np.array_equal(touch.steps[-1].image, touch.image)
     assert touch.steps[0].sigma == pytest.approx(8.0)
 
 
-def test_the_network_sees_the_working_grid():
-    net = Says(0.0)
-    t2d2.generate_touch(view_of(GEL, 0.5), GEL, net, taking_all())
+def test_the_condition_is_on_the_working_grid():
+    net = ConstantDenoiser(0.0)
+    t2d2.generate_touch(view_of(GEL, 0.5), GEL, net, unweighted())
     shown = net.shown[0]
     assert shown.shape == (1, CONDITION_CHANNELS, *make_working_sensor(GEL).camera.shape)
-    felt = shown[0, 3]
-    assert 0.5 < felt.sum() * 4 / view_of(GEL, 0.5).contact.sum() < 1.5
-    assert torch.allclose(shown[0, 1][felt > 0], torch.tensor(0.5 / 0.6), atol=1e-3)
+    ball_frames = shown[0, 3]
+    assert 0.5 < ball_frames.sum() * 4 / view_of(GEL, 0.5).contact.sum() < 1.5
+    assert torch.allclose(shown[0, 1][ball_frames > 0], torch.tensor(0.5 / 0.6), atol=1e-3)
 
 
 @pytest.fixture(scope="module")
-def felt():
+def ball_frames():
     """(frame of a GelSlim, frame of a bubble, its truth) under one ball."""
     thing = shapes.make_shape("sphere").mesh
     pose = poses.sample_press_pose(thing, np.random.default_rng(2), spread_mm=0.0, depth_mm=(0.8, 0.8))
@@ -212,8 +212,8 @@ def felt():
     )  # fmt: skip
 
 
-def test_a_picture_is_drawn_where_the_target_feels_the_same(felt):
-    gel_frame, gel_truth, bubble_frame, bubble_truth = felt
+def test_the_condition_is_aligned_with_the_target(ball_frames):
+    gel_frame, gel_truth, bubble_frame, bubble_truth = ball_frames
     for frame, source, target, truth in (
         (gel_frame, GEL, BUBBLE, bubble_truth), (bubble_frame, BUBBLE, GEL, gel_truth),
     ):  # fmt: skip
@@ -226,73 +226,73 @@ def test_a_picture_is_drawn_where_the_target_feels_the_same(felt):
         assert np.hypot(*(found - at)) * make_working_sensor(target).pixel_mm < 1.0, (source.name, found, at)
 
 
-def test_a_moved_alignment_moves_what_is_shown(felt):
+def test_a_translated_alignment_translates_the_condition(ball_frames):
     between = alignment.resolve_alignment(GEL, BUBBLE)
     moved = alignment.correct_alignment(between, rigid.translation(4.3, 0.0, 0.0))
-    plain, other = (t2t.build_condition(felt[0], GEL, a, BUBBLE)[-1] for a in (between, moved))
+    plain, other = (t2t.build_condition(ball_frames[0], GEL, a, BUBBLE)[-1] for a in (between, moved))
     shift = np.argwhere(other > 0).mean(0) - np.argwhere(plain > 0).mean(0)
     assert shift[1] == pytest.approx(4.3 * BUBBLE.camera.fx_px / 76.0, abs=0.8)
     assert abs(shift[0]) < 0.3
 
 
-def test_touch_to_touch_starts_from_the_untouched_target_and_takes_all_from_the_network(felt):
-    frame, between = felt[0], alignment.resolve_alignment(GEL, BUBBLE)
-    net = Says(1.0, contact=1.0)
-    touch = t2t.generate_touch(frame, GEL, None, between, BUBBLE, net, taking_all())
+def test_unweighted_t2t_is_the_network_alone(ball_frames):
+    frame, between = ball_frames[0], alignment.resolve_alignment(GEL, BUBBLE)
+    net = ConstantDenoiser(1.0, contact=1.0)
+    touch = t2t.generate_touch(frame, GEL, None, between, BUBBLE, net, unweighted())
     assert np.allclose(touch.membrane.indentation_mm, 1.0)
     assert touch.membrane.contact.all()
 
 
-def test_touch_to_touch_falls_back_to_physics_where_it_is_unsure_and_at_no_step(felt):
-    frame, between = felt[0], alignment.resolve_alignment(GEL, BUBBLE)
+def test_t2t_uses_physics_where_uncertain_and_with_zero_steps(ball_frames):
+    frame, between = ball_frames[0], alignment.resolve_alignment(GEL, BUBBLE)
 
-    def made(net, **how):
+    def generated(net, **how):
         return t2t.generate_touch(frame, GEL, None, between, BUBBLE, net, DiffusionParams(**how))
 
-    physics = made(Says(1.0), steps=0)
+    physics = generated(ConstantDenoiser(1.0), steps=0)
     assert physics.membrane.indentation_mm.max() > 2.0
-    doubtful = Says(1.0, contact=1.0)
-    doubtful.error_factors = 1e3, 1e3
-    trusted = Says(1.0, contact=1.0, spread=4.0)
+    uncertain = ConstantDenoiser(1.0, contact=1.0)
+    uncertain.error_factors = 1e3, 1e3
+    trusted = ConstantDenoiser(1.0, contact=1.0, spread=4.0)
     trusted.error_factors = 0.0, 0.0
-    doubtful.said, trusted.said = (trusted.said,) * 2
-    unsure, sure = made(doubtful), made(trusted)
+    uncertain.said, trusted.said = (trusted.said,) * 2
+    unsure, sure = generated(uncertain), generated(trusted)
     assert np.abs(unsure.membrane.indentation_mm - physics.membrane.indentation_mm).max() < 0.1
     assert np.abs(sure.membrane.indentation_mm - 1.0).max() < 0.05
     assert sure.membrane.contact.all()
-    sample = made(doubtful, steps=2)
-    assert np.abs(sample.membrane.indentation_mm - 1.0).max() < 5 * Says.sigma_min, (
+    sample = generated(uncertain, steps=2)
+    assert np.abs(sample.membrane.indentation_mm - 1.0).max() < 5 * ConstantDenoiser.sigma_min, (
         "a sample is one of many, and all of it"
     )
 
 
-def test_touch_to_touch_is_given_up_where_it_contradicts_what_was_felt(felt):
-    reads = felt[0], GEL, None, alignment.resolve_alignment(GEL, BUBBLE), BUBBLE
-    physics = t2t.generate_touch(*reads, Says(1.0), DiffusionParams(steps=0))
-    bold = t2t.generate_touch(*reads, Says(1.0, contact=1.0, spread=0.01), DiffusionParams())
-    assert bold.image.tobytes() == physics.image.tobytes()
-    assert any("farther than it expects" in note for note in bold.notes)
+def test_t2t_uses_physics_where_it_contradicts_the_contact(ball_frames):
+    reads = ball_frames[0], GEL, None, alignment.resolve_alignment(GEL, BUBBLE), BUBBLE
+    physics = t2t.generate_touch(*reads, ConstantDenoiser(1.0), DiffusionParams(steps=0))
+    confident = t2t.generate_touch(*reads, ConstantDenoiser(1.0, contact=1.0, spread=0.01), DiffusionParams())
+    assert confident.image.tobytes() == physics.image.tobytes()
+    assert any("times its expected error" in note for note in confident.notes)
 
 
-def test_an_untouched_frame_costs_touch_to_touch_nothing(felt):
-    net = Says(1.0)
-    still = replace(felt[0], image=felt[0].reference)
+def test_t2t_skips_a_frame_without_contact(ball_frames):
+    net = ConstantDenoiser(1.0)
+    at_rest = replace(ball_frames[0], image=ball_frames[0].reference)
     answer = t2t.generate_touch(
-        still, GEL, None, alignment.resolve_alignment(GEL, BUBBLE), BUBBLE, net, taking_all(steps=200)
+        at_rest, GEL, None, alignment.resolve_alignment(GEL, BUBBLE), BUBBLE, net, unweighted(steps=200)
     )
     assert isinstance(answer, Skipped)
     assert not net.shown
 
 
-def test_without_weights_touch_to_touch_goes_by_depth_and_render(felt):
-    frame, between = felt[0], alignment.resolve_alignment(GEL, BUBBLE)
-    answer = T2T.run(frame, GEL, None, between, BUBBLE, NoWeights(why="none"), taking_all(), SILENT)
+def test_t2t_without_weights_falls_back_to_the_render(ball_frames):
+    frame, between = ball_frames[0], alignment.resolve_alignment(GEL, BUBBLE)
+    answer = T2T.run(frame, GEL, None, between, BUBBLE, NoWeights(why="none"), unweighted(), SILENT)
     assert isinstance(answer, Fallback)
     assert answer.result.membrane.contact.any()
     assert answer.result.membrane.indentation_mm.max() > 1.0
 
 
-def test_which_weights_serve_which_sensors():
+def test_weights_are_selected_by_sensors():
     for source in ("gelslim", "digit", "gelsight_mini"):
         assert isinstance(T2T.weights(load_sensor("digit"), BUBBLE, None), NoWeights)
         found = T2D2.weights(load_sensor(source), BUBBLE, None)
@@ -302,11 +302,11 @@ def test_which_weights_serve_which_sensors():
 
 
 @pytest.mark.parametrize("target", ["soft_bubble", "gelslim"])
-def test_the_weights_that_come_along_better_physics_on_grasps_they_have_never_seen(target):
+def test_shipped_weights_are_better_than_physics_on_unseen_grasps(target):
     spec = load_sensor(target)
     found = T2D2.weights(load_sensor("digit"), spec, None)
     if isinstance(found, NoWeights):
-        assert "come along" in found.why, "shipped weights that do not fit are no reason to answer by physics"
+        assert "shipped" in found.why, "shipped weights that do not fit are no reason to answer by physics"
         return
     net, task = load_network(found), TouchResidualTask(target=target)
     held_out = [task.make_validation_example("unseen_grasps", index) for index in range(6)]
@@ -315,9 +315,9 @@ def test_the_weights_that_come_along_better_physics_on_grasps_they_have_never_se
     assert found.card["minutes"]
 
 
-def test_what_touch_to_touch_falls_back_to_is_a_bubble_read_as_all_bubbles_are(felt, monkeypatch):
-    """By its network, so that T2T is held against the same physics as T2D2; by physics where there are no weights."""
-    frame, between = felt[2], alignment.resolve_alignment(BUBBLE, GEL)
+def test_the_fallback_of_t2t_uses_the_default_depth_method(ball_frames, monkeypatch):
+    """The bubble network, so that T2T and T2D2 are compared with the same physics; physics without its weights."""
+    frame, between = ball_frames[2], alignment.resolve_alignment(BUBBLE, GEL)
     reads = frame, BUBBLE, None, between, GEL, physical_render.PhysicalRenderParams()
     by_network = depth_network.estimate_depth(
         frame, BUBBLE, None, load_predictor(depth_network.select_weights(BUBBLE, BUBBLE, None)), NetworkParams()

@@ -1,4 +1,4 @@
-"""A touch by latent diffusion: seeds, guidance, cancelling, the steps back to mm, and the two quirks of the released."""
+"""Touch by latent diffusion: seeds, guidance, cancelling, conversion to mm, and two quirks of the released code."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ def counted(net, monkeypatch):
 
 
 @pytest.mark.parametrize(("guidance", "passes"), [(1.0, 1), (0.0, 1), (2.54, 2)])
-def test_a_guidance_of_one_costs_one_pass_a_step(net, monkeypatch, guidance, passes):
+def test_guidance_one_costs_one_pass_per_step(net, monkeypatch, guidance, passes):
     calls = counted(net, monkeypatch)
     sample_image(net, SHOWN, LatentParams(steps=40, guidance=guidance))
     assert len(calls) == passes * 40
 
 
-def test_the_same_seed_gives_the_same_bytes_and_another_another_touch(net):
+def test_equal_seeds_give_equal_bytes(net):
     first, again, other = (sample_image(net, SHOWN, LatentParams(steps=4, seed=seed))[0] for seed in (3, 3, 4))
     assert np.array_equal(first, again)
     assert not np.array_equal(first, other)
@@ -51,13 +51,13 @@ def test_the_same_seed_gives_the_same_bytes_and_another_another_touch(net):
 
 @pytest.mark.parametrize("steps", [1, 2, 3, 7, 20, 200])
 @pytest.mark.parametrize("guidance", [0.0, 2.54, 15.0])
-def test_every_number_of_steps_gives_a_picture(net, steps, guidance):
+def test_any_number_of_steps_gives_an_image(net, steps, guidance):
     found, _ = sample_image(net, SHOWN, LatentParams(steps=steps, guidance=guidance))
     assert found.shape == (3, 32, 32)
     assert np.isfinite(found).all()
 
 
-def test_it_is_cancelled_between_two_steps(net):
+def test_sampling_can_be_cancelled_between_steps(net):
     class After:
         def __init__(self):
             self.n = 0
@@ -71,7 +71,7 @@ def test_it_is_cancelled_between_two_steps(net):
         sample_image(net, SHOWN, LatentParams(steps=200), After())
 
 
-def test_an_imprint_becomes_three_channels_and_mm_again():
+def test_imprint_encoding_is_invertible():
     imprint = np.linspace(MIN_IMPRINT_MM, MAX_IMPRINT_MM, 64, dtype=np.float32).reshape(1, 8, 8)
     shown = encode_image(imprint, "bubble")
     assert shown.shape == (3, 8, 8)
@@ -82,17 +82,17 @@ def test_an_imprint_becomes_three_channels_and_mm_again():
     assert twice.max() == pytest.approx(MAX_IMPRINT_MM)
 
 
-def test_bias_of_generated_imprints_is_taken_out():
+def test_generated_imprints_are_renormalised():
     made = np.random.default_rng(1).normal(2.0, 3.0, (1, 64, 64)).astype(np.float32)
     found = latent_diffusion._renormalise_depth(made, (2.0, 3.0), (4.0, 6.0))
     assert (float(found.mean()), float(found.std())) == pytest.approx((4.0, 6.0), abs=0.2)
     assert np.array_equal(latent_diffusion._renormalise_depth(made, (2.0, 0.0), (4.0, 6.0)), made)
 
 
-@pytest.mark.parametrize(("asked", "taught", "times"), [
+@pytest.mark.parametrize(("setting", "trained_raw", "times"), [
     ("as trained", False, 1.0), ("as trained", True, 255.0), ("yes", False, 255.0), ("no", True, 1.0),
 ])  # fmt: skip
-def test_the_condition_is_scaled_as_the_weights_were_taught(monkeypatch, asked, taught, times):
+def test_the_condition_is_scaled_as_in_training(monkeypatch, setting, trained_raw, times):
     from pipeline.physics import optics
     from pipeline.sensors import alignment
     from pipeline.sensors.spec import load_sensor
@@ -109,10 +109,10 @@ def test_the_condition_is_scaled_as_the_weights_were_taught(monkeypatch, asked, 
         lambda _net, shown, *_: (seen.append(shown) or np.zeros((3, 32, 32), np.float32), ()),
     )
     network = SimpleNamespace(
-        side=32, raw_condition=taught, half_turn=False, generated_stats=(0.0, 0.0), true_stats=(0.0, 0.0)
+        side=32, raw_condition=trained_raw, half_turn=False, generated_stats=(0.0, 0.0), true_stats=(0.0, 0.0)
     )
     frame = TactileFrame(sensor="gelslim", image=image, reference=rest)
-    params = LatentParams(raw_condition=asked)
+    params = LatentParams(raw_condition=setting)
     latent_diffusion.generate_touch(frame, gel, None, alignment.resolve_alignment(gel, bubble), bubble, network, params)
     plain = latent_diffusion.resize_to_square(latent_diffusion.compute_change("gel", image, rest), 32)
     assert np.allclose(seen[0], normalise(times * plain, "gel"), atol=1e-4)

@@ -1,4 +1,4 @@
-"""A touch that is deeper than the source can have felt is doubted, wherever the sensors stand."""
+"""Touches deeper than the source can be pressed have a warning, for any alignment."""
 
 from dataclasses import replace
 
@@ -15,7 +15,7 @@ from pipeline.stages.touch.residual_diffusion import DiffusionParams
 from pipeline.stages.touch.touch_from_change import make_touch_from_change
 from pipeline.simulation.press import move_bubble_closer
 from pipeline.values.frames import TactileFrame
-from tests.pipeline.stages.test_learned_touch import Says
+from tests.pipeline.stages.test_t2d2_t2t import Says
 
 GEL, BUBBLE = load_sensor("gelslim"), load_sensor("soft_bubble")
 DEEPEST_MM = 5.4  # of a GelSlim's 1.5 mm, beside which the bubble stands 3.9 mm nearer
@@ -25,17 +25,19 @@ def imprint(deep_mm):
     return make_touch_from_change(BUBBLE, np.full((*BUBBLE.camera.shape, 1), np.float32(deep_mm)))
 
 
-@pytest.mark.parametrize(("deep_mm", "by_mm", "doubted"), [(4.6, 0.0, False), (13.0, 0.0, True), (13.0, 9.0, False)])
-def test_only_what_is_deeper_than_the_sensors_stand_is_doubted(deep_mm, by_mm, doubted):
+@pytest.mark.parametrize(
+    ("deep_mm", "by_mm", "has_warning"), [(4.6, 0.0, False), (13.0, 0.0, True), (13.0, 9.0, False)]
+)
+def test_only_touches_beyond_the_limit_have_a_warning(deep_mm, by_mm, has_warning):
     bubble = move_bubble_closer(BUBBLE, by_mm)
     told = check_depth_limit(imprint(deep_mm), GEL, bubble, alignment.resolve_alignment(GEL, bubble))
     assert select_warnings(told) == told
-    assert bool(told) is doubted
-    if doubted:
+    assert bool(told) is has_warning
+    if has_warning:
         assert float(told[0].split()[0]) == pytest.approx(deep_mm - DEEPEST_MM, abs=0.6)
 
 
-def test_a_body_beside_the_view_is_no_fault_and_a_gels_picture_tells_no_depth():
+def test_objects_outside_the_view_and_gel_images_have_no_warning():
     touch, stand = imprint(0.0), alignment.resolve_alignment(GEL, BUBBLE)
     beside = np.array(touch.image)
     beside[:20] -= 13.0
@@ -46,7 +48,7 @@ def test_a_body_beside_the_view_is_no_fault_and_a_gels_picture_tells_no_depth():
     )
 
 
-def test_sensors_that_see_nothing_of_each_other_are_left_to_others():
+def test_sensors_without_common_view_have_no_warning():
     far = replace(
         alignment.resolve_alignment(GEL, BUBBLE),
         target_from_alignment=np.diag([1.0, 1.0, 1.0, 1.0]) + 1e4 * np.eye(4, k=3),
@@ -54,7 +56,7 @@ def test_sensors_that_see_nothing_of_each_other_are_left_to_others():
     assert check_depth_limit(imprint(13.0), GEL, BUBBLE, far) == ()
 
 
-def test_a_sample_of_touch_to_touch_says_so():
+def test_t2t_samples_carry_the_warning():
     still = optics.render_reference(GEL)
     touched = still.copy()
     touched[120:200, 170:250] = 255 - touched[120:200, 170:250]
@@ -63,6 +65,6 @@ def test_a_sample_of_touch_to_touch_says_so():
         alignment.resolve_alignment(GEL, BUBBLE),
     )
     made = t2t.generate_touch(frame, GEL, None, stand, BUBBLE, Says(13.0), DiffusionParams(steps=2))
-    assert any("deeper than anything" in note for note in select_warnings(made.notes))
+    assert any("deeper than the source" in note for note in select_warnings(made.notes))
     fair = t2t.generate_touch(frame, GEL, None, stand, BUBBLE, Says(2.0), DiffusionParams(steps=2))
-    assert not any("deeper than anything" in note for note in fair.notes)
+    assert not any("deeper than the source" in note for note in fair.notes)

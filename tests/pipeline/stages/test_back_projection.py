@@ -61,7 +61,7 @@ def test_source_index_names_the_contact_pixels_in_order():
     assert not cloud.points_mm.flags.writeable
 
 
-def test_contact_without_depth_is_left_out_and_told():
+def test_contact_without_depth_is_left_out_with_a_note():
     depth_mm = np.full(CAMERA.shape, 20.0)
     depth_mm[0, :5] = (np.nan, np.inf, 0.0, -3.0, 1e-30)
     cloud = back_project_depth(depth_map(depth_mm, np.ones(CAMERA.shape)), by(np.eye(4)), BackProjectionParams())
@@ -81,7 +81,7 @@ def test_a_preview_keeps_every_nth_row_and_column():
     assert cloud.stride == 4
 
 
-def test_without_contact_is_the_same_as_running_on_nothing():
+def test_no_contact_gives_the_same_cloud_as_an_empty_mask():
     nothing = depth_map(np.full(CAMERA.shape, 20.0), np.zeros(CAMERA.shape))
     short, long = (
         skip_without_contact(nothing, by(np.eye(4)), BackProjectionParams()),
@@ -100,13 +100,13 @@ def test_a_transform_that_is_not_rigid_and_arrays_that_do_not_fit_are_refused():
         back_project_depth(depth_map(np.zeros((3, 3)), np.zeros((3, 3))), by(np.eye(4)), BackProjectionParams())
 
 
-def test_where_the_object_itself_is_told_the_cloud_is_made_of_it_also_beside_the_contact():
+def test_an_object_surface_replaces_the_membrane_in_the_cloud():
     depth = depth_map(np.full(CAMERA.shape, 20.0), np.zeros(CAMERA.shape))
-    contact, told = depth.contact.copy(), np.full(CAMERA.shape, np.nan, np.float32)
+    contact, object_depth = depth.contact.copy(), np.full(CAMERA.shape, np.nan, np.float32)
     contact[10, 10] = True
-    told[10, 10], told[10, 11] = 21.0, 22.0
+    object_depth[10, 10], object_depth[10, 11] = 21.0, 22.0
     cloud = back_project_depth(
-        replace(depth, contact=contact, object_depth_mm=told), by(np.eye(4)), BackProjectionParams()
+        replace(depth, contact=contact, object_depth_mm=object_depth), by(np.eye(4)), BackProjectionParams()
     )
     assert cloud.source_index.tolist() == [10 * CAMERA.cols + 10, 10 * CAMERA.cols + 11]
     assert cloud.points_mm[:, 2].tolist() == [21.0, 22.0]

@@ -22,7 +22,7 @@ from pipeline.stages.target_depth.surface_projection import (
     skip_without_contact,
 )
 from pipeline.values.results import Cloud
-from tests.pipeline.stages.test_adapt import depth_map
+from tests.pipeline.stages.test_back_projection import depth_map
 
 PAPER, SURFACE = PointSplatParams(), SurfaceProjectionParams()
 SOURCE = Camera(rows=120, cols=160, fx_px=400.0, fy_px=400.0, cx_px=79.5, cy_px=59.5)
@@ -82,7 +82,7 @@ def test_the_surface_of_a_sphere_has_no_holes_and_lies_on_the_sphere(angle_deg, 
 
 
 @pytest.mark.parametrize("hole", [False, True])
-def test_a_mask_reaches_half_a_source_pixel_beyond_its_outermost_points(hole):
+def test_a_mask_extends_half_a_source_pixel_beyond_its_outermost_points(hole):
     """20 x 30 source pixels of 0.5 mm, 2.5 target pixels each at 40 mm, are drawn at their full size."""
     rows, cols = np.mgrid[:20, :30]
     sheet = np.stack([(cols - 14.5) * 0.5, (rows - 9.5) * 0.5, 40.0 + 0.05 * cols], -1)
@@ -101,7 +101,7 @@ def test_a_mask_reaches_half_a_source_pixel_beyond_its_outermost_points(hole):
     assert abs(area_mm2 / slant - (15.0 * 10.0 - corners_mm2 - hole_mm2)) < 0.5  # a tenth of a target pixel all round
 
 
-def test_noise_at_the_lens_does_not_draw_without_end():
+def test_noise_close_to_the_lens_has_limited_cost():
     """Depths of micrometres: each triangle would cover the image, 19,000 times; at most LAYERS of them are drawn."""
     rng = np.random.default_rng(0)
     z, x, y = rng.uniform(2e-3, 6e-3, 10_000), *rng.uniform(-0.2, 0.2, (2, 10_000))
@@ -109,11 +109,11 @@ def test_noise_at_the_lens_does_not_draw_without_end():
     target = target_sensor(rows=280, cols=360, fx_px=800.0)
     view = project_cloud(noise, target, replace(SURFACE, grazing_deg=90.0))
     np.testing.assert_array_equal(view.source_index >= 0, np.isfinite(view.depth_mm))
-    assert any("lies over itself" in note for note in view.notes)
-    assert not any("lies over itself" in note for note in project_cloud(sphere_cloud(), target, SURFACE).notes)
+    assert any("overlaps itself" in note for note in view.notes)
+    assert not any("overlaps itself" in note for note in project_cloud(sphere_cloud(), target, SURFACE).notes)
 
 
-def test_points_leave_hundreds_of_times_the_error_of_the_surface():
+def test_the_point_splat_has_hundreds_of_times_the_error_of_the_surface():
     target, cloud = target_sensor(), sphere_cloud(20.0)
     exact = sphere_depth_mm(target.camera)
     paper, surface = (np.nanmean(np.abs(project_cloud(cloud, target, p).depth_mm - exact)) for p in (PAPER, SURFACE))
@@ -159,7 +159,7 @@ def test_shuffled_points_give_the_same_surface():
 
 
 @pytest.mark.parametrize("stride", [1, 3])
-def test_what_is_laid_out_in_strips_is_drawn_as_if_at_once(monkeypatch, stride):
+def test_strips_give_the_same_image_as_one_piece(monkeypatch, stride):
     cloud, target = sphere_cloud(30.0, stride=stride), target_sensor()
     holed = np.random.default_rng(0).random(len(cloud.points_mm)) < 0.9  # rims and lonely points in every strip
     cloud = replace(cloud, points_mm=cloud.points_mm[holed], source_index=cloud.source_index[holed])
@@ -183,7 +183,7 @@ def test_pixels_are_half_open_squares():
         assert (project_cloud(cloud_of([(x_px, 0.0, 1.0)]), target, PAPER).source_index == -1).all()
 
 
-def test_contact_is_where_the_surface_is_pushed_through_the_membrane():
+def test_contact_is_where_the_surface_penetrates_the_membrane():
     target = target_sensor(rest_mm=40.5)
     view = project_cloud(sphere_cloud(), target, SURFACE)
     seen = np.isfinite(view.depth_mm)
@@ -193,13 +193,13 @@ def test_contact_is_where_the_surface_is_pushed_through_the_membrane():
     assert 0 < view.contact.sum() < seen.sum()
 
 
-def test_a_touch_that_stays_short_says_by_how_much():
+def test_a_touch_short_of_the_membrane_names_the_gap():
     view = project_cloud(sphere_cloud(), target_sensor(rest_mm=39.7), SURFACE)
     assert not view.contact.any()
-    assert any("by 0.3 mm; move it closer" in note for note in view.notes)
+    assert any("0.3 mm before" in note for note in view.notes)
 
 
-def test_a_touch_that_misses_the_image_says_why():
+def test_a_touch_outside_the_image_has_a_reason():
     cloud = sphere_cloud()
     aside = replace(cloud, points_mm=cloud.points_mm + np.float32([500, 0, 0]))
     behind = replace(cloud, points_mm=-cloud.points_mm)
@@ -225,7 +225,7 @@ def sheet_before_another(tilt_deg):
 @example(86.0, 84.0)
 @example(60.0, 90.0)
 @example(41.0, 30.0)
-def test_a_front_that_is_left_out_as_grazing_still_hides_what_lies_behind_it(tilt_deg, grazing_deg):
+def test_an_omitted_grazing_surface_still_hides_what_is_behind(tilt_deg, grazing_deg):
     """What lies behind showed through: up to 21 mm off."""
     target, tilt = target_sensor(), np.deg2rad(tilt_deg)
     view = project_cloud(sheet_before_another(tilt_deg), target, replace(SURFACE, grazing_deg=grazing_deg))
@@ -243,7 +243,7 @@ def test_a_front_that_is_left_out_as_grazing_still_hides_what_lies_behind_it(til
     assert beside == 1.0 or grazing_deg < 30.0 or (reached and left_out)
 
 
-def test_what_is_hidden_by_a_front_that_is_left_out_is_said():
+def test_pixels_hidden_by_an_omitted_surface_are_noted():
     for tilt_deg, said in ((86.0, True), (20.0, False)):
         notes = project_cloud(sheet_before_another(tilt_deg), target_sensor(), SURFACE).notes
         assert any("hide what lies behind them" in note for note in notes) == said
@@ -269,7 +269,7 @@ def test_the_nearer_sheet_hides_the_farther_one():
     view = project_cloud(cloud_of(sheet, grid=(20, 40)), target_sensor(), SURFACE)
     middle = view.depth_mm[25:45, 35:55]
     np.testing.assert_allclose(middle, 38.0, atol=1e-5)
-    assert any("hide behind" in note for note in view.notes)
+    assert any("hidden behind" in note for note in view.notes)
 
 
 def test_every_target_pixel_names_a_source_point_within_a_source_pixel():
@@ -287,7 +287,7 @@ def test_a_coarse_preview_stays_on_the_sphere():
     assert np.abs(view.depth_mm - sphere_depth_mm(target_sensor().camera))[seen].max() < 16 * SAG_MM  # sag ~ pitch^2
 
 
-def test_lonely_points_and_tiny_touches_are_not_lost():
+def test_isolated_points_and_tiny_touches_are_drawn():
     lonely = project_cloud(cloud_of([(0.0, 0.0, 44.0)]), target_sensor(), SURFACE)
     assert lonely.contact.sum() == 1
     tiny = [(0.06 + 0.01 * c, 0.06 + 0.01 * r, 44.0) for r in range(2) for c in range(2)]
@@ -301,7 +301,7 @@ def test_lonely_points_and_tiny_touches_are_not_lost():
     st.lists(st.tuples(*[st.sampled_from([0.0, -0.0, 1e-40, 1e-3, 1.0, 40.0, -40.0, 1e30, np.inf, -np.inf, np.nan])] * 3), min_size=4, max_size=16),
     st.sampled_from([PAPER, SURFACE]),
 )  # fmt: skip
-def test_whatever_the_points_hold_the_view_is_sound(raw, params):
+def test_any_point_values_give_a_valid_result(raw, params):
     view = project_cloud(cloud_of(raw, grid=(4, 4)), target_sensor(), params)
     seen = view.source_index >= 0
     np.testing.assert_array_equal(seen, np.isfinite(view.depth_mm))
@@ -325,7 +325,7 @@ def test_a_cloud_that_points_outside_its_grid_is_refused():
         project_cloud(cloud_of([(0, 0, 40)], index=[2500]), target_sensor(), SURFACE)
 
 
-def test_each_point_names_the_pixel_that_shows_it_and_hidden_ones_name_none():
+def test_points_index_their_pixel_and_hidden_ones_none():
     rows, cols = np.mgrid[:20, :40]
     near = cols < 20
     x = np.where(near, cols - 9.5, cols - 29.5) * 0.3
@@ -373,7 +373,7 @@ def test_coverage_is_that_of_a_disc(rest_mm):
     assert project_cloud(sphere_cloud(), target, SURFACE).coverage is None
 
 
-def test_a_window_turned_or_wider_than_the_image_is_known_where_it_is():
+def test_the_field_of_view_may_be_rotated_or_larger_than_the_image():
     target = target_sensor()
     rows, cols = target.camera.shape
     for corners_px in (

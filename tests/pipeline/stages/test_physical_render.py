@@ -38,7 +38,7 @@ def corner(spec, share=0.5):
 
 
 @pytest.mark.parametrize("name", SENSORS)
-def test_no_contact_gives_the_untouched_reading_at_no_cost(name):
+def test_no_contact_gives_the_reference_image_at_no_cost(name):
     spec = load_sensor(name)
     empty = view_of(spec, np.zeros(spec.camera.shape, bool), 0.0)
     touch = render_touch(empty, spec, PhysicalRenderParams())
@@ -62,7 +62,7 @@ def test_the_same_view_and_seed_give_the_same_bytes(name):
 
 
 @pytest.mark.parametrize("surface", ["press", "follow"])
-def test_a_true_contact_gives_back_the_true_gel_surface(surface):
+def test_a_true_contact_reproduces_the_true_gel_surface(surface):
     spec = load_sensor("digit")
     y, x = np.mgrid[: spec.camera.rows, : spec.camera.cols]
     overlap = 0.5 - ((x - 110.0) ** 2 + (y - 170.0) ** 2) * spec.pixel_mm**2 / (2 * 4.0)
@@ -74,8 +74,8 @@ def test_a_true_contact_gives_back_the_true_gel_surface(surface):
 
 
 @pytest.mark.parametrize("side_mm", [6.0, 9.1, 13.3])
-def test_a_bubble_lies_on_all_of_the_object_that_is_felt_up_to_its_edge(side_mm):
-    """As the simulator presses the same plate: what is told by pixels ends half a pixel before the edge."""
+def test_a_bubble_covers_the_object_up_to_its_edge(side_mm):
+    """Compared with the simulator on the same plate: measured points end half a pixel before the edge."""
     spec, half = load_sensor("soft_bubble"), side_mm / 2
     plate = make_chamfered_prism(((-half, -half), (half, -half), (half, half), (-half, half)), 8.0, 0.05, "plate")
     truth = simulate_press(plate, rigid.translation(0.4, -0.3, -4.0), spec, seed=None).truth
@@ -104,7 +104,7 @@ def test_a_bubble_is_slack_over_the_points_and_free_elsewhere():
 
 
 @pytest.mark.parametrize("name", SENSORS)
-def test_depth_is_rest_less_indentation_and_pixels_remember_the_view(name):
+def test_depth_is_rest_minus_indentation_and_pixels_index_the_view(name):
     spec = load_sensor(name)
     mask = corner(spec)
     touch = render_touch(view_of(spec, mask, 0.4 if spec.kind == "gel" else 4.0), spec, PhysicalRenderParams())
@@ -116,7 +116,7 @@ def test_depth_is_rest_less_indentation_and_pixels_remember_the_view(name):
     assert not touch.image.flags.writeable
 
 
-def test_what_is_too_deep_is_cut_and_said():
+def test_excessive_indentation_is_cut_with_a_warning():
     spec = load_sensor("gelslim")
     touch = render_touch(view_of(spec, corner(spec), 40.0), spec, PhysicalRenderParams())
     assert touch.membrane.indentation_mm.max() < spec.limits.indentation_max_mm + 0.01
@@ -140,7 +140,7 @@ def test_ragged_masks_and_contacts_at_the_border_stay_finite():
             ).all()
 
 
-def test_an_object_that_leaves_the_picture_goes_on_beyond_it():
+def test_an_object_at_the_image_border_continues_outside():
     spec = load_sensor("digit")
     band = np.zeros(spec.camera.shape, bool)
     band[140:180] = True
@@ -151,7 +151,7 @@ def test_an_object_that_leaves_the_picture_goes_on_beyond_it():
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, -20.0, 3e38])
 @pytest.mark.parametrize("name", ["digit", "soft_bubble"])
-def test_contact_without_a_value_is_left_out_and_said(name, value):
+def test_contact_without_depth_is_left_out_with_a_note(name, value):
     whole = load_sensor(name)
     camera = whole.camera.scale(0.2)
     spec = replace(whole, camera=camera, rest_depth_mm=whole.membrane.rest_depth_mm(camera))
@@ -173,14 +173,14 @@ def test_contact_without_a_value_is_left_out_and_said(name, value):
         assert off_mm.max() < SURFACE_MM
 
 
-def test_a_view_of_another_size_is_refused_in_words():
+def test_a_view_of_another_size_is_refused():
     spec = load_sensor("digit")
     view = view_of(spec, corner(spec), 0.4)
     with pytest.raises(ShapeError, match="digit"):
         render_touch(replace(view, contact=view.contact[:-1]), spec, PhysicalRenderParams())
 
 
-def test_another_word_for_the_surface_is_not_taken_for_the_usual_one():
+def test_an_unknown_surface_mode_is_refused():
     spec = load_sensor("digit")
     mask = corner(spec)
     with pytest.raises(AssertionError, match="hold"):

@@ -1,4 +1,4 @@
-"""How much is looked for where nothing explains a touch: counted, as time depends on the machine."""
+"""Number of registrations where no pose explains a touch; counted, since time depends on the machine."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from tests.pipeline.registration.solids import CAMERA, REST_MM, touch_of
 MOST_POLISHED = 2 * 6 + 4 + 12  # two sets of first guesses, the best again, and what fits as badly; 93 before
 
 
-def test_a_touch_that_nothing_explains_is_not_searched_for_all_that_fits_as_badly(monkeypatch):
-    polished, tried = PoseSearch.polish, []
-    monkeypatch.setattr(PoseSearch, "polish", lambda *a, **k: tried.append(1) or polished(*a, **k))
+def test_the_search_is_limited_where_nothing_explains_the_touch(monkeypatch):
+    polished, tried = Search.polish, []
+    monkeypatch.setattr(Search, "polish", lambda *a, **k: tried.append(1) or polished(*a, **k))
     y, x = np.mgrid[-1 : 1 : CAMERA.rows * 1j, -1 : 1 : CAMERA.cols * 1j]
     bowl = touch_of((REST_MM - 3.0 + 2.0 * (x**2 + y**2)).astype(np.float32), np.ones(CAMERA.shape, np.bool_))
     found = estimate_pose(bowl, shapes.make_shape("cross").mesh, PoseParams())

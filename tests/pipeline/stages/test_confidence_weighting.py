@@ -1,4 +1,4 @@
-"""What is taken of a correction: all that is sure, nothing where physics is as good, and no edge of its own."""
+"""Confidence weighting: certain corrections are shrunk, uncertain ones shrunk, without creating edges."""
 
 import numpy as np
 import pytest
@@ -31,41 +31,41 @@ def found(residual, spread):
 @pytest.mark.parametrize(
     ("large", "off", "share"), [(1.0, 1.0, 0.5), (3.0, 1.0, 0.9), (0.0, 1.0, 0.0), (1.0, 0.0, 1.0)]
 )
-def test_half_is_taken_of_what_is_as_large_as_its_error(large, off, share):
+def test_a_correction_as_large_as_its_error_is_halved(large, off, share):
     assert np.allclose(compute_wiener_gain(np.full(SHAPE, large), np.full(SHAPE, off)), share, atol=1e-5)
 
 
-def test_the_share_changes_less_from_pixel_to_pixel_than_what_it_is_taken_of():
+def test_the_gain_is_smooth():
     rng = np.random.default_rng(0)
     share = compute_wiener_gain(rng.normal(size=SHAPE), np.ones(SHAPE))
     assert np.abs(np.diff(share, axis=1)).max() < 0.1
 
 
-def test_no_caution_takes_all_and_no_doubt_does_so_too():
-    for caution, doubts in ((0.0, (1.0, 1.0)), (1.0, (0.0, 0.0))):
-        kept = shrink_to_prior(
-            found(2.0, 1.0), LEFT, caution, ErrorCalibration(factor_in_view=doubts[0], factor_outside=doubts[1])
+def test_weight_zero_and_error_zero_keep_the_full_correction():
+    for weighting, factors in ((0.0, (1.0, 1.0)), (1.0, (0.0, 0.0))):
+        shrunk = shrink_to_prior(
+            found(2.0, 1.0), LEFT, weighting, ErrorCalibration(factor_in_view=factors[0], factor_outside=factors[1])
         )
-        assert np.allclose(kept.final.residual_mm, 2.0)
+        assert np.allclose(shrunk.final.residual_mm, 2.0)
 
 
-def test_what_the_source_felt_and_the_rest_are_doubted_apart_and_contact_less_beyond():
-    kept = shrink_to_prior(found(2.0, 2.0), LEFT, 1.0, ErrorCalibration(factor_in_view=0.0, factor_outside=3.0))
-    assert np.allclose(kept.final.residual_mm[:, 0], 2.0, atol=5e-3)
-    assert np.allclose(kept.final.residual_mm[:, -1], 0.2, atol=5e-3)
-    assert np.allclose(kept.final.contact_correction[:, 0], 1.0, atol=5e-3)
-    assert np.allclose(kept.final.contact_correction[:, -1], np.sqrt(0.1), atol=5e-3)
+def test_view_and_outside_have_their_own_factors_and_contact_is_shrunk_less_outside():
+    shrunk = shrink_to_prior(found(2.0, 2.0), LEFT, 1.0, ErrorCalibration(factor_in_view=0.0, factor_outside=3.0))
+    assert np.allclose(shrunk.final.residual_mm[:, 0], 2.0, atol=5e-3)
+    assert np.allclose(shrunk.final.residual_mm[:, -1], 0.2, atol=5e-3)
+    assert np.allclose(shrunk.final.contact_correction[:, 0], 1.0, atol=5e-3)
+    assert np.allclose(shrunk.final.contact_correction[:, -1], np.sqrt(0.1), atol=5e-3)
     surer = shrink_to_prior(found(2.0, 2.0), LEFT, 1.0, ErrorCalibration(factor_in_view=3.0, factor_outside=3.0))
     assert np.allclose(surer.final.contact_correction[:, 0], 0.1, atol=5e-3)
-    assert np.array_equal(kept.states[0].residual_mm, kept.final.residual_mm)
+    assert np.array_equal(shrunk.states[0].residual_mm, shrunk.final.residual_mm)
 
 
-def test_by_a_power_little_told_is_nothing_and_much_is_more():
+def test_an_exponent_lowers_small_and_raises_large_errors():
     squared = ErrorCalibration(factor_in_view=1.0, factor_outside=1.0, exponent=2.0, unit_mm=3.0)
-    for told, off in ((0.3, 0.03), (3.0, 3.0), (6.0, 12.0)):
-        assert np.allclose(squared.calibrate_error_mm(np.full(SHAPE, np.float32(told)), LEFT), off, rtol=1e-5)
+    for predicted, off in ((0.3, 0.03), (3.0, 3.0), (6.0, 12.0)):
+        assert np.allclose(squared.calibrate_error_mm(np.full(SHAPE, np.float32(predicted)), LEFT), off, rtol=1e-5)
     plain = ErrorCalibration(factor_in_view=1.0, factor_outside=1.0)
-    little, much = ((found(2.0, told), LEFT, 1.0) for told in (0.3, 6.0))
+    little, much = ((found(2.0, predicted), LEFT, 1.0) for predicted in (0.3, 6.0))
     assert (
         shrink_to_prior(*little, squared).final.residual_mm.mean()
         > shrink_to_prior(*little, plain).final.residual_mm.mean()
@@ -76,7 +76,7 @@ def test_by_a_power_little_told_is_nothing_and_much_is_more():
     )
 
 
-def test_weights_that_tell_no_power_are_believed_in_proportion():
+def test_the_default_exponent_is_one():
     net = ResidualDenoiser(
         inputs=3, unit_mm=3.0, base_channels=4, levels=2, error_factor_in_view=1.5, error_factor_outside=2.5
     )
@@ -85,19 +85,19 @@ def test_weights_that_tell_no_power_are_believed_in_proportion():
     )
 
 
-def test_where_the_source_felt_contact_may_stay_that_of_physics():
-    kept = shrink_to_prior(
+def test_contact_in_view_can_be_kept_from_physics():
+    shrunk = shrink_to_prior(
         found(2.0, 0.01), LEFT, 1.0, ErrorCalibration(factor_in_view=1.0, factor_outside=1.0), shrinks_contact=False
     )
-    assert not kept.final.contact_correction[:, 0].any()
-    assert np.allclose(kept.final.contact_correction[:, -1], 1.0, atol=1e-3)
-    bold = shrink_to_prior(
+    assert not shrunk.final.contact_correction[:, 0].any()
+    assert np.allclose(shrunk.final.contact_correction[:, -1], 1.0, atol=1e-3)
+    unweighted = shrink_to_prior(
         found(2.0, 0.01), LEFT, 0.0, ErrorCalibration(factor_in_view=1.0, factor_outside=1.0), shrinks_contact=False
     )
-    assert (bold.final.contact_correction == 1.0).all(), "without caution all that the network says"
+    assert (unweighted.final.contact_correction == 1.0).all(), "full correction of the network"
 
 
-def test_a_touch_told_against_another_first_answer_is_the_same_touch():
+def test_a_change_of_prior_keeps_the_touch():
     rest = make_reference_touch(load_sensor("soft_bubble")).membrane
     shape = rest.indentation_mm.shape
     state = DenoisingState(
@@ -108,7 +108,7 @@ def test_a_touch_told_against_another_first_answer_is_the_same_touch():
         indentation_mm=np.full(shape, np.float32(0.5)), depth_mm=rest.depth_mm, contact=np.ones(shape, bool),
         camera=rest.camera, source_index=rest.source_index,
     )  # fmt: skip
-    told = express_as_correction(one, deeper)
-    assert np.allclose(told.final.residual_mm, 1.5)
-    assert not told.final.contact_correction.any()
-    assert np.allclose(told.states[0].residual_mm, 1.5)
+    predicted = express_as_correction(one, deeper)
+    assert np.allclose(predicted.final.residual_mm, 1.5)
+    assert not predicted.final.contact_correction.any()
+    assert np.allclose(predicted.states[0].residual_mm, 1.5)
