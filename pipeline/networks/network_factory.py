@@ -24,15 +24,12 @@ NETWORK_CLASSES: dict[str, str] = {  # kind -> module:class; importing a module 
     "touch_pose": "pipeline.networks.touch_pose:TouchPose",
     "vqvae": "pipeline.networks.vqvae:VqVae",
 }
-TORCH_FREE_CLASSES: dict[str, str] = {  # the same for kinds that run without torch
-    "compact_unet": "pipeline.networks.compact_unet_opencv:CompactUnetOpenCv",
-    "gel_depth": "pipeline.networks.gel_depth_opencv:GelDepthNetworkOpenCv",
-}
+ONNX_KINDS = frozenset({"compact_unet", "gel_depth"})  # answered by OpenCV, without torch
 _MAX_BYTES = 2 << 30  # of cached networks; the largest takes 1.3 GB
 _loaded_networks: Memo[str, nn.Module] = Memo(
     4, most_bytes=_MAX_BYTES, weigh=lambda net: sum(p.numel() * p.element_size() for p in net.parameters())
 )
-_torch_free: Memo[str, Callable[..., Any]] = Memo(4)
+_predictors: Memo[str, OnnxPredictor] = Memo(4)
 
 
 def build_network(kind: str, config: Mapping[str, Value]) -> nn.Module:
@@ -53,28 +50,28 @@ def load_network(weights: Weights | NoWeights) -> nn.Module:
     """
     if isinstance(weights, NoWeights):
         raise ModelMissing(weights.why)
-    return _loaded_networks.of(weights.content_digest, lambda: _build_with_weights(weights))
+    return _loaded_networks.get_or_make(weights.content_digest, lambda: _build_with_weights(weights))
 
 
 def load_predictor(weights: Weights | NoWeights) -> Callable[..., Any]:
-    """A callable for these weights: without torch where `TORCH_FREE_CLASSES` has one, else `load_network`.
+    """A predictor for these weights: an `OnnxPredictor` for `ONNX_KINDS`, else `load_network`.
 
-    Torch-free predictors take and return single numpy images, networks batches of tensors. Raises ModelMissing as
-    `load_network` does.
+    Raises ModelMissing as `load_network` does. Weights without an ONNX file are exported first, which loads torch.
     """
     if isinstance(weights, NoWeights) or weights.kind not in ONNX_KINDS:
         return load_network(weights)
-    return _torch_free.of(weights.content_digest, lambda: _build_torch_free(weights))
+    return _predictors.get_or_make(weights.content_digest, lambda: _load_predictor(weights))
 
 
 def release_networks(keep: Container[str] = ()) -> None:
     """Drop cached networks except those whose weights have one of these digests."""
     _loaded_networks.keep_only(keep)
-    _torch_free.keep_only(keep)
+    _predictors.keep_only(keep)
 
 
-def _build_torch_free(weights: Weights) -> Callable[..., Any]:
-    module, _, name = TORCH_FREE_CLASSES[weights.kind].partition(":")
+def _load_predictor(weights: Weights) -> OnnxPredictor:
+    from pipeline.networks.onnx_export import export_onnx
+
     try:
         return OnnxPredictor(weights.onnx or export_onnx(weights), fold=int(weights.config.get("fold", 2)))
     except ValueError as error:
@@ -126,7 +123,7 @@ def initialise_from(net: nn.Module, weights: Weights) -> int:
 
 
 def copy_tensors(net: nn.Module, tensors: Mapping[str, Any]) -> None:
-    """Copy tensors with the network's state names and shapes into it."""
+    """Copy tensors with the network's own names and shapes into it."""
     import torch
 
     state: dict[str, Any] = net.state_dict()

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from pipeline.base.arrays import Floats, freeze
 
 SIDE = 128
-CHANNELS: dict[SensorKind, int] = {"gel": 3, "bubble": 1}
-MEANS: dict[SensorKind, tuple[float, ...]] = {"gel": (-0.0082, -0.0059, -0.0066), "bubble": (3.82,)}  # bubble in mm
-STDS: dict[SensorKind, tuple[float, ...]] = {"gel": (0.0989, 0.0746, 0.0731), "bubble": (4.24,)}
+CHANNELS: dict[str, int] = {"gel": 3, "bubble": 1}
+MEANS: dict[str, tuple[float, ...]] = {"gel": (-0.0082, -0.0059, -0.0066), "bubble": (3.82,)}  # bubble in mm
+STDS: dict[str, tuple[float, ...]] = {"gel": (0.0989, 0.0746, 0.0731), "bubble": (4.24,)}
 
 
-def compute_change(kind: SensorKind, image: NDArray[Any], reference: NDArray[Any]) -> Floats:
+def compute_change(kind: str, image: NDArray[Any], reference: NDArray[Any]) -> Floats:
     """(rows, cols, channels): brightness change in -1..1 of a gel, imprint in mm of a bubble; 0 if not measured."""
     if kind == "gel":
         return (image.astype(np.float32) - reference.astype(np.float32)) / np.float32(255.0)
@@ -47,19 +47,19 @@ def resize_from_square(square_change: Floats, shape: tuple[int, int]) -> Floats:
     return np.asarray(changed, np.float32).reshape(*shape, len(square_change))
 
 
-def normalise(square_change: Floats, kind: SensorKind) -> Floats:
+def normalise(square_change: Floats, kind: str) -> Floats:
     """Squares (..., channels, side, side) with zero mean and unit standard deviation over the paper's data."""
     mean, std = _get_statistics(kind)
     return ((square_change - mean) / std).astype(np.float32)
 
 
-def denormalise(normalised: Floats, kind: SensorKind) -> Floats:
+def denormalise(normalised: Floats, kind: str) -> Floats:
     """Invert `normalise`."""
     mean, std = _get_statistics(kind)
     return (normalised * std + mean).astype(np.float32)
 
 
-def _get_statistics(kind: SensorKind) -> tuple[Floats, Floats]:
+def _get_statistics(kind: str) -> tuple[Floats, Floats]:
     mean, std = (np.asarray(v[kind], np.float32)[:, None, None] for v in (MEANS, STDS))
     return mean, std
 
@@ -68,7 +68,7 @@ def _get_statistics(kind: SensorKind) -> tuple[Floats, Floats]:
 MIN_IMPRINT_MM, MAX_IMPRINT_MM = -11.6, 22.5
 
 
-def encode_image(square_change: Floats, kind: SensorKind) -> Floats:
+def encode_image(square_change: Floats, kind: str) -> Floats:
     """Three channels in -1..1 for latent diffusion; an imprint is repeated in all channels."""
     if kind == "gel":
         return np.clip(square_change, -1.0, 1.0).astype(np.float32)
@@ -76,7 +76,7 @@ def encode_image(square_change: Floats, kind: SensorKind) -> Floats:
     return np.repeat(np.clip(2.0 * share - 1.0, -1.0, 1.0).astype(np.float32), 3, axis=-3)
 
 
-def decode_image(encoded: Floats, kind: SensorKind, *, map_twice: bool = False) -> Floats:
+def decode_image(encoded: Floats, kind: str, *, map_twice: bool = False) -> Floats:
     """Invert `encode_image`; an imprint is the mean of the channels, mapped to mm (paper, steps 1 and 2).
 
     `map_twice` reproduces the released scripts, which map -1..1 to 0..1 twice: every imprint then lies in the upper

@@ -38,6 +38,9 @@ class Weights:
     config: Mapping[str, Value] = field(metadata=UNDIGESTED)  # constructor arguments of the network
     tensors: Mapping[str, Floats] = field(metadata=UNDIGESTED)  # by name in the network
     card: Mapping[str, str] = field(default_factory=dict, metadata=UNDIGESTED)  # entries of the model card
+    onnx: bytes = field(
+        default=b"", metadata=UNDIGESTED, repr=False
+    )  # the network as an ONNX file; b"" if not exported
     content_digest: str = field(init=False)  # of kind, config and tensors: all that results depend on
 
     def __post_init__(self) -> None:
@@ -61,7 +64,9 @@ class NoWeights:
 
 def load_weights(path: Path) -> Weights:
     """The weights of a Tactoscope file, as float32; raises FileProblem for a missing, damaged or foreign file."""
-    metadata, tensors = load_tensors(path)
+    metadata, entries = _read_entries(path)
+    onnx = bytes(entries.pop(_ONNX)["data"]) if _ONNX in entries else b""
+    tensors = _convert_entries(entries, path)
     if not is_tactoscope_file(metadata):
         raise FileProblem("these weights do not name their network; use a file written by Tactoscope", path)
     try:
@@ -72,8 +77,8 @@ def load_weights(path: Path) -> Weights:
         raise FileProblem(f"{_WHAT} are damaged: their header cannot be read", path) from error
     if not plain:
         raise FileProblem(f"{_WHAT} are damaged: their header holds values that are not plain settings", path)
-    entries = {str(key): str(value) for key, value in card.items()}
-    return Weights(name=path.stem, kind=kind, config=config, tensors=tensors, card=entries)
+    card = {str(key): str(value) for key, value in card.items()}
+    return Weights(name=path.stem, kind=kind, config=config, tensors=tensors, onnx=onnx, card=card)
 
 
 def is_tactoscope_file(metadata: Mapping[str, str]) -> bool:
@@ -83,6 +88,12 @@ def is_tactoscope_file(metadata: Mapping[str, str]) -> bool:
 
 def load_tensors(path: Path) -> tuple[dict[str, str], dict[str, Floats]]:
     """Header and tensors of any safetensors file, 16-bit floats as float32; raises FileProblem."""
+    metadata, entries = _read_entries(path)
+    return metadata, _convert_entries(entries, path)
+
+
+def _read_entries(path: Path) -> tuple[dict[str, str], dict[str, Mapping[str, Any]]]:
+    """Header and raw tensors of a safetensors file: name -> dtype, shape, data; raises FileProblem."""
     from safetensors import SafetensorError, deserialize
 
     content = read_bytes(path, _WHAT)
@@ -92,6 +103,12 @@ def load_tensors(path: Path) -> tuple[dict[str, str], dict[str, Floats]]:
         header = cast("dict[str, Any]", json.loads(content[8 : 8 + length]))
     except (SafetensorError, ValueError) as error:
         raise FileProblem(f"cannot read {_WHAT}: the file is truncated, damaged or not safetensors", path) from error
+    metadata = cast("dict[str, Any]", header.get("__metadata__") or {})
+    return {str(k): str(v) for k, v in metadata.items()}, dict(entries)
+
+
+def _convert_entries(entries: Mapping[str, Mapping[str, Any]], path: Path) -> dict[str, Floats]:
+    """The tensors as float32; raises FileProblem for unknown types and values that are not finite."""
     tensors: dict[str, Floats] = {}
     for name, entry in entries.items():
         tensor = _as_float(entry)
@@ -109,7 +126,9 @@ def save_weights(path: Path, weights: Weights, *, use_float16: bool = False) -> 
 
     with np.errstate(over="ignore"):  # overflow of 16 bits is reported below
         dtype = np.float16 if use_float16 else np.float32
-        stored = {name: np.asarray(tensor, dtype, order="C") for name, tensor in weights.tensors.items()}
+        stored: dict[str, NDArray[Any]] = {
+            name: np.asarray(tensor, dtype, order="C") for name, tensor in weights.tensors.items()
+        }
     if not all(np.isfinite(tensor).all() for tensor in stored.values()):
         raise FileProblem(
             f"{_WHAT} hold values beyond the range of {16 if use_float16 else 32} bits; nothing is written", path

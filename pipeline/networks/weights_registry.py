@@ -46,7 +46,7 @@ def load_file(path: Path, read: Callable[[Path], Weights] = load_weights) -> Wei
         except (OSError, ValueError):
             return read(path)  # raises the FileProblem
         key = (read.__module__, read.__qualname__, path, status.st_mtime_ns, status.st_size)
-        return _read.of(key, lambda: read(path))
+        return _read.get_or_make(key, lambda: read(path))
     except FileProblem as problem:
         return NoWeights(why=str(problem))
 

@@ -24,8 +24,8 @@ def fall_back_without_weights(run: Callable[..., Any], fallback: Method) -> Call
         except ModelMissing as problem:
             fallback_params = params if isinstance(params, fallback.params) else fallback.params()
             return Fallback(
-                answer=fallback.run(*reads, fallback_params, progress),
-                why=f"{problem}; {fallback.title.lower()} is used instead",
+                result=fallback.run(*reads, fallback_params, progress),
+                reason=f"{problem}; {fallback.title.lower()} is used instead",
             )
         return run(*reads, network, params, progress)
 

@@ -96,7 +96,7 @@ def _compute_points(depth: DepthMap, target_from_source: Doubles, stride: int) -
     points = np.empty((capacity + 1, 3), dtype=np.float32)  # one spare: a point is written before it is tested
     pixel, columns = np.empty(capacity + 1, dtype=np.int32), np.empty(contact.shape[1] + 1, dtype=np.int32)
     ray_x, ray_y = depth.camera.rays()
-    depth_mm = np.ascontiguousarray(for_geometry(surface_mm))
+    depth_mm = np.ascontiguousarray(ensure_float(surface_mm))
     n, n_contact = kernels.back_project(
         depth_mm, contact, stride, ray_x, ray_y, target_from_source[:3], MIN_DEPTH_MM, columns, points, pixel
     )

@@ -27,11 +27,13 @@ def compute_basin_map(
     """
     if pose.sensor_from_object is None:
         raise SettingProblem(f"there is no pose to map: {(pose.notes or ('none was found',))[0]}")
-    prepared = prepare_search(touch_depth, mesh, params, Share(progress, 0.0, 0.1))
+    prepared = prepare_search(touch_depth, mesh, params, SubProgress(progress, 0.0, 0.1))
     if isinstance(prepared, ObjectPose):
         raise SettingProblem(f"there is no pose to map: {prepared.notes[0]}")
     search, _ = prepared
     max_translation_mm = _MAX_TRANSLATION * search.points.radius_mm
     rotations_deg: Doubles = np.arange(-180.0, 180.0, _ROTATION_STEP_DEG)
     translations_mm: Doubles = np.linspace(-max_translation_mm, max_translation_mm, _N_TRANSLATIONS)
-    return map_basins(search, pose.sensor_from_object, rotations_deg, translations_mm, along, Share(progress, 0.1, 0.9))
+    return map_basins(
+        search, pose.sensor_from_object, rotations_deg, translations_mm, along, SubProgress(progress, 0.1, 0.9)
+    )

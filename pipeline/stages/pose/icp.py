@@ -92,7 +92,7 @@ def register_icp(
     )  # fmt: skip
 
 
-def _find_best_history(icp: _Icp, starts: list[Start], n_iterations: int, progress: Progress) -> list[PoseStep]:
+def _find_best_history(icp: _Icp, starts: list[InitialPose], n_iterations: int, progress: Progress) -> list[PoseStep]:
     """A few iterations from each start, then single iterations from the best of them."""
     quick: list[PoseStep] = []
     for k, start in enumerate(starts):
@@ -115,9 +115,9 @@ def _rank_step(step: PoseStep) -> tuple[float, float]:
     return -step.fitness, step.rmse_mm
 
 
-def _select_one_per_group(starts: list[Start]) -> list[Start]:
+def _select_one_per_group(starts: list[InitialPose]) -> list[InitialPose]:
     """The first start of each orientation, with the centre of its face on the contact's centre."""
-    groups: dict[tuple[str, int], Start] = {}
+    groups: dict[tuple[str, int], InitialPose] = {}
     for start in starts:
         groups.setdefault(start.group, start)
     return list(groups.values())

@@ -53,8 +53,8 @@ def predict_pose(
     skipped = signed_distances.skip_without_contact(touch_depth, mesh, params)
     if skipped is not None or mesh is None:
         assert skipped is not None
-        return Skipped(output=skipped, why=skipped.notes[0])
-    reference = optics.render_reference(target) if target.kind == "gel" else target.rest_depth_mm
+        return Skipped(output=skipped, reason=skipped.notes[0])
+    reference = target.render_reference()
     square = normalise(resize_to_square(compute_change(target.kind, touch.image, reference)), target.kind)
     x, y, angle_rad = _predict_planar_pose(network, square, mesh)
     alignment_from_object = rigid.translation(x, y, 0.0) @ rigid.rotation((0.0, 0.0, angle_rad))
@@ -114,7 +114,7 @@ def _register(
 ) -> ObjectPose | Skipped:
     skipped = signed_distances.skip_without_contact(touch_depth, mesh, params)
     if skipped is not None:
-        return Skipped(output=skipped, why=skipped.notes[0])
+        return Skipped(output=skipped, reason=skipped.notes[0])
     return signed_distances.estimate_pose(touch_depth, mesh, params, progress)
 
 

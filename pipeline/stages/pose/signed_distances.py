@@ -57,7 +57,7 @@ class PoseParams:
         source="Gauss-Newton with the weights of Geman and McClure 1985; ICP: Chen and Medioni 1992",
     )  # fmt: skip
     max_distance_mm: float = setting(
-        2.0, "Search distance", unit="mm", low=0.05, high=20.0, step=0.1,
+        2.0, "PoseSearch distance", unit="mm", low=0.05, high=20.0, step=0.1,
         help="points farther from the object are outliers",
         source="point to surface on signed distances; covariance: Bonnabel 2014",
     )  # fmt: skip
@@ -106,12 +106,14 @@ def track_pose(
     if isinstance(prepared, ObjectPose):
         return prepared
     search, checked = prepared
-    minima = search.follow([rigid.validate_rigid(start, "the previous pose") for start in (previous, *alternatives)])
+    minima = search.track_previous_poses(
+        [rigid.validate_rigid(start, "the previous pose") for start in (previous, *alternatives)]
+    )
     if minima:
         pose = _select_answer(
             search, checked, minima, 0, ("tracked from the pose of the previous touch",), previous, progress
         )
-        return replace(pose, steps=search.way_to(np.array([previous, *alternatives]), pose.steps))
+        return replace(pose, steps=search.prepend_history(np.array([previous, *alternatives]), pose.steps))
     return _search_pose(search, checked, params, progress, previous)
 
 
@@ -178,7 +180,7 @@ def skip_without_contact(touch_depth: DepthMap, mesh: Mesh | None, params: PoseP
 
 def prepare_search(
     touch_depth: DepthMap, mesh: Mesh | None, params: PoseParams, progress: Progress = SILENT
-) -> ObjectPose | tuple[Search, Mesh]:  # fmt: skip
+) -> ObjectPose | tuple[PoseSearch, Mesh]:  # fmt: skip
     """The prepared search and mesh, or the unknown pose where a search is impossible."""
     early = skip_without_contact(touch_depth, mesh, params)
     if early is not None or mesh is None:
@@ -188,14 +190,14 @@ def prepare_search(
     too_few = f"only {len(scene.points_mm)} contact points have a surface normal; a pose needs at least {_MIN_POINTS}"
     if len(scene.points_mm) < _MIN_POINTS:
         return _make_unknown_pose(too_few, scene)
-    points = Points.of(scene.points_mm)
+    points = CentredPoints.from_points(scene.points_mm)
     if isinstance(points, NotDetermined):
-        return _make_unknown_pose(points.why, scene)
+        return _make_unknown_pose(points.reason, scene)
     if len(mesh.vertices_mm) and _size_mm(mesh) > _MAX_SIZE_RATIO * points.radius_mm:
         return _make_unknown_pose(_explain_failure(mesh), scene)
     progress.step(0.0, "preparing the object")
-    prepared = prepare_object(mesh, params.seed, Share(progress, 0.0, 0.2))
-    return Search(
+    prepared = prepare_object(mesh, params.seed, SubProgress(progress, 0.0, 0.2))
+    return PoseSearch(
         scene=scene, points=points, object=prepared, outward=FACES.get(params.face),
         max_distance_mm=params.max_distance_mm, n_iterations=params.n_iterations, keep_steps=params.keep_steps,
     ), mesh  # fmt: skip
@@ -207,27 +209,27 @@ def _check_face(params: PoseParams) -> None:
 
 
 def _search_pose(
-    search: Search, mesh: Mesh, params: PoseParams, progress: Progress, near_pose: Doubles | None
+    search: PoseSearch, mesh: Mesh, params: PoseParams, progress: Progress, near_pose: Doubles | None
 ) -> ObjectPose:  # fmt: skip
     """Pose by the full search from all starts."""
     progress.step(0.2, "scoring starts")
     starts = list_starts(search.scene, search.object.model, params.face, params.n_starts)
     progress.step(0.21, "registering the best starts")
-    first_poses = search.likeliest(starts)
-    minima = search.best(search.promising(first_poses), Share(progress, 0.3, 0.4))
+    first_poses = search.select_likeliest(starts)
+    minima = search.find_minima(search.find_promising(first_poses), SubProgress(progress, 0.3, 0.4))
     if not (minima and search.explains(minima[0])):
         progress.step(0.7, "scoring starts on edges and corners")
         edge_starts = list_edge_starts(search.scene, search.object.model, params.face, params.n_starts)
-        edges = search.likeliest(edge_starts)
-        more = search.best(search.promising(edges), Share(progress, 0.75, 0.25))
+        edges = search.select_likeliest(edge_starts)
+        more = search.find_minima(search.find_promising(edges), SubProgress(progress, 0.75, 0.25))
         first_poses = np.concatenate([first_poses, edges])
         starts, minima = [*starts, *edge_starts], sorted([*minima, *more], key=lambda m: m.misfit_mm)
     pose = _select_answer(search, mesh, minima, len(starts), (), near_pose, progress)
-    return replace(pose, steps=search.way_to(first_poses, pose.steps))
+    return replace(pose, steps=search.prepend_history(first_poses, pose.steps))
 
 
 def _select_answer(
-    search: Search,
+    search: PoseSearch,
     mesh: Mesh,
     minima: list[PoseMinimum],
     n_tried: int,
@@ -241,18 +243,19 @@ def _select_answer(
         return _make_unknown_pose(_explain_failure(mesh), search.scene)
     if near_pose is not None and best.alternatives:
         equal = (best.minimum.fit.sensor_from_object, *best.alternatives)
-        nearest = min(equal, key=lambda pose: search.between_mm(near_pose, pose))
+        nearest = min(equal, key=lambda pose: search.measure_distance_mm(near_pose, pose))
         other = None if nearest is equal[0] else search.polish(nearest, dense=True)
         best = (select_pose(search, [other, *minima], progress) if other is not None else None) or best
     return _make_pose(search, best, n_tried, notes)
 
 
-def _make_pose(search: Search, best: SelectedPose, n_tried: int, notes: tuple[str, ...]) -> ObjectPose:
-    fit, known = best.minimum.fit, best.known
+def _make_pose(search: PoseSearch, best: SelectedPose, n_tried: int, notes: tuple[str, ...]) -> ObjectPose:
+    fit, known = best.minimum.fit, best.observability
     points, pixel = _freeze_scene(search.scene)
     return ObjectPose(
         sensor_from_object=freeze(fit.sensor_from_object), covariance=freeze(known.covariance),
-        observable=freeze(known.observable), weak_directions=known.weak_directions, rmse_mm=fit.rmse_mm, fitness=fit.fitness,
+        observable=freeze(known.observable), weak_directions=known.weak_directions, rmse_mm=fit.rmse_mm,
+        fitness=fit.fitness,
         scene_mm=points, source_index=pixel, steps=fit.steps, stop_reason=fit.stop_reason, starts_tried=n_tried,
         notes=(*best.notes, *search.object.grid.notes, *notes), alternatives=best.alternatives,
     )  # fmt: skip

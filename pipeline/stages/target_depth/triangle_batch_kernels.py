@@ -120,7 +120,7 @@ def rasterise_triangle(batch, t, rows, cols, image, counts):
                 source[p] = np.int32(batch[t + C_POINT] if wc > largest else point)
 
 
-@inner()
+@inner_kernel()
 def _clip_row(weights, slopes, first, last):
     """Column range of a row in which no weight is negative, one pixel wider on either side.
 

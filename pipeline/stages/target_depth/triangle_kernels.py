@@ -120,7 +120,7 @@ def rasterise_grid(points, bounds, lens, limits, corners, cells, lists, image, c
                     drawn[p] = np.int32(batch[t + on.POINT])
 
 
-@inner()
+@inner_kernel()
 def _collect_triangles(todo, item, corner, corners, lens, limits, batch, start, counts):
     """Fill a batch with triangles of the quads from `item` on; returns the next item and the number of triangles."""
     at, width = corner.reshape(-1), corner.shape[1]
@@ -198,7 +198,7 @@ def _collect_triangles(todo, item, corner, corners, lens, limits, batch, start, 
     return item, t
 
 
-@inner()
+@inner_kernel()
 def _bracket_corners(place, i, j, k, o):
     """First and last pixel centre between corners."""
     return (min(place[i], place[j], place[k], place[o]) + 1) >> 1, max(place[i], place[j], place[k], place[o]) >> 1
@@ -212,7 +212,7 @@ def _length_sq(flat, i, j):
     return dx * dx + dy * dy + dz * dz
 
 
-@inner()
+@inner_kernel()
 def _pick_three(a, b, c, d):
     """The three corners of a quad that lacks one."""
     if a == NO_POINT:
@@ -222,7 +222,7 @@ def _pick_three(a, b, c, d):
     return (a, b, d) if c == NO_POINT else (a, b, c)
 
 
-@inner()
+@inner_kernel()
 def _get_position(flat, extra, i, n_points):
     """x, y, z of a vertex: of a point, or of the rim."""
     if i < n_points:
@@ -231,7 +231,7 @@ def _get_position(flat, extra, i, n_points):
     return extra[FOUR * i], extra[FOUR * i + ONE], extra[FOUR * i + TWO]
 
 
-@inner()
+@inner_kernel()
 def _add_rim_corners(g, present, at, width, flat, extra, screen, between_px, lens, longest_sq):
     """Write the rim vertices of a quad: half a step beyond its corners, or the corner itself without a point behind it.
 
@@ -259,13 +259,13 @@ def _add_rim_corners(g, present, at, width, flat, extra, screen, between_px, len
         between_px[0, vertex], between_px[1, vertex] = bracket_pixel_centres(u, cols), bracket_pixel_centres(v, rows)
 
 
-@inner()
+@inner_kernel()
 def _get_corner_cell(g, width, k):
     """Cell of the k-th corner around a quad, clockwise from the upper left; -1 and 4 are the last and the first."""
     return np.uint64(g + (((k ^ (k >> 1)) & 1) + ((k >> 1) & 1) * width))
 
 
-@inner()
+@inner_kernel()
 def _get_rim_triangle(rims, present, first, g, at, width, n_points):
     """The vertices of one rim triangle."""
     i, j, k = rims[present, first], rims[present, first + 1], rims[present, first + 2]
@@ -276,7 +276,7 @@ def _get_rim_triangle(rims, present, first, g, at, width, n_points):
     )
 
 
-@inner()
+@inner_kernel()
 def _get_rim_corner(k, g, at, width, n_points):
     """A quad corner, or a rim vertex for k >= 4."""
     return at[_get_corner_cell(g, width, k)] if k < 4 else np.uint32(n_points + np.uint64(k - 4))

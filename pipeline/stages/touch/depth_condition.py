@@ -30,7 +30,9 @@ def make_working_sensor(target: SensorSpec) -> SensorSpec:
     factor = WORKING_GRID_FACTOR[target.kind]
     if factor == 1:
         return target
-    return _working_sensors.of(content(target), lambda: target.with_camera(target.camera.scale(1.0 / factor)))
+    return _working_sensors.get_or_make(
+        compute_cached_digest(target), lambda: target.with_camera(target.camera.scale(1.0 / factor))
+    )
 
 
 _working_sensors: Memo[str, SensorSpec] = Memo(8)

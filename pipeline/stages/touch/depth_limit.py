@@ -23,7 +23,7 @@ def check_depth_limit(
     touch: GeneratedTouch, source: SensorSpec, target: SensorSpec, alignment: Alignment
 ) -> tuple[StageWarning, ...]:
     """A warning where a bubble's touch is nearer to its camera than the limit; never for a gel's image."""
-    if target.kind != "bubble":
+    if not target.sensor_kind.is_depth:
         return ()
     nearest = np.array(source.rest_depth_mm, np.float64) - source.limits.indentation_max_mm
     points = source.camera.back_project(nearest)[::_STRIDE, ::_STRIDE].reshape(-1, 3)

@@ -106,8 +106,10 @@ def _resample(field: Floats, sampling_map: _SamplingMap) -> Floats:
 def _get_sampling_map(
     source: SensorSpec, source_camera: Camera, target: SensorSpec, alignment: Alignment, upsampling: int
 ) -> _SamplingMap:
-    key = *map(content, (source, source_camera, target, alignment.target_from_source)), str(upsampling)
-    return _sampling_maps.of(key, lambda: _compute_sampling_map(source, source_camera, target, alignment, upsampling))
+    key = *map(compute_cached_digest, (source, source_camera, target, alignment.target_from_source)), str(upsampling)
+    return _sampling_maps.get_or_make(
+        key, lambda: _compute_sampling_map(source, source_camera, target, alignment, upsampling)
+    )
 
 
 def _compute_sampling_map(

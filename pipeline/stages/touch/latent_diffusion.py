@@ -114,7 +114,7 @@ def generate_touch(
     net: Any = network
     square = resize_to_square(compute_change(source.kind, frame.image, frame.reference), net.side)
     if params.raw_condition == "yes" or (params.raw_condition == "as trained" and net.raw_condition):
-        square = square * np.float32(255.0 if source.kind == "gel" else 1.0)
+        square = square * np.float32(source.sensor_kind.full_change)
     condition = normalise(square, source.kind)
     encoded, notes = sample_image(net, np.broadcast_to(condition, (3, *condition.shape[1:])), params, progress)
     generated = decode_image(encoded, target.kind, map_twice=params.double_mapping)

@@ -75,8 +75,12 @@ def render_touch(
         return replace(reference_touch, notes=(*gap_notes, *reference_touch.notes))
     progress.step(0.0, "pressing the target's membrane")
     depth_limited, limit_notes = _limit_indentation(view, target)
-    make = _render_gel if target.kind == "gel" else _render_bubble
-    touch = make(view, depth_limited, target, params, [*gap_notes, *limit_notes])
+    renderer = target.sensor_kind.touch_renderer
+    if not renderer:
+        raise SettingProblem(
+            f"the physical render has no model of sensors of kind {target.kind!r} such as {target.name}"
+        )
+    touch = load_reference(renderer)(view, depth_limited, target, params, [*gap_notes, *limit_notes])
     progress.step(1.0, "pressed")
     return touch
 
@@ -94,7 +98,7 @@ def skip_without_contact(view: TargetDepth, target: SensorSpec, params: Physical
 
 def make_reference_touch(target: SensorSpec) -> GeneratedTouch:
     """The target's reference image as a touch; cached per sensor."""
-    return _reference_touches.of(content(target), lambda: _make_reference_touch(target))
+    return _reference_touches.get_or_make(compute_cached_digest(target), lambda: _make_reference_touch(target))
 
 
 _reference_touches: Memo[str, GeneratedTouch] = Memo(8)
@@ -104,7 +108,7 @@ def _make_reference_touch(target: SensorSpec) -> GeneratedTouch:
     shape = target.camera.shape
     rest_membrane = _make_membrane(target, np.zeros(shape, np.float32), np.zeros(shape, np.bool_))
     return GeneratedTouch(
-        image=optics.render_reference(target) if target.kind == "gel" else rest_membrane.depth_mm,
+        image=target.render_reference(),
         camera=target.camera,
         source_index=freeze(np.full(shape, -1, np.int32)),
         in_view=freeze(np.ones(shape, np.bool_)),
@@ -140,10 +144,10 @@ def _limit_indentation(view: TargetDepth, target: SensorSpec) -> tuple[Floats, l
     return np.minimum(view.indentation_mm, np.float32(limit)), [note]
 
 
-def _render_gel(
+def render_gel_touch(
     view: TargetDepth, indentation_mm: Floats, target: SensorSpec, params: PhysicalRenderParams, notes: list[str]
 ) -> GeneratedTouch:
-    """The image of a gel pressed by the view, and its surface."""
+    """Simulate a gel pressed by the view, its image and membrane."""
     if target.gel is None:
         raise SettingProblem(f"{target.name} has no gel: its description lacks [gel]")
     # An object at the image border continues outside: the pad is larger than the camera's view.
@@ -177,10 +181,10 @@ def _render_gel(
     return _make_touch(view, target, image, surface, contact, notes)
 
 
-def _render_bubble(
+def render_bubble_touch(
     view: TargetDepth, indentation_mm: Floats, target: SensorSpec, params: PhysicalRenderParams, notes: list[str]
 ) -> GeneratedTouch:
-    """The depth image of a bubble pressed by the view, and its membrane."""
+    """Simulate a bubble pressed by the view, its depth image and membrane."""
     if target.bubble is None:
         raise SettingProblem(f"{target.name} has no membrane: its description lacks [bubble]")
     on = bubble.make_lattice(target.bubble)

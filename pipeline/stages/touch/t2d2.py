@@ -76,14 +76,18 @@ def generate_touch(
     view: TargetDepth, target: SensorSpec, network: nn.Module, params: DiffusionParams, progress: Progress = SILENT
 ) -> GeneratedTouch:
     """Generate what `target` would record of `view`; raises ShapeError for a view of another image size."""
-    rendering = Share(progress, 0.0, 0.3) if params.steps else progress
+    rendering = SubProgress(progress, 0.0, 0.3) if params.steps else progress
     physical = _render(view, target, PhysicalRenderParams(add_noise=params.add_noise, seed=params.seed), rendering)
     prior = physical.membrane
     if not params.steps or prior is None or not prior.contact.any():
         return physical
     is_bubble = target.kind == "bubble"
     sample = sample_residual(
-        network, build_condition(view, prior, target), params, Share(progress, 0.3, 0.7), draw_last_noise=is_bubble
+        network,
+        build_condition(view, prior, target),
+        params,
+        SubProgress(progress, 0.3, 0.7),
+        draw_last_noise=is_bubble,
     )
     if is_bubble:  # contact measured by the source gel is certain
         in_contact = np.where(
@@ -124,8 +128,8 @@ def _measure_source_pixel_mm(view: TargetDepth, target: SensorSpec) -> float:
 
 def _render(view: TargetDepth, target: SensorSpec, params: PhysicalRenderParams, progress: Progress) -> GeneratedTouch:
     """The physical render, cached: a dragged slider then costs network passes only."""
-    key = content(view), content(target), params
-    return _rendered.of(key, lambda: physical_render.render_touch(view, target, params, progress))
+    key = compute_cached_digest(view), compute_cached_digest(target), params
+    return _rendered.get_or_make(key, lambda: physical_render.render_touch(view, target, params, progress))
 
 
 _rendered: Memo[tuple[str, str, PhysicalRenderParams], GeneratedTouch] = Memo(4)

@@ -80,17 +80,17 @@ def generate_touch(
     depth.check_frame(frame, source)
     rest, seed = physical_render.make_reference_touch(target), params.seed if params.add_noise else None
     if depth.skip_without_contact(frame, source, calibration, depth.DepthParams()) is not None:
-        return Skipped(output=rest, why=physical_render.NO_CONTACT)
+        return Skipped(output=rest, reason=physical_render.NO_CONTACT)
     is_weighted = params.steps == 1 and params.confidence_weighting > 0.0
     physical = rest
     if is_weighted or not params.steps:
         render_params = physical_render.PhysicalRenderParams(add_noise=params.add_noise, seed=params.seed)
         physical = _render_cached(
-            frame, source, calibration, alignment, target, render_params, Share(progress, 0.0, 0.8)
+            frame, source, calibration, alignment, target, render_params, SubProgress(progress, 0.0, 0.8)
         )
     if not params.steps:
         return physical
-    sampling_progress = Share(progress, 0.8, 0.2) if is_weighted else progress
+    sampling_progress = SubProgress(progress, 0.8, 0.2) if is_weighted else progress
     sample = sample_residual(
         network,
         build_condition(frame, source, alignment, target),
@@ -155,13 +155,10 @@ def build_condition(frame: TactileFrame, source: SensorSpec, alignment: Alignmen
     camera = source.camera if frame.camera is None else frame.camera
     reference: Any = frame.reference
     if reference is None:
-        reference = (
-            optics.render_reference(source.with_camera(camera)) if source.kind == "gel" else source.rest_depth_mm
-        )
+        reference = source.with_camera(camera).render_reference()
     if reference.shape != frame.image.shape:
         raise ShapeError(f"the reference image must have the shape {frame.image.shape}, got {reference.shape}")
-    now, rest_image = frame.image.astype(np.float32), reference.astype(np.float32)
-    change = now - rest_image if source.kind == "gel" else rest_image - now
+    change = source.sensor_kind.compute_change(frame.image, reference)
     return build_image_condition(change, camera, source, make_working_sensor(target), alignment)
 
 
@@ -178,13 +175,13 @@ def render_from_frame(
     depth_params = depth.DepthParams()
     skipped = depth.skip_without_contact(frame, source, calibration, depth_params)
     if skipped is not None:
-        return Skipped(output=physical_render.make_reference_touch(target), why=physical_render.NO_CONTACT)
-    depth_map = _estimate_depth(frame, source, calibration, Share(progress, 0.0, 0.5))
+        return Skipped(output=physical_render.make_reference_touch(target), reason=physical_render.NO_CONTACT)
+    depth_map = _estimate_depth(frame, source, calibration, SubProgress(progress, 0.0, 0.5))
     cloud = adaptation.skip_without_contact(depth_map, alignment, adaptation.BackProjectionParams())
     if cloud is None:
         cloud = adaptation.back_project_depth(depth_map, alignment, adaptation.BackProjectionParams())
     view = projection.project_cloud(cloud, target, projection.SurfaceProjectionParams())
-    touch = physical_render.render_touch(view, target, params, Share(progress, 0.6, 0.4))
+    touch = physical_render.render_touch(view, target, params, SubProgress(progress, 0.6, 0.4))
     return replace(touch, notes=(*select_warnings((*depth_map.notes, *view.notes)), *touch.notes))
 
 

@@ -15,11 +15,9 @@ def make_touch_from_change(target: SensorSpec, change: Floats, notes: tuple[str,
     The change is added to the reference image of the described sensor; source pixels are unknown.
     """
     shape = target.camera.shape
-    if target.kind == "gel":
-        grey = optics.render_reference(target) + np.float32(255.0) * change
-        image = np.clip(np.rint(grey), 0, 255).astype(np.uint8)
-    else:
-        image = (target.rest_depth_mm - change[..., 0]).astype(np.float32)
+    kind = target.sensor_kind
+    scaled = np.float32(kind.full_change) * (change[..., 0] if kind.is_depth else change)
+    image = kind.apply_change(target.render_reference(), scaled)
     return GeneratedTouch(
         image=freeze(image), camera=target.camera, source_index=freeze(np.full(shape, -1, np.int32)),
         in_view=freeze(np.ones(shape, np.bool_)), notes=notes,

@@ -69,7 +69,7 @@ def generate_touch(
     if frame.reference is None:
         raise ShapeError(f"the touch by VQ-VAE needs a reference image of {source.name}; add --reference")
     if depth.skip_without_contact(frame, source, calibration, depth.DepthParams()) is not None:
-        return Skipped(output=physical_render.make_reference_touch(target), why=physical_render.NO_CONTACT)
+        return Skipped(output=physical_render.make_reference_touch(target), reason=physical_render.NO_CONTACT)
     square = resize_to_square(compute_change(source.kind, frame.image, frame.reference))
     reprojects = getattr(network, "reprojects_input", False)
     network_input = (

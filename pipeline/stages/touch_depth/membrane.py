@@ -52,5 +52,5 @@ def estimate_from_image(
 
 
 def _make_frame(touch: GeneratedTouch, target: SensorSpec) -> TactileFrame:
-    reference = optics.render_reference(target) if target.kind == "gel" else target.rest_depth_mm.astype(np.float32)
+    reference = target.render_reference()
     return TactileFrame(sensor=target.name, image=touch.image, reference=reference, origin="generated touch")

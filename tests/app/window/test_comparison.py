@@ -24,7 +24,7 @@ def compared(open_window, qtbot, tmp_path, monkeypatch):
     """*Compare* on a touched frame, with the weights of the small baseline alone."""
     for name in ("vqvae_gelslim_to_soft_bubble.safetensors", "vqvae_gelslim_to_soft_bubble.md"):
         (tmp_path / name).symlink_to(weights_registry.WEIGHTS_FOLDER / name)
-    monkeypatch.setattr(weights_registry, "FOLDER", tmp_path)
+    monkeypatch.setattr(weights_registry, "WEIGHTS_FOLDER", tmp_path)
     instrument = open_window(SAMPLE_RECORDING, source="gelslim", target="soft_bubble", frame=5)
     assert wait_until_shown(instrument, LIMIT_S), instrument.window.banner.text
     instrument.window.actions_by_name["layout_compare"].trigger()

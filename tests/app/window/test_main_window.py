@@ -273,8 +273,8 @@ def test_weights_are_opened_closed_and_undone(bubble_window, tmp_path, caplog):
     assert wait_until_shown(bubble_window, LIMIT_S)
     assert bubble_window.session.weights == {"": file}
     said = bubble_window.window.columns["depth"].view._message.text()  # the network's, which reads bubbles
-    assert "cut short or damaged" in said
-    assert said.endswith("; physics answers instead")
+    assert "truncated" in said
+    assert said.endswith("; physics is used instead")
     bubble_window.change("choose method", methods={"depth": "physics"})
     assert wait_until_shown(bubble_window, LIMIT_S)
     assert "the weights 'own.safetensors' count for nothing" in caplog.text  # no method of the route reads any now

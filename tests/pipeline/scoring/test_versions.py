@@ -20,8 +20,8 @@ FRAME = 5
 
 @pytest.fixture
 def without_shipped(tmp_path, monkeypatch):
-    """No weights come along, so that no torch is loaded."""
-    monkeypatch.setattr(weights_registry, "FOLDER", tmp_path)
+    """No weights are shipped, so that no torch is loaded."""
+    monkeypatch.setattr(weights_registry, "WEIGHTS_FOLDER", tmp_path)
 
 
 @pytest.fixture
@@ -34,7 +34,7 @@ def test_those_without_weights_are_named_and_not_tried(opened, without_shipped):
     found = list_available_methods(opened)
     assert [method.name for method, _ in found.translations] == ["physics"]
     assert len(found.excluded) == len(opened.catalogue.slot("touch").methods) - 1
-    assert all("come along" in why for why in found.excluded)
+    assert all("shipped" in why for why in found.excluded)
 
 
 def test_a_touch_is_judged_in_contact_and_over_all_by_what_was_recorded(opened, without_shipped):

@@ -142,4 +142,4 @@ def test_a_users_file_is_read_and_another_is_told(opened, tmp_path):
     assert first(tmp_path / "depth_anything_v2_vits.pth").startswith("Depth Anything V2 saw 42x28 pixels, 6 patches")
     assert "does not come along; give its weights" in first(None)
     (tmp_path / "x.pth").write_bytes(b"nothing")
-    assert first(tmp_path / "x.pth").endswith("physics answers instead")
+    assert first(tmp_path / "x.pth").endswith("physics is used instead")

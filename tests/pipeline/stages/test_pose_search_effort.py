@@ -13,8 +13,8 @@ MOST_POLISHED = 2 * 6 + 4 + 12  # two sets of first guesses, the best again, and
 
 
 def test_the_search_is_limited_where_nothing_explains_the_touch(monkeypatch):
-    polished, tried = Search.polish, []
-    monkeypatch.setattr(Search, "polish", lambda *a, **k: tried.append(1) or polished(*a, **k))
+    polished, tried = PoseSearch.polish, []
+    monkeypatch.setattr(PoseSearch, "polish", lambda *a, **k: tried.append(1) or polished(*a, **k))
     y, x = np.mgrid[-1 : 1 : CAMERA.rows * 1j, -1 : 1 : CAMERA.cols * 1j]
     bowl = touch_of((REST_MM - 3.0 + 2.0 * (x**2 + y**2)).astype(np.float32), np.ones(CAMERA.shape, np.bool_))
     found = estimate_pose(bowl, shapes.make_shape("cross").mesh, PoseParams())

@@ -63,7 +63,7 @@ def test_forward_then_backward_returns_the_pixel(results):
 
 def test_a_trace_says_why_it_ends(results):
     marks = trace_forward(results, 0, 0, 5)
-    assert [mark.text for mark in marks[1:]] == ["0.010 mm, not in contact", "not carried over"]
+    assert [mark.text for mark in marks[1:]] == ["0.010 mm, not in contact", "not in the cloud"]
     assert trace_to_source(results, "target_depth", 0) == -1
 
 

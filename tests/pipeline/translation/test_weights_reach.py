@@ -59,7 +59,7 @@ CATALOGUE = Catalogue(
 @pytest.fixture(autouse=True)
 def _shelf(monkeypatch, tmp_path):
     monkeypatch.setitem(network_factory.NETWORK_CLASSES, "scale", f"{__name__}:scale")
-    monkeypatch.setattr(weights_registry, "FOLDER", tmp_path / "shelf")
+    monkeypatch.setattr(weights_registry, "WEIGHTS_FOLDER", tmp_path / "shelf")
 
 
 def weights(factor, task="toy"):
@@ -102,9 +102,9 @@ def test_what_comes_along_is_read_where_no_file_is_given():
 
 @pytest.mark.parametrize("fault", ["missing", "cut", "foreign", "other task", "other shape", "nothing on the shelf"])
 def test_without_usable_weights_physics_answers_and_the_first_note_says_why(tmp_path, fault):
-    file, why = tmp_path / "w.safetensors", {"missing": "No such file", "cut": "cut short", "foreign": "which network",
+    file, why = tmp_path / "w.safetensors", {"missing": "No such file", "cut": "truncated", "foreign": "name their network",
                                              "other task": "have learned gel", "other shape": "do not fit",
-                                             "nothing on the shelf": "no weights 'toy' come along"}[fault]  # fmt: skip
+                                             "nothing on the shelf": "no weights 'toy' are shipped"}[fault]  # fmt: skip
     save_weights(file, weights(2.0, task="gel" if fault == "other task" else "toy"))
     if fault == "missing":
         file.unlink()
@@ -120,7 +120,7 @@ def test_without_usable_weights_physics_answers_and_the_first_note_says_why(tmp_
     answered, plain = depth(weights=given)[0], depth("physics")[0]
     assert why in answered.notes[0]
     assert answered.fallback == answered.notes[0]
-    assert answered.notes[0].endswith("; physics answers instead")
+    assert answered.notes[0].endswith("; physics is used instead")
     assert answered.notes[1:] == plain.notes
     assert np.array_equal(answered.output.indentation_mm, plain.output.indentation_mm)
 
