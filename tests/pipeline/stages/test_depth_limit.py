@@ -30,11 +30,11 @@ def imprint(deep_mm):
 )
 def test_only_touches_beyond_the_limit_have_a_warning(deep_mm, by_mm, has_warning):
     bubble = move_bubble_closer(BUBBLE, by_mm)
-    told = check_depth_limit(imprint(deep_mm), GEL, bubble, alignment.resolve_alignment(GEL, bubble))
-    assert select_warnings(told) == told
-    assert bool(told) is has_warning
+    warnings = check_depth_limit(imprint(deep_mm), GEL, bubble, alignment.resolve_alignment(GEL, bubble))
+    assert select_warnings(warnings) == warnings
+    assert bool(warnings) is has_warning
     if has_warning:
-        assert float(told[0].split("is ")[1].split()[0]) == pytest.approx(deep_mm - DEEPEST_MM, abs=0.6)
+        assert float(warnings[0].split("is ")[1].split()[0]) == pytest.approx(deep_mm - DEEPEST_MM, abs=0.6)
 
 
 def test_objects_outside_the_view_and_gel_images_have_no_warning():
