@@ -103,7 +103,7 @@ def test_what_comes_along_is_read_where_no_file_is_given():
 @pytest.mark.parametrize("fault", ["missing", "cut", "foreign", "other task", "other shape", "nothing on the shelf"])
 def test_without_usable_weights_physics_answers_and_the_first_note_says_why(tmp_path, fault):
     file, why = tmp_path / "w.safetensors", {"missing": "No such file", "cut": "truncated", "foreign": "name their network",
-                                             "other task": "have learned gel", "other shape": "do not fit",
+                                             "other task": "trained for gel", "other shape": "do not fit",
                                              "nothing on the shelf": "no weights 'toy' are shipped"}[fault]  # fmt: skip
     save_weights(file, weights(2.0, task="gel" if fault == "other task" else "toy"))
     if fault == "missing":
