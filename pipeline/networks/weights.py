@@ -147,7 +147,8 @@ def save_weights(path: Path, weights: Weights, *, use_float16: bool = False) -> 
 def _format_card(name: str, weights: Weights) -> str:
     """Model card: a Markdown table of network, parameters and card entries."""
     settings = ", ".join(f"{key} {value}" for key, value in weights.config.items())
-    rows = {"network": f"{weights.kind} ({settings})", "parameters": f"{weights.n_parameters:,}", **weights.card}
+    card = {key: value for key, value in weights.card.items() if key != "recipe"}  # JSON, for programs
+    rows = {"network": f"{weights.kind} ({settings})", "parameters": f"{weights.n_parameters:,}", **card}
     table = "".join(f"| {key} | {' '.join(str(value).split()).replace('|', '/')} |\n" for key, value in rows.items())
     return f"# {name}\n\n| | |\n|---|---|\n{table}"
 
