@@ -1,4 +1,4 @@
-"""Plot of error against spread over seeds; on the diagonal the sampler knows its uncertainty."""
+"""Reliability plot of a sampler: error against standard deviation; calibrated samplers lie on the diagonal."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _LEFT_PX, _BELOW_PX, _ROOM_PX, _DOT_PX = 46.0, 34.0, 14.0, 4.0
 
 
 class SpreadPlot(QWidget):
-    """Points (spread, error) in mm on equal axes from zero, with the diagonal."""
+    """Points (standard deviation, error) in mm, both axes from zero and of equal length, with the diagonal."""
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -25,20 +25,22 @@ class SpreadPlot(QWidget):
         self.points: tuple[tuple[float, float], ...] = ()
         self.setMinimumWidth(240)
         self.setSizePolicy(QSizePolicy.Policy.Fixed, QSizePolicy.Policy.Expanding)
-        self.setToolTip("Pixels with about as much spread each: their mean spread, and the rms error of the mean")
+        self.setToolTip(
+            "Each point is a group of pixels with similar standard deviation: its mean, and the rms error of the mean"
+        )
 
     def show_points(self, points: Sequence[tuple[float, float]]) -> None:
-        """Show these points."""
+        """Show these points; the plot is hidden without any."""
         self.points = tuple(points)
         self.setVisible(bool(self.points))
         self.update()
 
     def sizeHint(self) -> QSize:  # noqa: N802
-        """Return a square with room for its labels."""
+        """A square with room for labels."""
         return QSize(280, 280)
 
     def paintEvent(self, a0: Any) -> None:  # noqa: N802
-        """Paint axes, diagonal and dots."""
+        """Draw axes, diagonal and points."""
         del a0
         if not self.points:
             return
@@ -58,12 +60,12 @@ class SpreadPlot(QWidget):
         painter.setPen(palette.color(QPalette.ColorRole.WindowText))
         centre, right = Qt.AlignmentFlag.AlignHCenter, Qt.AlignmentFlag.AlignRight
         painter.drawText(QRectF(left, low + 2, side, 16), right, f"{most:.2g}")
-        painter.drawText(QRectF(left, low + 16, side, 16), centre, "spread of a sample, mm")
+        painter.drawText(QRectF(left, low + 16, side, 16), centre, "standard deviation, mm")
         painter.drawText(QRectF(0, _ROOM_PX - 4, left - 4, 16), right, f"{most:.2g}")
         painter.save()
         painter.translate(12, low)
         painter.rotate(-90)
-        painter.drawText(QRectF(0, 0, side, 16), centre, "error of the mean (rms), mm")
+        painter.drawText(QRectF(0, 0, side, 16), centre, "rms error of the mean, mm")
         painter.restore()
         dots = [to_screen(*point) for point in self.points]
         painter.setPen(QPen(to_qcolor(get_theme_colours(self.palette()).accent), 1.5))

@@ -1,59 +1,48 @@
-"""A grid of tried pairs, and the same as time against error; the mouse over one marks the other."""
+"""Cells of a parameter sweep as a grid and as error against time; hovering a cell marks it in both."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from PyQt6.QtCore import QEvent, QPointF, QRectF, QSize, Qt, pyqtSignal
 from PyQt6.QtGui import QFontMetrics, QPainter, QPalette, QPen, QPixmap, QPolygonF
 from PyQt6.QtWidgets import QSizePolicy, QToolTip, QWidget
 
+from pipeline.evaluation.parameter_sweep import SweepCell
 from pipeline.previews.preview import Preview
 from widgets.preview_renderer import make_themed_qimage
 from widgets.theme import get_theme_colours, to_qcolor
 
 CellIndex = tuple[int, int]  # row, col
 _GAP_PX, _EDGE_PX = 3, 6
-_LEFT_SHARE = 0.12  # of the width, for the rows' values
+_LEFT_SHARE = 0.12  # of the width, for the values of the rows
 _DOT_PX, _NEAR_PX = 5.0, 14.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SweepTrial:
-    """One pair of values: its error (NaN = not known), time and picture, or why it failed."""
-
-    error: float
-    time_ms: float
-    preview: Preview | None
-    problem: str = ""
-
-    def describe(self, unit: str) -> str:
-        """In a few words."""
-        if self.problem:
-            return self.problem
-        error = f"{self.error:.3g} {unit}".strip() if math.isfinite(self.error) else "no error known"
-        return f"{error}, {_time(self.time_ms)}"
+def describe_cell(cell: SweepCell, unit: str) -> str:
+    """Error and time of a cell, or its problem."""
+    if cell.problem:
+        return cell.problem
+    error = f"{cell.error:.3g} {unit}".strip() if math.isfinite(cell.error) else "no error known"
+    return f"{error}, {_format_time(cell.ms)}"
 
 
-def find_pareto_front(tried: Mapping[CellIndex, SweepTrial]) -> list[CellIndex]:
-    """The places that no other beats in both time and error, by time."""
-    known = [
-        (t.time_ms, t.error, place) for place, t in tried.items() if math.isfinite(t.error) and math.isfinite(t.time_ms)
-    ]
+def find_pareto_front(cells: Mapping[CellIndex, SweepCell]) -> list[CellIndex]:
+    """Cells that no other beats in both time and error, by time."""
+    measured = [(c.ms, c.error, index) for index, c in cells.items() if math.isfinite(c.error) and math.isfinite(c.ms)]
     front: list[CellIndex] = []
     least = math.inf
-    for _, error, place in sorted(known):
+    for _, error, index in sorted(measured):
         if error < least:
             least = error
-            front.append(place)
+            front.append(index)
     return front
 
 
-class _Tries(QWidget):
-    """What the two views of a sweep have in common."""
+class _CellView(QWidget):
+    """Hovering and choosing of cells, common to grid and plot."""
 
     cell_chosen = pyqtSignal(int, int)
     cell_hovered = pyqtSignal(int, int)  # (-1, -1) = nothing
@@ -62,68 +51,68 @@ class _Tries(QWidget):
         super().__init__(parent)
         self.setMouseTracking(True)
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
-        self.trials: dict[CellIndex, SweepTrial] = {}
-        self.hovered_cell: CellIndex = (-1, -1)  # under the mouse, here or in the other
-        self.used_cell: CellIndex = (-1, -1)  # whose values are the session's
+        self.cells: dict[CellIndex, SweepCell] = {}
+        self.hovered_cell: CellIndex = (-1, -1)  # under the mouse, here or in the other view
+        self.used_cell: CellIndex = (-1, -1)  # its values are in use
         self.unit = ""
 
     def mark_cell(self, row: int, col: int) -> None:
-        """Mark a place."""
+        """Mark a hovered cell."""
         if (row, col) != self.hovered_cell:
             self.hovered_cell = (row, col)
             self.update()
 
     def cell_at(self, at: QPointF) -> CellIndex:
-        """What lies there; (-1, -1) = nothing."""
+        """The cell at a widget position; (-1, -1) = none."""
         raise NotImplementedError
 
     def mouseMoveEvent(self, a0: Any) -> None:  # noqa: N802
-        """Say what is under the mouse."""
-        place = self.cell_at(a0.position())
-        self.cell_hovered.emit(*place)
-        told = self.trials[place].describe(self.unit) if place in self.trials else ""
-        QToolTip.showText(a0.globalPosition().toPoint(), told, self)
+        """Emit the hovered cell and show its result."""
+        index = self.cell_at(a0.position())
+        self.cell_hovered.emit(*index)
+        text = describe_cell(self.cells[index], self.unit) if index in self.cells else ""
+        QToolTip.showText(a0.globalPosition().toPoint(), text, self)
 
     def leaveEvent(self, a0: Any) -> None:  # noqa: N802
-        """Nothing is."""
+        """Emit that no cell is hovered."""
         super().leaveEvent(a0)
         self.cell_hovered.emit(-1, -1)
 
     def mousePressEvent(self, a0: Any) -> None:  # noqa: N802
-        """Use what is under the mouse."""
-        place = self.cell_at(a0.position())
-        if place in self.trials and not self.trials[place].problem:
-            self.cell_chosen.emit(*place)
+        """Choose the cell under the mouse."""
+        index = self.cell_at(a0.position())
+        if index in self.cells and not self.cells[index].problem:
+            self.cell_chosen.emit(*index)
 
 
-class SweepGrid(_Tries):
-    """Rows over columns; each cell its picture, error and time, empty until it is worked out."""
+class SweepGrid(_CellView):
+    """Grid of cells with preview, error and time; a cell is empty until it is computed."""
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.setObjectName("sweep_grid")
         self._across: tuple[str, Sequence[str]] = ("", ())
         self._down: tuple[str, Sequence[str]] = ("", ())
-        self._small: dict[CellIndex, QPixmap] = {}
+        self._thumbnails: dict[CellIndex, QPixmap] = {}
 
     def show_axes(self, across: tuple[str, Sequence[str]], down: tuple[str, Sequence[str]], unit: str) -> None:
-        """(name, values) of columns and rows; what was there before goes."""
+        """Show empty cells for (name, values) of columns and rows."""
         self._across, self._down, self.unit = across, down, unit
-        self.trials, self._small = {}, {}
+        self.cells, self._thumbnails = {}, {}
         self.update()
 
-    def show_cell(self, row: int, col: int, tried: SweepTrial) -> None:
-        """One more is known."""
-        self.trials[row, col] = tried
-        self._small.pop((row, col), None)
+    def show_cell(self, cell: SweepCell) -> None:
+        """Show one result."""
+        self.cells[cell.row, cell.col] = cell
+        self._thumbnails.pop((cell.row, cell.col), None)
         self.update()
 
     def sizeHint(self) -> QSize:  # noqa: N802
-        """Room for a few small pictures."""
+        """Room for a few previews."""
         return QSize(560, 420)
 
     def cell_at(self, at: QPointF) -> CellIndex:
-        """The cell that lies there."""
+        """The cell at a widget position; (-1, -1) = none."""
         rows, cols = len(self._down[1]), len(self._across[1])
         for row in range(rows):
             for col in range(cols):
@@ -132,15 +121,15 @@ class SweepGrid(_Tries):
         return -1, -1
 
     def resizeEvent(self, a0: Any) -> None:  # noqa: N802
-        """Small pictures of another size."""
+        """Drop thumbnails of the old size."""
         super().resizeEvent(a0)
-        self._small = {}
+        self._thumbnails = {}
 
     def changeEvent(self, a0: Any) -> None:  # noqa: N802
-        """And in another theme on another ground."""
+        """Drop thumbnails of the old theme."""
         super().changeEvent(a0)
         if a0.type() == QEvent.Type.PaletteChange:
-            self._small = {}
+            self._thumbnails = {}
 
     def _cell(self, row: int, col: int) -> QRectF:
         line = QFontMetrics(self.font()).height()
@@ -151,7 +140,7 @@ class SweepGrid(_Tries):
         return QRectF(left + col * wide, top + row * high, wide - _GAP_PX, high - _GAP_PX)
 
     def paintEvent(self, a0: Any) -> None:  # noqa: N802
-        """Names and values around the cells."""
+        """Draw names and values around the cells."""
         del a0
         painter, palette = QPainter(self), self.palette()
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
@@ -168,13 +157,13 @@ class SweepGrid(_Tries):
         painter.drawText(QRectF(2, line, first.left() - 4, line), Qt.AlignmentFlag.AlignRight, self._down[0])
         for row, value in enumerate(self._down[1]):
             cell = self._cell(row, 0)
-            beside = QRectF(2, cell.top(), cell.left() - 8, cell.height())
-            painter.drawText(beside, Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter, value)
+            label = QRectF(2, cell.top(), cell.left() - 8, cell.height())
+            painter.drawText(label, Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter, value)
             for col in range(len(self._across[1])):
                 self._draw_cell(painter, row, col)
 
     def _draw_cell(self, painter: QPainter, row: int, col: int) -> None:
-        room, tried, palette = self._cell(row, col), self.trials.get((row, col)), self.palette()
+        room, cell, palette = self._cell(row, col), self.cells.get((row, col)), self.palette()
         rim = palette.color(QPalette.ColorRole.Mid)
         wide = 1.0
         if (row, col) == self.used_cell:
@@ -184,71 +173,71 @@ class SweepGrid(_Tries):
         painter.setPen(QPen(rim, wide))
         painter.setBrush(palette.color(QPalette.ColorRole.Base))
         painter.drawRoundedRect(room, 3, 3)
-        if tried is None:
+        if cell is None:
             return
         line = QFontMetrics(self.font()).height()
-        if tried.preview is not None:
-            self._draw_picture(painter, (row, col), tried.preview, room.adjusted(3, 3, -3, -line - 4))
+        if cell.preview is not None:
+            self._draw_preview(painter, (row, col), cell.preview, room.adjusted(3, 3, -3, -line - 4))
         painter.setPen(palette.color(QPalette.ColorRole.WindowText))
-        words = "failed" if tried.problem else tried.describe(self.unit)
+        words = "failed" if cell.problem else describe_cell(cell, self.unit)
         under = QRectF(room.left() + 3, room.bottom() - line - 2, room.width() - 6, line)
         text = QFontMetrics(self.font()).elidedText(words, Qt.TextElideMode.ElideRight, int(under.width()))
         painter.drawText(under, Qt.AlignmentFlag.AlignCenter, text)
 
-    def _draw_picture(self, painter: QPainter, place: CellIndex, picture: Preview, room: QRectF) -> None:
+    def _draw_preview(self, painter: QPainter, index: CellIndex, preview: Preview, room: QRectF) -> None:
         if room.width() < 8 or room.height() < 8:
             return
-        small = self._small.get(place)
+        small = self._thumbnails.get(index)
         if small is None:
             fit, smooth = Qt.AspectRatioMode.KeepAspectRatio, Qt.TransformationMode.SmoothTransformation
             small = QPixmap.fromImage(
-                make_themed_qimage(self.palette(), picture).scaled(room.size().toSize(), fit, smooth)
+                make_themed_qimage(self.palette(), preview).scaled(room.size().toSize(), fit, smooth)
             )
-            self._small[place] = small
+            self._thumbnails[index] = small
         left = room.left() + 0.5 * (room.width() - small.width())
         painter.drawPixmap(QPointF(left, room.top() + 0.5 * (room.height() - small.height())), small)
 
 
-class SweepPlot(_Tries):
-    """Time against error, both from zero; those that no other beats are joined."""
+class SweepPlot(_CellView):
+    """Error against time, both from zero; the Pareto front is joined by a line."""
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.setObjectName("sweep_plot")
 
-    def show_trials(self, tried: Mapping[CellIndex, SweepTrial], unit: str) -> None:
-        """Show these."""
-        self.trials, self.unit = dict(tried), unit
+    def show_cells(self, cells: Mapping[CellIndex, SweepCell], unit: str) -> None:
+        """Show these cells."""
+        self.cells, self.unit = dict(cells), unit
         self.update()
 
     def sizeHint(self) -> QSize:  # noqa: N802
-        """Half as wide as the grid."""
+        """About half the width of the grid."""
         return QSize(320, 320)
 
     def cell_at(self, at: QPointF) -> CellIndex:
-        """The dot that lies there."""
-        near = {place: (self._dot(place) - at).manhattanLength() for place in self._known}
+        """The cell of the nearest point; (-1, -1) = none nearby."""
+        near = {index: (self._point(index) - at).manhattanLength() for index in self._measured}
         best = min(near, key=near.__getitem__, default=(-1, -1))
         return best if best in near and near[best] < _NEAR_PX else (-1, -1)
 
     @property
-    def _known(self) -> list[CellIndex]:
-        return [p for p, t in self.trials.items() if math.isfinite(t.error) and math.isfinite(t.time_ms)]
+    def _measured(self) -> list[CellIndex]:
+        return [index for index, c in self.cells.items() if math.isfinite(c.error) and math.isfinite(c.ms)]
 
     @property
     def _frame(self) -> QRectF:
         line = QFontMetrics(self.font()).height()
         return QRectF(52, line + 4, self.width() - 64, self.height() - 3 * line - 10)
 
-    def _dot(self, place: CellIndex) -> QPointF:
-        frame, tried = self._frame, self.trials[place]
-        most_ms = max(self.trials[p].time_ms for p in self._known) or 1.0
-        most = max(self.trials[p].error for p in self._known) or 1.0
-        x, y = tried.time_ms / (1.06 * most_ms), tried.error / (1.06 * most)
+    def _point(self, index: CellIndex) -> QPointF:
+        frame, cell = self._frame, self.cells[index]
+        max_ms = max(self.cells[i].ms for i in self._measured) or 1.0
+        max_error = max(self.cells[i].error for i in self._measured) or 1.0
+        x, y = cell.ms / (1.06 * max_ms), cell.error / (1.06 * max_error)
         return QPointF(frame.left() + x * frame.width(), frame.bottom() - y * frame.height())
 
     def paintEvent(self, a0: Any) -> None:  # noqa: N802
-        """Axes with their ends, dots, and the line of the best."""
+        """Draw axes, points and the Pareto front."""
         del a0
         painter, palette, frame = QPainter(self), self.palette(), self._frame
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
@@ -256,34 +245,34 @@ class SweepPlot(_Tries):
         painter.drawLine(frame.bottomLeft(), frame.bottomRight())
         painter.drawLine(frame.bottomLeft(), frame.topLeft())
         painter.setPen(palette.color(QPalette.ColorRole.WindowText))
-        known = self._known
+        measured = self._measured
         line = QFontMetrics(self.font()).height()
         title = f"error, {self.unit}" if self.unit else "error"
         painter.drawText(QRectF(0, 0, self.width(), line), Qt.AlignmentFlag.AlignCenter, title)
         low = QRectF(frame.left(), frame.bottom() + 2, frame.width(), line)
-        painter.drawText(low.translated(0, line), Qt.AlignmentFlag.AlignCenter, "time of the frame, worked out afresh")
-        if not known:
+        painter.drawText(low.translated(0, line), Qt.AlignmentFlag.AlignCenter, "time of the frame, without cache")
+        if not measured:
             painter.drawText(frame, Qt.AlignmentFlag.AlignCenter, "no error known yet")
             return
-        most_ms, most = max(self.trials[p].time_ms for p in known), max(self.trials[p].error for p in known)
+        max_ms, max_error = max(self.cells[i].ms for i in measured), max(self.cells[i].error for i in measured)
         painter.drawText(low, Qt.AlignmentFlag.AlignLeft, "0")
-        painter.drawText(low, Qt.AlignmentFlag.AlignRight, _time(1.06 * most_ms))
-        painter.drawText(QRectF(0, frame.top() - 4, 48, line), Qt.AlignmentFlag.AlignRight, f"{1.06 * most:.3g}")
-        best = find_pareto_front(self.trials)
+        painter.drawText(low, Qt.AlignmentFlag.AlignRight, _format_time(1.06 * max_ms))
+        painter.drawText(QRectF(0, frame.top() - 4, 48, line), Qt.AlignmentFlag.AlignRight, f"{1.06 * max_error:.3g}")
+        front = find_pareto_front(self.cells)
         painter.setPen(QPen(to_qcolor(get_theme_colours(palette).accent), 1.5))
-        painter.drawPolyline(QPolygonF([self._dot(place) for place in best]))
-        for place in known:
+        painter.drawPolyline(QPolygonF([self._point(index) for index in front]))
+        for index in measured:
             painter.setPen(
-                QPen(palette.color(QPalette.ColorRole.WindowText), 2.5 if place == self.hovered_cell else 0.6)
+                QPen(palette.color(QPalette.ColorRole.WindowText), 2.5 if index == self.hovered_cell else 0.6)
             )
             painter.setBrush(
-                to_qcolor(get_theme_colours(palette).accent if place in best else get_theme_colours(palette).worse)
+                to_qcolor(get_theme_colours(palette).accent if index in front else get_theme_colours(palette).worse)
             )
-            big = _DOT_PX + (3.0 if place == self.used_cell else 0.0)
-            painter.drawEllipse(self._dot(place), big, big)
+            radius = _DOT_PX + (3.0 if index == self.used_cell else 0.0)
+            painter.drawEllipse(self._point(index), radius, radius)
 
 
-def _time(ms: float) -> str:
+def _format_time(ms: float) -> str:
     if not math.isfinite(ms):
         return "no time"
     return f"{ms:.0f} ms" if ms < 10_000 else f"{ms / 1e3:.1f} s"

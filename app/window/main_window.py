@@ -52,7 +52,6 @@ from widgets.stage_rows import StageRows
 from widgets.steps_panel import StepsPanel
 from widgets.steps_slider import StepsSlider
 from widgets.styling import set_spacing
-from widgets.sweep_page import SweepPage
 from widgets.timeline import Timeline
 from widgets.timings_panel import TimingsPanel
 from widgets.trace_panel import TracePanel
@@ -113,12 +112,7 @@ class MainWindow(QMainWindow):
             View3DPanel(),
         )  # of the touch, for demonstrations
         self.warning_line = WarningLine()
-        self.pages, self.rows, self.sweep, self.comparison = (
-            QStackedWidget(),
-            StageRows(),
-            SweepPage(),
-            ComparisonPage(),
-        )
+        self.pages, self.rows, self.comparison = QStackedWidget(), StageRows(), ComparisonPage()
         self.panes = PanesPage({name: f"{i + 1} · {title}" for i, (name, title) in enumerate(columns)})
         self.source, self.target, self.route = (self._chooser(n) for n in ("source", "target", "route"))
         self._build_centre()
@@ -151,7 +145,7 @@ class MainWindow(QMainWindow):
         self._strips.addWidget(strip)
 
     def _build_centre(self) -> None:
-        for page in (self.rows, self.panes, self.sweep, self.comparison):
+        for page in (self.rows, self.panes, self.comparison):
             self.pages.addWidget(page)
         self.rows.spare_height_changed.connect(self._share_spare)
         centre = QWidget()
@@ -286,7 +280,7 @@ class MainWindow(QMainWindow):
         for widget in (self.truth_column, self.truth_view_panel):
             widget.setVisible(layout.name == "demo")
         self.rows.lower_row.setVisible(layout.name != "align")
-        pages = {"inspect": self.panes, "sweep": self.sweep, "compare": self.comparison}
+        pages = {"inspect": self.panes, "sweep": self.comparison, "compare": self.comparison}
         self.pages.setCurrentWidget(pages.get(layout.name, self.rows))
         if layout.name not in ("stages", "demo"):  # in these, as high as the rows leave it
             self.timeline.errors.set_height_px(INSPECT_STRIP_PX if layout.name == "inspect" else MIN_STRIP_PX)

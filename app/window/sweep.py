@@ -1,56 +1,72 @@
-"""*Sweep* at work: two parameters in a thread of their own, cell by cell; a click uses a cell."""
+"""Parameters tab of *Compare*: sweeps two parameters in a thread of its own; a click uses a cell's values."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 from PyQt6.QtCore import QObject
 
 from app.session.state import Session
 from app.window.session_controller import SessionController
-from app.work import parameter_sweep as sweep_jobs
-from app.work.jobs import LatestJob
+from app.work.evaluator import Evaluator
+from app.work.jobs import JobReporter, LatestJob
 from app.work.requests import make_request
+from app.work.variants import (
+    SweepableParameter,
+    choose_default_axes,
+    format_compare_command,
+    list_sweepable_parameters,
+    open_variant,
+    suggest_values,
+)
 from pipeline.base.errors import SettingProblem, TouchError
-from pipeline.base.params import Value
-from pipeline.evaluation import parameter_sweep
-from pipeline.evaluation.parameter_sweep import SweepCell, SweepPlan
+from pipeline.evaluation.parameter_sweep import (
+    SweepAxis,
+    SweepCell,
+    SweepPlan,
+    compare_grid,
+    find_method,
+    format_value,
+    parse_axis,
+)
+from pipeline.evaluation.variants import Variant, VariantRunner
 from pipeline.metrics.stage_metrics import METRICS
 from pipeline.translation.error_attribution import DEFAULT_METRIC
-from widgets.sweep_grid import SweepTrial
 
-_NO_FIGURE = "time only"
+_NO_METRIC = "time only"
 
 
 class SweepController(QObject):
-    """Between the page and the instrument. What was begun for another recording or frame is stopped."""
+    """Connects the tab with the session. A sweep of another recording or frame is cancelled."""
 
-    def __init__(self, instrument: SessionController) -> None:
-        super().__init__(instrument)
-        self._instrument, self._page = instrument, instrument.window.sweep
+    def __init__(self, controller: SessionController) -> None:
+        super().__init__(controller)
+        self._controller, self._tab = controller, controller.window.comparison.sweep
         self._job = LatestJob("sweep", self)
-        self._offers: list[sweep_jobs.SweepableParameter] = []
+        self._evaluator = Evaluator(controller.catalogue)
+        self._parameters: list[SweepableParameter] = []
         self._plan: SweepPlan | None = None
-        self._begun: Session | None = None
-        self._ticket, self._begun_s, self._done = 0, 0.0, 0
-        page, job = self._page, self._job
-        page.axis_chosen.connect(self._choose_axis)
-        page.sweep_requested.connect(self._start)
-        page.cancel_requested.connect(job.cancel)
-        page.cell_chosen.connect(self._use)
-        job.delivered.connect(self._take)
-        job.finished.connect(self._finished)
-        job.failed.connect(self._failed)
-        job.cancelled.connect(self._cancelled)
-        instrument.session_shown.connect(self._show_session)
-        instrument.frame_shown.connect(self._offer_figures)
-        instrument.closing.connect(job.close)
+        self._swept: Session | None = None  # session of the sweep that is shown
+        self._ticket, self._start_s, self._n_done = 0, 0.0, 0
+        tab, job = self._tab, self._job
+        tab.axis_chosen.connect(self._suggest_values)
+        tab.sweep_requested.connect(self._start)
+        tab.cancel_requested.connect(job.cancel)
+        tab.cell_chosen.connect(self._use_cell)
+        job.delivered.connect(self._show_cell)
+        job.finished.connect(self._show_finished)
+        job.failed.connect(self._show_failed)
+        job.cancelled.connect(self._show_cancelled)
+        controller.session_shown.connect(self._show_session)
+        controller.frame_shown.connect(self._update_metrics)
+        controller.closing.connect(self._close)
 
     def format_command(self, target: str, out: Path) -> str:
-        """The command that tries what the grid shows, or what would be tried; raises SettingProblem."""
-        plan = self._plan if self._begun is not None and self._plan is not None else self._planned()
-        return sweep_jobs.format_sweep_command(self._begun or self._instrument.session, plan, target, out)
+        """The command that makes the sweep that is shown, or else the chosen one; raises SettingProblem."""
+        plan = self._plan if self._swept is not None and self._plan is not None else self._parse_plan()
+        return format_compare_command(self._swept or self._controller.session, "", target, out, plan)
 
     @property
     def is_busy(self) -> bool:
@@ -58,115 +74,121 @@ class SweepController(QObject):
         return not self._job.is_settled
 
     def _show_session(self, session: Session) -> None:
-        """Offer what the route's methods can be set to, and stop what is about something else."""
-        begun = self._begun
-        if begun is not None and (make_request(begun) != make_request(session) or begun.frame != session.frame):
+        """Offer the parameters of the methods in use, and cancel a sweep of something else."""
+        swept = self._swept
+        if swept is not None and (make_request(swept) != make_request(session) or swept.frame != session.frame):
             self._job.cancel()
-            self._begun = None
+            self._swept = None
         if session.layout.name != "sweep":
             return
-        old = [offer[:2] for offer in self._offers]
-        self._offers = sweep_jobs.list_sweepable_parameters(
-            session, self._instrument.methods, self._instrument.sensor_kinds
+        old = [parameter[:2] for parameter in self._parameters]
+        self._parameters = list_sweepable_parameters(session, self._controller.methods, self._controller.sensor_kinds)
+        is_new = [parameter[:2] for parameter in self._parameters] != old
+        indices = tuple(box.currentIndex() for box in self._tab.axes)
+        if is_new or min(indices, default=-1) < 0:
+            indices = choose_default_axes(self._parameters)
+        metrics, metric = self._list_metrics(), self._tab.metric_box.currentText()
+        names = [parameter[2] for parameter in self._parameters]
+        self._tab.offer_parameters(
+            names, (indices[0], indices[1]), metrics, metric if metric in metrics else metrics[0]
         )
-        now = [offer[:2] for offer in self._offers]
-        chosen = tuple(box.currentIndex() for box in self._page.axes)
-        if now != old or min(chosen, default=-1) < 0:
-            chosen = sweep_jobs.choose_default_axes(self._offers)
-        figures = self._figures()
-        figure = self._page.metric_box.currentText()
-        words = [offer[2] for offer in self._offers]
-        self._page.offer_parameters(words, (chosen[0], chosen[1]), figures, figure if figure in figures else figures[0])
-        if now != old:
+        if is_new:
             for which in (0, 1):
-                self._choose_axis(which)
+                self._suggest_values(which)
 
-    def _figures(self) -> list[str]:
-        """The errors that any frame is known to have, the usual one first."""
-        judged = () if self._plan is None or not self._plan.metric else (self._plan.metric,)
-        known = dict.fromkeys((*self._instrument.window.frames.model.metrics, *judged))
+    def _list_metrics(self) -> list[str]:
+        """The errors known for any frame, the default one first."""
+        planned = () if self._plan is None or not self._plan.metric else (self._plan.metric,)
+        known = dict.fromkeys((*self._controller.window.frames.model.metrics, *planned))
         names = [name for name in known if METRICS[name.partition(".")[2]].better == "lower"]
-        return [*sorted(names, key=lambda name: name != DEFAULT_METRIC), _NO_FIGURE]
+        return [*sorted(names, key=lambda name: name != DEFAULT_METRIC), _NO_METRIC]
 
-    def _offer_figures(self, _: int) -> None:
-        if self._instrument.session.layout.name == "sweep":
-            self._show_session(self._instrument.session)
+    def _update_metrics(self, _: int) -> None:
+        if self._controller.session.layout.name == "sweep":
+            self._show_session(self._controller.session)
 
-    def _choose_axis(self, which: int) -> None:
-        index = self._page.axes[which].currentIndex()
-        if 0 <= index < len(self._offers):
-            *_, value, told = self._offers[index]
-            self._page.show_values(which, sweep_jobs.suggest_values(value, told))
+    def _suggest_values(self, which: int) -> None:
+        index = self._tab.axes[which].currentIndex()
+        if 0 <= index < len(self._parameters):
+            *_, value, setting = self._parameters[index]
+            self._tab.show_values(which, suggest_values(value, setting))
 
-    def _planned(self) -> SweepPlan:
-        """What the page says; raises SettingProblem."""
-        methods = self._instrument.methods
-        axes: list[parameter_sweep.SweepAxis] = []
-        for box, line in zip(self._page.axes, self._page.values, strict=True):
-            if not 0 <= box.currentIndex() < len(self._offers):
+    def _parse_plan(self) -> SweepPlan:
+        """The plan of the tab's controls; raises SettingProblem."""
+        axes: list[SweepAxis] = []
+        for box, line in zip(self._tab.axes, self._tab.values, strict=True):
+            if self._controller.session.recording is None or not 0 <= box.currentIndex() < len(self._parameters):
                 raise SettingProblem("there is nothing to sweep; open a recording first")
-            key, name, *_ = self._offers[box.currentIndex()]
-            method = parameter_sweep.find_method(methods, key)
-            axes.append(
-                parameter_sweep.parse_axis(self._instrument.session.get_params(method), method, name, line.text())
-            )
+            key, name, *_ = self._parameters[box.currentIndex()]
+            method = find_method(self._controller.methods, key)
+            axes.append(parse_axis(self._controller.session.get_params(method), method, name, line.text()))
         if axes[0].qualified_name == axes[1].qualified_name:
             raise SettingProblem("columns and rows are the same parameter; choose another for one of them")
-        figure = self._page.metric_box.currentText()
-        return SweepPlan(across=axes[0], down=axes[1], metric="" if figure == _NO_FIGURE else figure)
+        metric = self._tab.metric_box.currentText()
+        return SweepPlan(across=axes[0], down=axes[1], metric="" if metric == _NO_METRIC else metric)
 
     def _start(self) -> None:
         try:
-            if self._instrument.session.recording is None:
-                raise SettingProblem("there is nothing to sweep; open a recording first")
-            plan = self._planned()
+            plan = self._parse_plan()
         except TouchError as error:
-            self._page.show_progress(None, str(error))
+            self._tab.show_progress(None, str(error))
             return
-        session = self._instrument.session
-        self._plan, self._begun, self._done, self._begun_s = plan, session, 0, time.monotonic()
+        session = self._controller.session
+        self._plan, self._swept, self._n_done, self._start_s = plan, session, 0, time.monotonic()
         unit = METRICS[plan.metric.partition(".")[2]].unit if plan.metric else ""
-        across, down = ((a.qualified_name, _words(a.values)) for a in (plan.across, plan.down))
-        self._page.show_empty(across, down, unit)
-        self._page.show_progress(0.0, "opening the recording")
-        self._ticket = self._job.submit(lambda report: sweep_jobs.run_sweep(session, plan, report))
+        across, down = (_format_axis(axis) for axis in (plan.across, plan.down))
+        self._tab.start_sweep(across, down, unit)
+        self._tab.show_progress(0.0, "opening the recording")
+        self._ticket = self._job.submit(lambda report: run_sweep(self._evaluator, session, plan, report))
 
-    def _take(self, ticket: int, cell: object) -> None:
+    def _show_cell(self, ticket: int, cell: object) -> None:
         if ticket != self._ticket or self._plan is None or not isinstance(cell, SweepCell):
             return
-        self._done += 1
-        tried = SweepTrial(error=cell.error, time_ms=cell.ms, preview=cell.preview, problem=cell.problem)
-        self._page.show_cell(cell.row, cell.col, tried)
-        whole = len(self._plan.run_order)
-        left_s = (time.monotonic() - self._begun_s) / self._done * (whole - self._done)
-        self._page.show_progress(self._done / whole, f"{self._done} of {whole} tried, about {left_s:.0f} s to go")
+        self._n_done += 1
+        self._tab.show_cell(cell)
+        n_cells = len(self._plan.run_order)
+        left_s = (time.monotonic() - self._start_s) / self._n_done * (n_cells - self._n_done)
+        self._tab.show_progress(self._n_done / n_cells, f"{self._n_done} of {n_cells} done, about {left_s:.0f} s left")
 
-    def _finished(self, ticket: int, count: object) -> None:
+    def _show_finished(self, ticket: int, n_cells: object) -> None:
         if ticket == self._ticket:
-            self._page.show_progress(None, f"{count} tried; a click on a cell uses its values")
+            self._tab.show_progress(None, f"{n_cells} pairs done; click a cell to use its values")
 
-    def _failed(self, ticket: int, error: object) -> None:
+    def _show_failed(self, ticket: int, error: object) -> None:
         if ticket == self._ticket and isinstance(error, BaseException):
-            self._page.show_progress(None, str(error))
-            self._instrument.show_problem(error)
+            self._tab.show_progress(None, str(error))
+            self._controller.show_problem(error)
 
-    def _cancelled(self, ticket: int) -> None:
+    def _show_cancelled(self, ticket: int) -> None:
         if ticket == self._ticket:
-            self._page.show_progress(None, f"stopped after {self._done}; what was tried stays")
+            self._tab.show_progress(None, f"cancelled after {self._n_done} pairs")
 
-    def _use(self, row: int, col: int) -> None:
-        """Work with a cell's values from now on, as one change."""
-        plan = self._plan
-        if plan is None:
+    def _use_cell(self, row: int, col: int) -> None:
+        """Use a cell's values in the session, as one change."""
+        plan, opened = self._plan, self._controller.views.translation
+        keys = {method.key for method in self._controller.methods}
+        if plan is None or opened is None or not {plan.across.key, plan.down.key} <= keys:
             return
-        methods = {method.key: method for method in self._instrument.methods}
-        session = self._instrument.session
-        if plan.across.key in methods and plan.down.key in methods:
-            params = plan.across.apply_value(session.params, methods[plan.across.key], plan.across.values[col])
-            params = plan.down.apply_value(params, methods[plan.down.key], plan.down.values[row])
-            self._instrument.change("use a cell of the sweep", params=params)
-            self._page.mark_used_cell(row, col)
+        base = Variant(label="", translation=opened, params=self._controller.session.params)
+        self._controller.change("use a cell of the sweep", params=plan.build_variant(base, row, col).params)
+        self._tab.mark_used_cell(row, col)
+
+    def _close(self) -> None:
+        self._job.close()
+        self._evaluator.close()
 
 
-def _words(values: tuple[Value, ...]) -> list[str]:
-    return [f"{value:g}" if isinstance(value, float) else str(value).lower() for value in values]
+def run_sweep(evaluator: Evaluator, session: Session, plan: SweepPlan, report: JobReporter) -> int:
+    """Compute the cells one by one and deliver each; returns their number. Raises TouchError, Cancelled."""
+    variant, frame = open_variant("", evaluator, session, report)
+    runner, n_cells = VariantRunner(), 0
+    for comparison in compare_grid(
+        runner, variant.translation, frame, session.params, session.display, plan, report
+    ):  # fmt: skip
+        report.deliver(comparison.cells[-1])
+        n_cells += 1
+    return n_cells
+
+
+def _format_axis(axis: SweepAxis) -> tuple[str, Sequence[str]]:
+    return axis.qualified_name, [format_value(value) for value in axis.values]

@@ -1,17 +1,21 @@
-"""`tactoscope align score` and `align refine`: how two sensors stand to each other, judged and mended."""
+"""`tactoscope align score` and `align refine`: score and refine the alignment of two sensors."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Sequence
 from contextlib import closing
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
+from cyclopts import Parameter
 from rich.console import Console
 from rich.table import Table
 
-from pipeline.alignment.refine import AlignmentFit, Refinement, refine_alignment
+from pipeline.alignment import refine as refinement
+from pipeline.alignment.refine import AlignmentFit, Refinement
 from pipeline.alignment.score import AlignmentScore, median_score, score_touches
 from pipeline.alignment.sensitivity import UNIT_STEP, ScoreChange, Sensitivity, compute_sensitivities
 from pipeline.alignment.target_observation import observe_target
@@ -20,32 +24,96 @@ from pipeline.base.errors import FileProblem, SettingProblem
 from pipeline.base.files import prepare_folder_for
 from pipeline.base.frame_lists import parse_frames
 from pipeline.cli.terminal import ProgressBar, create_progress_bar, print_line
-from pipeline.sensors.alignment import AlignmentPart
+from pipeline.cli.translation_options import Flag
 from pipeline.sensors.alignment_files import ALIGNMENT_SUFFIX, AlignmentFile, save_alignment
 from pipeline.translation.translate import Request, Translation, open_translation
 
-_OPEN_DEG = 0.75  # spread of a turn: two touches of a sample leave 0.8 and lie 1.1 off, three leave 0.7 and lie 0.2 off
+# Predicted standard deviation of a rotation from which a warning is printed. Two touches of a sample leave 0.8 deg and
+# are 1.1 deg off, three leave 0.7 deg and are 0.2 deg off.
+_WARN_ROTATION_STD_DEG = 0.75
 
 
-def show_scores(request: Request, frames: str, exact: bool) -> int:
-    """Print how well every frame agrees under the alignment, and which axis matters; returns 0."""
-    with closing(open_translation(request)) as translation, create_progress_bar() as bar:
-        touches = _touches(translation, frames, exact, ProgressBar(bar))
-        sides = [observe_target(t.target, translation.target) for t in touches]
-        found = score_touches(touches, sides, translation.alignment, progress=ProgressBar(bar))
-        most = int(np.argmax([s.overlap_px for s in found]))
-        axes = compute_sensitivities(touches[most], translation.alignment, sides[most], progress=ProgressBar(bar))
-    _print_scores(touches, found)
-    _print_axes(axes, touches[most].index)
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PairedTouchOptions:
+    """Touches that both sensors recorded.
+
+    Parameters
+    ----------
+    target
+        Target sensor.
+    sensor
+        Source sensor; default: the recording's first, gelslim for tiles.
+    frames
+        Frames of a recording, such as `0,3-7`; default: all.
+    truth
+        Use the recording's ground-truth depth and contact, not the depth stage's.
+    """
+
+    target: str
+    sensor: str = ""
+    frames: str = ""
+    truth: Flag = False
+
+    def build_request(self, recording: Path, alignment: Path | None = None) -> Request:
+        """Request from source to target sensor."""
+        return Request(recording=recording, target=self.target, source=self.sensor, alignment=alignment)
+
+
+def score(recording: Path, *, touches: PairedTouchOptions, alignment: Path | None = None) -> int:
+    """Print the agreement of every frame under the alignment, and the sensitivity to each axis; returns 0.
+
+    Parameters
+    ----------
+    recording
+        Recording of both sensors.
+    alignment
+        The .toml to score; default: the recording's alignment, or that of the sensor descriptions.
+    """
+    with (
+        closing(open_translation(touches.build_request(recording, alignment))) as translation,
+        create_progress_bar() as bar,
+    ):
+        pairs = _load_touches(translation, touches, ProgressBar(bar))
+        observed = [observe_target(pair.target, translation.target) for pair in pairs]
+        scores = score_touches(pairs, observed, translation.alignment, progress=ProgressBar(bar))
+        best = int(np.argmax([score.overlap_px for score in scores]))
+        sensitivities = compute_sensitivities(
+            pairs[best], translation.alignment, observed[best], progress=ProgressBar(bar)
+        )
+    _print_scores(pairs, scores)
+    _print_sensitivities(sensitivities, pairs[best].index)
     return 0
 
 
-def run_refinement(
-    request: Request, out: Path, frames: str, *, hold_out: float, into: AlignmentPart, tolerance: float, exact: bool
+def refine_alignment(
+    recording: Path,
+    *,
+    touches: PairedTouchOptions,
+    out: Path,
+    alignment: Path | None = None,
+    hold_out: float = 0.2,
+    into: Literal["alignment_from_source", "target_from_alignment"] = "target_from_alignment",
+    tolerance: float = 1.0,
 ) -> int:
-    """Refine over all touches but those held out, print before and after, and write `out`; returns 0.
+    """Refine over all touches but those held out, print the fit before and after, and write it.
 
-    Raises FileProblem when `out` exists, SettingProblem for a share to hold out that leaves nothing.
+    Raises FileProblem if `out` exists, SettingProblem if no touch is left to fit to.
+
+    Parameters
+    ----------
+    recording
+        Recording of both sensors.
+    out
+        The .toml to write.
+    alignment
+        Initial alignment, a .toml; default: the recording's, or that of the sensor descriptions.
+    hold_out
+        SubProgress of the touches that are not fitted to, only scored before and after.
+    into
+        Which of the two transforms takes the change.
+    tolerance
+        Directions with a predicted standard deviation above this times 0.2 mm or 1 degree stay unchanged.
     """
     if out.suffix != ALIGNMENT_SUFFIX:
         raise FileProblem("an alignment is written as TOML; give --out a name that ends in .toml", out)
@@ -56,20 +124,21 @@ def run_refinement(
     if not tolerance > 0:
         raise SettingProblem(f"--tolerance must be above 0, got {tolerance:g}")
     prepare_folder_for(out)
-    with closing(open_translation(request)) as translation, create_progress_bar() as bar:
-        touches = _touches(translation, frames, exact, ProgressBar(bar))
-        used, held = split_held_out(touches, hold_out)
-        answer = refine_alignment(
-            used, translation.alignment, held_out=held, into=into, tolerance=tolerance, progress=ProgressBar(bar)
-        )
-    print_refinement(answer)
-    kept = AlignmentFile(
-        alignment=answer.alignment,
-        source=translation.source.name,
-        target=translation.target.name,
-        origin=f"refined on {len(used)} touches of {request.recording.name}, change stored in {into}",
-    )
-    save_alignment(out, kept)
+    with (
+        closing(open_translation(touches.build_request(recording, alignment))) as translation,
+        create_progress_bar() as bar,
+    ):
+        used, held_out = split_held_out(_load_touches(translation, touches, ProgressBar(bar)), hold_out)
+        fit = refinement.refine_alignment(
+            used, translation.alignment, held_out=held_out, into=into, tolerance=tolerance,
+            progress=ProgressBar(bar),
+        )  # fmt: skip
+    print_refinement(fit)
+    file = AlignmentFile(
+        alignment=fit.alignment, source=translation.source.name, target=translation.target.name,
+        origin=f"refined on {len(used)} touches of {recording.name}, change stored in {into}",
+    )  # fmt: skip
+    save_alignment(out, file)
     print_line(f"alignment written to {os.fspath(out)}")
     return 0
 
@@ -77,89 +146,87 @@ def run_refinement(
 def split_held_out(
     touches: Sequence[AlignmentTouch], hold_out: float
 ) -> tuple[list[AlignmentTouch], list[AlignmentTouch]]:
-    """The touches to use and those held out, evenly spread; at least one is used."""
+    """(touches to fit to, touches held out), the latter evenly spread; at least one is fitted to."""
     n = min(round(hold_out * len(touches)), len(touches) - 1)
-    out = {int((k + 0.5) * len(touches) / n) for k in range(n)} if n > 0 else set[int]()
-    return [t for k, t in enumerate(touches) if k not in out], [t for k, t in enumerate(touches) if k in out]
+    held_out = {int((k + 0.5) * len(touches) / n) for k in range(n)} if n > 0 else set[int]()
+    return (
+        [touch for k, touch in enumerate(touches) if k not in held_out],
+        [touch for k, touch in enumerate(touches) if k in held_out],
+    )
 
 
-def _touches(translation: Translation, frames: str, exact: bool, progress: ProgressBar) -> tuple[AlignmentTouch, ...]:
-    chosen = parse_frames(frames, translation.n_frames)
-    touches = load_paired_touches(translation, chosen, exact=exact, progress=progress)
+def _load_touches(
+    translation: Translation, options: PairedTouchOptions, progress: ProgressBar
+) -> tuple[AlignmentTouch, ...]:
+    frames = parse_frames(options.frames, translation.n_frames)
+    touches = load_paired_touches(translation, frames, exact=options.truth, progress=progress)
     if not touches:
-        pair = f"{translation.source.name} and {translation.target.name}"
         raise SettingProblem(
-            f"none of the {len(chosen)} frames is felt by both {pair}; choose frames with contact on either side"
+            f"none of the {len(frames)} frames has contact on both {translation.source.name} and "
+            f"{translation.target.name}; choose other frames"
         )
     return touches
 
 
-def _print_scores(touches: Sequence[AlignmentTouch], found: Sequence[AlignmentScore]) -> None:
-    table = Table("frame", "mask IoU", "edge px", "depth mm", "depth rms mm", "too far by mm")
-    rows = [(str(t.index), s) for t, s in zip(touches, found, strict=True)]
-    middle = median_score(found)
-    if middle is not None and len(found) > 1:
-        rows.append(("median", middle))
-    for name, s in rows:
-        table.add_row(
-            name,
-            f"{s.iou:.3f}",
-            _told(s.edge_px, 2),
-            _told(s.depth_mm, 3),
-            _told(s.depth_rms_mm, 3),
-            _told(s.bias_mm, 3),
-        )
+def _print_scores(touches: Sequence[AlignmentTouch], scores: Sequence[AlignmentScore]) -> None:
+    table = Table("frame", "mask IoU", "edge px", "depth mm", "depth rms mm", "bias mm")
+    rows = [(str(touch.index), score) for touch, score in zip(touches, scores, strict=True)]
+    median = median_score(scores)
+    if median is not None and len(scores) > 1:
+        rows.append(("median", median))
+    for name, score in rows:
+        lengths = (score.depth_mm, score.depth_rms_mm, score.bias_mm)
+        edge = _format_number(score.edge_px, 2)
+        table.add_row(name, f"{score.iou:.3f}", edge, *(_format_number(length, 3) for length in lengths))
     Console().print(table)
 
 
-def _print_axes(axes: Sequence[Sensitivity], frame: int) -> None:
-    table = Table(
-        "axis", "mask IoU", "edge px", "depth rms mm", title=f"change per {UNIT_STEP:g} mm or deg, frame {frame}"
-    )
-    for one in axes:
-        cells = (_change(one.iou, 4), _change(one.edge_px, 3), _change(one.depth_mm, 4))
-        table.add_row(f"{one.axis} ({one.unit})", *cells)
+def _print_sensitivities(sensitivities: Sequence[Sensitivity], frame: int) -> None:
+    title = f"change per {UNIT_STEP:g} mm or deg, frame {frame}"
+    table = Table("axis", "mask IoU", "edge px", "depth rms mm", title=title)
+    for axis in sensitivities:
+        cells = (_format_change(axis.iou, 4), _format_change(axis.edge_px, 3), _format_change(axis.depth_mm, 4))
+        table.add_row(f"{axis.axis} ({axis.unit})", *cells)
     Console().print(table)
-    print_line("size of the change to either side, and in brackets the slope along the axis")
+    print_line("mean absolute change to either side, in brackets the slope along the axis")
 
 
-def print_refinement(answer: Refinement) -> None:
-    """Print how touches agree before and after, what moved, and what they do not tell."""
+def print_refinement(fit: Refinement) -> None:
+    """Print the fit before and after, the motion, and the directions that the touches do not determine."""
     table = Table("touches", "n", "surface mm", "outline mm", "compared")
-    parts: list[tuple[str, tuple[AlignmentFit, AlignmentFit] | None]] = [
-        ("used", answer.used_fit),
-        ("held out", answer.held_out_fit),
+    rows: list[tuple[str, tuple[AlignmentFit, AlignmentFit] | None]] = [
+        ("used", fit.used_fit),
+        ("held out", fit.held_out_fit),
     ]
-    for name, pair in parts:
-        for when, f in zip(("before", "after"), pair or (), strict=False):
-            table.add_row(
-                f"{name}, {when}",
-                str(f.n_touches),
-                f"{f.surface_mm:.3f}",
-                f"{f.outline_mm:.3f}",
-                f"{f.share_compared:.0%}",
-            )
+    for name, pair in rows:
+        for when, one in zip(("before", "after"), pair or (), strict=False):
+            lengths = (f"{one.surface_mm:.3f}", f"{one.outline_mm:.3f}")
+            table.add_row(f"{name}, {when}", str(one.n_touches), *lengths, f"{one.share_compared:.0%}")
     Console().print(table)
-    turn, shift = answer.std[:3], answer.std[3:]
-    moved = answer.motion[:3, :3] @ answer.pivot_mm + answer.motion[:3, 3] - answer.pivot_mm
-    print_line(f"moved the contact by {_triple(moved)} mm; predicted spread {_triple(shift)} mm, {_triple(turn)} deg")
-    if float(np.max(turn)) > _OPEN_DEG:
-        print_line(f"doubtful: a turn is known to {np.max(turn):.1f} deg only; more touches, in other places, tell it")
-    for words in answer.weak_directions:
-        print_line(f"not observable: {words}; left as it was")
-    if answer.weak_directions:
-        print_line("a larger --tolerance lets less certain directions move too")
-    for note in answer.notes:
+    rotation, translation = fit.std[:3], fit.std[3:]
+    moved = fit.motion[:3, :3] @ fit.pivot_mm + fit.motion[:3, 3] - fit.pivot_mm
+    std = f"{_format_vector(translation)} mm, {_format_vector(rotation)} deg"
+    print_line(f"moved the contact by {_format_vector(moved)} mm; predicted standard deviation {std}")
+    if float(np.max(rotation)) > _WARN_ROTATION_STD_DEG:
+        print_line(
+            f"warning: a rotation has a standard deviation of {np.max(rotation):.1f} deg; "
+            "add touches in other places to reduce it"
+        )
+    for direction in fit.weak_directions:
+        print_line(f"not observable: {direction}; unchanged")
+    if fit.weak_directions:
+        print_line("a larger --tolerance also changes less certain directions")
+    for note in fit.notes:
         print_line(f"note: {note}")
 
 
-def _told(value: float | None, digits: int) -> str:
+def _format_number(value: float | None, digits: int) -> str:
     return "-" if value is None else f"{value:.{digits}f}"
 
 
-def _change(change: ScoreChange, digits: int) -> str:
-    return f"{_told(change.magnitude, digits)} ({_told(change.slope, digits)})"
+def _format_change(change: ScoreChange, digits: int) -> str:
+    return f"{_format_number(change.magnitude, digits)} ({_format_number(change.slope, digits)})"
 
 
-def _triple(values: np.ndarray) -> str:
+def _format_vector(values: np.ndarray) -> str:
     return "(" + ", ".join(f"{v:.3f}" for v in values) + ")"

@@ -1,4 +1,4 @@
-"""`tactoscope align fit`: how two sensors stand to each other, from a few touches that both felt."""
+"""`tactoscope align fit`: the alignment of two sensors from a few paired touches, without an initial one."""
 
 from __future__ import annotations
 
@@ -22,96 +22,119 @@ from pipeline.base.errors import FileProblem, SettingProblem
 from pipeline.base.files import prepare_folder_for
 from pipeline.base.frame_lists import parse_frames
 from pipeline.base.stage_warnings import StageWarning
-from pipeline.cli.align import print_refinement
+from pipeline.cli.align import PairedTouchOptions, print_refinement
 from pipeline.cli.terminal import ProgressBar, create_progress_bar, print_line
 from pipeline.sensors.alignment_files import ALIGNMENT_SUFFIX, AlignmentFile, save_alignment
 from pipeline.sensors.spec import load_sensor
-from pipeline.translation.translate import Request, open_translation
+from pipeline.translation.translate import open_translation
 
-_LEAST_AGREEMENT = 0.2  # correlation: real pairs have 0.63, the same pairs shuffled -0.12 (touch2touch tiles)
-_AS_GOOD = 0.5  # of the correlation of the pairs fitted to
-_WORDS = {
+_MIN_CORRELATION = 0.2  # real pairs have 0.63, the same pairs shuffled -0.12 (touch2touch tiles)
+_MIN_HELD_OUT_SHARE = 0.5  # correlation of the pairs held out as a share of that of the pairs fitted to
+_PARAMETER_TITLES = {  # parameter of the map -> (title, unit; "" = that of the tiles or mm)
     "rotation_rad": ("rotation", "deg"), "log_scale": ("scale", "share"), "right": ("shift right", ""), "down": ("shift down", ""),
     "tilt_right": ("tilt to the right", "of the press"), "tilt_down": ("tilt downward", "of the press"),
     "rest_curvature": ("rest curvature", "of the press"),
 }  # fmt: skip
 
 
-def has_tiles(path: Path, source_names: str) -> bool:
-    """Whether a folder holds pictures of these names."""
-    return path.is_dir() and next(path.glob(source_names), None) is not None
+def fit(
+    pairs: Path,
+    *,
+    touches: PairedTouchOptions,
+    out: Path | None = None,
+    use: int = 10,
+    seed: int = 0,
+    source_tiles: str = "*_gelslim.png",
+    target_tiles: str = "*_bubble_gt.png",
+) -> int:
+    """Fit to some pairs, score the others, and write the alignment if the pairs are metric; returns 0.
 
-
-def fit_tiles(folder: Path, source: str, target: str, names: tuple[str, str], use: int, seed: int) -> int:
-    """Fit to some tiles of a folder, score the others, and print the map; nothing metric can be written."""
+    Parameters
+    ----------
+    pairs
+        Recording of both sensors, or a folder of tiles: difference images and imprints.
+    out
+        The .toml to write, for metric pairs; a fit to tiles is only printed.
+    use
+        Number of pairs to fit to; the others are scored.
+    seed
+        Seed of the choice of pairs.
+    source_tiles
+        File names of the source's tiles; `*` stands for the same text in both tiles of a pair.
+    target_tiles
+        File names of the target's tiles.
+    """
     if use < 2:
         raise SettingProblem(f"--use must be at least 2 pairs, got {use}")
-    load_sensor(target)  # an unknown one is refused before the work
-    found = load_tile_pairs(folder, load_sensor(source), *names)
-    used, others = _split(found.pairs, use, seed)
+    if pairs.is_dir() and next(pairs.glob(source_tiles), None) is not None:
+        return _fit_tiles(pairs, touches, (source_tiles, target_tiles), use, seed)
+    return _fit_recording(pairs, touches, out, use, seed)
+
+
+def _fit_tiles(folder: Path, touches: PairedTouchOptions, names: tuple[str, str], use: int, seed: int) -> int:
+    load_sensor(touches.target)  # refuses an unknown sensor before the work
+    loaded = load_tile_pairs(folder, load_sensor(touches.sensor or "gelslim"), *names)
+    used, held_out = _split_pairs(loaded.pairs, use, seed)
     with create_progress_bar() as bar:
         answer = fit_pairs(used, ProgressBar(bar))
-    _print_notes(found, len(used), len(others))
+    _print_notes(loaded, len(used), len(held_out))
     _print_fit(answer, "tile widths")
-    _print_scores(answer, others)
+    _print_scores(answer, held_out)
     print_line(
-        "tiles are stretched and squeezed: millimetres, the depth of the press and the distance along the view are not "
-        "determined, and no alignment file is written"
+        "tiles are not metric: millimetres, the depth of the press and the distance along the view are not determined, "
+        "and no alignment file is written"
     )
     return 0
 
 
-def fit_recording(request: Request, out: Path | None, frames: str, use: int, seed: int, *, exact: bool) -> int:
-    """Fit to touches of a recording of both sensors, refine in all six directions, and write the alignment."""
-    if use < 2:
-        raise SettingProblem(f"--use must be at least 2 pairs, got {use}")
+def _fit_recording(recording: Path, options: PairedTouchOptions, out: Path | None, use: int, seed: int) -> int:
+    """Fit to touches of both sensors, refine in all six directions, and write the alignment."""
     if out is None:
         raise SettingProblem("a recording gives a metric alignment; name the .toml for it with --out")
     if out.suffix != ALIGNMENT_SUFFIX or out.exists():
         raise FileProblem("--out must be a new file whose name ends in .toml", out)
     prepare_folder_for(out)
-    with closing(open_translation(request)) as translation, create_progress_bar() as bar:
-        chosen = parse_frames(frames, translation.n_frames)
-        touches = [
-            t
-            for t in load_paired_touches(translation, chosen, exact=exact, progress=ProgressBar(bar))
-            if t.has_contact_on_both
-        ]
-        by_name = {str(t.index): t for t in touches}
+    with closing(open_translation(options.build_request(recording))) as translation, create_progress_bar() as bar:
+        frames = parse_frames(options.frames, translation.n_frames)
+        loaded = load_paired_touches(translation, frames, exact=options.truth, progress=ProgressBar(bar))
+        touches = [touch for touch in loaded if touch.has_contact_on_both]
+        by_name = {str(touch.index): touch for touch in touches}
         found = make_touch_pairs(touches)
-        used, others = _split(found.pairs, use, seed)
+        used, held_out = _split_pairs(found.pairs, use, seed)
         answer = fit_pairs(used, ProgressBar(bar))
         start = align_rigidly([by_name[p.name] for p in used], answer.transfer, translation.alignment)
-        held = [by_name[p.name] for p in others]
-        refined = refine_alignment([by_name[p.name] for p in used], start, held_out=held, progress=ProgressBar(bar))
-    _print_notes(found, len(used), len(others))
+        held_out_touches = [by_name[p.name] for p in held_out]
+        refined = refine_alignment(
+            [by_name[p.name] for p in used], start, held_out=held_out_touches, progress=ProgressBar(bar)
+        )
+    _print_notes(found, len(used), len(held_out))
     _print_fit(answer, "mm")
-    _print_scores(answer, others)
-    print_line(f"press of the touches used: {_press_mm(used)} mm (median of the deepest; lightest to deepest)")
+    _print_scores(answer, held_out)
+    print_line(f"indentation of the touches used: {_format_depths(used)} mm (median of the deepest points; range)")
     print_refinement(refined)
-    origin = f"fitted to {len(used)} touches of {request.recording.name}, without an alignment to begin with"
+    origin = f"fitted to {len(used)} touches of {recording.name}, without an initial alignment"
     save_alignment(out, AlignmentFile(alignment=refined.alignment, source=translation.source.name,
                             target=translation.target.name, origin=origin))  # fmt: skip
     print_line(f"alignment written to {os.fspath(out)}; use it with --alignment")
     return 0
 
 
-def _split(pairs: Sequence[ImprintPair], use: int, seed: int) -> tuple[list[ImprintPair], list[ImprintPair]]:
-    """Some to fit and the others to judge by, drawn by `seed`; two are kept to judge by where there are enough."""
+def _split_pairs(pairs: Sequence[ImprintPair], use: int, seed: int) -> tuple[list[ImprintPair], list[ImprintPair]]:
+    """(pairs to fit to, pairs held out), chosen by `seed`; two are held out if there are enough."""
     n = min(use, max(2, len(pairs) - 2))
-    taken = set(np.random.default_rng(seed).permutation(len(pairs))[:n].tolist())
-    return [p for k, p in enumerate(pairs) if k in taken], [p for k, p in enumerate(pairs) if k not in taken]
+    used = set(np.random.default_rng(seed).permutation(len(pairs))[:n].tolist())
+    return [p for k, p in enumerate(pairs) if k in used], [p for k, p in enumerate(pairs) if k not in used]
 
 
-def _press_mm(pairs: Sequence[ImprintPair]) -> str:
+def _format_depths(pairs: Sequence[ImprintPair]) -> str:
     deepest = sorted(float(p.imprint.max()) for p in pairs)
     return f"{np.median(deepest):.2f} ({deepest[0]:.2f} to {deepest[-1]:.2f})"
 
 
-def _print_notes(found: ImprintPairs, n_used: int, n_others: int) -> None:
-    for note in found.notes:
-        print_line(f"{'doubtful' if isinstance(note, StageWarning) else 'note'}: {note}")
-    print_line(f"{n_used} pairs are fitted to, {n_others} are held out")
+def _print_notes(pairs: ImprintPairs, n_used: int, n_held_out: int) -> None:
+    for note in pairs.notes:
+        print_line(f"{'warning' if isinstance(note, StageWarning) else 'note'}: {note}")
+    print_line(f"{n_used} pairs are fitted to, {n_held_out} are held out")
 
 
 def _print_fit(answer: PairsFit, unit: str) -> None:
@@ -119,12 +142,12 @@ def _print_fit(answer: PairsFit, unit: str) -> None:
     mirror = "mirrored left to right, then " if how.is_mirrored else ""
     best, second = answer.initial_guesses[0], answer.initial_guesses[1]
     print_line(
-        f"orientation: {mirror}turned by {math.degrees(how.rotation_rad):.1f} deg; before fitting, {best[0]} agrees by "
-        f"{best[1]:.2f}, the next best way to lay the source's picture, {second[0]}, by {second[1]:.2f}"
+        f"orientation: {mirror}rotated by {math.degrees(how.rotation_rad):.1f} deg; correlation before fitting: {best[0]} "
+        f"{best[1]:.2f}, next best {second[0]} {second[1]:.2f}"
     )
-    table = Table("number", "value", "spread", "unit")
+    table = Table("parameter", "value", "standard deviation", "unit")
     values = dict(zip(FREE_PARAMETERS, how.values(), strict=True))
-    for name, (words, of) in _WORDS.items():
+    for name, (title, own_unit) in _PARAMETER_TITLES.items():
         value, spread = values[name], answer.std[name]
         if name == "rotation_rad":
             value, spread = math.degrees(value), math.degrees(spread)
@@ -132,29 +155,33 @@ def _print_fit(answer: PairsFit, unit: str) -> None:
             continue  # it is 1
         if name == "log_scale":
             value, spread = how.scale, how.scale * spread
-        table.add_row(words, f"{value:.3f}", f"{spread:.3f}", of or unit)
+        table.add_row(title, f"{value:.3f}", f"{spread:.3f}", own_unit or unit)
     Console().print(table)
     for name in answer.undetermined:
-        print_line(f"not determined by these pairs: {_WORDS[name][0]}")
+        print_line(f"not determined by these pairs: {_PARAMETER_TITLES[name][0]}")
 
 
-def _print_scores(answer: PairsFit, others: Sequence[ImprintPair]) -> None:
-    less = ", the mean imprint of the pairs used taken away" if answer.mean_imprint is not None else ""
-    print_line(f"correlation of expected and real imprints{less}: pairs used {_told(answer.correlations)}")
-    held = [score_fit(p, answer.transfer, answer.mean_imprint) for p in others]
-    if held:
-        print_line(f"  held out: {_told(held)}")
-    if not is_consistent(answer.correlations, held):
-        print_line("doubtful: the map carries next to nothing over to touches that it was not fitted to: are the two "
-                   "readings of each pair of one touch, and in the same order?")  # fmt: skip
+def _print_scores(answer: PairsFit, held_out: Sequence[ImprintPair]) -> None:
+    less = ", less the mean imprint of the pairs used" if answer.mean_imprint is not None else ""
+    print_line(
+        f"correlation of expected and real imprints{less}: pairs used {_format_correlations(answer.correlations)}"
+    )
+    scores = [score_fit(p, answer.transfer, answer.mean_imprint) for p in held_out]
+    if scores:
+        print_line(f"  held out: {_format_correlations(scores)}")
+    if not is_consistent(answer.correlations, scores):
+        print_line(
+            "warning: the fit does not transfer to the pairs held out; check that both images of each pair show the "
+            "same touch, and that the order is the same"
+        )
 
 
 def is_consistent(used: Sequence[float], held_out: Sequence[float]) -> bool:
-    """Whether correlations of the pairs fitted to, and of those held out (there may be none), speak for one map."""
+    """Whether the correlations of the pairs fitted to and held out (may be empty) are those of one common map."""
     judged = float(np.mean(held_out if len(held_out) else used))
-    return judged > max(_LEAST_AGREEMENT, _AS_GOOD * float(np.mean(used)))
+    return judged > max(_MIN_CORRELATION, _MIN_HELD_OUT_SHARE * float(np.mean(used)))
 
 
-def _told(scores: Sequence[float]) -> str:
+def _format_correlations(scores: Sequence[float]) -> str:
     low, high = np.percentile(scores, [10, 90])
     return f"mean {np.mean(scores):.3f} (10 to 90 %: {low:.2f} to {high:.2f})"

@@ -1,9 +1,10 @@
-"""`tactoscope blame`: which slot the error of each frame comes from."""
+"""`tactoscope attribute`: which stage the error of each frame comes from."""
 
 from __future__ import annotations
 
 import statistics
 from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import asdict
 from pathlib import Path
 
@@ -15,57 +16,73 @@ from pipeline.base.files import write_json
 from pipeline.base.frame_lists import parse_frames
 from pipeline.cli.interrupts import interruptible_progress
 from pipeline.cli.terminal import print_line
+from pipeline.cli.translation_options import DEFAULT_OPTIONS, StageSettings, TargetName, TranslationOptions
 from pipeline.engine.cache import Cache
 from pipeline.engine.graph import Graph
 from pipeline.translation.catalogue import with_settings
-from pipeline.translation.error_attribution import ErrorAttribution, attribute_error
-from pipeline.translation.translate import Request, open_translation
+from pipeline.translation.error_attribution import DEFAULT_METRIC, ErrorAttribution, attribute_error
+from pipeline.translation.translate import open_translation
 
-_CACHE_BYTES = 64 * 1024 * 1024  # one frame's slots, those with truth in their place beside those without
+_CACHE_BYTES = 64 * 1024 * 1024  # one frame's stages, with and without ground truth in their place
 
 
-def print_attribution(
-    request: Request, figure: str, frame: int | None, settings: Sequence[str], json: Path | None
+def attribute(
+    recording: Path,
+    *,
+    target: TargetName,
+    options: TranslationOptions = DEFAULT_OPTIONS,
+    metric: str = DEFAULT_METRIC,
+    frame: int | None = None,
+    json: Path | None = None,
+    settings: StageSettings = (),
 ) -> int:
-    """Print every frame's error as a sum, worst frame first, and the median of each part; returns the exit code."""
-    translation = open_translation(request)
-    try:
+    """Print every frame's error as a sum of shares, worst frame first, and the medians.
+
+    Parameters
+    ----------
+    recording
+        File or folder of any known format with ground truth, such as a simulated recording.
+    metric
+        Error to attribute, `stage.name` as in the report of `tactoscope translate`.
+    frame
+        The only frame to analyse; default: all frames.
+    json
+        File for the shares of every frame.
+    """
+    with closing(open_translation(options.build_request(recording, target))) as translation:
         params = with_settings(translation.methods, settings)
         indices = parse_frames("", translation.n_frames) if frame is None else [translation.check_index(frame)]
         graph = translation.build_graph(like=Graph((), cache=Cache(_CACHE_BYTES)))
-        with Console(stderr=True).status("") as status, interruptible_progress() as work:
-            found: list[ErrorAttribution] = []
+        with Console(stderr=True).status("") as status, interruptible_progress() as progress:
+            results: list[ErrorAttribution] = []
             for index in indices:
                 status.update(f"frame {index} of {translation.n_frames}")
-                one = attribute_error(translation, graph, params, index, figure, work)
-                if one is not None:
-                    found.append(one)
-    finally:
-        translation.recording.close()
-    if not found:
+                result = attribute_error(translation, graph, params, index, metric, progress)
+                if result is not None:
+                    results.append(result)
+    if not results:
         raise SettingProblem(
-            f"{figure} is known of none of these frames; it takes a recording that holds what "
-            f"{translation.target.name} really felt of the same touches"
+            f"{metric} is not known for any of these frames; use a recording that also holds "
+            f"{translation.target.name}'s own frames of the same touches"
         )
-    found.sort(key=lambda one: one.total, reverse=True)
-    _print(found)
+    results.sort(key=lambda result: result.total, reverse=True)
+    _print_table(results)
     if json is not None:
-        write_json(json, [asdict(one) for one in found])
+        write_json(json, [asdict(result) for result in results])
     return 0
 
 
-def _print(found: Sequence[ErrorAttribution]) -> None:
-    titles = list(dict.fromkeys(part.title for one in found for part in one.shares))
-    unit = found[0].unit
-    table = Table("frame", f"{found[0].metric}, {unit}", *titles, "the rest")
-    shares = [{part.title: part.share for part in one.shares} for one in found]
-    for one, by in zip(found, shares, strict=True):
-        cells = (f"{by[title]:+.3f}" if title in by else "" for title in titles)
-        table.add_row(str(one.frame), f"{one.total:.3f}", *cells, f"{one.remainder:+.3f}")
-    if len(found) > 1:
-        middle = (statistics.median(by[t] for by in shares if t in by) for t in titles)
-        rest = statistics.median(one.remainder for one in found)
-        total = statistics.median(one.total for one in found)
-        table.add_row("median", f"{total:.3f}", *(f"{m:+.3f}" for m in middle), f"{rest:+.3f}", style="bold")
+def _print_table(results: Sequence[ErrorAttribution]) -> None:
+    titles = list(dict.fromkeys(part.title for result in results for part in result.shares))
+    table = Table("frame", f"{results[0].metric}, {results[0].unit}", *titles, "remainder")
+    shares = [{part.title: part.share for part in result.shares} for result in results]
+    for result, share in zip(results, shares, strict=True):
+        cells = (f"{share[title]:+.3f}" if title in share else "" for title in titles)
+        table.add_row(str(result.frame), f"{result.total:.3f}", *cells, f"{result.remainder:+.3f}")
+    if len(results) > 1:
+        medians = (statistics.median(share[t] for share in shares if t in share) for t in titles)
+        remainder = statistics.median(result.remainder for result in results)
+        total = statistics.median(result.total for result in results)
+        table.add_row("median", f"{total:.3f}", *(f"{m:+.3f}" for m in medians), f"{remainder:+.3f}", style="bold")
     Console().print(table)
-    print_line(f"frame {found[0].frame} is the worst: {found[0].summary}")
+    print_line(f"frame {results[0].frame} is the worst: {results[0].summary}")

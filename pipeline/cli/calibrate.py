@@ -1,8 +1,7 @@
-"""`tactoscope calibrate balls`: presses of a ball become a look-up, with its residuals said."""
+"""`tactoscope calibrate balls`: a calibration table from presses of a ball, with its residuals."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
 
@@ -17,88 +16,95 @@ from pipeline.calibration.calibration_table import Calibration
 from pipeline.calibration.quality_notes import format_calibration
 from pipeline.cli.terminal import ProgressBar, create_progress_bar, print_line
 from pipeline.recordings import open_recording
-from pipeline.sensors.spec import SensorSpec
-from pipeline.sensors.spec import load_sensor as sensor_named
+from pipeline.sensors.spec import SensorSpec, load_sensor
 from pipeline.stages.depth.ball_calibration import calibrate_sensor
 from pipeline.stages.depth.photometric import describe_mismatch
 from pipeline.values.frames import TactileFrame
 
-_LOOKED_AT = 5  # presses: one in ten does not tell a mirrored picture
-MAX_BALL_DIAMETER_MM = 1000.0  # flat, as far as any gel can tell
+_CHECKED_FRAMES = 5  # presses checked for a mirrored image: one in ten does not show it
+MAX_BALL_DIAMETER_MM = 1000.0  # flat, for any gel
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BallCalibrationRequest:
-    """What is asked for."""
+def balls(
+    presses: Path,
+    *,
+    sensor: str,
+    diameter_mm: float,
+    reference: Path,
+    out: Path,
+    pixel_mm: float | None = None,
+    pattern: str = "*",
+    seed: int = 0,
+) -> int:
+    """Fit, save and report a calibration table; raises TouchError for presses or options that cannot be used.
 
-    presses: Path
-    sensor: str
-    diameter_mm: float
-    reference: Path
-    out: Path
-    pixel_mm: float | None
-    pattern: str
-    seed: int
-
-
-def run_ball_calibration(asked: BallCalibrationRequest) -> int:
-    """Fit, save and report; raises TouchError for what is wrong with the presses."""
-    _check(asked)
-    pixel_mm = asked.pixel_mm
-    spec = sensor_named(asked.sensor)
-    frames = _pictures(asked.presses, spec, asked.reference, asked.pattern)
-    for told in dict.fromkeys(describe_mismatch(frame, spec) for frame in frames[:_LOOKED_AT]):
-        if told:
-            print_line(f"doubtful: {told}; this look-up will suit pictures of that kind and no others")
-    images, untouched = [cast("Image", f.image) for f in frames], cast("Image", frames[0].reference)
-    with create_progress_bar() as bar:
-        fitted = calibrate_sensor(
-            images, untouched, spec, asked.diameter_mm, pixel_mm=pixel_mm, progress=ProgressBar(bar), seed=asked.seed
-        )
-    save(fitted, asked.out)
-    _report(fitted)
-    if pixel_mm is None:
-        print_line(
-            f"presses of one ball fit any width of a pixel alike: {fitted.pixel_mm:.4f} mm is that of the description "
-            f"of {spec.name}; if it is not this unit's, measure it and give --pixel-mm: all sizes and depths go with it"
-        )
-    print_line(f"look-up written to {asked.out}; use it with --calibration")
-    return 0
-
-
-def _check(asked: BallCalibrationRequest) -> None:
-    """Raise for what is wrong before anything is read."""
-    diameter_mm, pixel_mm = asked.diameter_mm, asked.pixel_mm
+    Parameters
+    ----------
+    presses
+        Folder of images, one press each, anywhere on the gel.
+    sensor
+        Sensor that made them.
+    diameter_mm
+        Diameter of the ball.
+    reference
+        Reference image (no contact) of the sensor.
+    out
+        Calibration file to write (.npz).
+    pixel_mm
+        Width of a pixel on the gel; default: the sensor description's.
+    pattern
+        File names of the folder to use, such as `ball_6.310mm_*`.
+    seed
+        Seed of the fit; the same seed gives the same table.
+    """
     if not 0.1 <= diameter_mm <= MAX_BALL_DIAMETER_MM:
         raise SettingProblem(f"--diameter-mm must lie within 0.1 and {MAX_BALL_DIAMETER_MM:g} mm, got {diameter_mm:g}")
     if pixel_mm is not None and not 1e-4 <= pixel_mm <= 10.0:
         raise SettingProblem(f"--pixel-mm must lie within 0.0001 and 10 mm, got {pixel_mm:g}")
-    if asked.seed < 0:
-        raise SettingProblem(f"--seed must be 0 or more, got {asked.seed}")
-    if not asked.pattern:
-        raise SettingProblem("--pattern is empty; '*' takes every picture")
-    prepare_folder_for(asked.out)
+    if seed < 0:
+        raise SettingProblem(f"--seed must be 0 or more, got {seed}")
+    if not pattern:
+        raise SettingProblem("--pattern is empty; '*' takes every image")
+    prepare_folder_for(out)
+    spec = load_sensor(sensor)
+    frames = _load_presses(presses, spec, reference, pattern)
+    for mismatch in dict.fromkeys(describe_mismatch(frame, spec) for frame in frames[:_CHECKED_FRAMES]):
+        if mismatch:
+            print_line(f"warning: {mismatch}; this calibration will fit images of that kind only")
+    images, reference_image = [cast("Image", f.image) for f in frames], cast("Image", frames[0].reference)
+    with create_progress_bar() as bar:
+        table = calibrate_sensor(
+            images, reference_image, spec, diameter_mm, pixel_mm=pixel_mm, progress=ProgressBar(bar), seed=seed
+        )
+    save(table, out)
+    _print_report(table)
+    if pixel_mm is None:
+        print_line(
+            f"presses of one ball do not determine the pixel width: {table.pixel_mm:.4f} mm is that of the description "
+            f"of {spec.name}; measure yours and give --pixel-mm if it differs: all sizes and depths scale with it"
+        )
+    print_line(f"calibration written to {out}; use it with --calibration")
+    return 0
 
 
-def _pictures(folder: Path, spec: SensorSpec, reference: Path, pattern: str) -> list[TactileFrame]:
-    """The presses, all with one untouched picture."""
-    recording = open_recording(folder, sensor=spec.name, reference=reference)
-    stream = recording.stream()
+def _load_presses(folder: Path, spec: SensorSpec, reference: Path, pattern: str) -> list[TactileFrame]:
+    """The press images that match `pattern`, all with the same reference image."""
+    stream = open_recording(folder, sensor=spec.name, reference=reference).stream()
     frames = [stream.frame(i) for i in range(stream.n_frames)]
-    frames = [f for f in frames if Path(f.origin).match(pattern)]
+    frames = [frame for frame in frames if Path(frame.origin).match(pattern)]
     if not frames:
-        raise FileProblem(f"no picture matches {pattern!r}", folder)
-    untouched = frames[0].reference
-    if untouched is None or untouched.ndim != 3:
-        raise FileProblem("the reference must be a colour picture of the untouched sensor", reference)
+        raise FileProblem(f"no image matches {pattern!r}", folder)
+    image = frames[0].reference
+    if image is None or image.ndim != 3:
+        raise FileProblem("the reference must be a colour image of the sensor without contact", reference)
     return frames
 
 
-def _report(fitted: Calibration) -> None:
+def _print_report(calibration: Calibration) -> None:
     table = Table("press", "centre (px)", "contact radius (px)", "slope residual (mm/mm)")
-    for p in fitted.presses:
+    for p in calibration.presses:
         residual = f"{p.residual:.3f}" if p.used else "not used"
         table.add_row(str(p.index), f"{p.x_px:.1f}, {p.y_px:.1f}", f"{p.radius_px:.1f}", residual)
     Console().print(table)
-    for line in format_calibration(fitted):
+    for line in format_calibration(calibration):
         print_line(line)

@@ -1,4 +1,4 @@
-"""`tactoscope doctor`: is everything here that is needed?"""
+"""`tactoscope doctor`: checks of Python, packages, system libraries, display, sensors and sample recordings."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import shutil
 import sys
 from collections.abc import Iterator
 from ctypes.util import find_library
+from itertools import chain
 from pathlib import Path
 
 from pipeline.base.errors import TouchError
@@ -38,17 +39,18 @@ _LIBRARIES = {
 _ROOT = Path(__file__).parents[2]
 
 
-def check_installation() -> int:
-    """Print one line per finding; returns 1 if something needed is missing."""
+def doctor() -> int:
+    """Print one line per check; returns 1 if something is missing."""
     bad = 0
-    for good, line in (*_machine(), *_packages(), *_system_libraries(), *_display(), *_project()):
+    checks = (_check_machine, _check_packages, _check_libraries, _check_display, _check_project)
+    for good, line in chain.from_iterable(check() for check in checks):
         bad += not good
         print_line(f"{'ok     ' if good else 'MISSING'}  {line}")
-    print_line("everything needed is here" if not bad else f"{bad} things are missing; each line says what to do")
+    print_line("everything is installed" if not bad else f"{bad} things are missing; each line says how to fix it")
     return 1 if bad else 0
 
 
-def _machine() -> Iterator[tuple[bool, str]]:
+def _check_machine() -> Iterator[tuple[bool, str]]:
     good = sys.version_info >= (3, 11)
     yield (
         good,
@@ -57,7 +59,7 @@ def _machine() -> Iterator[tuple[bool, str]]:
     yield True, f"{os.cpu_count()} cores"
 
 
-def _packages() -> Iterator[tuple[bool, str]]:
+def _check_packages() -> Iterator[tuple[bool, str]]:
     for name in _PACKAGES:
         try:
             yield True, f"{name} {importlib.metadata.version(name)}"
@@ -65,7 +67,7 @@ def _packages() -> Iterator[tuple[bool, str]]:
             yield False, f"{name}; run 'make setup'"
 
 
-def _system_libraries() -> Iterator[tuple[bool, str]]:
+def _check_libraries() -> Iterator[tuple[bool, str]]:
     if not sys.platform.startswith("linux"):
         return
     for library, package in _LIBRARIES.items():
@@ -73,24 +75,24 @@ def _system_libraries() -> Iterator[tuple[bool, str]]:
         yield found is not None, f"lib{library}" + ("" if found else f"; run 'apt-get install {package}'")
 
 
-def _display() -> Iterator[tuple[bool, str]]:
+def _check_display() -> Iterator[tuple[bool, str]]:
     if os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY") or not sys.platform.startswith("linux"):
         yield True, "a display"
         return
     virtual = shutil.which("xvfb-run")
     yield (
         virtual is not None,
-        "no display; a virtual screen is used" if virtual else "a display; run 'apt-get install xvfb xauth'",
+        "no display; xvfb-run provides a virtual one" if virtual else "a display; run 'apt-get install xvfb xauth'",
     )
 
 
-def _project() -> Iterator[tuple[bool, str]]:
+def _check_project() -> Iterator[tuple[bool, str]]:
     for name in list_sensor_names():
         try:
             spec = load_sensor(name)
             yield (
                 True,
-                f"sensor {name}: {spec.camera.cols} x {spec.camera.rows} px, {len(spec.assumed_keys)} numbers assumed",
+                f"sensor {name}: {spec.camera.cols} x {spec.camera.rows} px, {len(spec.assumed_keys)} assumed parameters",
             )
         except TouchError as error:
             yield False, str(error)
@@ -98,7 +100,7 @@ def _project() -> Iterator[tuple[bool, str]]:
     if not samples and (_ROOT / "pyproject.toml").is_file():
         yield False, "the sample recordings; clone the project again"
     elif not samples:
-        yield True, "no sample recordings and no bench: they are in the project's source, not in the installed package"
+        yield True, "no sample recordings and no benchmarks: they are in the source tree, not in the installed package"
     for path in samples:
         try:
             recording = open_recording(path)

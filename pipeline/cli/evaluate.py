@@ -1,4 +1,4 @@
-"""`tactoscope evaluate`: the paper's tables, its figures beside ours, and run time against error."""
+"""`tactoscope evaluate`: the paper's tables, its results next to ours, and run time against error."""
 
 from __future__ import annotations
 
@@ -6,9 +6,11 @@ from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict
 from pathlib import Path
+from typing import Annotated, Literal
 
+from cyclopts import Parameter
 from rich.console import Console
-from rich.table import Table as Shown
+from rich.table import Table
 
 from pipeline.base.cluster import connect_cluster
 from pipeline.base.files import prepare_folder, prepare_folder_for, write_json
@@ -16,162 +18,211 @@ from pipeline.base.machine import describe_machine, format_machine
 from pipeline.base.progress import Progress, SubProgress
 from pipeline.cli.interrupts import InterruptibleProgress, interruptible_progress
 from pipeline.cli.terminal import ProgressBar, create_progress_bar, print_line
-from pipeline.evaluation.paper_tables import EvaluationRequest, EvaluationTable, evaluate_tables
-from pipeline.evaluation.published_results import MeanStd
+from pipeline.cli.translation_options import StageSettings, split_list
+from pipeline.evaluation.candidates import BASELINES
+from pipeline.evaluation.held_out import HeldOutOptions
+from pipeline.evaluation.paper_tables import (
+    POSE_METHODS,
+    EvaluationRequest,
+    EvaluationTable,
+    evaluate_tables,
+    parse_direction,
+)
+from pipeline.evaluation.published_results import PAPER_DIRECTIONS, MeanStd
 from pipeline.evaluation.recorded_touch import REGIONS
 from pipeline.evaluation.table_rows import TableRow
 from pipeline.evaluation.time_error_sweep import SweepPoint, check_sweep_parameters, draw_sweep_plots, sweep_parameters
 from pipeline.evaluation.touch_metrics import TOUCH_METRICS
-from pipeline.metrics.stage_metrics import Metric
 from pipeline.sensors.spec import load_sensor
+from pipeline.translation.catalogue import with_method
 
-_POSES = {"signed_distances": "registration", "network": "network"}
-
-
-class _Watched:
-    """A bar that Ctrl-C ends between two steps."""
-
-    def __init__(self, bar: ProgressBar, work: InterruptibleProgress) -> None:
-        self._bar, self._work = bar, work
-
-    def step(self, fraction: float, text: str) -> None:
-        """Show, or end."""
-        self._work.step(fraction, text)
-        self._bar.step(fraction, text)
+_POSE_TITLES = {"signed_distances": "registration", "network": "network"}
+_REGION_METRICS = {  # columns of the second table, each with a value per region
+    "error_mm": "error, mm", "iou": "contact IoU", "correlation": "correlation less the mean",
+    "ssim_exact": "SSIM, no noise", "psnr_exact_db": "PSNR, no noise, dB",
+}  # fmt: skip
 
 
-def run_evaluation(
-    wanted: EvaluationRequest, json: Path | None, sweep: Sequence[str], plots: Path | None, scheduler: str
+def evaluate(
+    *,
+    split: Literal["unseen_grasps", "unseen_tools"],
+    json: Path | None = None,
+    grasps: int = 5,
+    vary: float = 1.0,
+    directions: Annotated[tuple[str, ...], Parameter(name="--direction", negative="")] = (),
+    only: Annotated[tuple[str, ...], Parameter(negative="")] = (),
+    stage_methods: Annotated[tuple[str, ...], Parameter(name="--method", negative="")] = (),
+    settings: StageSettings = (),
+    poses: str = "signed_distances,network",
+    sweep: str = "",
+    plots: Path | None = None,
+    folder: Path | None = None,
+    scheduler: str = "",
 ) -> int:
-    """Score, here or on a scheduler's workers, print and write; returns the exit code."""
-    check_sweep_parameters(sweep)
+    """Evaluate all candidates, print the tables and write them.
+
+    Parameters
+    ----------
+    split
+        Test split: new grasps of training objects, or objects that no method was trained on.
+    json
+        File for all metrics of all rows.
+    grasps
+        Touches per object.
+    vary
+        Variation between source sensor instances, 1 = as measured between real ones.
+    directions
+        `source:target`, repeatable; default: the paper's four.
+    only
+        `recorded`, `no_contact`, `mean` or a touch method, repeatable; default: all.
+    stage_methods
+        `stage=method` of the other stages in place of the route's own, such as `depth=network`.
+    settings
+        `stage.parameter=value`, repeatable; a touch parameter applies to the methods that have it.
+    poses
+        Pose methods to judge touches by, comma-separated; `none` leaves poses out.
+    sweep
+        `steps`, `guidance` or both, comma-separated: run time against error at many values.
+    plots
+        Folder for one plot of the sweep per direction.
+    folder
+        Folder of the simulated touches; default: the user's cache.
+    scheduler
+        Address of a Dask scheduler whose workers score the recordings, such as `tcp://host:8786`.
+    """
+    swept = split_list(sweep)
+    check_sweep_parameters(swept)
+    chosen: dict[str, str] = {}
+    for assignment in stage_methods:
+        chosen = with_method(chosen, assignment)
+    judges = () if poses == "none" else split_list(poses)
+    request = EvaluationRequest(
+        split=split, held_out=HeldOutOptions(grasps=grasps, sensor_variation=vary, folder=folder),
+        directions=tuple(parse_direction(text) for text in directions) or PAPER_DIRECTIONS, candidates=only,
+        methods=chosen, settings=settings,
+        pose_methods=tuple(name for name in judges if name in POSE_METHODS or name != "network"),
+    )  # fmt: skip
     if json is not None:
         prepare_folder_for(json)
     if plots is not None:
         prepare_folder(plots)
-    about = describe_machine()
+    machine = describe_machine()
     points: list[SweepPoint] = []
-    with ExitStack() as open_now:
-        work, bar = open_now.enter_context(interruptible_progress()), open_now.enter_context(create_progress_bar())
-        elsewhere = open_now.enter_context(connect_cluster(scheduler)).map if scheduler else None
-        watched: Progress = _Watched(ProgressBar(bar), work)
-        table = evaluate_tables(wanted, SubProgress(watched, 0.0, 0.5 if sweep else 1.0), elsewhere)
-        if sweep:
-            points = sweep_parameters(wanted, sweep, SubProgress(watched, 0.5, 0.5), elsewhere)
-    _show(table)
-    if sweep:
-        _show_sweep(points)
-    print_line(format_machine(about))
+    with ExitStack() as stack:
+        interrupts, bar = stack.enter_context(interruptible_progress()), stack.enter_context(create_progress_bar())
+        job_mapper = stack.enter_context(connect_cluster(scheduler)).map if scheduler else None
+        progress: Progress = _InterruptibleBar(ProgressBar(bar), interrupts)
+        table = evaluate_tables(request, SubProgress(progress, 0.0, 0.5 if swept else 1.0), job_mapper)
+        if swept:
+            points = sweep_parameters(request, swept, SubProgress(progress, 0.5, 0.5), job_mapper)
+    _print_tables(table)
+    if swept:
+        _print_sweep(points)
+    print_line(format_machine(machine))
     if json is not None:
-        write_json(json, _as_json(table, points, wanted, about), "the tables")
+        write_json(json, _as_json(table, points, request, machine), "the tables")
     for path in draw_sweep_plots(points, plots) if plots is not None and points else ():
-        print_line(f"drawn: {path}")
+        print_line(f"plot written: {path}")
     return 0
 
 
-def _show(table: EvaluationTable) -> None:
+class _InterruptibleBar:
+    """Progress bar that Ctrl-C ends at the next step."""
+
+    def __init__(self, bar: ProgressBar, interrupts: InterruptibleProgress) -> None:
+        self._bar, self._interrupts = bar, interrupts
+
+    def step(self, fraction: float, text: str) -> None:
+        """Show progress, or raise KeyboardInterrupt."""
+        self._interrupts.step(fraction, text)
+        self._bar.step(fraction, text)
+
+
+def _print_tables(table: EvaluationTable) -> None:
     console, judges = Console(width=200), list(dict.fromkeys(name for row in table.rows for name in row.pose_errors))
-    first = Shown(title=f"{table.split.replace('_', ' ')}: ours, simulated (the paper's, real)")
-    for column in ("transfer", "model", "PSNR, dB", "SSIM", "Frechet (floor; FID)", *(
-        f"{what} by {_POSES.get(name, name)}" for name in judges for what in ("shift, mm", "turn, deg")
-    )):  # fmt: skip
-        first.add_column(column)
-    second = Shown(title=f"{table.split.replace('_', ' ')}: {' / '.join(REGIONS.values())}")
-    for column in (
-        "transfer",
-        "model",
-        *(_heading(n, TOUCH_METRICS[n]) for n in _REGIONAL),
-        "kernel (floor)",
-        "ms a touch",
-    ):
-        second.add_column(column)
+    split = table.split.replace("_", " ")
+    first = Table(
+        "transfer", "model", "PSNR, dB", "SSIM", "Frechet (floor; FID)",
+        *(f"{what} by {_POSE_TITLES.get(name, name)}" for name in judges for what in ("translation, mm", "rotation, deg")),
+        title=f"{split}: ours, simulated (the paper's, real)",
+    )  # fmt: skip
+    second = Table(
+        "transfer", "model", *_REGION_METRICS.values(), "kernel (floor)", "ms a touch",
+        title=f"{split}: {' / '.join(REGIONS.values())}",
+    )  # fmt: skip
     for row in table.rows:
-        first.add_row(*_first(row, judges))
+        first.add_row(*_paper_cells(row, judges))
         if row.metrics:
-            second.add_row(*_second(row))
+            second.add_row(*_region_cells(row))
     console.print(first)
     console.print(second)
     for note in table.notes:
         print_line(f"note: {note}")
 
 
-_REGIONAL = ("error_mm", "iou", "correlation", "ssim_exact", "psnr_exact_db")
-
-
-def _heading(name: str, metric: Metric) -> str:
-    words = {"error_mm": "error", "iou": "contact IoU", "correlation": "correlation less the mean"}
-    words |= {"ssim_exact": "SSIM, no noise", "psnr_exact_db": "PSNR, no noise"}
-    return f"{words[name]}, {metric.unit}" if metric.unit else words[name]
-
-
-def _transfer(row: TableRow) -> str:
+def _format_transfer(row: TableRow) -> str:
     target = load_sensor(row.target).title
-    return f"{load_sensor(row.source).title} > {target}" if row.source and not _needs_none(row) else target
+    return target if not row.source or row.candidate in BASELINES else f"{load_sensor(row.source).title} > {target}"
 
 
-def _needs_none(row: TableRow) -> bool:
-    return row.candidate in ("untouched", "mean")
-
-
-def _first(row: TableRow, judges: Sequence[str]) -> list[str]:
-    paper = row.paper
-    cells = [_transfer(row), f"{row.title} ({paper.model})" if paper and paper.model else row.title]
-    for name, theirs, digits in (
-        ("psnr_db", paper and paper.psnr_db, 2), ("ssim", paper and paper.ssim, 2)
-    ):  # fmt: skip
+def _paper_cells(row: TableRow, judges: Sequence[str]) -> list[str]:
+    paper, sets = row.paper, row.set_distances
+    cells = [_format_transfer(row), f"{row.title} ({paper.model})" if paper and paper.model else row.title]
+    for name, published in (("psnr_db", paper and paper.psnr_db), ("ssim", paper and paper.ssim)):
         ours = row.metrics.get(name, {}).get("all")
-        told = "-" if ours is None else f"{ours:.{digits}f}"
-        cells.append(f"{told} ({theirs:.2f})" if theirs else told)
-    sets = (
-        "-" if row.set_distances is None else f"{row.set_distances.frechet:.2f} ({row.set_distances.frechet_floor:.2f})"
-    )
-    cells.append(f"{sets[:-1]}; {paper.fid:.1f})" if row.set_distances and paper and paper.fid else sets)
+        text = "-" if ours is None else f"{ours:.2f}"
+        cells.append(f"{text} ({published:.2f})" if published else text)
+    fid = f"; {paper.fid:.1f}" if paper and paper.fid else ""
+    cells.append("-" if sets is None else f"{sets.frechet:.2f} ({sets.frechet_floor:.2f}{fid})")
     for judge in judges:
-        found = row.pose_errors.get(judge)
-        cells.append(_spread(found and found.translation_mm, paper and paper.translation_mm))
-        cells.append(_spread(found and found.rotation_deg, paper and paper.rotation_deg))
+        errors = row.pose_errors.get(judge)
+        cells.append(_format_spread(errors and errors.translation_mm, paper and paper.translation_mm))
+        cells.append(_format_spread(errors and errors.rotation_deg, paper and paper.rotation_deg))
     return cells
 
 
-def _spread(ours: MeanStd | None, theirs: MeanStd | None) -> str:
-    told = "-" if ours is None else f"{ours[0]:.2f} ± {ours[1]:.2f}"
-    return f"{told} ({theirs[0]:.2f} ± {theirs[1]:.2f})" if theirs else told
+def _format_spread(ours: MeanStd | None, published: MeanStd | None) -> str:
+    text = "-" if ours is None else f"{ours[0]:.2f} ± {ours[1]:.2f}"
+    return f"{text} ({published[0]:.2f} ± {published[1]:.2f})" if published else text
 
 
-def _second(row: TableRow) -> list[str]:
-    cells = [_transfer(row), row.title]
-    for name in _REGIONAL:
-        of = row.metrics.get(name, {})
-        cells.append(" / ".join(_number(of.get(region)) for region in REGIONS))
-    cells.append(
-        "-" if row.set_distances is None else f"{row.set_distances.kernel:.3f} ({row.set_distances.kernel_floor:.3f})"
-    )
-    return [*cells, f"{row.ms:.0f}" if row.ms else "-"]
+def _region_cells(row: TableRow) -> list[str]:
+    sets = row.set_distances
+    return [
+        _format_transfer(row),
+        row.title,
+        *(
+            " / ".join(_format_number(row.metrics.get(n, {}).get(region)) for region in REGIONS)
+            for n in _REGION_METRICS
+        ),
+        "-" if sets is None else f"{sets.kernel:.3f} ({sets.kernel_floor:.3f})",
+        f"{row.ms:.0f}" if row.ms else "-",
+    ]
 
 
-def _number(value: float | None) -> str:
+def _format_number(value: float | None) -> str:
     return "-" if value is None else f"{value:.1f}" if abs(value) >= 10 else f"{value:.2f}"
 
 
-def _show_sweep(points: Sequence[SweepPoint]) -> None:
-    shown = Shown("transfer", "model", "parameter", "ms a touch", "error in contact, mm", "SSIM, no noise")
+def _print_sweep(points: Sequence[SweepPoint]) -> None:
+    table = Table("transfer", "model", "parameter", "ms a touch", "error in contact, mm", "SSIM, no noise")
     for point in points:
-        error, alike = point.contact_error_mm, point.row.metrics.get("ssim_exact", {}).get("all")
-        name = f"{point.parameter} {point.value:g}" if point.parameter else "as it comes"
-        shown.add_row(
-            _transfer(point.row), point.row.title, name, f"{point.row.ms:.0f}",
-            "-" if error is None else f"{error:.3f}", "-" if alike is None else f"{alike:.4f}",
+        error, ssim = point.contact_error_mm, point.row.metrics.get("ssim_exact", {}).get("all")
+        table.add_row(
+            _format_transfer(point.row), point.row.title,
+            f"{point.parameter} {point.value:g}" if point.parameter else "default", f"{point.row.ms:.0f}",
+            "-" if error is None else f"{error:.3f}", "-" if ssim is None else f"{ssim:.4f}",
         )  # fmt: skip
-    Console().print(shown)
+    Console().print(table)
 
 
 def _as_json(
-    table: EvaluationTable, points: Sequence[SweepPoint], wanted: EvaluationRequest, about: Mapping[str, object]
+    table: EvaluationTable, points: Sequence[SweepPoint], request: EvaluationRequest, machine: Mapping[str, object]
 ) -> dict[str, object]:
     return {
         "split": table.split, "notes": list(table.notes), "regions": dict(REGIONS),
-        "figures": {name: asdict(metric) for name, metric in TOUCH_METRICS.items()},
-        "wanted": {"methods": dict(wanted.methods), "settings": list(wanted.settings)}, "machine": dict(about),
+        "metrics": {name: asdict(metric) for name, metric in TOUCH_METRICS.items()},
+        "request": {"methods": dict(request.methods), "settings": list(request.settings)}, "machine": dict(machine),
         "rows": [asdict(row) for row in table.rows],
         "sweep": [{"parameter": p.parameter, "value": p.value, "row": asdict(p.row)} for p in points],
     }  # fmt: skip

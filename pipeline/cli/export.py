@@ -1,60 +1,132 @@
-"""`tactoscope export`, `make-case` and `case`."""
+"""`tactoscope export`, `bundle` and `replay`."""
 
 from __future__ import annotations
 
 import os
 import shlex
 from pathlib import Path
+from typing import Annotated
 
+from cyclopts import Parameter
 from rich.console import Console
 from rich.table import Table
 
 from pipeline.cli.interrupts import interruptible_progress
 from pipeline.cli.terminal import print_line
+from pipeline.cli.translation_options import (
+    DEFAULT_OPTIONS,
+    RecordingPath,
+    StageSettings,
+    TargetName,
+    TranslationOptions,
+)
 from pipeline.reporting.export import export_file
-from pipeline.reporting.export_request import ExportRequest
+from pipeline.reporting.export_request import SHEET, ExportRequest, PaneContent
 from pipeline.reporting.repro_bundle import REPLAY_TOLERANCE, StageAgreement, replay_bundle, write_bundle
-from pipeline.translation.translate import Request
+
+_DISPLAY_HELP = "`stage.parameter=value`, or `display.parameter=value` for the display; repeatable."
+_DisplaySettings = Annotated[tuple[str, ...], Parameter(name="--set", negative="", help=_DISPLAY_HELP)]
+# Not in the docstring: there `note` would be the heading of a section.
+_Note = Annotated[str, Parameter(help="Description of the problem.")]
 
 
-def run_export(asked: ExportRequest) -> int:
-    """Write one file; returns 0."""
-    with interruptible_progress() as work:
-        replaced = export_file(asked, work)
-    for told in replaced:
-        print_line(f"another method answered: {told}")
-    print_line(f"{asked.pane} written to {os.fspath(asked.path)}")
+def export(
+    recording: RecordingPath,
+    *,
+    target: TargetName,
+    out: Path,
+    options: TranslationOptions = DEFAULT_OPTIONS,
+    pane: str = SHEET,
+    content: PaneContent = "computed",
+    frame: int = 0,
+    frames: str = "",
+    section: tuple[float, float, float, float] | None = None,
+    settings: _DisplaySettings = (),
+) -> int:
+    """Write one file of a translation.
+
+    Parameters
+    ----------
+    out
+        File to write: .png or .pdf of a pane or the sheet, .ply of a pane's points in mm, .npz of its arrays, .csv of
+        the metrics of all frames, .mp4 or .avi of a pane through the frames.
+    pane
+        A stage, `source`, or `sheet` for all of them side by side.
+    content
+        Computed value, ground truth, or their difference; the last two need ground truth.
+    frame
+        Frame of an image, of points or of arrays.
+    frames
+        Frames of a table or a video, such as `0,3-7`; default: all.
+    section
+        x, y of the start and of the end of a line in mm from the source camera's axis, on the gel: the .csv then holds
+        the height of each pane along it on one frame; --pane takes several, comma-separated.
+    """
+    request = ExportRequest(
+        request=options.build_request(recording, target), settings=settings, pane=pane, content=content, frame=frame,
+        frames=frames, section=section or (), path=out,
+    )  # fmt: skip
+    with interruptible_progress() as progress:
+        fallbacks = export_file(request, progress)
+    for fallback in fallbacks:
+        print_line(f"fallback used: {fallback}")
+    print_line(f"{pane} written to {os.fspath(out)}")
     return 0
 
 
-def run_bundle(request: Request, settings: tuple[str, ...], frame: int, folder: Path, note: str) -> int:
-    """Write one case; returns 0."""
-    with interruptible_progress() as work:
-        write_bundle(request, settings, frame, folder, note=note, progress=work)
-    print_line(f"case of frame {frame} written; play it again with: tactoscope case {shlex.quote(os.fspath(folder))}")
+def bundle(
+    recording: RecordingPath,
+    *,
+    target: TargetName,
+    out: Path,
+    options: TranslationOptions = DEFAULT_OPTIONS,
+    frame: int = 0,
+    note: _Note = "",
+    settings: StageSettings = (),
+) -> int:
+    """Write the repro bundle of one frame.
+
+    Parameters
+    ----------
+    out
+        New folder to write.
+    frame
+        Frame to bundle.
+    """
+    with interruptible_progress() as progress:
+        write_bundle(options.build_request(recording, target), settings, frame, out, note=note, progress=progress)
+    command = f"tactoscope replay {shlex.quote(os.fspath(out))}"
+    print_line(f"repro bundle of frame {frame} written; replay it with: {command}")
     return 0
 
 
-def run_replay(folder: Path) -> int:
-    """Play a case again and print how each slot agrees; returns 0 if all do, 1 otherwise."""
-    with interruptible_progress() as work:
-        played = replay_bundle(folder, work)
-    if played.note:
-        print_line(played.note)
-    table = Table("slot", "arrays", "agrees", "differs most")
-    for one in played.agreements:
-        table.add_row(one.stage, str(one.n_arrays), _words(one), one.worst_array if one.largest_difference > 0 else "")
+def replay(folder: Path) -> int:
+    """Replay a repro bundle and print the agreement of each stage; returns 0 if all agree, otherwise 1.
+
+    Parameters
+    ----------
+    folder
+        Folder written by `tactoscope bundle` or by "Export repro bundle" of the window.
+    """
+    with interruptible_progress() as progress:
+        result = replay_bundle(folder, progress)
+    if result.note:
+        print_line(result.note)
+    table = Table("stage", "arrays", "agreement", "largest difference in")
+    for stage in result.agreements:
+        worst = stage.worst_array if stage.largest_difference > 0 else ""
+        table.add_row(stage.stage, str(stage.n_arrays), _format_agreement(stage), worst)
     Console().print(table)
-    for name, value in played.metrics.items():
-        print_line(f"{name} {value:.4g}, then {played.expected_metrics.get(name, float('nan')):.4g}")
-    print_line("the same as when the case was made" if played.is_same else "not the same as when the case was made")
-    return 0 if played.is_same else 1
+    for name, value in result.metrics.items():
+        print_line(f"{name} {value:.4g}, recorded {result.expected_metrics.get(name, float('nan')):.4g}")
+    print_line("same result as recorded" if result.is_same else "NOT the recorded result")
+    return 0 if result.is_same else 1
 
 
-def _words(one: StageAgreement) -> str:
-    if one.largest_difference == 0:
-        return "the same bytes"
-    if one.largest_difference == float("inf"):
-        return "another shape, or other gaps"
-    how = "but for rounding" if one.largest_difference <= REPLAY_TOLERANCE else "NO"
-    return f"{how}: {one.largest_difference:.2g} of its range"
+def _format_agreement(stage: StageAgreement) -> str:
+    if stage.largest_difference == 0:
+        return "same bytes"
+    if stage.largest_difference == float("inf"):
+        return "other shape, or other gaps"
+    verdict = "same but for rounding" if stage.largest_difference <= REPLAY_TOLERANCE else "NO"
+    return f"{verdict}: {stage.largest_difference:.2g} of its range"

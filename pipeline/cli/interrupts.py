@@ -1,6 +1,6 @@
-"""Ctrl-C, or being told to end (SIGTERM), as a question that is answered at the next step of the work.
+"""Ctrl-C and SIGTERM as a flag that the work checks at its next step.
 
-An interruption that is raised anywhere may fall into the compiling of a loop, which swallows it, or between two files.
+An exception raised at an arbitrary point could be swallowed while a kernel compiles, or leave a file half written.
 """
 
 from __future__ import annotations
@@ -12,36 +12,36 @@ from contextlib import contextmanager
 
 
 class InterruptibleProgress:
-    """A progress that nobody watches, and that ends the work with KeyboardInterrupt once asked to."""
+    """Progress without display that raises KeyboardInterrupt at the next step after a stop request."""
 
     def __init__(self) -> None:
-        self._asked = False
+        self._stop_requested = False
 
     def request_stop(self, *_signal: object) -> None:
-        """Ask the work to stop."""
-        self._asked = True
+        """Stop the work at its next step."""
+        self._stop_requested = True
 
-    def step(self, fraction: float, text: str) -> None:  # noqa: ARG002 - nobody watches
-        """Go on, or raise KeyboardInterrupt."""
-        if self._asked:
+    def step(self, fraction: float, text: str) -> None:  # noqa: ARG002 - nothing is displayed
+        """Raise KeyboardInterrupt after a stop request."""
+        if self._stop_requested:
             raise KeyboardInterrupt
 
 
 @contextmanager
 def interruptible_progress() -> Generator[InterruptibleProgress, None, None]:
-    """While it lasts Ctrl-C and SIGTERM ask."""
-    work = InterruptibleProgress()
-    with handle_interrupts(work.request_stop):
-        yield work
+    """Progress that Ctrl-C and SIGTERM stop while the context lasts."""
+    progress = InterruptibleProgress()
+    with handle_interrupts(progress.request_stop):
+        yield progress
 
 
 @contextmanager
-def handle_interrupts(ask: Callable[..., None]) -> Generator[None, None, None]:
-    """While it lasts Ctrl-C and SIGTERM call `ask`; a thread other than the main one hears no signals."""
-    heard = threading.current_thread() is threading.main_thread()
-    before = {kind: signal.signal(kind, ask) for kind in (signal.SIGINT, signal.SIGTERM) if heard}
+def handle_interrupts(handler: Callable[..., None]) -> Generator[None, None, None]:
+    """Call `handler` on Ctrl-C and SIGTERM while the context lasts; no effect outside the main thread."""
+    is_main = threading.current_thread() is threading.main_thread()
+    previous = {kind: signal.signal(kind, handler) for kind in (signal.SIGINT, signal.SIGTERM) if is_main}
     try:
         yield
     finally:
-        for kind, handler in before.items():
-            signal.signal(kind, handler)
+        for kind, old_handler in previous.items():
+            signal.signal(kind, old_handler)

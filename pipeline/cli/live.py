@@ -7,6 +7,9 @@ import os
 import threading
 import time
 from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
 
 from pipeline.base.errors import SettingProblem
 from pipeline.cli.interrupts import handle_interrupts
@@ -15,59 +18,93 @@ from pipeline.live import reference_capture
 from pipeline.live.reader import LiveReader
 from pipeline.live.recorder import LiveRecorder
 from pipeline.live.source import LiveSource
+from pipeline.live.source_parsing import parse_source
 from pipeline.live.usb_camera import list_usb_cameras
 
-_EVERY_S = 1.0
-_PATIENCE_S = 5.0  # for the reader's thread to end
+_STATUS_PERIOD_S = 1.0
+_STOP_TIMEOUT_S = 5.0  # for the reader's thread to end
 
 
-def list_cameras() -> int:
-    """Print the cameras that are plugged in; returns 0."""
+def live(
+    *,
+    source: Annotated[tuple[str, ...], Parameter(consume_multiple=True, negative="")] = ("simulated",),
+    sensor: str = "",
+    object_source: Annotated[str, Parameter(name="--object")] = "sphere",
+    rate: float = 15.0,
+    record: Path | None = None,
+    seconds: float = 0.0,
+    list_devices: Annotated[bool, Parameter(name="--list", negative="")] = False,
+) -> int:
+    """Print a sensor's status every second; returns the exit code.
+
+    Parameters
+    ----------
+    source
+        `simulated`, `folder DIR` into which another program writes images, or `device NAME`: a part of a camera's
+        name or serial number, or the path of a camera or of a recorded stream.
+    sensor
+        Sensor type, if neither device name nor image size identifies it; for `simulated` the sensor to simulate.
+    object_source
+        Object pressed into a simulated sensor: an object of `tactoscope simulate`, or a mesh file.
+    rate
+        Frames per second of a simulated sensor.
+    record
+        Recording to write, an .h5 file that is readable while it grows and after a crash.
+    seconds
+        Stop after this time; 0 = at Ctrl-C.
+    list_devices
+        Only list the connected cameras.
+    """
+    if list_devices:
+        return _list_cameras()
+    return _watch_sensor(parse_source(source, sensor=sensor, tool=object_source, rate_hz=rate), record, seconds)
+
+
+def _list_cameras() -> int:
     cameras = list_usb_cameras()
     for camera in cameras:
         print_line(f"{camera.name}  {camera.profile.sensor or 'no known sensor'}  {os.fspath(camera.node)}")
     if not cameras:
-        print_line("no camera is plugged in")
+        print_line("no camera is connected")
     return 0
 
 
-def watch_sensor(source: LiveSource, record: Path | None, seconds: float) -> int:
-    """Watch until the time is over or Ctrl-C; returns 0, 1 if nothing came at all."""
+def _watch_sensor(source: LiveSource, record: Path | None, seconds: float) -> int:
+    """Print the status until the time is over or Ctrl-C; returns 1 if no frame came."""
     if not 0.0 <= seconds < math.inf:
         raise SettingProblem(f"--seconds must be 0 or more, got {seconds:g}")
     recorder = None if record is None else LiveRecorder(record, source.title)
     reader, ended = LiveReader(source), threading.Event()
     if recorder is not None:
         reader.set_listener(recorder.offer)
-    began_s = time.monotonic()
+    start_s = time.monotonic()
     try:
         with handle_interrupts(lambda *_: ended.set()):
             reader.start()
-            while not ended.wait(_EVERY_S) and (seconds <= 0 or time.monotonic() - began_s < seconds):
-                _say(reader, recorder)
+            while not ended.wait(_STATUS_PERIOD_S) and (seconds <= 0 or time.monotonic() - start_s < seconds):
+                _print_status(reader, recorder)
     finally:
         reader.set_listener(None)
-        reader.stop(_PATIENCE_S)
+        reader.stop(_STOP_TIMEOUT_S)
         if recorder is not None:
             recorder.close()
-    return _result(reader, recorder)
+    return _print_result(reader, recorder)
 
 
-def _say(reader: LiveReader, recorder: LiveRecorder | None) -> None:
+def _print_status(reader: LiveReader, recorder: LiveRecorder | None) -> None:
     status = reader.status()
     written = "" if recorder is None else f", {recorder.n_written} recorded"
-    sentence = status.message or ("" if recorder is None else recorder.problem)
-    wrong = f"; {sentence}" if sentence else ""
+    problem = status.message or ("" if recorder is None else recorder.problem)
     print_line(
         f"{status.state}: {status.rate_hz:.1f} Hz, {status.n_frames} frames, {status.n_lost} lost{written}"
-        f"{'' if reader.has_reference else ', no zero yet'}{wrong}"
+        f"{'' if reader.has_reference else ', no reference yet'}{f'; {problem}' if problem else ''}"
     )
 
 
-def _result(reader: LiveReader, recorder: LiveRecorder | None) -> int:
+def _print_result(reader: LiveReader, recorder: LiveRecorder | None) -> int:
     status = reader.status()
     if not status.n_frames:
-        print_line(f"nothing came from {reader.source.title}{f': {status.message}' if status.message else ''}")
+        print_line(f"no frame came from {reader.source.title}{f': {status.message}' if status.message else ''}")
         return 1
     if recorder is None:
         return 0
@@ -75,8 +112,8 @@ def _result(reader: LiveReader, recorder: LiveRecorder | None) -> int:
         print_line(f"{recorder.n_written} frames in {os.fspath(recorder.path)}, {recorder.n_dropped} left out")
     elif not recorder.problem:
         print_line(
-            f"nothing was recorded and no file is left: the first {reference_capture.AUTO_CAPTURE_FRAMES} readings are taken as untouched, "
-            f"{status.n_frames} came; let it watch for longer"
+            f"nothing was recorded and no file is left: the first {reference_capture.AUTO_CAPTURE_FRAMES} frames make "
+            f"the reference, {status.n_frames} came; record for longer"
         )
         return 1
     if recorder.problem:

@@ -25,17 +25,17 @@ _DIRECTIONS = (("gelslim", "soft_bubble"), ("soft_bubble", "digit"), ("digit", "
 _PRESS_SENSORS = ("soft_bubble", "digit")
 _ADAPTIVE_SENSORS = ("gelsight_mini", "digit")
 _TOOL = "notched_elbow"
-_MARKER = "prepared"  # file in the cache folder: nomesh is left to compile
+_MARKER = "prepared"  # file in the cache folder: nothing is left to compile
 
 
-def compile_kernels() -> int:
+def prepare() -> int:
     """Run the chain and the simulator once, so that all their kernels are compiled and cached; 0."""
     folder = compiling.kernel_folder()
     marker = folder / _MARKER
     if not marker.exists():
         before_s = time.process_time()
         with Console(stderr=True).status("compiling kernels") as status, compiling.report_compiling(status.update):
-            for task in _tasks():
+            for task in _list_tasks():
                 task()
         n = compiling.count_compiled()
         print_line(f"{n} kernels compiled in {time.process_time() - before_s:.0f} s of processor time")
@@ -45,7 +45,7 @@ def compile_kernels() -> int:
     return 0
 
 
-def _tasks() -> Iterator[Callable[[], object]]:
+def _list_tasks() -> Iterator[Callable[[], object]]:
     """Yield tasks that together call every kernel; those that the sample needs come first."""
     from pipeline.translation.catalogue import BUILT_IN, default_params, with_setting
 

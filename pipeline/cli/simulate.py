@@ -1,4 +1,4 @@
-"""`tactoscope simulate`: recordings from physics, one per object, resumable."""
+"""`tactoscope simulate`: simulated recordings, one per object; an interrupted run can be continued."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import os
 from collections.abc import Generator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from typing import Literal
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
@@ -13,63 +14,116 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextC
 from pipeline.base.cluster import connect_cluster
 from pipeline.base.errors import FileProblem
 from pipeline.base.progress import Cancelled
+from pipeline.base.units import MeshUnit
 from pipeline.cli.interrupts import handle_interrupts
 from pipeline.cli.terminal import print_line
+from pipeline.cli.translation_options import split_list
 from pipeline.simulation import datasets, recorder
 from pipeline.simulation.datasets import SimulationPlan
 
 
-class _Bar:
-    """Shows finished moments on the terminal; stops the work between two moments once asked to."""
+def simulate(
+    *,
+    sensors: str,
+    tools: str,
+    out: Path,
+    poses: int = 60,
+    seed: int = 0,
+    sequence: Literal["grid", "press", "slide", "twist", "release", "all"] = "grid",
+    vary: float = 0.0,
+    noise: bool = True,
+    bubble_deeper_mm: float = 9.0,
+    drag_mm: float = 0.0,
+    jobs: int = 2,
+    scheduler: str = "",
+    mesh_unit: MeshUnit = "auto",
+    mesh_face: Literal["-x", "+x", "-y", "+y", "-z", "+z"] = "-z",
+) -> int:
+    """Simulate and write the frames that are missing; Ctrl-C and SIGTERM raise KeyboardInterrupt between two frames.
 
-    def __init__(self, bar: Progress, task: TaskID) -> None:
-        self._bar, self._task, self._stop = bar, task, False
-
-    def request_stop(self, *_signal: object) -> None:
-        """Ask the work to stop."""
-        self._stop = True
-        self._bar.update(self._task, description="stopping")
-
-    def step(self, fraction: float, text: str) -> None:  # noqa: ARG002 - the bar counts moments of all objects
-        """One more moment is whole on its way to disk."""
-        self._bar.update(self._task, advance=1, description=text)
-        if self._stop:
-            raise Cancelled
-
-
-def simulate_recordings(tools: tuple[str, ...], like: SimulationPlan, out: Path, jobs: int, scheduler: str = "") -> int:
-    """Simulate and write what is missing at `out`; Ctrl-C and SIGTERM end in KeyboardInterrupt, all finished kept."""
-    plans = datasets.make_plans(tools, like)
+    Parameters
+    ----------
+    sensors
+        Sensors that record the same presses, comma-separated, such as `gelslim,soft_bubble`.
+    tools
+        Objects, such as `NAME,NAME`; the groups `training`, `unseen`, `task` or `all`; or a mesh file.
+    out
+        One `.h5` file for one object, otherwise a folder with one `.h5` per object.
+    poses
+        Grasps per object, or frames of the sequence.
+    seed
+        Seed of poses, noise and sensor instances.
+    sequence
+        `grid` is single grasps over 10 mm x 10 mm and up to 45 degrees; the others are moving touches, and `all` is
+        press, slide, twist and release in a row.
+    vary
+        Variation between sensor instances, 1 = as between real ones; every ten frames use a new instance.
+    noise
+        Whether frames have camera noise.
+    bubble_deeper_mm
+        Distance by which a bubble is nearer to the object than its description says.
+    drag_mm
+        Distance that each object has slid along the gels since contact, at a friction of 0.8: it moves the markers.
+    jobs
+        Number of processes.
+    scheduler
+        Address of a Dask scheduler whose workers simulate instead, such as `tcp://host:8786`.
+    mesh_unit
+        Unit of a mesh file.
+    mesh_face
+        Side of a mesh file that touches, such as `--mesh-face=-x`.
+    """
+    template = SimulationPlan(
+        sensors=split_list(sensors), object_source="", n_poses=poses, seed=seed, sequence=sequence, vary=vary,
+        noise=noise, bubble_deeper_mm=bubble_deeper_mm, drag_mm=drag_mm, mesh_unit=mesh_unit, mesh_face=mesh_face,
+    )  # fmt: skip
+    plans = datasets.make_plans(split_list(tools), template)
     files = [recorder.resolve_recording_path(plan, out, len(plans)) for plan in plans]
-    had = [recorder.count_finished_moments(plan, path) for plan, path in zip(plans, files, strict=True)]
+    n_finished = sum(recorder.count_finished_moments(plan, path) for plan, path in zip(plans, files, strict=True))
     total = sum(plan.n_poses for plan in plans)
-    if sum(had) == total:
+    if n_finished == total:
         raise FileProblem("all of this is simulated already and is kept; choose another --out or --seed", out)
-    left = total - sum(had)
-    unsolved = 0
-    with ExitStack() as open_now:
-        local = open_now.enter_context(
-            recorder.make_worker_pool(jobs)
-        )  # checks the number; starts no process before there is work
-        pool = open_now.enter_context(connect_cluster(scheduler)).pool if scheduler else local
-        bar = open_now.enter_context(_bar(total, sum(had)))
+    n_unsolved = 0
+    with ExitStack() as stack:
+        # Checks `jobs`; starts no process before there is work.
+        local_pool = stack.enter_context(recorder.make_worker_pool(jobs))
+        pool = stack.enter_context(connect_cluster(scheduler)).pool if scheduler else local_pool
+        bar = stack.enter_context(_open_bar(total, n_finished))
+        use_pool = scheduler or (jobs > 1 and total - n_finished >= recorder.MIN_MOMENTS_FOR_POOL)
         try:
             for plan, path in zip(plans, files, strict=True):
-                worth_it = jobs > 1 and left >= recorder.MIN_MOMENTS_FOR_POOL
-                shared = pool if scheduler or worth_it else None
-                unsolved += recorder.record_plan(plan, path, pool=shared, progress=bar).n_unsolved
+                result = recorder.record_plan(plan, path, pool=pool if use_pool else None, progress=bar)
+                n_unsolved += result.n_unsolved
         except Cancelled:
             raise KeyboardInterrupt from None
-    print_line(f"{total} moments of {len(plans)} objects for {', '.join(like.sensors)} in {os.fspath(out)}")
-    if unsolved:
-        print_line(f"{unsolved} readings did not converge; they are kept without a truth")
+    print_line(f"{total} moments of {len(plans)} objects for {', '.join(template.sensors)} in {os.fspath(out)}")
+    if n_unsolved:
+        print_line(f"{n_unsolved} frames did not converge; they are kept without ground truth")
     return 0
 
 
+class _InterruptibleBar:
+    """Progress bar of finished moments; ends the work between two moments after a stop request."""
+
+    def __init__(self, bar: Progress, task: TaskID) -> None:
+        self._bar, self._task, self._stop_requested = bar, task, False
+
+    def request_stop(self, *_signal: object) -> None:
+        """Stop the work after the current moment."""
+        self._stop_requested = True
+        self._bar.update(self._task, description="stopping")
+
+    def step(self, fraction: float, text: str) -> None:  # noqa: ARG002 - the bar counts moments of all objects
+        """Count one more moment; raises Cancelled after a stop request."""
+        self._bar.update(self._task, advance=1, description=text)
+        if self._stop_requested:
+            raise Cancelled
+
+
 @contextmanager
-def _bar(total: int, had: int) -> Generator[_Bar, None, None]:
+def _open_bar(total: int, n_finished: int) -> Generator[_InterruptibleBar, None, None]:
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as shown:
-        bar = _Bar(shown, shown.add_task("simulating", total=total, completed=had))
+    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+        bar = _InterruptibleBar(progress, progress.add_task("simulating", total=total, completed=n_finished))
         with handle_interrupts(bar.request_stop):
             yield bar

@@ -1,4 +1,4 @@
-"""`tactoscope train`: a run with its progress on the terminal, and the weights that it ends in."""
+"""`tactoscope train`: train a network with progress on the terminal, and write its weights."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ import os
 import shlex
 import sys
 from pathlib import Path
+from typing import Annotated
 
+from cyclopts import App, Parameter
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
@@ -15,99 +17,139 @@ from rich.table import Table
 from pipeline.base.errors import FileProblem, SettingProblem
 from pipeline.cli.interrupts import handle_interrupts
 from pipeline.cli.terminal import print_line
+from pipeline.cli.translation_options import Flag
 from pipeline.networks.weights import SUFFIX, Weights
 from pipeline.training.export import export_run
 from pipeline.training.loop import TrainingRun
 from pipeline.training.loop import train as train_run
 from pipeline.training.recipe import load_recipe, override_training
+from pipeline.training.task import TASKS
 
 WEIGHTS_FILE = f"weights{SUFFIX}"
+_NETWORK_NAMES = tuple(dict.fromkeys(entry.subcommand for entry in TASKS.values()))
+_NetworkName = Annotated[str, Parameter(help=f"What to train: {', '.join(_NETWORK_NAMES)}.")]
+train_app = App(name="train")
 
 
-class _Bar:
-    """Shows how far a run is; ends it between two steps once asked to."""
-
-    def __init__(self, bar: Progress, task: TaskID) -> None:
-        self._bar, self._task, self._stop = bar, task, False
-
-    def request_stop(self, *_signal: object) -> None:
-        """Ask the run to stop."""
-        self._stop = True
-        self._bar.update(self._task, description="stopping")
-
-    def step(self, fraction: float, text: str) -> None:
-        """Show, or end."""
-        self._bar.update(self._task, completed=fraction, description=text)
-        if self._stop:
-            raise KeyboardInterrupt
-
-
-def run_training(
-    what: str,
+@train_app.default
+def train(
+    what: _NetworkName,
+    *,
     recipe: str,
     out: Path,
-    *,
-    resume: bool,
-    minutes: float | None,
-    steps: int | None,
-    seed: int | None,
-    workers: int,
+    resume: Flag = False,
+    minutes: float | None = None,
+    steps: int | None = None,
+    seed: int | None = None,
+    workers: int = 1,
 ) -> int:
-    """Run a training to its end and write its weights; Ctrl-C and SIGTERM end in KeyboardInterrupt, all of it kept."""
+    """Train on examples that are simulated on the fly.
+
+    Ctrl-C and SIGTERM keep the state, a kill loses a minute at most; the same command with --resume continues. Under
+    `torchrun` each process takes one device and all train together.
+
+    Parameters
+    ----------
+    recipe
+        Name of a shipped recipe, or a .toml file.
+    out
+        Folder for the state, `curve.csv`, `figures.csv`, `curve.png` and `weights.safetensors`.
+    resume
+        Continue the training in that folder.
+    minutes
+        Training time in all, instead of the recipe's steps; the learning rate follows the clock.
+    steps
+        Number of steps, instead of the recipe's.
+    seed
+        Seed of weights and examples, instead of the recipe's.
+    workers
+        Processes that make examples; 0 makes them in the main process.
+    """
+    known = {entry.subcommand for entry in TASKS.values()}
+    if what not in known:
+        raise SettingProblem(f"nothing called {what!r} can be trained; there are {', '.join(sorted(known))}")
     if minutes is not None and not 0.0 < minutes <= 1e6:
         raise SettingProblem(f"--minutes must lie above 0 and at most a million, got {minutes:g}")
     if minutes is not None and steps is not None:
         raise SettingProblem("give either --minutes or --steps, not both")
     pace = {name: value for name, value in (("steps", steps), ("seed", seed)) if value is not None}
     run = TrainingRun(
-        recipe=override_training(load_recipe(recipe, what), **pace), folder=out, resume=resume, max_minutes=minutes, n_workers=workers,
-        command=shlex.join(["tactoscope", *sys.argv[1:]]),
+        recipe=override_training(load_recipe(recipe, what), **pace), folder=out, resume=resume, max_minutes=minutes,
+        n_workers=workers, command=shlex.join(["tactoscope", *sys.argv[1:]]),
     )  # fmt: skip
     run_with_progress_bar(run)
     if os.environ.get("RANK", "0") == "0":
-        print_model_card(export_run(out, out / WEIGHTS_FILE))
-        print_line(f"weights and their card are in {os.fspath(out / WEIGHTS_FILE)}")
+        _print_model_card(export_run(out, out / WEIGHTS_FILE))
+        print_line(f"weights and model card are in {os.fspath(out / WEIGHTS_FILE)}")
+    return 0
+
+
+@train_app.command(name="export")
+def export_weights(run: Path, *, to: Path, half: Flag = False) -> int:
+    """Write the weights of a training, finished or not, with a model card.
+
+    Parameters
+    ----------
+    run
+        Folder of the training.
+    to
+        File for the weights (.safetensors); the model card is written next to it.
+    half
+        Write 16-bit weights: half the size.
+    """
+    if to.suffix != SUFFIX:
+        raise FileProblem(f"weights are written as {SUFFIX}; choose such a name", to)
+    _print_model_card(export_run(run, to, half=half))
+    print_line(f"{to.stat().st_size / 2**20:.2f} MiB in {os.fspath(to)}, with its model card")
     return 0
 
 
 def run_with_progress_bar(run: TrainingRun) -> None:
-    """Run a training with a bar on the terminal; Ctrl-C and SIGTERM end it between two steps in KeyboardInterrupt."""
+    """Run a training with a progress bar; Ctrl-C and SIGTERM raise KeyboardInterrupt between two steps."""
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # before torch loads: idle threads leave the processor alone
     console = Console(stderr=True, quiet=os.environ.get("RANK", "0") != "0")
-    log, told = logging.getLogger("tactoscope"), _Told(console)
-    log.addHandler(told)
+    log, handler = logging.getLogger("tactoscope"), _ConsoleHandler(console)
+    log.addHandler(handler)
     log.setLevel(logging.INFO)
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True) as shown:
-        bar = _Bar(shown, shown.add_task("beginning", total=1.0))
+    with Progress(*columns, console=console, transient=True) as progress:
+        bar = _InterruptibleBar(progress, progress.add_task("starting", total=1.0))
         try:
             with handle_interrupts(bar.request_stop):
                 train_run(run, bar)
         finally:
-            log.removeHandler(told)
+            log.removeHandler(handler)
             log.setLevel(logging.NOTSET)
 
 
-def export_weights(run: Path, to: Path, *, half: bool) -> int:
-    """Write the weights of a run."""
-    if to.suffix != SUFFIX:
-        raise FileProblem(f"weights are kept in a {SUFFIX} file; choose such a name", to)
-    print_model_card(export_run(run, to, half=half))
-    print_line(f"{to.stat().st_size / 2**20:.2f} MiB in {os.fspath(to)}, its card beside it")
-    return 0
+class _InterruptibleBar:
+    """Progress bar of a training; ends it between two steps after a stop request."""
+
+    def __init__(self, bar: Progress, task: TaskID) -> None:
+        self._bar, self._task, self._stop_requested = bar, task, False
+
+    def request_stop(self, *_signal: object) -> None:
+        """Stop the training after the current step."""
+        self._stop_requested = True
+        self._bar.update(self._task, description="stopping")
+
+    def step(self, fraction: float, text: str) -> None:
+        """Show progress; raises KeyboardInterrupt after a stop request."""
+        self._bar.update(self._task, completed=fraction, description=text)
+        if self._stop_requested:
+            raise KeyboardInterrupt
 
 
-def print_model_card(weights: Weights) -> None:
-    """Print the card."""
-    table = Table("weights", f"{weights.kind}, {weights.n_parameters:,} numbers")
+def _print_model_card(weights: Weights) -> None:
+    table = Table("weights", f"{weights.kind}, {weights.n_parameters:,} parameters")
     for name, value in weights.card.items():
         if name != "recipe":
             table.add_row(name, value)
     Console().print(table)
 
 
-class _Told(logging.Handler):
-    """What the loop says, above the bar: figures as they come, and warnings."""
+class _ConsoleHandler(logging.Handler):
+    """Prints the training loop's messages above the progress bar."""
 
     def __init__(self, console: Console) -> None:
         super().__init__(logging.INFO)
@@ -115,10 +157,5 @@ class _Told(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         """Print one line."""
-        self._console.print(
-            record.getMessage(),
-            style="yellow" if record.levelno > logging.INFO else "dim",
-            markup=False,
-            highlight=False,
-            soft_wrap=True,
-        )
+        style = "yellow" if record.levelno > logging.INFO else "dim"
+        self._console.print(record.getMessage(), style=style, markup=False, highlight=False, soft_wrap=True)

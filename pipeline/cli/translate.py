@@ -1,4 +1,4 @@
-"""`tactoscope translate`: frame by frame, each one whole on disk before the next begins."""
+"""`tactoscope translate`: frame by frame, each complete on disk before the next begins."""
 
 from __future__ import annotations
 
@@ -8,7 +8,9 @@ from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from typing import Annotated
 
+from cyclopts import Parameter
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
@@ -22,6 +24,14 @@ from pipeline.base.progress import Progress as StageProgress
 from pipeline.base.text import escape_text
 from pipeline.cli.interrupts import interruptible_progress
 from pipeline.cli.terminal import print_error, print_line
+from pipeline.cli.translation_options import (
+    DEFAULT_OPTIONS,
+    Flag,
+    RecordingPath,
+    StageSettings,
+    TargetName,
+    TranslationOptions,
+)
 from pipeline.engine.cache import Cache
 from pipeline.engine.graph import Graph
 from pipeline.reporting.frame_report import FrameReport
@@ -32,12 +42,19 @@ from pipeline.translation.translate import Request, Translation, open_translatio
 from pipeline.translation.truth_warnings import add_truth_warnings
 from pipeline.values.results import ObjectPose
 
-CACHE_BYTES = 32 * 1024 * 1024  # a few frames: what a run has passed it does not ask for again
+CACHE_BYTES = 32 * 1024 * 1024  # a few frames: a run does not return to earlier ones
+_LISTED_FRAMES = 8  # frame numbers listed behind a warning
+_BAR_COLUMNS = (
+    TextColumn("{task.description}", markup=False),
+    BarColumn(),
+    MofNCompleteColumn(),
+    TimeRemainingColumn(),
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Piece:
-    """A frame for a worker elsewhere, which writes it where all frames go."""
+class _FrameJob:
+    """A frame for a remote worker, which writes it into the common folder."""
 
     request: Request
     settings: tuple[str, ...]
@@ -45,180 +62,197 @@ class _Piece:
     index: int
 
 
-def _finish(piece: _Piece) -> None:
-    """Translate one frame and leave it whole on disk; one that cannot be is left to who asks for it next."""
-    with closing(open_translation(piece.request)) as translation:
-        graph = translation.build_graph(like=Graph((), cache=Cache(CACHE_BYTES)))
-        params = with_settings(translation.methods, piece.settings)
-        _one(translation, graph, params, piece.index, piece.out, None, SILENT)
-
-
-def _absolute(request: Request) -> Request:
-    """The same request for those who work in other folders."""
-    paths = {f.name: value.resolve() for f in fields(request) if isinstance(value := getattr(request, f.name), Path)}
-    weights = tuple((slot, file.resolve()) for slot, file in request.weights)
-    return replace(request, weights=weights, **paths)
-
-
-def translate_frames(
-    request: Request,
-    out: Path,
-    frame: int | None,
-    every: bool,
-    settings: Sequence[str],
+def translate(
+    recording: RecordingPath,
     *,
-    follow: bool = False,
+    target: TargetName,
+    out: Path,
+    options: TranslationOptions = DEFAULT_OPTIONS,
+    frame: int | None = None,
+    all_frames: Annotated[bool, Parameter(name="--all", negative="")] = False,
+    follow: Flag = False,
+    settings: StageSettings = (),
     scheduler: str = "",
 ) -> int:
-    """Translate and write what an earlier run has not left whole with the same request, settings and versions.
+    """Translate and write the frames that no earlier run has finished with the same request, settings and versions.
 
-    With a `scheduler` its workers write the frames, and what they leave is taken up here. Returns 0, 2 if some frame
-    could not be translated (its sentence is in the report), 1 if one failed unforeseen.
+    Returns 0, 2 if some frame could not be translated (the report says why), 1 if one failed unexpectedly.
+
+    Parameters
+    ----------
+    out
+        Folder for `frame_NNNN/stages.npz`, `frame_NNNN/sheet.png` and `report.json`.
+    frame
+        The only frame to translate; default without --all: the first one with contact.
+    all_frames
+        Translate every frame.
+    follow
+        With --all, start each pose at that of the previous frame: several times as fast, for moving sequences.
+    scheduler
+        With --all, address of a Dask scheduler whose workers translate the frames, such as `tcp://host:8786`.
     """
-    if frame is not None and every:
+    if frame is not None and all_frames:
         raise SettingProblem("give either --frame or --all, not both")
-    if follow and not every:
-        raise SettingProblem("--follow goes from touch to touch; give it with --all")
-    if scheduler and (follow or not every):
-        raise SettingProblem("--scheduler hands out single frames; give it with --all, and without --follow")
-    console, request = Console(stderr=True), _absolute(request) if scheduler else request
+    if follow and not all_frames:
+        raise SettingProblem("--follow uses the previous frame's pose; give it with --all")
+    if scheduler and (follow or not all_frames):
+        raise SettingProblem("--scheduler distributes single frames; give it with --all, and without --follow")
+    request = options.build_request(recording, target)
+    console, request = Console(stderr=True), _with_absolute_paths(request) if scheduler else request
     translation = open_translation(request)
     translation.check_index(0)
     params = with_settings(translation.methods, settings)
     graph = translation.build_graph(like=Graph((), cache=Cache(CACHE_BYTES)))
-    with console.status("looking for a touch") as status, compiling.report_compiling(status.update):
-        indices = range(translation.n_frames) if every else [_chosen(translation, graph, params, frame)]
+    with console.status("looking for a contact") as status, compiling.report_compiling(status.update):
+        indices = range(translation.n_frames) if all_frames else [_select_frame(translation, graph, params, frame)]
     prepare_folder(out)
     reports: list[FrameReport] = []
     last: FinishedFrame | None = None
-    n_kept = 0
-    columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    n_resumed = 0
     try:
-        with interruptible_progress() as work, Progress(*columns, console=console, transient=True) as bar:
+        with interruptible_progress() as interrupts, Progress(*_BAR_COLUMNS, console=console, transient=True) as bar:
             task = bar.add_task("translating", total=len(indices))
             if scheduler:
-                where, said = out.resolve(), tuple(settings)
-                with connect_cluster(scheduler) as elsewhere:
-                    elsewhere.map(
-                        _finish, [_Piece(request=request, settings=said, out=where, index=k) for k in indices], work
-                    )
+                jobs = [
+                    _FrameJob(request=request, settings=tuple(settings), out=out.resolve(), index=k) for k in indices
+                ]
+                with connect_cluster(scheduler) as workers:
+                    workers.map(_run_job, jobs, interrupts)
             for index in indices:
                 bar.update(task, description=f"frame {index}")
-                work.step(0.0, "")
+                interrupts.step(0.0, "")
                 with compiling.report_compiling(lambda text: bar.update(task, description=text)):
-                    known, last = _one(translation, graph, params, index, out, last if follow else None, work)
+                    previous = last if follow else None
+                    is_resumed, last = _translate_frame(translation, graph, params, index, out, previous, interrupts)
                 reports.append(last.report)
-                n_kept += known
+                n_resumed += is_resumed
                 bar.advance(task)
-    finally:  # also on Ctrl-C: what is finished is whole and listed
+    finally:  # also on Ctrl-C: finished frames are complete and listed
         translation.close()
         if reports:
             write_report(out, translation, reports)
-    failed = [frame for frame in reports if frame.problem]
-    for one in failed:
-        print_error(f"frame {one.index}: {one.problem}" if every else one.problem)
+    failed = [report for report in reports if report.problem]
+    for report in failed:
+        print_error(f"frame {report.index}: {report.problem}" if all_frames else report.problem)
     if len(failed) == len(reports) == 1:
-        return _code(failed)  # of a recording that gave nothing nothing else is of interest
+        return _exit_code(failed)  # the tables below would be empty
     for note in translation.notes:
         console.print(
             escape_text(f"note: {note}"), style="dim", highlight=False, markup=False, emoji=False, soft_wrap=True
         )
     print_stage_table(reports)
-    for told in (*list_fallbacks(reports), *list_warnings(reports)):
-        print_line(told)
-    if n_kept and not scheduler:
-        print_line(f"{n_kept} of them were finished by an earlier run and are kept as they are")
+    for line in (*list_fallbacks(reports), *list_warnings(reports)):
+        print_line(line)
+    if n_resumed and not scheduler:
+        print_line(f"{n_resumed} of them were finished by an earlier run and are kept")
     print_line(f"{len(reports) - len(failed)} of {len(reports)} frames written to {os.fspath(out)}")
-    return _code(failed)
-
-
-def _code(failed: Sequence[FrameReport]) -> int:
-    return 0 if not failed else 2 if all(frame.is_user_error for frame in failed) else 1
+    return _exit_code(failed)
 
 
 def print_stage_table(reports: Sequence[FrameReport]) -> None:
-    """Print slot, median and largest ms, how often skipped, and the error against truth."""
-    table = Table("slot", "median ms", "largest ms", "skipped", "error against truth", title=None)
-    done = [r for r in reports if r.results]
+    """Print per stage the median and largest time in ms, how often it was skipped, and its errors."""
+    table = Table("stage", "median ms", "largest ms", "skipped", "error against ground truth", title=None)
+    done = [report for report in reports if report.results]
     for name in done[0].results if done else ():
-        ms = sorted(r.results[name].ms for r in done)
-        skipped = sum(r.results[name].state == "skipped" for r in done)
+        ms = sorted(report.results[name].ms for report in done)
+        skipped = sum(report.results[name].state == "skipped" for report in done)
         table.add_row(
-            name, f"{ms[len(ms) // 2]:.2f}", f"{ms[-1]:.2f}", f"{skipped} of {len(done)}", _errors(name, done)
+            name, f"{ms[len(ms) // 2]:.2f}", f"{ms[-1]:.2f}", f"{skipped} of {len(done)}", _format_metrics(name, done)
         )
     Console().print(table)
 
 
 def list_fallbacks(reports: Sequence[FrameReport]) -> list[str]:
-    """Every slot that another method filled than the one asked for, and why."""
-    found = {f"{name}: {result.fallback}" for one in reports for name, result in one.results.items() if result.fallback}
-    return [f"another method answered: {told}" for told in sorted(found)]
+    """One sentence for each stage that another method than the requested one computed, with the reason."""
+    reasons = {f"{name}: {r.fallback}" for report in reports for name, r in report.results.items() if r.fallback}
+    return [f"fallback used: {reason}" for reason in sorted(reasons)]
 
 
 def list_warnings(reports: Sequence[FrameReport]) -> list[str]:
-    """Every doubt once, at the first slot that has it, with its frames; where numbers differ, those of the first."""
-    slots: dict[str, str] = {}
+    """Every warning once with its frames, at its first stage; warnings that differ in numbers only are merged."""
+    stages: dict[str, str] = {}
     frames: dict[str, dict[int, str]] = {}
-    for one in reports:
-        for name, result in one.results.items():
-            for doubt in result.warnings:
-                kind = re.sub(r"[\d.,]*\d", "", doubt)
-                slots.setdefault(kind, name)
-                frames.setdefault(kind, {}).setdefault(one.index, doubt)
+    for report in reports:
+        for name, result in report.results.items():
+            for warning in result.warnings:
+                kind = re.sub(r"[\d.,]*\d", "", warning)
+                stages.setdefault(kind, name)
+                frames.setdefault(kind, {}).setdefault(report.index, warning)
     return [
-        f"doubtful: {slots[kind]}: {next(iter(at.values()))}" + (f" ({_listed(at)})" if len(reports) > 1 else "")
-        for kind, at in frames.items()
+        f"warning: {stages[kind]}: {next(iter(texts.values()))}"
+        + (f" ({_format_frames(texts)})" if len(reports) > 1 else "")
+        for kind, texts in frames.items()
     ]
 
 
-def _listed(frames_by_warning: Mapping[int, str]) -> str:
-    """Frame numbers, the first few of many, and whose numbers were told where others have others."""
-    few = ", ".join(str(n) for n in list(frames_by_warning)[:8])
-    if len(frames_by_warning) == 1:
+def _format_frames(warnings_by_frame: Mapping[int, str]) -> str:
+    """The first frame numbers, and which frame the numbers in the warning are of where they differ."""
+    few = ", ".join(str(n) for n in list(warnings_by_frame)[:_LISTED_FRAMES])
+    if len(warnings_by_frame) == 1:
         return f"frame {few}"
-    whose = f"; told is frame {next(iter(frames_by_warning))}" if len(set(frames_by_warning.values())) > 1 else ""
-    return f"{len(frames_by_warning)} frames: {few}{', …' if len(frames_by_warning) > 8 else ''}{whose}"
+    first = next(iter(warnings_by_frame))
+    numbers_of = f"; numbers of frame {first}" if len(set(warnings_by_frame.values())) > 1 else ""
+    more = ", …" if len(warnings_by_frame) > _LISTED_FRAMES else ""
+    return f"{len(warnings_by_frame)} frames: {few}{more}{numbers_of}"
 
 
-def _one(
+def _run_job(job: _FrameJob) -> None:
+    """Translate one frame on a worker and write it; a frame that fails is left to the main process."""
+    with closing(open_translation(job.request)) as translation:
+        graph = translation.build_graph(like=Graph((), cache=Cache(CACHE_BYTES)))
+        params = with_settings(translation.methods, job.settings)
+        _translate_frame(translation, graph, params, job.index, job.out, None, SILENT)
+
+
+def _with_absolute_paths(request: Request) -> Request:
+    """The same request for workers with another current folder."""
+    paths = {f.name: value.resolve() for f in fields(request) if isinstance(value := getattr(request, f.name), Path)}
+    weights = tuple((stage, file.resolve()) for stage, file in request.weights)
+    return replace(request, weights=weights, **paths)
+
+
+def _exit_code(failed: Sequence[FrameReport]) -> int:
+    return 0 if not failed else 2 if all(report.is_user_error for report in failed) else 1
+
+
+def _translate_frame(
     translation: Translation,
     graph: Graph,
     params: Mapping[str, object],
     index: int,
     out: Path,
-    before: FinishedFrame | None,
+    previous: FinishedFrame | None,
     progress: StageProgress,
 ) -> tuple[bool, FinishedFrame]:
-    """A frame that is whole on disk and whether it was already; one that cannot be made has its problem instead."""
+    """(whether an earlier run had finished it, the frame); a frame that fails has its problem in the report."""
     try:
-        key = compute_frame_key(translation, params, index, before)
-        known = load_finished_frame(out, index, key)
-        if known is not None:
-            return True, known
-        inputs = translation.read_inputs(index, before.pose if before else None)
+        key = compute_frame_key(translation, params, index, previous)
+        finished = load_finished_frame(out, index, key)
+        if finished is not None:
+            return True, finished
+        inputs = translation.read_inputs(index, previous.pose if previous else None)
         results = graph.evaluate(translation.stages, inputs, params, progress)
-        facts = translation.read_ground_truth(index)
-        results = {name: add_truth_warnings(result, facts) for name, result in results.items()}
+        truth = translation.read_ground_truth(index)
+        results = {name: add_truth_warnings(result, truth) for name, result in results.items()}
         report = FrameReport(index=index, results=results, metrics=translation.compute_metrics(results, index))
         write_frame(out, translation.stream.frame(index), report, translation, key)
-        return False, FinishedFrame(report=report.without_arrays, key=key, pose=_pose_of(report))
-    except Exception as error:  # noqa: BLE001 - a border: whatever one frame does, the others are translated
-        foreseen = isinstance(error, TouchError)
-        problem = str(error) if foreseen else error_log.log_error(error)
-    return False, FinishedFrame(
-        report=FrameReport(index=index, results={}, metrics={}, problem=problem, is_user_error=foreseen), key=""
-    )
+        return False, FinishedFrame(report=report.without_arrays, key=key, pose=_get_pose(report))
+    except Exception as error:  # noqa: BLE001 - whatever one frame does, the others are translated
+        is_user_error = isinstance(error, TouchError)
+        problem = str(error) if is_user_error else error_log.log_error(error)
+    report = FrameReport(index=index, results={}, metrics={}, problem=problem, is_user_error=is_user_error)
+    return False, FinishedFrame(report=report, key="")
 
 
-def _pose_of(report: FrameReport) -> ObjectPose | None:
-    """The pose of a frame, None where it has none: across a gap nothing is followed."""
+def _get_pose(report: FrameReport) -> ObjectPose | None:
+    """The pose of a frame; None without one, which ends a followed sequence."""
     result = report.results.get("pose")
     output = None if result is None else result.output
     return output if isinstance(output, ObjectPose) and output.sensor_from_object is not None else None
 
 
-def _chosen(translation: Translation, graph: Graph, params: Mapping[str, object], frame: int | None) -> int:
-    """The frame asked for, or the first one with a contact."""
+def _select_frame(translation: Translation, graph: Graph, params: Mapping[str, object], frame: int | None) -> int:
+    """The requested frame, or the first one with contact."""
     if frame is not None:
         return translation.check_index(frame)
     first = translation.stages[0]
@@ -230,12 +264,12 @@ def _chosen(translation: Translation, graph: Graph, params: Mapping[str, object]
     return 0
 
 
-def _errors(name: str, reports: Sequence[FrameReport]) -> str:
-    """Median of every figure of a stage."""
-    keys = sorted({key for r in reports for key in r.metrics if key.startswith(f"{name}.")})
+def _format_metrics(name: str, reports: Sequence[FrameReport]) -> str:
+    """Median of every metric of a stage."""
+    keys = sorted({key for report in reports for key in report.metrics if key.startswith(f"{name}.")})
     parts: list[str] = []
     for key in keys:
         values = sorted(r.metrics[key] for r in reports if key in r.metrics and r.metrics[key] == r.metrics[key])
         if values:
             parts.append(f"{key.partition('.')[2]} {values[len(values) // 2]:.3g}")
-    return ", ".join(parts) or "no truth known"
+    return ", ".join(parts) or "no ground truth"

@@ -1,4 +1,4 @@
-"""The options of every command that opens one translation, said once."""
+"""Options shared by all commands that open one translation."""
 
 from __future__ import annotations
 
@@ -20,47 +20,47 @@ Vector3 = Annotated[tuple[float, float, float], Parameter(negative="")]
 RecordingPath = Annotated[Path, Parameter(help=f"File or folder: {describe_formats()}.")]
 TargetName = Annotated[str, Parameter(help="Sensor to translate to.")]
 StageSettings = Annotated[
-    tuple[str, ...], Parameter(name="--set", negative="", help="`slot.parameter=value`, as often as needed.")
+    tuple[str, ...], Parameter(name="--set", negative="", help="`stage.parameter=value`; repeatable.")
 ]
 Flag = Annotated[bool, Parameter(negative="")]
 DepthUnit = Annotated[
     Literal["auto", "mm", "m", "0.1mm", "um"],
-    Parameter(help="Unit of a depth array or 16-bit picture whose name does not tell."),
+    Parameter(help="Unit of a depth array or 16-bit image whose file does not state it."),
 ]
 ReferenceImagePath = Annotated[
-    Path | None, Parameter(help="Image of the untouched sensor, where the recording holds none.")
+    Path | None, Parameter(help="Reference image (no contact), if the recording holds none.")
 ]
-_WEIGHTS = "File of a network's weights, for the method that takes such; `slot=FILE` where several do."
-_METHODS = "`slot=method` in place of the route's own, such as `felt=reading`, as often as needed."
+_WEIGHTS = "File of network weights; `stage=FILE` if several stages use a network."
+_METHODS = "`stage=method` in place of the route's own, such as `target_depth=paper`; repeatable."
 
 
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TranslationOptions:
-    """What goes with a recording.
+    """What a translation reads besides the recording.
 
     Parameters
     ----------
     sensor
-        The sensor that made the recording, where the file does not say; also chooses one of several streams.
+        Sensor that made the recording, if the file does not name it; also selects one of several streams.
     stream
-        Name of the stream, where one sensor has several.
+        Name of the stream, if one sensor has several.
     calibration
-        Look-up made by `tactoscope calibrate balls`; the sensor's built-in one otherwise.
+        Calibration file made by `tactoscope calibrate balls`; default: the sensor's built-in table.
     route
-        Way through the slots; each of them is filled by a method.
+        Route through the stages; it names a method for each.
     mesh
-        The touched object's mesh, for its pose.
+        Mesh of the touched object, for its pose.
     mesh_unit
         Unit of that mesh.
     alignment
-        How the two sensors stand to each other, a .toml as `tactoscope align refine` writes it.
-    shift_mm
-        How far that alignment is moved: x, y and z in the target's frame.
-    turn_deg
-        How far it is turned: a rotation vector in the target's frame.
+        Alignment of the two sensors, a .toml as `tactoscope align refine` writes it.
+    translation_mm
+        Translation added to the alignment: x, y and z in the target's frame.
+    rotation_deg
+        Rotation added to the alignment: a rotation vector in the target's frame.
     pivot_mm
-        The point in the target's frame that it is turned about.
+        Centre of that rotation in the target's frame.
     """
 
     sensor: str = ""
@@ -79,30 +79,31 @@ class TranslationOptions:
     pivot_mm: Vector3 = (0.0, 0.0, 0.0)
 
     def build_request(self, recording: Path, target: str) -> Request:
-        """What is to be translated into what; raises SettingProblem for no slot=method, and for no offset in reach."""
+        """The request of these options; raises SettingProblem for a malformed `stage=method` or an offset too large."""
         from pipeline.translation.catalogue import with_method, with_weights
         from pipeline.translation.translate import Request
 
-        chosen: dict[str, str] = {}
+        methods: dict[str, str] = {}
         for assignment in self.methods:
-            chosen = with_method(chosen, assignment)
+            methods = with_method(methods, assignment)
         weights: dict[str, Path] = {}
         for assignment in self.weights:
             weights = with_weights(weights, assignment)
         return Request(
             recording=recording, target=target, source=self.sensor, stream=self.stream, route=self.route,
-            methods=tuple(chosen.items()), reference=self.reference, calibration=self.calibration, mesh=self.mesh,
+            methods=tuple(methods.items()), reference=self.reference, calibration=self.calibration, mesh=self.mesh,
             mesh_unit=self.mesh_unit, depth_unit=self.depth_unit, alignment=self.alignment,
-            weights=tuple(weights.items()),
-            offsets=self._offsets(),
+            weights=tuple(weights.items()), offsets=self._build_offsets(),
         )  # fmt: skip
 
-    def _offsets(self) -> Offsets:
+    def _build_offsets(self) -> Offsets:
         from pipeline.sensors.offsets import parse_offsets
 
-        moved = {"shift_mm": self.translation_mm, "turn_deg": self.rotation_deg, "pivot_mm": self.pivot_mm}
+        vectors = {
+            "translation_mm": self.translation_mm, "rotation_deg": self.rotation_deg, "pivot_mm": self.pivot_mm,
+        }  # fmt: skip
         try:
-            return parse_offsets({name: list(three) for name, three in moved.items()})
+            return parse_offsets({name: list(vector) for name, vector in vectors.items()})
         except ValueError as error:
             raise SettingProblem(f"--{str(error).replace('_', '-', 1)}") from None
 
@@ -110,6 +111,6 @@ class TranslationOptions:
 DEFAULT_OPTIONS = TranslationOptions()
 
 
-def split_list(listed: str) -> tuple[str, ...]:
-    """The words of a list with commas."""
-    return tuple(word for word in (part.strip() for part in listed.split(",")) if word)
+def split_list(text: str) -> tuple[str, ...]:
+    """The words of a comma-separated list, without blanks."""
+    return tuple(word for word in (part.strip() for part in text.split(",")) if word)

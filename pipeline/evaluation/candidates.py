@@ -1,4 +1,4 @@
-"""Who is scored: every touch method that knows the direction, and what any of them must beat."""
+"""Candidates of the evaluation: every touch method with weights of the direction, and the baselines."""
 
 from __future__ import annotations
 
@@ -19,27 +19,28 @@ from pipeline.recordings import open_recording
 from pipeline.sensors.spec import SensorSpec
 from pipeline.translation.catalogue import BUILT_IN, Catalogue
 
-RECORDED, NO_CONTACT, MEAN_TOUCH = "recorded", "untouched", "mean"
-_GIVEN = {
-    RECORDED: "the target's own touch", NO_CONTACT: "untouched picture", MEAN_TOUCH: "mean of other touches",
+RECORDED, NO_CONTACT, MEAN_TOUCH = "recorded", "no_contact", "mean"
+BASELINES = (NO_CONTACT, MEAN_TOUCH)  # need no source
+_TITLES = {
+    RECORDED: "recorded touch", NO_CONTACT: "reference image", MEAN_TOUCH: "mean of other touches",
 }  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Candidate:
-    """One way to a touch of the target."""
+    """A touch method or a baseline."""
 
-    name: str  # a method of the slot touch, or one of RECORDED, UNTOUCHED and MEAN
+    name: str  # a touch method, or RECORDED, NO_CONTACT or MEAN_TOUCH
     title: str
-    paper_model: str = ""  # of the paper, "" = it has no such row
+    paper_model: str = ""  # model of the paper, "" = none
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CandidateSet:
-    """Those of one direction, and who cannot take part and why."""
+    """Candidates of one direction, and which methods are excluded."""
 
     candidates: tuple[Candidate, ...]
-    excluded: tuple[str, ...]  # sentences
+    excluded: tuple[str, ...]  # one sentence each
 
 
 def select_candidates(
@@ -47,29 +48,31 @@ def select_candidates(
 ) -> CandidateSet:
     """Baselines, then the catalogue's methods in its order; `only` names some of all. Raises SettingProblem."""
     methods: tuple[Method, ...] = catalogue.stage("touch").methods
-    unknown = set(only) - {*_GIVEN, *(m.name for m in methods)}
+    unknown = set(only) - {*_TITLES, *(m.name for m in methods)}
     if unknown:
-        known = ", ".join((*_GIVEN, *(m.name for m in methods)))
-        raise SettingProblem(f"no way to a touch is called {sorted(unknown)[0]!r}; there are {known}")
-    made = [Candidate(name=name, title=title) for name, title in _GIVEN.items()]
-    absent: list[str] = []
+        known = ", ".join((*_TITLES, *(m.name for m in methods)))
+        raise SettingProblem(f"no candidate is called {sorted(unknown)[0]!r}; there are {known}")
+    candidates = [Candidate(name=name, title=title) for name, title in _TITLES.items()]
+    excluded: list[str] = []
     for method in methods:
         found = None if method.weights is None else method.weights(source, target, None)
         if isinstance(found, NoWeights):
-            absent.append(f"{source.name} to {target.name} by {method.name}: {found.why}")
+            excluded.append(f"{source.name} to {target.name} by {method.name}: {found.why}")
         else:
-            made.append(Candidate(name=method.name, title=method.title, paper_model=PAPER_MODELS.get(method.name, "")))
+            candidates.append(
+                Candidate(name=method.name, title=method.title, paper_model=PAPER_MODELS.get(method.name, ""))
+            )
     return CandidateSet(
-        candidates=tuple(c for c in made if not only or c.name in only),
-        excluded=tuple(why for why in absent if not only or why.split(":")[0].split()[-1] in only),
+        candidates=tuple(c for c in candidates if not only or c.name in only),
+        excluded=tuple(why for why in excluded if not only or why.split(":")[0].split()[-1] in only),
     )
 
 
 @lru_cache(maxsize=8)
-def compute_mean_change(usual: tuple[Path, ...], target: str) -> Floats:
-    """(rows, cols, channels): the mean change of a sensor's reading over recordings of other touches."""
+def compute_mean_change(recordings: tuple[Path, ...], target: str) -> Floats:
+    """Mean change from the reference (rows, cols, channels) of a sensor's frames over recordings of other touches."""
     total, count = None, 0
-    for path in usual:
+    for path in recordings:
         recording = open_recording(path)
         try:
             stream = recording.stream(target)
@@ -83,5 +86,5 @@ def compute_mean_change(usual: tuple[Path, ...], target: str) -> Floats:
         finally:
             recording.close()
     if total is None:
-        raise SettingProblem("there is no touch to take the mean of")
+        raise SettingProblem("the recordings hold no touch for the mean")
     return freeze((total / count).astype(np.float32))

@@ -1,4 +1,4 @@
-"""The touches that methods are scored on: presses that nothing was taught on, simulated once and kept."""
+"""Held-out touches that methods are scored on: presses that no method was trained on, simulated once and cached."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from pipeline.simulation.datasets import SimulationPlan
 SENSORS = ("gelslim", "soft_bubble", "digit")
 _TARGETS = SENSORS[:2]
 MAX_GRASPS = 1000
-TouchSet = Split | Literal["usual"]  # "usual": touches of training objects, which the mean touch is taken of
-_SEEDS: dict[str, int] = {"unseen_grasps": 40_001, "unseen_tools": 40_002, "usual": 40_003}
+TouchSet = Split | Literal["training"]  # "training": touches of training objects, for the mean touch
+_SEEDS: dict[str, int] = {"unseen_grasps": 40_001, "unseen_tools": 40_002, "training": 40_003}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HeldOutOptions:
-    """Which touches, and by which units of the sensors."""
+    """Number of touches, and the sensor instances."""
 
     grasps: int = 5  # of each object
     sensor_variation: float = (
@@ -35,7 +35,7 @@ class HeldOutOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PressRecordings:
-    """The same presses of one object as felt by other units and by the described ones."""
+    """The same presses of one object, recorded by varied sensor instances and by the described ones."""
 
     object_name: str
     source: Path
@@ -43,40 +43,40 @@ class PressRecordings:
 
 
 def select_sensors(source: str, target: str) -> tuple[str, ...]:
-    """Which sensors are to feel the touches of a direction: `SENSORS`, or those two beside the usual targets."""
+    """Sensors that record the touches of a direction: `SENSORS`, or the usual targets and both sensors of the direction."""
     return SENSORS if {source, target} <= set(SENSORS) else tuple(dict.fromkeys((*_TARGETS, source, target)))
 
 
 def load_or_simulate(
     of: TouchSet, held_out: HeldOutOptions, progress: Progress = SILENT, sensors: tuple[str, ...] = SENSORS
 ) -> tuple[PressRecordings, ...]:
-    """Recordings of every object, felt by all `sensors` at once; what is not there yet is simulated.
+    """Recordings of every object by all `sensors` at once; missing ones are simulated.
 
-    A source may be any unit; whoever generates a touch does so for the target that is described, so that it is the
-    described one that recorded what is compared with. Raises SettingProblem for a number of grasps that makes no sense,
-    FileProblem where nothing can be written.
+    Sources are varied sensor instances. Touches are generated for the described target, so the described instance
+    records what they are compared with. Raises SettingProblem for an invalid number of grasps, FileProblem if the
+    folder cannot be written.
     """
     if not 1 <= held_out.grasps <= MAX_GRASPS:
         raise SettingProblem(f"--grasps must lie within 1 and {MAX_GRASPS}, got {held_out.grasps}")
-    like = SimulationPlan(
+    template = SimulationPlan(
         sensors=sensors, object_source="", n_poses=held_out.grasps, seed=_SEEDS[of], vary=held_out.sensor_variation
     )
-    plans = datasets.make_plans(("unseen" if of == "unseen_tools" else "training",), like)
-    made: list[PressRecordings] = []
+    plans = datasets.make_plans(("unseen" if of == "unseen_tools" else "training",), template)
+    recordings: list[PressRecordings] = []
     for index, plan in enumerate(plans):
         part = SubProgress(progress, index / len(plans), 1.0 / len(plans), f"simulating {plan.object_name}")
-        paths = [_recorded(of, unit, held_out.folder, part) for unit in (plan, replace(plan, vary=0.0))]
-        made.append(PressRecordings(object_name=plan.object_name, source=paths[0], target=paths[1]))
-    return tuple(made)
+        paths = [_load_or_record(of, variant, held_out.folder, part) for variant in (plan, replace(plan, vary=0.0))]
+        recordings.append(PressRecordings(object_name=plan.object_name, source=paths[0], target=paths[1]))
+    return tuple(recordings)
 
 
-def _recorded(of: TouchSet, plan: SimulationPlan, folder: Path | None, progress: Progress) -> Path:
-    # What would give other readings has another name, so that old recordings are neither taken nor in the way.
+def _load_or_record(of: TouchSet, plan: SimulationPlan, folder: Path | None, progress: Progress) -> Path:
+    # The name contains a digest of the plan: recordings of another plan are neither used nor overwritten.
     name = f"{of}_{plan.object_name}_{compute_digest(datasets.describe_plan(plan))[:8]}.h5"
     path = (folder or disk_store.cache_folder() / "held_out") / name
     try:
         done = recorder.count_finished_moments(plan, path)
-    except FileProblem:  # by its name it was one of these recordings
+    except FileProblem:  # a damaged recording of this cache
         done, _ = 0, set_aside(path)
     if done < plan.n_poses:
         recorder.record_plan(plan, path, progress=progress)

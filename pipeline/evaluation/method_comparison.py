@@ -1,96 +1,117 @@
-"""One frame several ways, as tiles: the touch by every method that can make it, beside the truth."""
+"""One frame's touch by every method that can generate it, compared with the target's recorded touch."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from typing import Literal
+
+import numpy as np
 
 from pipeline.base.progress import SILENT, Progress
-from pipeline.evaluation.comparison_tiles import ComparisonTiles, TilesCallback, ignore_tiles
-from pipeline.evaluation.method_results import MethodCache, MethodResult, evaluate_methods, list_available_methods
+from pipeline.evaluation.comparison_tiles import Comparison
+from pipeline.evaluation.recorded_touch import (
+    RecordedTouch,
+    build_recorded_touch,
+    build_without_truth,
+    compute_generated_change,
+)
+from pipeline.evaluation.touch_metrics import compute_touch_metrics, pool_metrics
+from pipeline.evaluation.variants import MethodParams, VariantResult, VariantRunner, list_method_variants
 from pipeline.previews.difference import compute_difference
 from pipeline.previews.display_params import DisplayParams
 from pipeline.previews.preview import Preview, make_frame_preview
 from pipeline.previews.tile import Tile
-from pipeline.stages.stage import GroundTruth
 from pipeline.translation.translate import Translation
-from pipeline.values.results import GeneratedTouch
+from pipeline.values.results import DepthMap, GeneratedTouch
 
-_NO_TRUTH = "the recording does not hold what {target} felt, so that no error is known"
+SortOrder = Literal["worst first", "best first", "in order"]
+_STAGE = "touch"
+_METRIC_FORMATS = {  # metric of a tile -> how its subtitle states it; in contact, and over the whole image
+    "contact_error_mm": "contact {}", "error_mm": "all {} mm", "psnr_db": "{} dB", "ssim": "SSIM {}",
+}  # fmt: skip
 
 
 def compare_methods(
-    translation: Translation, frame: int, params: Mapping[str, object], display: DisplayParams, order: str, kept: MethodCache,
-    *, hand_over: TilesCallback = ignore_tiles, progress: Progress = SILENT,
-) -> ComparisonTiles:  # fmt: skip
-    """A frame by every method of its touch, handed over one by one; `params` of methods by key. Raises TouchError."""
-    facts = translation.read_ground_truth(frame)
-    true = _truth(translation, facts, display)
-    ways = list_available_methods(translation)
-    first = () if true is None else (Tile(title="truth", subtitle=f"{translation.target.title}'s own", preview=true),)
-    begun = ComparisonTiles(
-        tiles=first,
-        summary=_sentence(translation, frame, len(ways.translations), ways.excluded, known=true is not None),
-    )
-    hand_over(begun)
-    found: list[MethodResult] = []
-    shown = begun
-    for version in evaluate_methods(translation, frame, params, kept, progress):
-        found.append(version)
-        tiles = tuple(_tile(v, translation, true, display) for v in sort_results(found, order))
-        shown = replace(begun, tiles=(*first, *tiles))
-        hand_over(shown)
-    return shown
+    runner: VariantRunner, translation: Translation, frame: int, params: MethodParams, display: DisplayParams,
+    order: str, progress: Progress = SILENT,
+) -> Iterator[Comparison]:  # fmt: skip
+    """Tiles of ground truth and of every touch method, one method more each time. Raises TouchError, Cancelled."""
+    variants, excluded = list_method_variants(translation, params, _STAGE)
+    recorded, truth = _read_recorded_touch(translation, frame), _make_truth_preview(translation, frame, display)
+    target = translation.target
+    summary = [f"frame {frame}, {translation.source.title} to {target.title}: {len(variants)} methods"]
+    first: tuple[Tile, ...] = ()
+    if truth is not None:
+        first = (Tile(title="truth", subtitle=f"recorded by {target.title}", preview=truth),)
+    else:
+        summary.append(f"the recording does not hold {target.title}'s own frame, so errors are not known")
+    if excluded:
+        summary.append(f"left out: {'; '.join(excluded)}")
+    comparison = Comparison(tiles=first, summary=" · ".join(summary))
+    yield comparison
+    tiles: list[Tile] = []
+    for result in runner.evaluate_all(variants, frame, [_STAGE], progress):
+        tiles.append(_make_tile(runner, result, recorded, truth, display))
+        yield replace(comparison, tiles=(*first, *sort_tiles(tiles, order)))
 
 
-def sort_results(found: Sequence[MethodResult], order: str) -> list[MethodResult]:
-    """By what their touch is off where it really is, those of which that is not known last."""
+def sort_tiles(tiles: Sequence[Tile], order: str) -> list[Tile]:
+    """Tiles by their error in contact, else over the whole image, else by PSNR; those without any come last."""
 
-    def error(version: MethodResult) -> float:
-        known = [e for e in (version.contact_error_mm, version.error_mm, -version.psnr_db) if math.isfinite(e)]
-        return known[0] if known and not version.problem else math.nan
+    def get_error(tile: Tile) -> float:
+        metrics = tile.metrics
+        errors = (metrics.get("contact_error_mm"), metrics.get("error_mm"), -metrics.get("psnr_db", math.nan))
+        return next((e for e in errors if e is not None and math.isfinite(e)), math.nan)
 
     if order == "in order":
-        return list(found)
+        return list(tiles)
     sign = -1.0 if order == "worst first" else 1.0
-    return sorted(found, key=lambda v: (math.isnan(error(v)), sign * error(v) if math.isfinite(error(v)) else 0.0))
+    return sorted(
+        tiles, key=lambda t: (math.isnan(get_error(t)), 0.0 if math.isnan(get_error(t)) else sign * get_error(t))
+    )
 
 
-def format_metrics(version: MethodResult) -> str:
-    """The figures in a line; those that are not known are left out."""
-    parts = [
-        words.format(f"{value:.3g}")
-        for value, words in (
-            (version.contact_error_mm, "contact {}"), (version.error_mm, "all {} mm"), (version.psnr_db, "{} dB"),
-            (version.ssim, "SSIM {}"),
-        )
-        if math.isfinite(value)
-    ]  # fmt: skip
-    return " · ".join([*parts, f"{version.ms:.0f} ms"] if math.isfinite(version.ms) else parts)
-
-
-def _figures(version: MethodResult) -> dict[str, float]:
-    """Those that another run has too: no times."""
-    known = {
-        "contact_error_mm": version.contact_error_mm, "error_mm": version.error_mm, "psnr_db": version.psnr_db,
-        "ssim": version.ssim,
-    }  # fmt: skip
-    return {name: value for name, value in known.items() if math.isfinite(value)}
-
-
-def _tile(version: MethodResult, translation: Translation, true: Preview | None, display: DisplayParams) -> Tile:
-    if version.touch is None or version.problem:
-        return Tile(title=version.method.title, problem=version.problem)
-    made = _drawn(version.touch, translation, display)
+def _make_tile(
+    runner: VariantRunner, result: VariantResult, recorded: RecordedTouch | None, truth: Preview | None,
+    display: DisplayParams,
+) -> Tile:  # fmt: skip
+    label = result.variant.label
+    if result.problem or result.results[_STAGE].fallback:
+        return Tile(title=label, problem=result.problem or result.results[_STAGE].fallback)
+    touch = result.results[_STAGE].output
+    assert isinstance(touch, GeneratedTouch)
+    metrics = {} if recorded is None else _compute_metrics(runner, result, touch, recorded)
+    words = [text.format(f"{metrics[name]:.3g}") for name, text in _METRIC_FORMATS.items() if name in metrics]
+    preview = _make_touch_preview(touch, result.variant.translation, display)
     return Tile(
-        title=version.method.title, subtitle=format_metrics(version), metrics=_figures(version), preview=made, truth=true,
-        difference=None if true is None else compute_difference(made, true),
+        title=label, subtitle=" · ".join([*words, f"{result.ms:.0f} ms"]), metrics=metrics, preview=preview, truth=truth,
+        difference=None if truth is None else compute_difference(preview, truth),
     )  # fmt: skip
 
 
-def _drawn(touch: GeneratedTouch, translation: Translation, display: DisplayParams) -> Preview:
-    """As the slot of touches shows it."""
+def _compute_metrics(
+    runner: VariantRunner, result: VariantResult, touch: GeneratedTouch, recorded: RecordedTouch
+) -> dict[str, float]:
+    """The finite metrics of a touch; a gel image without membrane is measured by the route's touch_depth stage."""
+    translation = result.variant.translation
+    touch_depth = touch.membrane
+    if touch_depth is None and touch.image.ndim != 2 and "touch_depth" in translation.stages:
+        output = runner.evaluate(result.variant, result.frame, ["touch_depth"]).results["touch_depth"].output
+        touch_depth = output if isinstance(output, DepthMap) else None
+    everywhere = np.ones(recorded.contact.shape, np.bool_)
+    change = compute_generated_change(touch, translation.target)
+    pooled: Mapping[str, Mapping[str, float]] = pool_metrics(
+        [compute_touch_metrics(change, touch_depth, recorded, everywhere, None)]
+    )
+    metrics = {name: pooled.get(name, {}).get("all", math.nan) for name in ("error_mm", "psnr_db", "ssim")}
+    metrics["contact_error_mm"] = pooled.get("error_mm", {}).get("contact", math.nan)
+    return {name: metrics[name] for name in _METRIC_FORMATS if math.isfinite(metrics[name])}
+
+
+def _make_touch_preview(touch: GeneratedTouch, translation: Translation, display: DisplayParams) -> Preview:
+    """The touch as its column shows it."""
     membrane = touch.membrane
     return make_frame_preview(
         touch.image, touch.camera, translation.target, display, reference=touch.reference, is_recorded=False,
@@ -99,22 +120,25 @@ def _drawn(touch: GeneratedTouch, translation: Translation, display: DisplayPara
     )  # fmt: skip
 
 
-def _truth(translation: Translation, facts: GroundTruth, display: DisplayParams) -> Preview | None:
-    """What the target felt itself, drawn as the methods' answers are; None where it took no part."""
-    slot = translation.catalogue.stage("touch")
-    true = slot.make_ground_truth(facts, translation.target)
-    frame = facts.target_observation
-    if not isinstance(true, GeneratedTouch) or frame is None or frame.reference is None:
+def _make_truth_preview(translation: Translation, frame: int, display: DisplayParams) -> Preview | None:
+    """The target's recorded touch, drawn as a generated one; None if it recorded none."""
+    truth = translation.read_ground_truth(frame)
+    touch = translation.catalogue.stage(_STAGE).make_ground_truth(truth, translation.target)
+    observation = truth.target_observation
+    if not isinstance(touch, GeneratedTouch) or observation is None or observation.reference is None:
         return None
-    if true.membrane is not None and true.image.ndim == 2:  # without the camera's noise, as its error is taken
-        true = replace(true, image=true.membrane.depth_mm, camera=true.membrane.camera, reference=None)
-    return _drawn(true, translation, display)
+    if touch.membrane is not None and touch.image.ndim == 2:  # without camera noise, as the error is computed
+        touch = replace(touch, image=touch.membrane.depth_mm, camera=touch.membrane.camera, reference=None)
+    return _make_touch_preview(touch, translation, display)
 
 
-def _sentence(translation: Translation, frame: int, count: int, absent: Sequence[str], *, known: bool) -> str:
-    words = [f"frame {frame}, {translation.source.title} to {translation.target.title}: {count} methods"]
-    if not known:
-        words.append(_NO_TRUTH.format(target=translation.target.title))
-    if absent:
-        words.append(f"left out: {'; '.join(absent)}")
-    return " · ".join(words)
+def _read_recorded_touch(translation: Translation, frame: int) -> RecordedTouch | None:
+    """The target's frame of the same touch at its described size; None if it recorded none."""
+    observed = translation.read_target_observation(frame)
+    if observed is None or observed[0].reference is None:
+        return None
+    if observed[0].image.shape[:2] != translation.target.camera.shape:
+        return None
+    truth = observed[1]
+    is_known = truth is not None and truth.indentation_mm is not None and truth.contact is not None
+    return build_recorded_touch(*observed) if is_known else build_without_truth(observed[0])

@@ -1,116 +1,125 @@
-"""Two parameters tried against each other on one frame: the error and the time of every pair of values."""
+"""Pairs of values of two parameters on one frame: the error and the time of each pair."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
 
-from pipeline.base.errors import SettingProblem, TouchError
+from pipeline.base.errors import SettingProblem
 from pipeline.base.params import Value, list_settings, replace_value
-from pipeline.base.progress import SILENT, Progress, SubProgress
-from pipeline.engine.cache import Cache
-from pipeline.engine.graph import Graph, Method, StageResult
+from pipeline.base.progress import SILENT, Progress
+from pipeline.engine.graph import Method
+from pipeline.evaluation.comparison_tiles import Comparison
+from pipeline.evaluation.variants import MethodParams, Variant, VariantResult, VariantRunner
 from pipeline.previews.display_params import DisplayParams
 from pipeline.previews.preview import Preview
 from pipeline.previews.tile import Tile
-from pipeline.stages.stage import PreviewContext
 from pipeline.translation.translate import Translation
 
-_CACHE_BYTES = 64 * 1024 * 1024  # what does not depend on the two parameters is worked out once
-_MOST_VALUES = 12
-
-MethodParams = Mapping[str, object]  # parameters of methods by key
+_MAX_VALUES = 12
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SweepAxis:
     """One parameter of a method and the values to try."""
 
-    key: str  # of the method, "slot/name"
+    key: str  # of the method, "stage/name"
     name: str
     values: tuple[Value, ...]
 
     @property
     def qualified_name(self) -> str:
-        """As the command line calls the parameter."""
+        """The parameter as `stage.parameter`."""
         return f"{self.key.partition('/')[0]}.{self.name}"
-
-    def apply_value(self, given: MethodParams, method: Method, value: Value) -> dict[str, object]:
-        """The parameters with this value."""
-        return {**given, self.key: replace_value(given.get(self.key, method.params()), self.name, value)}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SweepPlan:
-    """What is swept: columns over rows, and the figure that judges."""
+    """The parameters of columns and rows, and the metric."""
 
     across: SweepAxis
     down: SweepAxis
-    metric: str  # "slot.name"; "" = only time
+    metric: str  # "stage.name"; "" = time only
 
     @property
     def run_order(self) -> tuple[tuple[int, int], ...]:
-        """(row, col) of all cells, corners first, so that one may stop early."""
+        """(row, col) of all cells, corners first, so that one can stop early."""
         rows, cols = len(self.down.values), len(self.across.values)
-        cells = list(product(range(rows), range(cols)))
         corners = {(r, c) for r in (0, rows - 1) for c in (0, cols - 1)}
-        return tuple(sorted(cells, key=lambda cell: (cell not in corners, cell)))
+        return tuple(sorted(product(range(rows), range(cols)), key=lambda cell: (cell not in corners, cell)))
+
+    def build_variant(self, base: Variant, row: int, col: int) -> Variant:
+        """The base with the values of one cell; raises SettingProblem if another method is in use by now."""
+        variant = base
+        for axis, index in ((self.across, col), (self.down, row)):
+            variant = variant.with_value(find_method(base.translation.methods, axis.key), axis.name, axis.values[index])
+        return variant
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SweepCell:
-    """One pair of values, tried."""
+    """Result of one pair of values."""
 
     row: int
     col: int
-    error: float  # NaN = not known of this frame
-    ms: float  # of all that the slot rests on, worked out afresh
+    error: float  # NaN = not known for this frame
+    ms: float  # of all stages up to the metric's, as when computed
     preview: Preview | None
     problem: str = ""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GridComparison(Comparison):
+    """Tiles of a parameter sweep, with their cells in run order."""
+
+    cells: tuple[SweepCell, ...] = ()
+
+
+def format_value(value: object) -> str:
+    """A parameter value as it is typed."""
+    return f"{value:g}" if isinstance(value, float) else str(value).lower()
+
+
 def find_method(methods: Sequence[Method], key: str) -> Method:
-    """The method that is swept; raises SettingProblem where another fills its slot by now."""
+    """The method of that key; raises SettingProblem if its stage uses another method by now."""
     found = next((method for method in methods if method.key == key), None)
     if found is None:
-        slot, _, name = key.partition("/")
-        raise SettingProblem(f"{slot} is not filled by {name!r} for this source; choose the parameters to sweep again")
+        stage, _, name = key.partition("/")
+        raise SettingProblem(f"{stage} does not use {name!r} for this source; choose the parameters to sweep again")
     return found
 
 
-def parse_axis(params: object, method: Method, name: str, words: str) -> SweepAxis:
-    """The values that somebody typed, commas between them; raises SettingProblem with what is wrong."""
-    parts = [part.strip() for part in words.split(",") if part.strip()]
-    if not 1 <= len(parts) <= _MOST_VALUES:
-        raise SettingProblem(f"give one to {_MOST_VALUES} values of {name}, with commas between them")
+def parse_axis(params: object, method: Method, name: str, text: str) -> SweepAxis:
+    """The axis of comma-separated values; raises SettingProblem."""
+    parts = [part.strip() for part in text.split(",") if part.strip()]
+    if not 1 <= len(parts) <= _MAX_VALUES:
+        raise SettingProblem(f"give one to {_MAX_VALUES} values of {name}, comma-separated")
     values = [list_settings(replace_value(params, name, part))[name][0] for part in parts]
     return SweepAxis(key=method.key, name=name, values=tuple(dict.fromkeys(values)))
 
 
-def sweep_grid(
-    translation: Translation, frame: int, given: MethodParams, display: DisplayParams, plan: SweepPlan,
-    *, hand_over: Callable[[SweepCell], object] = lambda _: None, progress: Progress = SILENT,
-) -> tuple[SweepCell, ...]:  # fmt: skip
-    """Work the cells out one by one, corners first, handing each over. Raises TouchError, Cancelled."""
-    if (plan.across.key, plan.across.name) == (plan.down.key, plan.down.name):
+def compare_grid(
+    runner: VariantRunner, translation: Translation, frame: int, params: MethodParams, display: DisplayParams,
+    plan: SweepPlan, progress: Progress = SILENT,
+) -> Iterator[GridComparison]:  # fmt: skip
+    """The cells so far, corners first, one more each time. Raises TouchError, Cancelled."""
+    if plan.across.qualified_name == plan.down.qualified_name:
         raise SettingProblem("columns and rows are the same parameter; choose another for one of them")
-    graph = translation.build_graph(like=Graph((), cache=Cache(_CACHE_BYTES)))
-    times: dict[tuple[str, str], float] = {}
-    across, down = (find_method(translation.methods, axis.key) for axis in (plan.across, plan.down))
-    order, cells = plan.run_order, list[SweepCell]()
-    for n, (row, col) in enumerate(order):
-        now = plan.across.apply_value(given, across, plan.across.values[col])
-        now = plan.down.apply_value(now, down, plan.down.values[row])
-        part = SubProgress(progress, n / len(order), 1.0 / len(order), f"{n + 1} of {len(order)}")
-        cells.append(_cell(translation, graph, now, display, plan.metric, frame, (row, col), times, part))
-        hand_over(cells[-1])
-    return tuple(cells)
+    base = Variant(label="", translation=translation, params=params)
+    variants = [plan.build_variant(base, row, col) for row, col in plan.run_order]
+    stage = plan.metric.partition(".")[0] or next(name for name in reversed(translation.stages) if name != "pose")
+    cells: list[SweepCell] = []
+    for (row, col), result in zip(plan.run_order, runner.evaluate_all(variants, frame, [stage], progress), strict=True):
+        cells.append(_make_cell(result, row, col, stage, plan.metric, display))
+        names = f"{plan.across.qualified_name} by {plan.down.qualified_name}"
+        summary = f"frame {frame}: {names}, {len(cells)} pairs"
+        yield GridComparison(tiles=build_tiles(plan, cells), summary=summary, cells=tuple(cells))
 
 
 def build_tiles(plan: SweepPlan, cells: Sequence[SweepCell]) -> tuple[Tile, ...]:
-    """The cells row by row, with their figure; times are no figures, as another run has others."""
+    """The cells row by row with their metric; without times, which differ from run to run."""
     across, down = plan.across, plan.down
     return tuple(
         Tile(
@@ -122,34 +131,8 @@ def build_tiles(plan: SweepPlan, cells: Sequence[SweepCell]) -> tuple[Tile, ...]
     )  # fmt: skip
 
 
-def _cell(
-    translation: Translation, graph: Graph, given: MethodParams, display: DisplayParams, figure: str, index: int,
-    place: tuple[int, int], times: dict[tuple[str, str], float], progress: SubProgress,
-) -> SweepCell:  # fmt: skip
-    row, col = place
-    last = figure.partition(".")[0] if figure else _last_but_pose(translation)
-    try:
-        params = {m.stage: given.get(m.key, m.params()) for m in translation.methods}
-        results = graph.evaluate([last], translation.read_inputs(index), params, progress)
-        error = translation.compute_metrics(results, index).get(figure, math.nan)
-    except TouchError as problem:
-        return SweepCell(row=row, col=col, error=math.nan, ms=math.nan, preview=None, problem=str(problem))
-    for name, result in results.items():
-        if result.state == "computed":
-            times[(name, result.digest)] = result.ms
-    ms = sum(times.get((name, result.digest), result.ms) for name, result in results.items())
-    return SweepCell(row=row, col=col, error=error, ms=ms, preview=_picture(translation, display, results, last))
-
-
-def _last_but_pose(translation: Translation) -> str:
-    return next(name for name in reversed(translation.stages) if name != "pose")
-
-
-def _picture(
-    translation: Translation, display: DisplayParams, results: Mapping[str, StageResult], last: str
-) -> Preview:
-    seen = PreviewContext(
-        outputs={name: r.output for name, r in results.items()}, source=translation.source,
-        target=translation.target, mesh=translation.mesh, display=display,
-    )  # fmt: skip
-    return translation.catalogue.stage(last).make_preview(results[last].output, seen)
+def _make_cell(result: VariantResult, row: int, col: int, stage: str, metric: str, display: DisplayParams) -> SweepCell:
+    if result.problem:
+        return SweepCell(row=row, col=col, error=math.nan, ms=math.nan, preview=None, problem=result.problem)
+    error = result.compute_metrics().get(metric, math.nan)
+    return SweepCell(row=row, col=col, error=error, ms=result.ms, preview=result.make_preview(stage, display))

@@ -1,4 +1,4 @@
-"""What the paper's two tables say, row for row: real recordings of its own sensors, to stand beside figures of ours."""
+"""The paper's two result tables, row for row, measured on real recordings of its own sensors."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ SPLITS: tuple[Split, ...] = ("unseen_grasps", "unseen_tools")
 MeanStd = tuple[float, float]  # mean and standard deviation
 
 COMPARISON_NOTE = (
-    "the paper's figures are of real recordings, ours of simulated ones: they show what is hard, not who is better; "
-    "its FID is that of Inception, ours the Frechet distance of our own encoder, beside which two halves of the true "
-    "touches stand"
+    "the paper's results are of real recordings, ours of simulated ones: they show what is hard, not who is better; "
+    "its FID uses Inception, our Frechet distance our own encoder, with the distance of two halves of the recorded "
+    "touches as floor"
 )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PaperRow:
-    """One row; source "" = the target's own touches."""
+    """One row; source "" = the target's recorded touches."""
 
     source: str
     target: str
@@ -31,14 +31,15 @@ class PaperRow:
     rotation_deg: MeanStd
 
 
-def _rows(*told: tuple[str, str, str, tuple[float, float, float] | None, MeanStd, MeanStd]) -> tuple[PaperRow, ...]:
-    made: list[PaperRow] = []
-    for source, target, model, picture, shift, turn in told:
-        psnr, ssim, fid = picture or (None, None, None)
-        made.append(PaperRow(
-            source=source, target=target, model=model, psnr_db=psnr, ssim=ssim, fid=fid, translation_mm=shift, rotation_deg=turn,
+def _rows(*cells: tuple[str, str, str, tuple[float, float, float] | None, MeanStd, MeanStd]) -> tuple[PaperRow, ...]:
+    rows: list[PaperRow] = []
+    for source, target, model, image, translation_mm, rotation_deg in cells:
+        psnr, ssim, fid = image or (None, None, None)
+        rows.append(PaperRow(
+            source=source, target=target, model=model, psnr_db=psnr, ssim=ssim, fid=fid,
+            translation_mm=translation_mm, rotation_deg=rotation_deg,
         ))  # fmt: skip
-    return tuple(made)
+    return tuple(rows)
 
 
 PAPER_ROWS: Mapping[Split, tuple[PaperRow, ...]] = {
@@ -70,9 +71,9 @@ PAPER_MODELS: Mapping[str, str] = {
     "t2t": "T2T",
     "latent": "T2T",
     "t2d2": "T2D2",
-}  # method of the slot touch -> paper's model
+}  # touch method -> the paper's model
 
 
 def find_paper_row(split: Split, source: str, target: str, model: str) -> PaperRow | None:
-    """The paper's row of that transfer and model, None where it has none."""
+    """The paper's row of a transfer and model; None if it has none."""
     return next((r for r in PAPER_ROWS[split] if (r.source, r.target, r.model) == (source, target, model)), None)

@@ -1,4 +1,4 @@
-"""From scored touches to rows: one a direction and contender, the paper's own beside them."""
+"""Table rows from scored touches: one per direction and candidate, with the paper's row."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from pipeline.metrics import set_distances
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PoseErrors:
-    """How far off an object's pose is that is told from the touches."""
+    """Errors of object poses that are estimated from touches."""
 
-    translation_mm: MeanStd  # mean and standard deviation, in the target's plane
+    translation_mm: MeanStd  # mean and standard deviation in the target's image plane
     rotation_deg: MeanStd
     n_poses: int  # touches that gave a pose
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SetDistances:
-    """How far generated touches as a set lie from true ones, beside two halves of the true ones."""
+    """Distances of the set of generated touches to the recorded ones; floors are those of two halves of the recorded."""
 
     frechet: float
     frechet_floor: float
@@ -45,49 +45,51 @@ class TableRow:
     candidate: str
     title: str
     n_touches: int
-    metrics: Mapping[str, Mapping[str, float]]  # of `FIGURES`: figure -> region -> value
-    pose_errors: Mapping[str, PoseErrors]  # method of the slot pose ->
-    set_distances: SetDistances | None  # None: no encoder for this target, or too few touches
-    ms: float  # median time of a touch
+    metrics: Mapping[str, Mapping[str, float]]  # TOUCH_METRICS name -> region -> value
+    pose_errors: Mapping[str, PoseErrors]  # pose method -> errors
+    set_distances: SetDistances | None  # None = no encoder for this target, or too few touches
+    ms: float  # median time per touch
     paper: PaperRow | None
     notes: tuple[str, ...]
 
 
 def build_rows(
-    split: Split, source: str, target: str, contenders: Sequence[Candidate], scored: Sequence[ScoredTouch]
+    split: Split, source: str, target: str, candidates: Sequence[Candidate], scored: Sequence[ScoredTouch]
 ) -> list[TableRow]:
-    """The rows of one direction in the contenders' order; the target's own touches have poses alone."""
-    by = {c.name: [one for one in scored if one.candidate == c.name] for c in contenders}
-    true = _features(by.get(RECORDED, []))
-    made: list[TableRow] = []
-    for contender in contenders:
-        those = by[contender.name]
-        if not those:
+    """Rows of one direction in the order of the candidates; recorded touches have poses only."""
+    by_candidate = {c.name: [touch for touch in scored if touch.candidate == c.name] for c in candidates}
+    true = _stack_features(by_candidate.get(RECORDED, []))
+    rows: list[TableRow] = []
+    for candidate in candidates:
+        touches = by_candidate[candidate.name]
+        if not touches:
             continue
-        own = contender.name == RECORDED
-        made.append(TableRow(
-            source="" if own else source, target=target, candidate=contender.name, title=contender.title,
-            n_touches=len(those), metrics=pool_metrics([one.metrics for one in those]), pose_errors=_poses(those),
-            set_distances=None if own or true is None else _sets(_features(those), true),
-            ms=statistics.median(one.ms for one in those),
-            notes=tuple(dict.fromkeys(note for one in those for note in one.notes)),
-            paper=find_paper_row(split, "" if own else source, target, contender.paper_model) if own or contender.paper_model else None,
+        is_recorded = candidate.name == RECORDED
+        row_source = "" if is_recorded else source
+        rows.append(TableRow(
+            source=row_source, target=target, candidate=candidate.name, title=candidate.title,
+            n_touches=len(touches), metrics=pool_metrics([touch.metrics for touch in touches]),
+            pose_errors=_pool_pose_errors(touches),
+            set_distances=None if is_recorded or true is None else _compare_sets(_stack_features(touches), true),
+            ms=statistics.median(touch.ms for touch in touches),
+            notes=tuple(dict.fromkeys(note for touch in touches for note in touch.notes)),
+            paper=find_paper_row(split, row_source, target, candidate.paper_model)
+            if is_recorded or candidate.paper_model else None,
         ))  # fmt: skip
-    return made
+    return rows
 
 
-def _features(those: Sequence[ScoredTouch]) -> Doubles | None:
-    """(touches, features) of all, None where an encoder is missing."""
-    seen = [one.features for one in those]
-    kept = [f for f in seen if f is not None]
-    return np.array(kept, np.float64) if kept and len(kept) == len(seen) else None
+def _stack_features(touches: Sequence[ScoredTouch]) -> Doubles | None:
+    """(touches, features) of all touches; None without encoder."""
+    features = [touch.features for touch in touches if touch.features is not None]
+    return np.array(features, np.float64) if features and len(features) == len(touches) else None
 
 
-def _sets(made: Doubles | None, true: Doubles) -> SetDistances | None:
-    if made is None or len(made) != len(true) or len(true) < 2 * set_distances.MIN_TOUCHES:
+def _compare_sets(generated: Doubles | None, true: Doubles) -> SetDistances | None:
+    if generated is None or len(generated) != len(true) or len(true) < 2 * set_distances.MIN_TOUCHES:
         return None
     measured = {
-        name: (set_distances.compare_halves(distance, made, true), set_distances.compute_floor(distance, true))
+        name: (set_distances.compare_halves(distance, generated, true), set_distances.compute_floor(distance, true))
         for name, distance in (("frechet", set_distances.frechet_distance), ("kernel", set_distances.kernel_distance))
     }
     return SetDistances(
@@ -96,15 +98,17 @@ def _sets(made: Doubles | None, true: Doubles) -> SetDistances | None:
     )  # fmt: skip
 
 
-def _poses(those: Sequence[ScoredTouch]) -> dict[str, PoseErrors]:
-    found: dict[str, PoseErrors] = {}
-    for method in dict.fromkeys(name for one in those for name in one.pose_errors):
-        errors = [one.pose_errors[method] for one in those if method in one.pose_errors]
-        shift, turn = ([e[k] for e in errors if math.isfinite(e[k])] for k in (0, 1))
-        if shift and turn:
-            found[method] = PoseErrors(translation_mm=_spread(shift), rotation_deg=_spread(turn), n_poses=len(shift))
-    return found
+def _pool_pose_errors(touches: Sequence[ScoredTouch]) -> dict[str, PoseErrors]:
+    pooled: dict[str, PoseErrors] = {}
+    for method in dict.fromkeys(name for touch in touches for name in touch.pose_errors):
+        errors = [touch.pose_errors[method] for touch in touches if method in touch.pose_errors]
+        lengths_mm, angles_deg = ([e[k] for e in errors if math.isfinite(e[k])] for k in (0, 1))
+        if lengths_mm and angles_deg:
+            pooled[method] = PoseErrors(
+                translation_mm=_mean_std(lengths_mm), rotation_deg=_mean_std(angles_deg), n_poses=len(lengths_mm)
+            )
+    return pooled
 
 
-def _spread(values: Sequence[float]) -> MeanStd:
+def _mean_std(values: Sequence[float]) -> MeanStd:
     return statistics.fmean(values), statistics.pstdev(values)

@@ -1,8 +1,8 @@
-"""What the encoder that sets of touches are compared by sees in one touch.
+"""Features of a touch, by the encoder that compares sets of touches.
 
-The encoder is the network that tells an object's pose from a sensor's own touches: what it looks at is what matters to
-those who use a touch. It comes with the project; its weights are named by their digest in every report. A sensor's own
-encoder stays what it is while pose networks are taught on, so that distances of any two days compare.
+The encoder is the network that estimates an object's pose from a sensor's touches, so its features are what users of a
+touch depend on. It is shipped with the project; reports state the digest of its weights. A sensor's encoder does not
+change when pose networks are trained further, so that distances of different days are comparable.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ _TASK = "touch_pose"
 
 
 def load_encoder_weights(target: SensorSpec) -> Weights | NoWeights:
-    """The encoder of a sensor's touches, or why there is none."""
+    """The encoder of a sensor's touches, or the reason that there is none."""
     own = weights_registry.load_for_task(_TASK, f"encoder_{target.name}", None)
     return own if isinstance(own, Weights) else weights_registry.load_for_task(_TASK, f"pose_{target.name}", None)
 
 
-def encode_change(target: SensorSpec, changed: Floats) -> Floats | None:
-    """What it sees (features,) in a change (rows, cols, channels) of a sensor; None where there is no encoder."""
+def encode_change(target: SensorSpec, change: Floats) -> Floats | None:
+    """Features (n,) of a change (rows, cols, channels) of a sensor; None without encoder."""
     known = load_encoder_weights(target)
-    return None if isinstance(known, NoWeights) else _seen(known, target, changed)
+    return None if isinstance(known, NoWeights) else _compute_features(known, target, change)
 
 
-def _seen(known: Weights, target: SensorSpec, changed: Floats) -> Floats:
+def _compute_features(known: Weights, target: SensorSpec, change: Floats) -> Floats:
     import torch
 
     from pipeline.networks.network_factory import load_network
@@ -39,5 +39,5 @@ def _seen(known: Weights, target: SensorSpec, changed: Floats) -> Floats:
 
     encoder: Any = load_network(known)
     with torch.inference_mode():
-        picture = torch.from_numpy(np.array(normalise(resize_to_square(changed), target.kind))[None])
-        return freeze(encoder.features(picture)[0].numpy().astype(np.float32))
+        image = torch.from_numpy(np.array(normalise(resize_to_square(change), target.kind))[None])
+        return freeze(encoder.compute_embedding(image)[0].numpy().astype(np.float32))

@@ -1,4 +1,4 @@
-"""The figures of one generated touch, region by region, and how many touches become one figure."""
+"""Metrics of one generated touch per region, and of many touches together."""
 
 from __future__ import annotations
 
@@ -15,7 +15,9 @@ from pipeline.metrics.stage_metrics import PSNR_CAP_DB, Metric, compute_mae_mm, 
 from pipeline.values.results import DepthMap
 
 TOUCH_METRICS: Mapping[str, Metric] = {
-    "psnr_db": Metric(unit="dB", better="higher", meaning="of all touches as one picture, as the paper's code has it"),
+    "psnr_db": Metric(
+        unit="dB", better="higher", meaning="over the pixels of all touches together, as in the paper's code"
+    ),
     "ssim": Metric(unit="", better="higher", meaning="similarity to the recorded touch"),
     "psnr_exact_db": Metric(unit="dB", better="higher", meaning="the same against a bubble's imprint without noise"),
     "ssim_exact": Metric(unit="", better="higher", meaning="the same against a bubble's imprint without noise"),
@@ -23,12 +25,12 @@ TOUCH_METRICS: Mapping[str, Metric] = {
     "iou": Metric(unit="", better="higher", meaning="overlap of contact"),
     "correlation": Metric(unit="", better="higher", meaning="with the true change, both less the mean touch"),
 }
-_SQUARED = {"psnr_db": "squared", "psnr_exact_db": "squared_exact"}  # figure -> what is added up for it
+_SQUARED = {"psnr_db": "squared", "psnr_exact_db": "squared_exact"}  # metric -> squared error that it is computed from
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TouchMetrics:
-    """Of one touch: (figure, region) -> value; NaN never, what has no value is absent."""
+    """Metrics of one touch: (metric, region) -> finite value; unknown ones are absent."""
 
     values: Mapping[tuple[str, Region], float]
     n_pixels: Mapping[Region, int]
@@ -39,39 +41,40 @@ class TouchMetrics:
 def compute_touch_metrics(
     made: Floats, touch_depth: DepthMap | None, true: RecordedTouch, known: Mask, mean: Floats | None
 ) -> TouchMetrics:
-    """All figures of a generated change (rows, cols, channels); `felt` is its membrane, where that can be told.
+    """All metrics of a generated change (rows, cols, channels).
 
-    `mean` is the mean change of other touches of this sensor: None leaves the correlation out.
+    `touch_depth` is its membrane, if known; `known` (rows, cols) is what the source sees; `mean` is the mean change of
+    other touches of this sensor, None leaves out the correlation.
     """
     regions = true.compute_region_masks(known)
     values: dict[tuple[str, Region], float] = {}
-    picture, exact = true.render_image(made), true.render_image(true.noise_free_change)
-    alike = compute_similarity_map(picture, true.image, true.peak_value)
-    alike_exact = alike if true.kind == "gel" else compute_similarity_map(picture, exact, true.peak_value)
+    image, exact = true.render_image(made), true.render_image(true.noise_free_change)
+    ssim_map = compute_similarity_map(image, true.image, true.peak_value)
+    ssim_map_exact = ssim_map if true.kind == "gel" else compute_similarity_map(image, exact, true.peak_value)
     inner = np.zeros(true.contact.shape, np.bool_)
     inner[BORDER_PX:-BORDER_PX, BORDER_PX:-BORDER_PX] = True
     membrane = made[..., 0] if true.kind == "bubble" else None if touch_depth is None else touch_depth.indentation_mm
     for region, where in regions.items():
-        found = {
-            "squared": _mean_square(picture - true.image, where),
-            "squared_exact": _mean_square(picture - exact, where),
-            "ssim": _mean(alike, where & inner),
-            "ssim_exact": _mean(alike_exact, where & inner),
+        metrics = {
+            "squared": _mean_square(image - true.image, where),
+            "squared_exact": _mean_square(image - exact, where),
+            "ssim": _mean(ssim_map, where & inner),
+            "ssim_exact": _mean(ssim_map_exact, where & inner),
         }
         if membrane is not None:
-            found["error_mm"] = compute_mae_mm(membrane, true.indentation_mm, where)
+            metrics["error_mm"] = compute_mae_mm(membrane, true.indentation_mm, where)
         if touch_depth is not None and (true.contact & where).any():
-            found["iou"] = iou(touch_depth.contact & where, true.contact & where)
+            metrics["iou"] = iou(touch_depth.contact & where, true.contact & where)
         if mean is not None:
-            found["correlation"] = _correlation(made - mean, true.noise_free_change - mean, where)
-        values |= {(name, region): value for name, value in found.items() if math.isfinite(value)}
+            metrics["correlation"] = _correlation(made - mean, true.noise_free_change - mean, where)
+        values |= {(name, region): value for name, value in metrics.items() if math.isfinite(value)}
     counts: dict[Region, int] = {region: int(np.count_nonzero(where)) for region, where in regions.items()}
     return TouchMetrics(values=values, n_pixels=counts, peak_value=true.peak_value)
 
 
 def pool_metrics(touches: Sequence[TouchMetrics]) -> dict[str, dict[str, float]]:
-    """Figure -> region -> value of many touches: PSNR of all pixels together, of the others the mean over touches."""
-    found: dict[str, dict[str, float]] = {}
+    """Metric -> region -> value of many touches: PSNR over all pixels together, otherwise the mean over touches."""
+    pooled: dict[str, dict[str, float]] = {}
     keys = dict.fromkeys(key for one in touches for key in one.values)
     for name in TOUCH_METRICS:
         summed = _SQUARED.get(name)
@@ -85,8 +88,8 @@ def pool_metrics(touches: Sequence[TouchMetrics]) -> dict[str, dict[str, float]]
                 value = _psnr_db(float(np.average(values, weights=weights)), those[0].peak_value)
             else:
                 value = float(values.mean())
-            found.setdefault(name, {})[region] = value
-    return found
+            pooled.setdefault(name, {})[region] = value
+    return pooled
 
 
 def _psnr_db(squared: float, peak: float) -> float:
@@ -102,7 +105,7 @@ def _mean_square(gap: Doubles, where: Mask) -> float:
 
 
 def _correlation(a: Floats, b: Floats, where: Mask) -> float:
-    """Of two changes within a region, all channels together; NaN where one of them does not vary."""
+    """Correlation of two changes in a region over all channels; NaN if one is constant."""
     x, y = (v[where].astype(np.float64).ravel() for v in (a, b))
     x, y = x - x.mean(), y - y.mean()
     size = math.sqrt(float(x @ x) * float(y @ y))

@@ -1,4 +1,4 @@
-"""What a column shows beside what was worked out: the truth, or the difference to it."""
+"""Ground truth of a stage, and the difference to it, as a column shows them."""
 
 from __future__ import annotations
 
@@ -19,29 +19,33 @@ ComparisonMode = Literal["", "truth", "difference", "wipe", "blink"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TruthView:
-    """The truth of one slot, drawn; `gap` None where the two cannot be subtracted."""
+    """Preview of a stage's ground truth; no difference if the two cannot be subtracted."""
 
     truth: Preview
     difference_to_truth: Preview | None
-    layers: tuple[Layer, ...] = ()  # of the truth
+    layers: tuple[Layer, ...] = ()  # of the ground truth
 
 
-def build_observation_view(made: Preview, observed: DepthMap, target: SensorSpec, display: DisplayParams) -> TruthView:
-    """What an alignment carries over beside what the target felt itself, measured as any reading is."""
-    own = make_indentation_preview(
+def build_observation_view(
+    preview: Preview, observed: DepthMap, target: SensorSpec, display: DisplayParams
+) -> TruthView:
+    """The target's own measured depth, and the difference of a reprojected preview to it."""
+    recorded = make_indentation_preview(
         observed.indentation_mm, observed.depth_mm, observed.contact, observed.camera, target, display
     )
-    gap = compute_difference(made, own, label="carried over less felt", fit_scale=True)
-    return TruthView(truth=replace(own, caption=f"felt by {target.name} itself"), difference_to_truth=gap)
+    difference = compute_difference(preview, recorded, label="reprojected less recorded", fit_scale=True)
+    return TruthView(truth=replace(recorded, caption=f"recorded by {target.name}"), difference_to_truth=difference)
 
 
-def build_truth_view(stage: Stage, made: Preview, truths: Mapping[str, Any], seen: PreviewContext) -> TruthView | None:
-    """The truth's picture, made as the slot's own is; None where the recording does not know it."""
+def build_truth_view(
+    stage: Stage, preview: Preview, truths: Mapping[str, Any], context: PreviewContext
+) -> TruthView | None:
+    """Ground truth drawn as the stage's value is; None if the recording does not hold it."""
     if stage.name not in truths:
         return None
-    known = replace(seen, outputs={**seen.outputs, **truths})
-    true = stage.make_preview(truths[stage.name], known)
+    true_context = replace(context, outputs={**context.outputs, **truths})
+    true = stage.make_preview(truths[stage.name], true_context)
     return TruthView(
-        truth=replace(true, caption=f"truth: {true.caption}"), difference_to_truth=compute_difference(made, true),
-        layers=stage.make_layers(truths[stage.name], known, true),
+        truth=replace(true, caption=f"truth: {true.caption}"), difference_to_truth=compute_difference(preview, true),
+        layers=stage.make_layers(truths[stage.name], true_context, true),
     )  # fmt: skip

@@ -1,20 +1,21 @@
-"""Two translations on one frame: each slot of one beside that of the other, and what the one is less the other."""
+"""Two variants on one frame: each stage of both, and the difference of one stage."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 
+from pipeline.base.errors import TouchError
 from pipeline.base.progress import SILENT, Progress
-from pipeline.engine.graph import Graph, StageResult
-from pipeline.evaluation.comparison_tiles import ComparisonTiles
+from pipeline.engine.graph import StageResult
+from pipeline.evaluation.comparison_tiles import Comparison
 from pipeline.evaluation.truth_view import TruthView, build_truth_view
+from pipeline.evaluation.variants import Variant, VariantRunner
 from pipeline.previews.difference import compute_difference
 from pipeline.previews.display_params import DisplayParams
 from pipeline.previews.layers import Layer, make_frame_layer
 from pipeline.previews.preview import Preview, make_frame_preview, match_camera
 from pipeline.previews.tile import Tile
-from pipeline.stages.stage import PreviewContext
 from pipeline.translation.translate import Translation
 from pipeline.translation.truth_warnings import add_truth_warnings
 
@@ -24,7 +25,7 @@ IN_PROGRESS = "working…"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StageView:
-    """One slot of one of the two, drawn; without a result it is the reading itself."""
+    """Preview and 3D layers of one stage; without a result those of the source frame."""
 
     preview: Preview
     layers: tuple[Layer, ...]
@@ -33,106 +34,110 @@ class StageView:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Variant:
-    """One of the two, worked out; without parts there is only `problem`."""
+class VariantView:
+    """All views of one variant; without views there is only `problem`."""
 
     label: str
-    frame: int = -1
     stages: Mapping[str, StageView] = field(default_factory=dict[str, StageView])
-    metrics: Mapping[str, float] = field(default_factory=dict[str, float])  # slot.name -> value
-    titles: Mapping[str, str] = field(default_factory=dict[str, str])
+    metrics: Mapping[str, float] = field(default_factory=dict[str, float])  # stage.name -> value
+    titles: Mapping[str, str] = field(default_factory=dict[str, str])  # stage -> title
     translation: Translation | None = None
     problem: str = ""
 
-    def build_tile(self, stage: str, *, apart: bool = False) -> Tile:
-        """A slot's picture with its figures."""
-        part, title = self.stages.get(stage), f"{self.label} · {self.titles.get(stage, stage)}"
-        if part is None:
-            return Tile(title=title, problem=self.problem or "this route does not have it", starts_row=apart)
-        figures, result, other = self.stage_metrics(stage), part.result, part.truth_view
-        words = [f"{name} {value:.3g}" for name, value in figures.items()]
+    def build_tile(self, stage: str, *, starts_row: bool = False) -> Tile:
+        """A stage's preview with its metrics and warnings."""
+        view, title = self.stages.get(stage), f"{self.label} · {self.titles.get(stage, stage)}"
+        if view is None:
+            return Tile(title=title, problem=self.problem or "this route does not have it", starts_row=starts_row)
+        metrics, result, truth = self.stage_metrics(stage), view.result, view.truth_view
+        words = [f"{name} {value:.3g}" for name, value in metrics.items()]
         return Tile(
-            title=title, subtitle=" · ".join([*words, *(() if result is None else result.warnings)]), metrics=figures,
-            preview=part.preview, truth=None if other is None else other.truth,
-            difference=None if other is None else other.difference_to_truth, problem="" if result is None else result.fallback, starts_row=apart,
+            title=title, subtitle=" · ".join([*words, *(() if result is None else result.warnings)]), metrics=metrics,
+            preview=view.preview, truth=None if truth is None else truth.truth,
+            difference=None if truth is None else truth.difference_to_truth,
+            problem="" if result is None else result.fallback, starts_row=starts_row,
         )  # fmt: skip
 
     def stage_metrics(self, stage: str) -> dict[str, float]:
-        """What is known of a slot's error."""
-        return {
-            name.partition(".")[2]: value for name, value in self.metrics.items() if name.partition(".")[0] == stage
-        }
-
-    def stage_preview(self, stage: str) -> Preview | None:
-        """What is shown of a slot."""
-        part = self.stages.get(stage)
-        return None if part is None else part.preview
-
-    def stage_layers(self, stage: str) -> tuple[Layer, ...]:
-        """The same in 3D."""
-        part = self.stages.get(stage)
-        return () if part is None else part.layers
+        """Name -> value of one stage's metrics."""
+        named = ((*name.split(".", 1), value) for name, value in self.metrics.items())
+        return {name: value for of, name, value in named if of == stage}
 
 
-def evaluate_variant(
-    letter: str, translation: Translation, frame: int, given: Mapping[str, object], display: DisplayParams, stage: str,
-    graph: Graph, progress: Progress = SILENT,
-) -> Variant:  # fmt: skip
-    """A slot of a frame, or all slots for ""; `given` are parameters of methods by key. Raises TouchError."""
-    source, facts = translation.source, translation.read_ground_truth(translation.check_index(frame))
-    reading = translation.stream.frame(frame)
-    camera = match_camera(reading.camera or source.camera, reading.image.shape)
-    picture = make_frame_preview(reading.image, camera, source, display, reference=reading.reference)
-    layer = make_frame_layer(SOURCE, reading.image, camera, picture.pixels, source)
-    parts = {SOURCE: StageView(preview=picture, layers=(layer,))}
-    params = {m.stage: given.get(m.key, m.params()) for m in translation.methods}
-    wanted = [name for name in translation.stages if stage in ("", name)]
-    found = graph.evaluate(wanted, translation.build_inputs(reading), params, progress)
-    results = {name: add_truth_warnings(result, facts) for name, result in found.items()}
-    seen = PreviewContext(
-        outputs={name: result.output for name, result in results.items()}, source=source, target=translation.target,
-        mesh=translation.mesh, display=display,
-    )  # fmt: skip
-    truths = translation.read_true_outputs(frame)
-    for name, result in results.items():
+def compare_pair(
+    runner: VariantRunner, first: Variant, open_second: Callable[[], Variant], frame: int, display: DisplayParams,
+    stage: str, differs: str, progress: Progress = SILENT, *, second_may_fail: bool = False,
+) -> Iterator[Comparison]:  # fmt: skip
+    """A stage of both variants, or all stages for ""; first without the second. `differs` says what differs.
+
+    Raises TouchError. If `second_may_fail`, an error of the second is shown in its place instead.
+    """
+    one = evaluate_view(runner, first, frame, display, stage, progress)
+    yield build_tiles(one, VariantView(label="B", titles=one.titles, problem=IN_PROGRESS), frame, stage, differs)
+    try:
+        other = evaluate_view(runner, open_second(), frame, display, stage, progress)
+    except TouchError as error:
+        if not second_may_fail:
+            raise
+        other = VariantView(label="B", titles=one.titles, problem=str(error))
+    yield build_tiles(one, other, frame, stage, differs)
+
+
+def evaluate_view(
+    runner: VariantRunner, variant: Variant, frame: int, display: DisplayParams, stage: str, progress: Progress = SILENT
+) -> VariantView:
+    """The source frame and one stage, or all stages for "". Raises TouchError."""
+    translation = variant.translation
+    source, truth = translation.source, translation.read_ground_truth(translation.check_index(frame))
+    recorded = translation.stream.frame(frame)
+    camera = match_camera(recorded.camera or source.camera, recorded.image.shape)
+    preview = make_frame_preview(recorded.image, camera, source, display, reference=recorded.reference)
+    layer = make_frame_layer(SOURCE, recorded.image, camera, preview.pixels, source)
+    views = {SOURCE: StageView(preview=preview, layers=(layer,))}
+    requested = [name for name in translation.stages if stage in ("", name)]
+    result = runner.evaluate(variant, frame, requested, progress)
+    results = {name: add_truth_warnings(each, truth) for name, each in result.results.items()}
+    context, true_outputs = result.make_context(display), translation.read_true_outputs(frame)
+    for name, each in results.items():
         entry = translation.catalogue.stage(name)
-        made = entry.make_preview(result.output, seen)
-        layers = entry.make_layers(result.output, seen, made)
-        parts[name] = StageView(
-            preview=made, layers=layers, result=result, truth_view=build_truth_view(entry, made, truths, seen)
-        )
+        preview = entry.make_preview(each.output, context)
+        views[name] = StageView(
+            preview=preview, layers=entry.make_layers(each.output, context, preview), result=each,
+            truth_view=build_truth_view(entry, preview, true_outputs, context),
+        )  # fmt: skip
     titles = {SOURCE: "Source", **{name: translation.catalogue.stage(name).title for name in translation.stages}}
-    figures = translation.compute_metrics_against(results, facts)
-    return Variant(
-        label=letter, frame=frame, stages=parts, metrics=figures, titles=titles, translation=translation
-    )  # fmt: skip
+    metrics = translation.compute_metrics_against(results, truth)
+    return VariantView(label=variant.label, stages=views, metrics=metrics, titles=titles, translation=translation)
 
 
-def build_tiles(one: Variant, other: Variant, stage: str, differs: str) -> ComparisonTiles:
-    """A slot of both and their difference, or all slots of both for ""."""
-    told = f"A (now) and B (held) on frame {one.frame}: {differs}"
+def build_tiles(one: VariantView, other: VariantView, frame: int, stage: str, differs: str) -> Comparison:
+    """A stage of both and their difference, or all stages of both for ""."""
+    summary = f"A and B on frame {frame}: {differs}"
     if other.problem not in ("", IN_PROGRESS):
-        told = f"{told} · B: {other.problem}"
+        summary = f"{summary} · B: {other.problem}"
     if not stage:
         names = list(dict.fromkeys((*one.stages, *other.stages)))
-        rows = [side.build_tile(name, apart=name == names[0]) for side in (one, other) for name in names]
-        return ComparisonTiles(tiles=tuple(rows), summary=told)
-    return ComparisonTiles(
-        tiles=(one.build_tile(stage), other.build_tile(stage), _less(one, other, stage)), summary=told,
-        stage=stage, views_3d=tuple((side.stage_layers(stage), side.translation) for side in (one, other)),
+        rows = [view.build_tile(name, starts_row=name == names[0]) for view in (one, other) for name in names]
+        return Comparison(tiles=tuple(rows), summary=summary)
+    layers = ((view.stages[stage].layers if stage in view.stages else ()) for view in (one, other))
+    return Comparison(
+        tiles=(one.build_tile(stage), other.build_tile(stage), _build_difference_tile(one, other, stage)),
+        summary=summary, stage=stage,
+        views_3d=tuple(zip(layers, (one.translation, other.translation), strict=True)),
     )  # fmt: skip
 
 
-def _less(one: Variant, other: Variant, stage: str) -> Tile:
-    """The first less the second; a wipe and blinking are between the two."""
-    a, b = one.stage_preview(stage), other.stage_preview(stage)
-    ours, theirs = one.stage_metrics(stage), other.stage_metrics(stage)
-    figures = {name: ours[name] - theirs[name] for name in ours if name in theirs}
-    told = " · ".join(f"{name} {value:+.3g}" for name, value in figures.items())
-    gap = None if a is None or b is None else compute_difference(a, b, label="A less B", fit_scale=True)
-    if gap is None:
-        why = "" if b is None else "these two cannot be subtracted: they have other pixels, or no common scale"
-        return Tile(title="A less B", subtitle=told, metrics=figures, problem=why)
+def _build_difference_tile(one: VariantView, other: VariantView, stage: str) -> Tile:
+    """A less B; wipe and blink alternate between the two."""
+    a, b = (view.stages[stage].preview if stage in view.stages else None for view in (one, other))
+    values, reference = one.stage_metrics(stage), other.stage_metrics(stage)
+    metrics = {name: values[name] - reference[name] for name in values if name in reference}
+    subtitle = " · ".join(f"{name} {value:+.3g}" for name, value in metrics.items())
+    difference = None if a is None or b is None else compute_difference(a, b, label="A less B", fit_scale=True)
+    if difference is None:
+        problem = "" if b is None else "no difference: the two have other pixels, or no common scale"
+        return Tile(title="A less B", subtitle=subtitle, metrics=metrics, problem=problem)
     return Tile(
-        title="A less B", subtitle=told, metrics=figures, preview=a, truth=b, difference=gap, default_mode="difference"
-    )
+        title="A less B", subtitle=subtitle, metrics=metrics, preview=a, truth=b, difference=difference,
+        default_mode="difference",
+    )  # fmt: skip

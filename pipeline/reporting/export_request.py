@@ -70,7 +70,7 @@ def format_command(asked: ExportRequest) -> str:
     """The command line that makes the very same file."""
     words = ["tactoscope", "export", *format_options(asked.request), "--pane", asked.pane]
     if asked.content != "computed":
-        words += ["--shown", asked.content]
+        words += ["--content", asked.content]
     words += ["--frame", str(asked.frame)]
     if asked.frames:
         words += ["--frames", asked.frames]
@@ -96,7 +96,7 @@ def format_options(request: Request) -> list[str]:
 
 def _moved(offsets: Offsets) -> list[str]:
     words: list[str] = []
-    for name in ("shift_mm", "turn_deg", "pivot_mm"):
+    for name in ("translation_mm", "rotation_deg", "pivot_mm"):
         values: tuple[float, ...] = getattr(offsets, name)
         if not offsets.is_zero and any(values):
             words += [f"--{name.replace('_', '-')}", *(_said(value) for value in values)]

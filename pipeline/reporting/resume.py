@@ -65,8 +65,8 @@ def load_finished_frame(out: Path, index: int, key: str) -> FinishedFrame | None
 def _report(record: Mapping[str, Any]) -> FrameReport:
     results = {
         s["name"]: StageResult(name=s["name"], method=None, output=None, state=s["state"], ms=s["ms"],
-                               notes=tuple(StageWarning(n) if n in s["doubts"] else n for n in s["notes"]), digest="",
-                               fallback=s["instead"])
+                               notes=tuple(StageWarning(n) if n in s["warnings"] else n for n in s["notes"]), digest="",
+                               fallback=s["fallback"])
         for s in record["stages"]
     }  # fmt: skip
     metrics = {name: float("nan") if value is None else float(value) for name, value in record["metrics"].items()}

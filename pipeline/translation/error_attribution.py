@@ -122,5 +122,5 @@ def _cut(view: TargetDepth, seen: Mask) -> TargetDepth:
         contact=freeze(contact),
         depth_mm=freeze(np.where(contact, view.depth_mm, np.float32(np.nan))),
         indentation_mm=freeze(np.where(contact, view.indentation_mm, np.float32(0.0))),
-        known=seen,
+        in_view=seen,
     )

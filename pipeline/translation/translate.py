@@ -18,10 +18,10 @@ from pipeline.calibration.calibration_table import Calibration
 from pipeline.engine.graph import Graph, Method, StageResult
 from pipeline.geometry.meshes import Mesh, load_mesh
 from pipeline.recordings import open_recording
-from pipeline.recordings.formats import DepthUnit
+from pipeline.recordings.depth_arrays import DepthUnit
 from pipeline.sensors import alignment as alignments
 from pipeline.sensors.alignment import Alignment, shift_alignment_along_z
-from pipeline.sensors.alignment_files import load_alignment as load_alignment
+from pipeline.sensors.alignment_files import load_alignment
 from pipeline.sensors.offsets import Offsets
 from pipeline.sensors.spec import SensorSpec, load_sensor
 from pipeline.stages.stage import GroundTruth
@@ -99,8 +99,10 @@ class Translation:
         """What the target itself recorded, read as a source; the recording must hold it."""
         own = self.recording.stream_of_sensor(self.target.name)
         assert own is not None
-        telling = _telling(self.request, self.recording, own, self.target)
-        return replace(self, stream=own, source=self.target, target=self.source, load_context_images=telling)
+        load_context_images = _context_image_loader(self.request, self.recording, own, self.target)
+        return replace(
+            self, stream=own, source=self.target, target=self.source, load_context_images=load_context_images
+        )
 
     def build_graph(self, like: Graph | None = None) -> Graph:
         """What evaluates the route; one that remembers what `like` has worked out, where that is given."""
@@ -219,11 +221,11 @@ def open_translation(request: Request, catalogue: Catalogue = BUILT_IN) -> Trans
         notes=(*recording.notes, *_about_symmetry(recording, stream, mesh), *_about_weights(request, methods)),
         symmetry=recording.symmetry if mesh is recording.object_mesh else None,
         catalogue=catalogue,
-        load_context_images=_telling(request, recording, stream, source),
+        load_context_images=_context_image_loader(request, recording, stream, source),
     )
 
 
-def _telling(
+def _context_image_loader(
     request: Request, recording: Recording, stream: Stream, source: SensorSpec
 ) -> Callable[[], tuple[Image, ...]]:
     """The touches that tell of the unit's light, chosen when a frame is first read.

@@ -1,8 +1,6 @@
-"""One frame several ways, side by side."""
+"""Compare: one frame by several methods."""
 
 from __future__ import annotations
-
-import math
 
 import pytest
 from PyQt6.QtCore import QPointF
@@ -10,8 +8,6 @@ from PyQt6.QtCore import QPointF
 from app.session.sample import SAMPLE_RECORDING
 from app.window.comparison import ComparisonController
 from app.window.tour import wait_until_shown
-from pipeline.evaluation.method_comparison import sort_results
-from pipeline.evaluation.method_results import MethodResult
 from pipeline.networks import network_factory, weights_registry
 from pipeline.stages.touch.stage import PHYSICS, VQVAE
 from tests.app.window.command_runs import same_as_typed
@@ -40,19 +36,19 @@ def _tiles(instrument):
 
 def _settled(qtbot, instrument, comparing, tiles):
     qtbot.waitUntil(
-        lambda: instrument.is_idle and not comparing.busy and _tiles(instrument) is not tiles, timeout=LIMIT_MS
+        lambda: instrument.is_idle and not comparing.is_busy and _tiles(instrument) is not tiles, timeout=LIMIT_MS
     )
 
 
-def test_every_way_stands_beside_the_truth_worst_first(compared, qtbot):
+def test_every_method_is_compared_with_ground_truth_worst_first(compared, qtbot):
     instrument, comparing = compared
-    page, tiles = instrument.window.compare, _tiles(instrument)
+    page, tiles = instrument.window.comparison, _tiles(instrument)
     assert [tile.title for tile in tiles] == ["truth", VQVAE.title, PHYSICS.title]
-    assert all("contact" in tile.message and "dB" in tile.message and "ms" in tile.message for tile in tiles[1:])
-    assert "left out: T2D2" in page.tab.message.text()
+    assert all("contact" in tile.subtitle and "dB" in tile.subtitle and "ms" in tile.subtitle for tile in tiles[1:])
+    assert "left out: T2D2" in page.current_tab.message.text()
     assert len({tile.preview.scale for tile in tiles}) == 1  # one colour scale
     assert instrument.latest_frame.results == {}  # nothing is worked out for columns that nobody sees
-    page.order.setCurrentText("in order")
+    page.order_box.setCurrentText("in order")
     page.choice_changed.emit()
     _settled(qtbot, instrument, comparing, tiles)
     assert [tile.title for tile in _tiles(instrument)] == ["truth", PHYSICS.title, VQVAE.title]
@@ -63,42 +59,42 @@ def test_the_copied_command_makes_the_same_pictures_and_figures(compared, tmp_pa
     same_as_typed(instrument, tmp_path, monkeypatch)
 
 
-def test_who_goes_elsewhere_for_long_leaves_no_answers_and_no_networks_behind(compared, qtbot):
+def test_leaving_the_page_releases_cached_results_and_networks(compared, qtbot):
     instrument, comparing = compared
     tiles, ready = _tiles(instrument), network_factory._loaded_networks  # pyright: ignore[reportPrivateUsage]
-    kept = comparing._kept.graph.cache
-    assert kept.n_bytes
+    cache = comparing._method_runner.graph.cache
+    assert cache.n_bytes
     assert len(ready)
     comparing.release_memory()
-    assert kept.n_bytes, "somebody looks"
+    assert cache.n_bytes, "the page is visible"
     instrument.window.actions_by_name["layout_stages"].trigger()
     assert wait_until_shown(instrument, LIMIT_S)
-    qtbot.waitUntil(lambda: not comparing.busy, timeout=LIMIT_MS)
-    assert comparing._away.isActive()
+    qtbot.waitUntil(lambda: not comparing.is_busy, timeout=LIMIT_MS)
+    assert comparing._release_timer.isActive()
     comparing.release_memory()
-    assert (kept.n_bytes, len(ready)) == (0, 0)
+    assert (cache.n_bytes, len(ready)) == (0, 0)
     instrument.window.actions_by_name["layout_compare"].trigger()
     _settled(qtbot, instrument, comparing, tiles)
-    assert not comparing._away.isActive()
+    assert not comparing._release_timer.isActive()
     assert [tile.title for tile in _tiles(instrument)] == [tile.title for tile in tiles]
 
 
-def test_one_key_shows_the_difference_and_all_look_at_one_place(compared):
+def test_one_key_shows_the_difference_and_all_views_pan_together(compared):
     instrument, _ = compared
     views = instrument.window.comparison.current_tab.grid.views
     instrument.window.actions_by_name["show_difference"].trigger()
     assert wait_until_shown(instrument, LIMIT_S)
-    assert all(v.view.preview is v.tile.gap for v in views[1:])
-    assert views[0].view.preview is views[0].tile.picture
-    views[1].view.canvas.look(QPointF(100.0, 60.0), 2.0)
+    assert all(v.view.preview is v.tile.difference for v in views[1:])
+    assert views[0].view.preview is views[0].tile.preview
+    views[1].view.canvas.set_view(QPointF(100.0, 60.0), 2.0)
     views[1].view.view_changed.emit()
     assert {(v.view.canvas.centre.x(), v.view.canvas.centre.y(), v.view.canvas.scale) for v in views} == {(100, 60, 2)}
     views[2].view.pixel_hovered.emit(60, 100)
-    assert all(v.view.cross == (60, 100) for v in views)
+    assert all(v.view.crosshair == (60, 100) for v in views)
     assert PHYSICS.title in instrument.window.readout.text()
 
 
-def test_another_frame_is_followed_and_a_hidden_page_works_nothing_out(compared, qtbot):
+def test_another_frame_is_followed_and_a_hidden_page_computes_nothing(compared, qtbot):
     instrument, comparing = compared
     tiles = _tiles(instrument)
     instrument.choose_frame(6)
@@ -109,15 +105,5 @@ def test_another_frame_is_followed_and_a_hidden_page_works_nothing_out(compared,
     tiles = _tiles(instrument)
     instrument.choose_frame(5)
     assert wait_until_shown(instrument, LIMIT_S)
-    assert not comparing.busy
+    assert not comparing.is_busy
     assert _tiles(instrument) is tiles
-
-
-def test_what_cannot_be_judged_comes_last_in_any_order():
-    def off(mm: float) -> MethodResult:
-        return MethodResult(method=PHYSICS, touch=None, contact_error_mm=mm)
-
-    found = [off(1.0), off(math.nan), off(3.0), off(2.0)]
-    for order, wanted in (("worst first", [3.0, 2.0, 1.0]), ("best first", [1.0, 2.0, 3.0])):
-        assert [v.contact_error_mm for v in sort_results(found, order)][:3] == wanted
-    assert sort_results(found, "in order") == found

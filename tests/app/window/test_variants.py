@@ -1,4 +1,4 @@
-"""Two sessions on one frame and view, and one touch by several seeds."""
+"""Compare: two settings on one frame, and one touch by several seeds."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def held(open_window, qtbot, touch_file):
 def _settle(qtbot, instrument, comparing):
     def done() -> bool:
         tiles = _grid(instrument).tiles
-        return instrument.is_idle and not comparing.busy and not any(t.problem == "working…" for t in tiles)
+        return instrument.is_idle and not comparing.is_busy and not any(t.problem == "working…" for t in tiles)
 
     qtbot.waitUntil(done, timeout=LIMIT_MS)
     qtbot.wait(20)
@@ -42,35 +42,37 @@ def _grid(instrument):
     return instrument.window.comparison.current_tab.grid
 
 
-def _choose_slot(qtbot, instrument, comparing, name):
+def _choose_stage(qtbot, instrument, comparing, name):
     box = instrument.window.comparison.stage_box
     box.setCurrentIndex(box.findData(name))
     box.activated.emit(box.currentIndex())
     _settle(qtbot, instrument, comparing)
 
 
-def test_what_is_set_now_stands_beside_what_was_held(held, qtbot):
+def test_current_settings_are_compared_with_held_ones(held, qtbot):
     instrument, comparing = held
     assert instrument.session.layout.name == "compare"
     assert "no setting differs" in instrument.window.comparison.current_tab.message.text()
     method = instrument.catalogue.method("cloud", "back_projection")
     instrument.choose_params(method.key, replace(method.params(), stride=4))
     assert wait_until_shown(instrument, LIMIT_S)
-    _choose_slot(qtbot, instrument, comparing, "target_depth")
+    _choose_stage(qtbot, instrument, comparing, "target_depth")
     a, b, less = _grid(instrument).tiles
     assert "cloud.stride: 4 | 1" in instrument.window.comparison.current_tab.message.text()
-    assert (a.title, b.title) == ("A · Target depth", "B · Target depth")
-    assert less.difference_to_truth is not None
-    assert _grid(instrument).views[2].view.preview is less.difference_to_truth  # the difference, without asking
+    assert (a.title, b.title) == ("A · Target view", "B · Target view")
+    assert less.difference is not None
+    assert _grid(instrument).views[2].view.preview is less.difference  # the difference, without asking
     own = [instrument.views.scene._stage.camera_of(len(instrument.window.columns) + 1 + k) for k in (0, 1)]
     assert own[0] == own[1]  # one view
     assert all(cell.view.image is not None for cell in instrument.window.comparison.views_3d)
     for x_mm in (0.5, 1.0):  # both stay in view while the alignment is moved
-        instrument.change("move the alignment", offsets=replace(instrument.session.offsets, shift_mm=(x_mm, 0.0, 0.0)))
+        instrument.change(
+            "move the alignment", offsets=replace(instrument.session.offsets, translation_mm=(x_mm, 0.0, 0.0))
+        )
         _settle(qtbot, instrument, comparing)
     assert instrument.window.banner.isHidden(), instrument.window.banner.text
     assert own[0] == instrument.views.scene._stage.camera_of(len(instrument.window.columns) + 1)
-    _choose_slot(qtbot, instrument, comparing, "")
+    _choose_stage(qtbot, instrument, comparing, "")
     tiles = _grid(instrument).tiles
     assert len(tiles) == 2 * len(instrument.window.columns)
     assert [t.starts_row for t in tiles].count(True) == 2
@@ -80,7 +82,7 @@ def test_the_copied_command_makes_the_same_pictures_and_figures(held, qtbot, tmp
     instrument, comparing = held
     instrument.choose_method("target_depth", "paper")
     assert wait_until_shown(instrument, LIMIT_S)
-    _choose_slot(qtbot, instrument, comparing, "target_depth")
+    _choose_stage(qtbot, instrument, comparing, "target_depth")
     same_as_typed(instrument, tmp_path, monkeypatch)
     # What was chosen is a step that can be undone, and the session keeps it.
     instrument.save_session(tmp_path / "a.touch.json")
@@ -89,30 +91,30 @@ def test_the_copied_command_makes_the_same_pictures_and_figures(held, qtbot, tmp
     assert kept.variant.recording.resolve() == instrument.session.recording.resolve()
     instrument.undo_stack.undo()
     _settle(qtbot, instrument, comparing)
-    assert instrument.window.comparison.slot.currentIndex() == instrument.window.comparison.slot.count() - 1
+    assert instrument.window.comparison.stage_box.currentIndex() == instrument.window.comparison.stage_box.count() - 1
     instrument.undo_stack.undo()
     instrument.undo_stack.undo()
-    assert instrument.session.held is None
+    assert instrument.session.variant is None
     assert instrument.session.layout.name == "stages"
     instrument.undo_stack.redo()
-    assert instrument.session.held is not None
-    assert instrument.window.comparison.name == "two"
+    assert instrument.session.variant is not None
+    assert instrument.window.comparison.current_name == "two"
 
 
-def test_where_the_views_look_comes_back_with_the_session(held, tmp_path):
+def test_cameras_of_the_3d_views_are_stored_in_the_session(held, tmp_path):
     instrument, _ = held
     scene = instrument.views.scene
     turned = (10.0, 20.0, -90.0, 0.0, 1.0, 20.0, 0.0, -1.0, 0.0, 30.0)
-    scene.turn({1: turned})
+    scene.set_cameras({1: turned})
     instrument.save_session(tmp_path / "a.touch.json")
     instrument.reset_view()
-    assert scene.cameras()[1] != pytest.approx(turned)
+    assert scene.get_cameras()[1] != pytest.approx(turned)
     instrument.open_session(tmp_path / "a.touch.json")
     assert wait_until_shown(instrument, LIMIT_S)
-    assert scene.cameras()[1] == pytest.approx(turned)
+    assert scene.get_cameras()[1] == pytest.approx(turned)
 
 
-def test_both_follow_the_frame_and_b_can_go(held, qtbot):
+def test_both_settings_follow_the_frame_and_b_can_be_removed(held, qtbot):
     instrument, comparing = held
     instrument.choose_frame(1)
     assert wait_until_shown(instrument, LIMIT_S)
@@ -123,7 +125,7 @@ def test_both_follow_the_frame_and_b_can_go(held, qtbot):
     assert not instrument.window.actions_by_name["clear_variant"].isEnabled()
 
 
-def test_what_is_wrong_with_the_other_stands_in_its_place(held, qtbot, tmp_path):
+def test_a_problem_of_b_is_shown_in_its_place(held, qtbot, tmp_path):
     instrument, comparing = held
     comparing.set_variant_recording(tmp_path / "gone.h5")
     _settle(qtbot, instrument, comparing)
@@ -135,7 +137,7 @@ def test_what_is_wrong_with_the_other_stands_in_its_place(held, qtbot, tmp_path)
     assert "recording: pressed.h5 | first_touch.h5" in instrument.window.comparison.current_tab.message.text()
 
 
-def test_seeds_are_drawn_on_request_and_their_spread_is_told(open_window, qtbot, tmp_path, monkeypatch):
+def test_seeds_are_sampled_on_request_with_their_spread(open_window, qtbot, tmp_path, monkeypatch):
 
     instrument = open_window(
         SAMPLE_RECORDING, source="gelslim", target="soft_bubble", frame=5, methods={"touch": "t2d2"}
@@ -149,17 +151,17 @@ def test_seeds_are_drawn_on_request_and_their_spread_is_told(open_window, qtbot,
     page.seed_count_box.setValue(2)
     page.sample_button.click()
     _settle(qtbot, instrument, comparing)
-    assert "every seed gives the very same touch" in page.current_tab.message.text()
+    assert "every seed gives the same touch" in page.current_tab.message.text()
     t2d2 = instrument.catalogue.method("touch", "t2d2")
     instrument.choose_params(t2d2.key, replace(t2d2.params(), steps=2))
     assert wait_until_shown(instrument, LIMIT_S)
     page.sample_button.click()
     _settle(qtbot, instrument, comparing)
     tiles = {tile.title: tile for tile in _grid(instrument).tiles}
-    assert list(tiles) == ["mean of 2 seeds", "spread", "error", "one of them", "truth"]
+    assert list(tiles) == ["mean of 2 seeds", "spread", "error", "sample", "truth"]
     assert np.nanmax(tiles["spread"].preview.values) > 0.0
     assert tiles["spread"].preview.scale.unit == "mm"
     assert tiles["spread"].preview.scale.high == tiles["error"].preview.scale.high
     assert page.plot.points
-    assert "2 samples spreads by" in page.current_tab.message.text()
+    assert "2 samples have a standard deviation" in page.current_tab.message.text()
     same_as_typed(instrument, tmp_path, monkeypatch)

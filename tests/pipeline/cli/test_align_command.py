@@ -56,15 +56,15 @@ def test_scores_are_a_table_of_frames_and_of_axes(typed):
     assert float(rows[0][2]) > 0.9
 
 
-def test_refining_writes_an_alignment_nearer_to_the_exact_one_and_says_what_it_did(typed, off, tmp_path):
+def test_refining_writes_an_alignment_nearer_to_the_exact_one_and_prints_the_change(typed, off, tmp_path):
     out_file = tmp_path / "refined.toml"
     refine = ("refine", SAMPLE, "--target", "gelslim", "--alignment", off, "--truth", "--hold-out", "0.5")
     code, out, _ = typed(*refine, "--out", out_file)
     assert code == 0
     assert "held out, after" in out
-    assert "predicted spread" in out
+    assert "predicted standard deviation" in out
     moved_mm = [float(v) for v in out.split("moved the contact by (")[1].split(")")[0].split(",")]
-    assert 0.5 < np.linalg.norm(moved_mm) < 2.0  # about the millimetre that the file was off
+    assert 0.5 < np.linalg.norm(moved_mm) < 2.0  # the file was 1 mm off
     found = load_alignment(out_file, source="digit", target="gelslim")
     assert "digit_gelslim.h5" in found.origin
     left = found.alignment.target_from_source @ rigid.invert(EXACT.alignment.target_from_source)
@@ -76,20 +76,20 @@ def test_refining_writes_an_alignment_nearer_to_the_exact_one_and_says_what_it_d
 
 
 @pytest.mark.parametrize(
-    ("tokens", "told"),
+    ("tokens", "fact"),
     [
         (("score", SAMPLE, "--target", "soft_bubble"), "soft_bubble recorded no frame 0 here"),
-        (("score", SAMPLE, "--target", "gelslim", "--frames", "0-1"), "none of the 2 frames is felt by both"),
+        (("score", SAMPLE, "--target", "gelslim", "--frames", "0-1"), "none of the 2 frames has contact on both"),
         (("score", SAMPLE, "--target", "gelslim", "--frames", "9"), "no frame 9; the recording has frames 0 to 5"),
         (("score", SAMPLE, "--target", "gelslim", "--frames", "a"), "numbers and ranges such as 0,3-7"),
         (("refine", SAMPLE, "--target", "gelslim", "--out", "x.txt"), "ends in .toml"),
         (("refine", SAMPLE, "--target", "gelslim", "--out", "x.toml", "--hold-out", "1"), "below 1, got 1"),
     ],
 )
-def test_a_mistake_is_one_sentence(typed, tokens, told):
+def test_a_mistake_is_one_sentence(typed, tokens, fact):
     code, _, err = typed(*tokens)
     assert code == EXIT_USER_ERROR
-    assert told in err
+    assert fact in err
     assert len(err.strip().splitlines()) == 1
 
 
@@ -99,7 +99,7 @@ def test_an_alignment_of_other_sensors_is_refused(typed, off):
     assert "the other way round; swap source and target" in err
 
 
-def test_a_translation_uses_the_file_and_a_session_keeps_it(off, tmp_path):
+def test_a_translation_uses_the_alignment_file_and_a_session_stores_it(off, tmp_path):
     request = Request(recording=SAMPLE, source="digit", target="gelslim", alignment=off)
     opened = open_translation(request)
     wanted = load_alignment(off, source="digit", target="gelslim").alignment.target_from_source
@@ -126,14 +126,14 @@ def test_frames_are_numbers_and_ranges():
         parse_frames("2-6", 6)
 
 
-def test_fit_finds_an_alignment_without_one_to_begin_with_and_writes_it(typed, tmp_path):
+def test_fit_writes_an_alignment_without_an_initial_one(typed, tmp_path):
     out = tmp_path / "fitted.toml"
     recording = SAMPLE.with_name("grasps_lines_120.h5")
     words = ("--sensor", "gelslim", "--target", "soft_bubble", "--truth", "--use", "2", "--out", out)
     code, said, error = typed("fit", recording, *words)
     assert code == 0, error
     assert "held out" in said
-    assert "doubtful: a turn is known to 0." in said
+    assert "standard deviation of 0." in said
     fitted = load_alignment(out, source="gelslim", target="soft_bubble").alignment.target_from_source
     exact = np.diag([-1.0, -1.0, 1.0])  # how the sample's bubble is turned; 47 mm lie between the two cameras
     off = np.degrees(np.arccos(np.clip((np.trace(fitted[:3, :3].T @ exact) - 1) / 2, -1, 1)))
@@ -141,7 +141,7 @@ def test_fit_finds_an_alignment_without_one_to_begin_with_and_writes_it(typed, t
     assert fitted[:3, 3] == pytest.approx((0.0, 0.0, 47.0), abs=0.3)
 
 
-def test_pairs_that_were_mixed_up_are_told_by_those_that_were_held_out():
+def test_shuffled_pairs_are_recognised_by_those_held_out():
     assert is_consistent([0.54, 0.6], [0.63, 0.5])
     assert is_consistent([0.9, 0.8], [])
     assert not is_consistent([0.35, 0.34], [-0.76, 0.57])  # shuffled: the few that are fitted to are learned by heart

@@ -73,9 +73,9 @@ def test_a_setting_reaches_its_stage_and_an_unknown_one_is_named(touches, tmp_pa
     assert run_app(build_app(), [str(a) for a in (*arguments, "--set", "target_depth.jump_mm=2", "--frame", "2")]) == 0
     assert "jump_mm" in said(*arguments, "--set", "target_depth.colour=red")
     assert said(*arguments, "--set", "projekt.mode=paper").startswith(
-        "no slot 'projekt' on this route; there are depth, cloud"
+        "no stage 'projekt' on this route; there are depth, cloud"
     )
-    assert said(*arguments, "--set", "mode").startswith("a setting is written slot.parameter=value")
+    assert said(*arguments, "--set", "mode").startswith("a setting is written stage.parameter=value")
 
 
 def test_the_sample_recording_translates_with_truth(tmp_path, capsys):
@@ -92,7 +92,7 @@ def test_the_sample_recording_translates_with_truth(tmp_path, capsys):
 
 
 @pytest.mark.parametrize("known", [False, True])
-def test_calibrating_says_what_error_to_expect_and_what_one_ball_cannot_tell(known, touches, tmp_path, capsys):
+def test_calibrating_states_the_expected_error_and_what_one_ball_does_not_determine(known, touches, tmp_path, capsys):
     (touches / "touch_0.png").unlink()
     pixel = ["--pixel-mm", "0.06"] if known else []
     out = tmp_path / "mini.npz"
@@ -101,21 +101,21 @@ def test_calibrating_says_what_error_to_expect_and_what_one_ball_cannot_tell(kno
     assert run_app(build_app(), command) == 0
     told = " ".join(capsys.readouterr().out.split())
     assert "expected error of a ball's diameter" in told
-    assert ("any width of a pixel" in told) is not known
+    assert ("do not determine the pixel width" in told) is not known
     assert calibration_file.load(out).expected_error is not None
 
 
-def test_calibrating_on_pictures_with_swapped_colours_is_doubted(touches, tmp_path, capsys, monkeypatch):
+def test_calibrating_on_images_with_swapped_colours_gives_a_warning(touches, tmp_path, capsys, monkeypatch):
     mini = load_sensor("gelsight_mini")
-    monkeypatch.setattr(calibrate, "calibrated", lambda *_, **__: calibration_table.make_built_in(mini))
+    monkeypatch.setattr(calibrate, "calibrate_sensor", lambda *_, **__: calibration_table.make_built_in(mini))
     command = ["calibrate", "balls", str(touches), "--sensor", "gelsight_mini", "--diameter-mm", "8", "--reference",
                str(touches / "background.png"), "--out", str(tmp_path / "mini.npz"), "--pattern", "touch_*"]  # fmt: skip
     assert run_app(build_app(), command) == 0
-    assert "doubtful" not in capsys.readouterr().out
+    assert "warning" not in capsys.readouterr().out
     for file in touches.iterdir():
         cv2.imwrite(str(file), cv2.imread(str(file))[..., ::-1])
     assert run_app(build_app(), command) == 0
-    assert "doubtful: the untouched picture is not as gelsight_mini takes it: red and blue" in capsys.readouterr().out
+    assert "red and blue look swapped" in capsys.readouterr().out
 
 
 def test_inspect_says_what_a_calibration_is_worth(tmp_path, capsys):
@@ -137,10 +137,10 @@ def test_inspect_says_what_the_sample_is(capsys):
     assert "ok   gelslim with soft_bubble: of 16 moments" in text
 
 
-def test_doctor_finds_everything_here(capsys):
+def test_doctor_finds_a_complete_installation(capsys):
     code, printed = run_app(build_app(), ["doctor"]), capsys.readouterr().out
     assert code == 0, printed
-    assert printed.splitlines()[-1] == "everything needed is here"
+    assert printed.splitlines()[-1] == "everything is installed"
     assert "MISSING" not in printed
 
 
@@ -151,7 +151,7 @@ def test_doctor_counts_what_is_missing(capsys, monkeypatch):
     code, printed = run_app(build_app(), ["doctor"]), capsys.readouterr().out
     assert code == 1
     assert "MISSING  no-such-package; run 'make setup'" in printed
-    assert printed.splitlines()[-1] == "2 things are missing; each line says what to do"
+    assert printed.splitlines()[-1].startswith("2 things are missing")
 
 
 def test_a_missing_file_is_named(tmp_path, said):
@@ -224,11 +224,11 @@ def test_a_recording_of_no_frame_is_no_success(tmp_path, said, capsys):
 
 
 def test_a_decimal_comma_is_answered_with_the_point(touches, tmp_path, said):
-    told = said("translate", touches, "--target=digit", "--out", tmp_path / "out", "--shift-mm", "1,5", "0", "0")
+    told = said("translate", touches, "--target=digit", "--out", tmp_path / "out", "--translation-mm", "1,5", "0", "0")
     assert "decimals stand behind a point: 1.5" in told
 
 
-def test_where_matplotlib_keeps_its_fonts_is_not_told(tmp_path, said):
+def test_messages_of_matplotlib_are_hidden(tmp_path, said):
     said("inspect", tmp_path / "none.h5")
     assert not logging.getLogger("matplotlib.font_manager").isEnabledFor(logging.WARNING)
 

@@ -10,24 +10,24 @@ import pytest
 from pipeline.cli.main import build_app, run_app
 
 SAMPLE = Path(__file__).parents[3] / "sample_data" / "recordings" / "first_touch.h5"
-_ONE = [str(SAMPLE), "--target", "gelslim", "--sensor", "digit", "--frame", "5", "--slot", "cloud"]
+_ONE = [str(SAMPLE), "--target", "gelslim", "--sensor", "digit", "--frame", "5", "--stage", "cloud"]
 
 
 def test_the_other_is_this_one_with_its_options_in_place(tmp_path, capsys):
-    words = ["compare", *_ONE, "--beside", "--set cloud.stride=4", "--out", str(tmp_path / "ways")]
+    words = ["compare", *_ONE, "--variant", "--set cloud.stride=4", "--out", str(tmp_path / "ways")]
     assert run_app(build_app(), words) == 0
     told = json.loads((tmp_path / "ways" / "compare.json").read_text())["tiles"]
-    assert [tile["title"] for tile in told] == ["A · Cloud", "B · Cloud", "A less B"]
-    a, b = ((tmp_path / "ways" / tile["pictures"][0]).read_bytes() for tile in told[:2])
+    assert [tile["title"] for tile in told] == ["A · Adapted cloud", "B · Adapted cloud", "A less B"]
+    a, b = ((tmp_path / "ways" / tile["images"][0]).read_bytes() for tile in told[:2])
     assert a != b, "another stride"
 
 
 @pytest.mark.parametrize(
     ("beside", "says"),
-    [("--nonsense 3", "--beside"), ("--set cloud.stride=many", "stride"), ("--set nowhere.stride=2", "nowhere")],
+    [("--nonsense 3", "--variant"), ("--set cloud.stride=many", "stride"), ("--set nowhere.stride=2", "nowhere")],
 )
 def test_what_is_wrong_with_the_other_is_one_sentence(tmp_path, capsys, beside, says):
-    assert run_app(build_app(), ["compare", *_ONE, "--beside", beside, "--out", str(tmp_path / "ways")]) == 2
+    assert run_app(build_app(), ["compare", *_ONE, "--variant", beside, "--out", str(tmp_path / "ways")]) == 2
     assert says in capsys.readouterr().err
     assert not (tmp_path / "ways").exists()
 
@@ -38,7 +38,7 @@ def test_what_is_wrong_with_the_other_is_one_sentence(tmp_path, capsys, beside, 
         (["--across", "cloud.stride=1,2"], "--across and --down"),
         (["--across", "cloud.stride=1,2", "--down", "cloud.stride=4"], "same parameter"),
         (
-            ["--across", "cloud.stride=1,2", "--down", "target_depth.jump_mm=1", "--figure", "touch_depth.nonsense"],
+            ["--across", "cloud.stride=1,2", "--down", "target_depth.jump_mm=1", "--metric", "touch_depth.nonsense"],
             "touch_depth.nonsense",
         ),
         (["--across", "cloud.stride=0", "--down", "target_depth.jump_mm=1"], "stride"),
@@ -52,6 +52,6 @@ def test_what_is_wrong_with_a_sweep_is_one_sentence(tmp_path, capsys, pairs, say
 
 def test_a_folder_with_something_else_in_it_stays(tmp_path, capsys):
     (tmp_path / "mine.txt").write_text("mine")
-    assert run_app(build_app(), ["compare", *_ONE, "--beside", "--set cloud.stride=4", "--out", str(tmp_path)]) == 2
+    assert run_app(build_app(), ["compare", *_ONE, "--variant", "--set cloud.stride=4", "--out", str(tmp_path)]) == 2
     assert "something else" in capsys.readouterr().err
     assert (tmp_path / "mine.txt").read_text() == "mine"

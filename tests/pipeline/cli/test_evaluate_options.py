@@ -1,16 +1,16 @@
-"""What `evaluate` refuses is refused before any touch is worked out."""
+"""`evaluate` refuses wrong options before any touch is evaluated."""
 
 from __future__ import annotations
 
 from pipeline.cli.main import build_app, run_app
 
 
-def test_a_parameter_that_is_not_swept_is_told_at_once_and_nothing_is_written(tmp_path, monkeypatch, capsys):
-    def worked_out(*_, **__):
-        raise AssertionError("touches were worked out first")
+def test_an_unknown_sweep_parameter_is_refused_before_any_work(tmp_path, monkeypatch, capsys):
+    def evaluate_touches(*_, **__):
+        raise AssertionError("touches were evaluated first")
 
-    monkeypatch.setattr("pipeline.cli.evaluate.evaluated", worked_out)
-    wanted = ["evaluate", "--split", "unseen_tools", "--sweep", "nonsense", "--json", str(tmp_path / "e.json")]
-    assert run_app(build_app(), wanted) == 2
-    assert "'nonsense' is not swept; there are steps, guidance" in " ".join(capsys.readouterr().err.split())
+    monkeypatch.setattr("pipeline.cli.evaluate.evaluate_tables", evaluate_touches)
+    words = ["evaluate", "--split", "unseen_tools", "--sweep", "nonsense", "--json", str(tmp_path / "e.json")]
+    assert run_app(build_app(), words) == 2
+    assert "'nonsense' cannot be swept; there are steps, guidance" in " ".join(capsys.readouterr().err.split())
     assert not list(tmp_path.iterdir())

@@ -18,8 +18,8 @@ ROOT = Path(__file__).resolve().parents[3]
 def test_nothing_runs_once_all_is_compiled(monkeypatch, tmp_path, capsys):
     (tmp_path / "prepared").touch()
     monkeypatch.setattr(compiling, "kernel_folder", lambda: tmp_path)
-    monkeypatch.setattr(prepare, "_tasks", pytest.fail)
-    assert prepare.compile_kernels() == 0
+    monkeypatch.setattr(prepare, "_list_tasks", pytest.fail)
+    assert prepare.prepare() == 0
     assert str(tmp_path) in capsys.readouterr().out
 
 

@@ -45,11 +45,11 @@ def test_ctrl_c_and_sigterm_keep_what_is_finished_and_the_same_command_goes_on(t
         return made(plan, index)
 
     options = ("--sensors", "digit", "--tools", ONE, "--poses", 4, "--out", out)
-    monkeypatch.setattr(datasets, "moment", interrupted)
+    monkeypatch.setattr(datasets, "simulate_moment", interrupted)
     code, said = typed(*options)
     assert code == EXIT_INTERRUPTED
-    assert "finished frames are whole" in said
-    monkeypatch.setattr(datasets, "moment", made)
+    assert "finished frames are complete" in said
+    monkeypatch.setattr(datasets, "simulate_moment", made)
     assert inspect_recording(out).streams[0].n_frames == 2
     assert typed(*options)[0] == 0
     assert inspect_recording(out).streams[0].n_frames == 4

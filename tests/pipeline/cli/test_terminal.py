@@ -1,14 +1,16 @@
-"""What a file or its name puts into a line stays letters: no colour, no moved cursor, no second line."""
+"""Control characters in file names and contents are escaped in the terminal output."""
 
 from __future__ import annotations
 
 import shlex
+from pathlib import Path
 
 import pytest
 
 from pipeline.cli import export
 from pipeline.cli.terminal import print_error, print_line
 
+SAMPLE = Path("touch.h5")
 EVIL = "\x1b[31mred\x07\r\x9b2J \u202e [bold]bold[/bold] :smile: \udcff \x7f"
 
 
@@ -20,9 +22,9 @@ def test_a_line_is_shown_letter_by_letter(say, capfd):
     assert not any(mark in said for mark in "\x1b\x07\r\x9b\u202e\x7f")
 
 
-def test_the_command_that_plays_a_case_again_can_be_copied_whatever_its_folder_is_called(monkeypatch, capsys, tmp_path):
-    monkeypatch.setattr(export, "make_case", lambda *_, **__: None)
-    folder = tmp_path / 'it\'s a "case"'
-    export.run_bundle(None, (), 3, folder, "")
+def test_the_replay_command_can_be_copied_whatever_the_folder_is_called(monkeypatch, capsys, tmp_path):
+    monkeypatch.setattr(export, "write_bundle", lambda *_, **__: None)
+    folder = tmp_path / 'it\'s a "bundle"'
+    export.bundle(SAMPLE, target="gelslim", out=folder, frame=3)
     said = " ".join(capsys.readouterr().out.split("tactoscope ")[1:])
-    assert shlex.split(said) == ["case", str(folder)]
+    assert shlex.split(said) == ["replay", str(folder)]

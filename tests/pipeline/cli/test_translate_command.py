@@ -1,4 +1,4 @@
-"""`tactoscope translate --all` on many frames: what is finished is not done again, and a bad frame ends nothing."""
+"""`tactoscope translate --all`: finished frames are not computed again, and a bad frame does not end the run."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pipeline.cli.main import EXIT_UNEXPECTED, build_app, run_app
 from pipeline.translation.translate import Translation
 from tests.pipeline.cli.conftest import dent, save
 
-SAID = "were finished by an earlier run and are kept"
+RESUMED = "were finished by an earlier run and are kept"
 
 
 @pytest.fixture(autouse=True)
@@ -46,36 +46,36 @@ def frames(out):
     return json.loads((out / "report.json").read_text())["frames"]
 
 
-def test_a_second_run_does_nothing_again_and_says_so(typed, tmp_path):
+def test_a_second_run_keeps_finished_frames_and_says_so(typed, tmp_path):
     typed()
-    before, told = times(tmp_path / "out"), frames(tmp_path / "out")
+    before, report = times(tmp_path / "out"), frames(tmp_path / "out")
     code, out, _ = typed()
     assert code == 0
-    assert f"3 of them {SAID}" in out
+    assert f"3 of them {RESUMED}" in out
     assert times(tmp_path / "out") == before
-    assert frames(tmp_path / "out") == told
+    assert frames(tmp_path / "out") == report
 
 
-def test_a_method_in_whose_place_another_answered_is_named_then_and_when_it_is_kept(typed):
+def test_a_fallback_is_named_when_computed_and_when_resumed(typed):
     for _ in range(2):
         _, out, _ = typed("--frame", "1", "--method", "depth=depth_anything")
-        assert "another method answered: depth: Depth Anything V2 does not come along" in " ".join(out.split())
-        assert out.count("doubtful: depth: uncalibrated look-up") == 1
+        assert "fallback used: depth: Depth Anything V2" in " ".join(out.split())
+        assert out.count("warning: depth:") == 1
 
 
-def test_doubts_that_differ_by_a_number_are_told_once_with_the_first_frames():
-    def report(index, *doubts):
-        return SimpleNamespace(index=index, results={"pose": SimpleNamespace(doubts=doubts)})
+def test_warnings_that_differ_by_a_number_are_listed_once_with_the_first_frames():
+    def report(index, *warnings):
+        return SimpleNamespace(index=index, results={"pose": SimpleNamespace(warnings=warnings)})
 
-    told = translate.list_warnings(
+    lines = translate.list_warnings(
         [report(0, "10 poses fit"), report(1, "12 poses fit", "slides"), report(4, "12 poses fit")]
     )
-    assert told == [
-        "doubtful: pose: 10 poses fit (3 frames: 0, 1, 4; told is frame 0)", "doubtful: pose: slides (frame 1)"
+    assert lines == [
+        "warning: pose: 10 poses fit (3 frames: 0, 1, 4; numbers of frame 0)", "warning: pose: slides (frame 1)"
     ]  # fmt: skip
 
 
-def test_a_run_that_was_cut_off_goes_on_where_it_was(typed, tmp_path, monkeypatch):
+def test_an_interrupted_run_continues(typed, tmp_path, monkeypatch):
     whole, written = translate.write_frame, []
 
     def until_killed(*args):
@@ -89,7 +89,7 @@ def test_a_run_that_was_cut_off_goes_on_where_it_was(typed, tmp_path, monkeypatc
     before = times(tmp_path / "out")
     code, out, _ = typed()
     assert code == 0
-    assert f"2 of them {SAID}" in out
+    assert f"2 of them {RESUMED}" in out
     after = times(tmp_path / "out")
     assert [name for name in after if after[name] == before.get(name)] == ["frame_0000", "frame_0001"]
     assert [f["index"] for f in frames(tmp_path / "out")] == [0, 1, 2]
@@ -98,7 +98,7 @@ def test_a_run_that_was_cut_off_goes_on_where_it_was(typed, tmp_path, monkeypatc
 @pytest.mark.parametrize(
     "changed", ["a setting", "the picture", "the reference", "the sheet is empty", "the arrays are cut short"]
 )
-def test_a_frame_that_comes_from_something_else_or_is_not_whole_is_made_again(changed, typed, touches, tmp_path):
+def test_a_frame_with_other_inputs_or_incomplete_files_is_computed_again(changed, typed, touches, tmp_path):
     typed("--frame", "2")
     before = times(tmp_path / "out")
     more = ("--frame", "2")
@@ -117,11 +117,11 @@ def test_a_frame_that_comes_from_something_else_or_is_not_whole_is_made_again(ch
             (frame / "stages.npz").write_bytes((frame / "stages.npz").read_bytes()[:5000])
     code, out, _ = typed(*more)
     assert code == 0
-    assert SAID not in out
+    assert RESUMED not in out
     assert times(tmp_path / "out") != before
 
 
-def test_following_goes_on_from_the_pose_on_disk(tmp_path, capsys):
+def test_following_continues_from_the_pose_on_disk(tmp_path, capsys):
     """What follows a frame of an earlier run comes out as in one go: the same arrays, bit by bit."""
     from sample_data.make_samples import RECORDINGS_FOLDER
 
@@ -139,7 +139,7 @@ def test_following_goes_on_from_the_pose_on_disk(tmp_path, capsys):
     for index in (3, 4):  # both after a touch with a pose
         (tmp_path / "again" / f"frame_{index:04d}" / "frame.json").unlink()
     assert run_app(build_app(), [*asked, str(tmp_path / "again")]) == 0
-    assert f"4 of them {SAID}" in capsys.readouterr().out
+    assert f"4 of them {RESUMED}" in capsys.readouterr().out
     with (
         np.load(tmp_path / "once" / "frame_0003" / "stages.npz") as once,
         np.load(tmp_path / "again" / "frame_0003" / "stages.npz") as again,
@@ -174,7 +174,7 @@ def test_whatever_one_frame_raises_the_others_are_translated(typed, tmp_path, mo
             raise ZeroDivisionError("a frame\nthat nobody foresaw")
         return whole(self, results, *rest)
 
-    monkeypatch.setattr(Translation, "metrics", sometimes)
+    monkeypatch.setattr(Translation, "compute_metrics", sometimes)
     code, out, err = typed()
     assert code == EXIT_UNEXPECTED
     assert "1 of 3 frames written" in out
@@ -195,11 +195,11 @@ def test_an_error_outside_the_frames_is_one_sentence_with_its_details_in_a_file(
     assert "Traceback" in log.read_text()
 
 
-def test_where_the_log_cannot_be_written_the_details_go_to_another_folder(typed, monkeypatch, tmp_path):
+def test_if_the_log_cannot_be_written_the_details_go_to_another_folder(typed, monkeypatch, tmp_path):
     (tmp_path / "state").write_text("a file")
     (tmp_path / "temporary").mkdir()
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "temporary"))
-    monkeypatch.setattr(translate, "show_table", lambda *_args: {}["key"])
+    monkeypatch.setattr(translate, "print_stage_table", lambda *_args: {}["key"])
     code, _, err = typed()
     assert code == EXIT_UNEXPECTED
     assert str(tmp_path / "temporary" / "tactoscope.log") in err

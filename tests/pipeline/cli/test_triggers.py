@@ -201,17 +201,17 @@ def frame_is_a_raised_two(here):
 
 @trigger
 def shifted_by_a_kilometre(here):
-    return touched(here, "--shift-mm", "1e6", "0", "0")
+    return touched(here, "--translation-mm", "1e6", "0", "0")
 
 
 @trigger
 def shifted_by_nan(here):
-    return touched(here, "--shift-mm", "nan", "0", "0")
+    return touched(here, "--translation-mm", "nan", "0", "0")
 
 
 @trigger
 def turned_beyond_counting(here):
-    return touched(here, "--turn-deg", "0", "0", "1e20")
+    return touched(here, "--rotation-deg", "0", "0", "1e20")
 
 
 @trigger

@@ -35,7 +35,7 @@ def toy():
 
 @pytest.fixture(scope="module")
 def results(toy):
-    return toy.graph().evaluate(toy.slots, toy.inputs(TOUCHED), {})
+    return toy.build_graph().evaluate(toy.stages, toy.read_inputs(TOUCHED), {})
 
 
 def test_a_route_has_its_own_slots_and_no_others(toy, results):
@@ -46,7 +46,7 @@ def test_a_route_has_its_own_slots_and_no_others(toy, results):
 
 
 def test_what_a_toy_slot_says_reaches_figures_arrays_sheet_and_trace(toy, results, tmp_path):
-    metrics = toy.metrics(results, TOUCHED)
+    metrics = toy.compute_metrics(results, TOUCHED)
     assert metrics["brightness.contact_mae_mm"] == 0.0
     assert "touch.psnr_db" in metrics
     report = FrameReport(index=TOUCHED, results=results, metrics=metrics)
@@ -63,35 +63,35 @@ def test_what_a_toy_slot_says_reaches_figures_arrays_sheet_and_trace(toy, result
 
 def test_parameters_and_methods_of_a_toy_are_set_by_name(toy, results):
     params = with_setting(default_params(toy.methods), "touch.gain=0")
-    dark = toy.graph().evaluate(["touch"], toy.inputs(TOUCHED), params)["touch"].output
+    dark = toy.build_graph().evaluate(["touch"], toy.read_inputs(TOUCHED), params)["touch"].output
     assert not dark.image.any()
     assert results["touch"].output.image.any()
-    with pytest.raises(SettingProblem, match="no method 'melt' for the slot 'touch'; there are physics"):
+    with pytest.raises(SettingProblem, match="no method 'melt' for the stage 'touch'; there are physics"):
         BUILT_IN.methods("t2d2", with_method({}, "touch=melt"))
-    with pytest.raises(SettingProblem, match="slot=method"):
+    with pytest.raises(SettingProblem, match="stage=method"):
         with_method({}, "touch")
 
 
 def test_a_touch_without_a_membrane_is_read_as_recorded_and_the_note_says_so(toy):
     asked = replace(toy, request=replace(toy.request, methods=(("touch_depth", "membrane"),)))
-    felt = asked.graph().evaluate(["touch_depth"], asked.inputs(TOUCHED), {})["touch_depth"]
+    felt = asked.build_graph().evaluate(["touch_depth"], asked.read_inputs(TOUCHED), {})["touch_depth"]
     assert NO_MEMBRANE in (*felt.notes, *felt.output.notes)
     read = replace(toy, request=replace(toy.request, methods=(("touch_depth", "reading"),)))
-    same = read.graph().evaluate(["touch_depth"], read.inputs(TOUCHED), {})["touch_depth"].output
+    same = read.build_graph().evaluate(["touch_depth"], read.read_inputs(TOUCHED), {})["touch_depth"].output
     assert np.array_equal(felt.output.indentation_mm, same.indentation_mm)
 
 
 def test_the_truth_may_stand_for_a_slot(toy):
     """Blame by substitution: what is given is not worked out, and what rests on it is."""
     chain = replace(toy, request=replace(toy.request, route="t2d2"))
-    graph, inputs = chain.graph(), chain.inputs(TOUCHED)
-    measured = graph.evaluate(chain.slots[:2], inputs, {})
+    graph, inputs = chain.build_graph(), chain.read_inputs(TOUCHED)
+    measured = graph.evaluate(chain.stages[:2], inputs, {})
     truth = chain.read_source_truth(TOUCHED)
     exact = replace(
         measured["depth"].output, indentation_mm=truth.indentation_mm, contact=truth.contact,
         depth_mm=(chain.source.rest_depth_mm - truth.indentation_mm).astype(np.float32),
     )  # fmt: skip
-    given = graph.evaluate(chain.slots[:2], {**inputs, "depth": exact}, {})
+    given = graph.evaluate(chain.stages[:2], {**inputs, "depth": exact}, {})
     assert given["depth"].state == "given"
     assert given["depth"].output is exact
     assert given["cloud"].state == "computed"
@@ -112,7 +112,7 @@ import sys
 from pathlib import Path
 from pipeline.translation.translate import Request, open_translation
 opened = open_translation(Request(recording=Path({str(SAMPLE)!r}), source="digit", target="soft_bubble"))
-opened.graph().evaluate(["depth"], opened.inputs({TOUCHED}), {{}})
+opened.build_graph().evaluate(["depth"], opened.read_inputs({TOUCHED}), {{}})
 assert "torch" not in sys.modules
 """
     subprocess.run([sys.executable, "-c", code], check=True)

@@ -30,8 +30,8 @@ def translation():
 @pytest.fixture(scope="module")
 def warm(translation):
     """A graph that has seen the touched frame."""
-    graph = translation.graph()
-    graph.evaluate(translation.slots, translation.inputs(TOUCHED), {})
+    graph = translation.build_graph()
+    graph.evaluate(translation.stages, translation.read_inputs(TOUCHED), {})
     return graph
 
 
@@ -41,7 +41,7 @@ def states(results):
 
 def test_a_pose_parameter_reruns_the_pose_only(translation, warm):
     params = with_setting(default_params(translation.methods), "pose.seed=5")
-    after = states(warm.evaluate(translation.slots, translation.inputs(TOUCHED), params))
+    after = states(warm.evaluate(translation.stages, translation.read_inputs(TOUCHED), params))
     assert after == {
         "depth": "cached",
         "cloud": "cached",
@@ -53,12 +53,12 @@ def test_a_pose_parameter_reruns_the_pose_only(translation, warm):
 
 
 def test_a_frame_seen_before_runs_nothing(translation, warm):
-    after = states(warm.evaluate(translation.slots, translation.inputs(TOUCHED), {}))
+    after = states(warm.evaluate(translation.stages, translation.read_inputs(TOUCHED), {}))
     assert set(after.values()) == {"cached"}
 
 
 def test_the_error_of_the_measured_depth_goes_with_the_touch_into_the_pose(translation, warm):
-    results = warm.evaluate(translation.slots, translation.inputs(TOUCHED), {})
+    results = warm.evaluate(translation.stages, translation.read_inputs(TOUCHED), {})
     measured, felt, found = (results[slot].output for slot in ("depth", "touch_depth", "pose"))
     assert felt.error == measured.error
     assert measured.error is not None
@@ -71,21 +71,21 @@ def test_a_setting_without_effect_stops_at_the_stage_it_belongs_to(translation, 
     defaults = default_params(translation.methods)
     params = with_setting(defaults, "depth.sensitivity=2")
     assert params["depth"] != defaults["depth"]
-    after = states(warm.evaluate(translation.slots, translation.inputs(TOUCHED), params))
+    after = states(warm.evaluate(translation.stages, translation.read_inputs(TOUCHED), params))
     assert after.pop("depth") == "computed"
     assert set(after.values()) == {"unchanged"}
 
 
 def test_the_same_picture_under_another_name_stops_at_the_depth(translation, warm):
-    inputs = translation.inputs(TOUCHED)
+    inputs = translation.read_inputs(TOUCHED)
     inputs = {**inputs, "frame": replace(inputs["frame"], index=77, origin="elsewhere")}
-    after = states(warm.evaluate(translation.slots, inputs, {}))
+    after = states(warm.evaluate(translation.stages, inputs, {}))
     assert after.pop("depth") == "computed"
     assert set(after.values()) == {"unchanged"}
 
 
 def test_an_untouched_frame_skips_every_stage_and_gives_the_untouched_target(translation):
-    results = translation.graph().evaluate(translation.slots, translation.inputs(UNTOUCHED), {})
+    results = translation.build_graph().evaluate(translation.stages, translation.read_inputs(UNTOUCHED), {})
     assert set(states(results).values()) == {"skipped"}
     touch = results["touch"].output
     assert not touch.membrane.contact.any()
@@ -94,13 +94,13 @@ def test_an_untouched_frame_skips_every_stage_and_gives_the_untouched_target(tra
 
 
 def test_equal_inputs_give_equal_bytes(translation, warm):
-    again = translation.graph().evaluate(translation.slots, translation.inputs(TOUCHED), {})
-    before = warm.evaluate(translation.slots, translation.inputs(TOUCHED), {})
+    again = translation.build_graph().evaluate(translation.stages, translation.read_inputs(TOUCHED), {})
+    before = warm.evaluate(translation.stages, translation.read_inputs(TOUCHED), {})
     assert {n: r.digest for n, r in again.items()} == {n: r.digest for n, r in before.items()}
 
 
 def test_what_leaves_a_stage_cannot_be_written_to(translation, warm):
-    results = warm.evaluate(translation.slots, translation.inputs(TOUCHED), {})
+    results = warm.evaluate(translation.stages, translation.read_inputs(TOUCHED), {})
     for result in results.values():
         for name in result.output.__dataclass_fields__:
             value = getattr(result.output, name)
@@ -109,8 +109,8 @@ def test_what_leaves_a_stage_cannot_be_written_to(translation, warm):
 
 
 def test_the_chain_stays_near_the_truth(translation, warm):
-    results = warm.evaluate(translation.slots, translation.inputs(TOUCHED), {})
-    figures = translation.metrics(results, TOUCHED)
+    results = warm.evaluate(translation.stages, translation.read_inputs(TOUCHED), {})
+    figures = translation.compute_metrics(results, TOUCHED)
     assert figures["depth.contact_mae_mm"] < CONTACT_MAE_MM
     assert figures["depth.contact_iou"] > CONTACT_IOU
     assert figures["pose.translation_mm"] < POSE_MM
@@ -118,7 +118,7 @@ def test_the_chain_stays_near_the_truth(translation, warm):
 
 
 def test_a_pixel_of_the_real_chain_goes_there_and_back(translation, warm):
-    results = warm.evaluate(translation.slots, translation.inputs(TOUCHED), {})
+    results = warm.evaluate(translation.stages, translation.read_inputs(TOUCHED), {})
     inner = results["target_depth"].output.contact.copy()
     inner[[0, -1]] = inner[:, [0, -1]] = False  # at the border the nearest corner may lie outside the image
     rows, cols = np.nonzero(inner)

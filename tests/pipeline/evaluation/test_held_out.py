@@ -1,4 +1,4 @@
-"""The recordings that methods are scored on, kept in the user's cache."""
+"""Cached recordings of the held-out touches."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from pipeline.simulation.datasets import SimulationPlan
 
 
 @pytest.mark.parametrize("content", [b"", b"\0" * 4096, b"\x89HDF\r\n\x1a\n cut short"])
-def test_a_damaged_recording_of_the_cache_is_put_aside_and_simulated_again(tmp_path, monkeypatch, content):
-    monkeypatch.setattr(recorder, "record", lambda plan, path, progress: path.write_bytes(b"simulated"))
+def test_a_damaged_cached_recording_is_set_aside_and_simulated_again(tmp_path, monkeypatch, content):
+    monkeypatch.setattr(recorder, "record_plan", lambda plan, path, progress: path.write_bytes(b"simulated"))
     plan = SimulationPlan(sensors=("soft_bubble",), object_source="sphere", n_poses=1, seed=3)
-    path = held_out._recorded("usual", plan, tmp_path, SILENT)
+    path = held_out._load_or_record("training", plan, tmp_path, SILENT)
     path.write_bytes(content)
-    assert held_out._recorded("usual", plan, tmp_path, SILENT) == path
+    assert held_out._load_or_record("training", plan, tmp_path, SILENT) == path
     assert path.read_bytes() == b"simulated"
     assert sorted(p.read_bytes() for p in tmp_path.iterdir()) == sorted([content, b"simulated"])

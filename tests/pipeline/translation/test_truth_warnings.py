@@ -82,8 +82,8 @@ def test_every_frame_of_a_recording_brings_the_touches_that_tell_of_its_light():
     request = Request(recording=SAMPLE_RECORDING, source="gelslim", target="soft_bubble")
     with closing(open_translation(request)) as one, closing(open_translation(request)) as other:
         first, last = (one.read_inputs(index)["frame"] for index in (0, one.n_frames - 1))
-        assert len(first.beside) > 1
-        assert first.beside is last.beside
+        assert len(first.context_frames) > 1
+        assert first.context_frames is last.context_frames
         assert compute_cached_digest(other.read_inputs(one.n_frames - 1)["frame"]) == compute_cached_digest(
             last
         )  # nothing hangs on what was read first

@@ -1,0 +1,32 @@
+"""`tactoscope inspect`: checks of a recording, or the expected error of a calibration."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pipeline.calibration import calibration_file, quality_notes
+from pipeline.cli.terminal import print_line
+from pipeline.cli.translation_options import DepthUnit, ReferenceImagePath
+from pipeline.inspection.recording_report import format_report_lines, inspect_recording
+
+
+def inspect(
+    recording: Path, *, sensor: str = "", reference: ReferenceImagePath = None, depth_unit: DepthUnit = "auto"
+) -> int:
+    """Print the report of a recording or a calibration file; returns 1 if a check fails.
+
+    Parameters
+    ----------
+    recording
+        File or folder of any known format, or a calibration file.
+    sensor
+        Sensor that made the recording, if the file does not name it.
+    """
+    if calibration_file.is_calibration_file(recording):
+        for line in quality_notes.format_calibration(calibration_file.load(recording)):
+            print_line(line)
+        return 0
+    report = inspect_recording(recording, sensor=sensor, reference=reference, depth_unit=depth_unit)
+    for line in format_report_lines(report):
+        print_line(line)
+    return 0 if report.has_passed else 1
