@@ -122,8 +122,8 @@ class VariantRunner:
         if result.state != "computed" and self._times_ms.get(key) is not None:
             return
         ms = result.ms
-        is_network = method is not None and method.weights is not None and not result.fallback
-        if is_network and result.state == "computed" and method.key not in self._loaded:
+        is_computed = result.state == "computed" and not result.fallback
+        if method is not None and method.weights is not None and is_computed and method.key not in self._loaded:
             self._loaded.add(method.key)
             ms = Graph(variant.translation.methods).evaluate([name], inputs, variant.stage_params)[name].ms
         self._times_ms.put(key, ms)

@@ -62,7 +62,7 @@ def test_current_settings_are_compared_with_held_ones(held, qtbot):
     assert (a.title, b.title) == ("A · Target view", "B · Target view")
     assert less.difference is not None
     assert _grid(instrument).views[2].view.preview is less.difference  # the difference, without asking
-    own = [instrument.views.scene._stage.camera_of(len(instrument.window.columns) + 1 + k) for k in (0, 1)]
+    own = [instrument.views.scene._stage.get_camera(len(instrument.window.columns) + 1 + k) for k in (0, 1)]
     assert own[0] == own[1]  # one view
     assert all(cell.view.image is not None for cell in instrument.window.comparison.views_3d)
     for x_mm in (0.5, 1.0):  # both stay in view while the alignment is moved
@@ -71,7 +71,7 @@ def test_current_settings_are_compared_with_held_ones(held, qtbot):
         )
         _settle(qtbot, instrument, comparing)
     assert instrument.window.banner.isHidden(), instrument.window.banner.text
-    assert own[0] == instrument.views.scene._stage.camera_of(len(instrument.window.columns) + 1)
+    assert own[0] == instrument.views.scene._stage.get_camera(len(instrument.window.columns) + 1)
     _choose_stage(qtbot, instrument, comparing, "")
     tiles = _grid(instrument).tiles
     assert len(tiles) == 2 * len(instrument.window.columns)

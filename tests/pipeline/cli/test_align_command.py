@@ -96,7 +96,7 @@ def test_a_mistake_is_one_sentence(typed, tokens, fact):
 def test_an_alignment_of_other_sensors_is_refused(typed, off):
     code, _, err = typed("score", SAMPLE, "--sensor", "gelslim", "--target", "digit", "--alignment", off)
     assert code == EXIT_USER_ERROR
-    assert "the other way round; swap source and target" in err
+    assert "swap source and target" in err
 
 
 def test_a_translation_uses_the_alignment_file_and_a_session_stores_it(off, tmp_path):
