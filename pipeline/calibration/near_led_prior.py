@@ -1,11 +1,11 @@
-"""What is known of a unit's light before it is pressed: lamps near the gel, as in all units that could be built.
+"""Prior of a sensor instance's light before any touch: LEDs close to the gel, as in all instances that can be built.
 
-A sensor's description has lamps far away. In a real unit they stand a few millimetres beside the picture: near a lamp
-its light falls steeply and hardly tells slopes apart, far from it at a glancing angle, and its beam hits the gel
-somewhere. Units are drawn with lamps of the described side, elevation (at the picture's centre) and colour, at random
-distances and beams, alike for the lamps of one unit; light that no slope changes is added. Their fields' mean and
-covariance, widened by a smooth misfit, are the prior of `light_field`. The numbers are what such lamps can be; the
-misfit is the one that does best on simulated units of lamps far away, with light of their own where they are pressed.
+A sensor's description has distant LEDs. In a real instance they stand a few millimetres next to the image: close to a
+LED its light falls steeply and hardly shades slopes, far from it at a glancing angle, and its beam meets the gel
+somewhere. Instances are sampled with LEDs of the described side, elevation (at the image centre) and colour, at random
+distances and beams, alike for the LEDs of one instance; light that no slope changes is added. The mean and covariance of
+their fields, widened by a smooth misfit, are the prior of `shading_field`. The ranges are those of such LEDs; the misfit
+is the one that does best on simulated instances of distant LEDs, with light of their own where they are pressed.
 """
 
 from __future__ import annotations
@@ -29,67 +29,69 @@ from pipeline.engine.digests import compute_cached_digest
 from pipeline.sensors.reference_light import compute_reference_light
 from pipeline.sensors.spec import Optics, SensorSpec
 
-_N_UNITS = 1200
-_GRID = (11, 13)  # places at which a unit's light is worked out
-_STEP_MM = 0.1  # of the indentation, for the light's rate of change
-_AZIMUTH_DEG, _ELEVATION_DEG, _OWN_ELEVATION_DEG = 8.0, 8.0, 3.0  # standard deviations; of the unit, of one lamp
+_N_INSTANCES = 1200
+_GRID = (11, 13)  # rows and columns of the places at which the light is computed
+_STEP_MM = 0.1  # of the indentation, for the light's derivative
+_AZIMUTH_DEG, _ELEVATION_DEG, _LED_ELEVATION_DEG = 8.0, 8.0, 3.0  # standard deviations: of instances, of one LED
 _ELEVATIONS_DEG = (6.0, 70.0)
-_NEAREST, _DISTANCE = 1.05, (1.1, 2.6)  # of the lamps from the centre, in units of the way to the picture's edge
+_NEAREST, _DISTANCE = 1.05, (1.1, 2.6)  # of the LEDs from the centre, in distances to the image border
 _BEAM_WIDTH_DEG = (12.0, 50.0)
-_FADING = (0.0, 2.0)  # power of the distance with which light fades
-_STRIP_DEG = (0.0, 25.0)  # a lamp is three points this far apart, as seen from the centre
-_POWER = 0.25  # standard deviation of the logarithm
-_OTHER_COLOURS = 0.15  # of the lamp's own, at most
-_AMBIENT = (0.05, 1.0)  # light that no slope changes, in units of the lamps' mean
-_AMBIENT_SPREAD, _AMBIENT_TILT = 0.3, 0.3  # between colours, and over half of the picture
-_MISFIT, _MISFIT_REACH = 0.2, 0.7  # of the field's size, and halves of the picture over which it hangs together
-_SURE = 1e-9
-_GAINS = (0.05, 3.0)  # beyond, a colour tells nothing, or the middle of units rests on a few
+_FALLOFF_POWER = (0.0, 2.0)  # of the distance
+_STRIP_DEG = (0.0, 25.0)  # a LED is three points this far apart, as seen from the centre
+_LOG_POWER = 0.25  # standard deviation
+_OTHER_COLOURS = 0.15  # largest share of the LED's own colour
+_AMBIENT = (0.05, 1.0)  # light that no slope changes, in units of the LEDs' mean
+_AMBIENT_SPREAD, _AMBIENT_TILT = 0.3, 0.3  # between colours, and over half of the image
+_MISFIT, _MISFIT_REACH = 0.2, 0.7  # share of the field's size, and correlation length in halves of the image
+_RIDGE = 1e-9
+_GAINS = (0.05, 3.0)  # beyond, a colour carries no information, or the median of instances rests on a few
 _WEAK_SHADING = 0.8  # of the median: balls on a real Mini are wrong by 60 % below, by 12 % elsewhere
 _SMALL_SLOPE = 1e-3  # mm/mm: the light is linear there
 _CODE = (
     "pipeline.calibration.near_led_prior", "pipeline.calibration.shading_field", "pipeline.calibration.slope_model",
     "pipeline.physics.optics", "pipeline.physics.optics_kernels", "pipeline.sensors.reference_light",
 )  # fmt: skip
-_LEVEL_MISFIT = 0.3  # of it, along z: what a tilt takes from all light alike is sure
+_LEVEL_MISFIT = 0.3  # share of the misfit along z, where a tilt weakens all light alike
 
 
 def compute_prior(sensor: SensorSpec, pixel_mm: float, shape: tuple[int, int]) -> ShadingFieldPrior:
-    """The fields of possible units of `sensor` in a picture of `shape`; CalibrationError for one without optics."""
+    """The prior of `sensor`'s field over an image of `shape` (rows, cols); CalibrationError for one without optics."""
     if sensor.optics is None:
-        raise CalibrationError(f"{sensor.name} has no optics to derive a look-up from; it measures depth itself")
+        raise CalibrationError(
+            f"{sensor.name} has no optics to derive a calibration table from; it measures depth itself"
+        )
     optics, made_of = sensor.optics, (sensor.optics, pixel_mm, shape)
 
     def make() -> ShadingFieldPrior:
         return disk_store.load_or_make(
-            ShadingFieldPrior, made_of, _CODE, lambda: _prior(optics, pixel_mm, shape), "look_ups"
+            ShadingFieldPrior, made_of, _CODE, lambda: _compute_prior(optics, pixel_mm, shape), "look_ups"
         )
 
-    return _kept_priors.get_or_make(compute_cached_digest(made_of), make)
+    return _priors.get_or_make(compute_cached_digest(made_of), make)
 
 
-def _prior(optics: Optics, pixel_mm: float, shape: tuple[int, int]) -> ShadingFieldPrior:
-    fields = sample_instances(optics, pixel_mm, shape, _N_UNITS, np.random.default_rng(0))
+def _compute_prior(optics: Optics, pixel_mm: float, shape: tuple[int, int]) -> ShadingFieldPrior:
+    fields = sample_instances(optics, pixel_mm, shape, _N_INSTANCES, np.random.default_rng(0))
     mean = fields.mean(axis=0)
-    flat = (fields - mean).reshape(_N_UNITS, -1)
+    flat = (fields - mean).reshape(_N_INSTANCES, -1)
     centre = mean.reshape(3, N_POSITION_TERMS, N_SHADING_TERMS)[:, 0, :2]
     size = float(np.linalg.norm(centre, axis=1).mean())
-    covariance = flat.T @ flat / _N_UNITS + _misfit(shape, size)
+    covariance = flat.T @ flat / _N_INSTANCES + _compute_misfit(shape, size)
     return ShadingFieldPrior(mean=freeze(mean.ravel()), precision=freeze(np.linalg.inv(covariance)))
 
 
 def sample_instances(
     optics: Optics, pixel_mm: float, shape: tuple[int, int], count: int, rng: np.random.Generator
 ) -> Doubles:
-    """Fields (count, 3, N_PLACES, N_PARTS) of `count` units."""
+    """Fields (count, 3, N_POSITION_TERMS, N_SHADING_TERMS) of `count` random instances."""
     u, v = _grid(shape)
     half_mm = 0.5 * max(shape) * pixel_mm
-    lamps = _Lamps(optics, u * half_mm, v * half_mm, count, rng)
-    rgb = np.array([led.rgb for led in optics.leds])  # (lamps, 3)
+    leds = _NearLeds(optics, u * half_mm, v * half_mm, count, rng)
+    rgb = np.array([led.rgb for led in optics.leds])  # (LEDs, 3)
     spill = rng.uniform(0.0, _OTHER_COLOURS, (count, len(rgb), 1)) * rng.random((count, len(rgb), 3))
-    rgb = rgb * np.exp(rng.normal(0.0, _POWER, (count, 1, 3))) + spill * rgb.mean(axis=1)[None, :, None]
-    level = lamps.compute_light(0.0)
-    rise = (lamps.compute_light(_STEP_MM)[..., 2:] - level[..., 2:]) / _STEP_MM
+    rgb = rgb * np.exp(rng.normal(0.0, _LOG_POWER, (count, 1, 3))) + spill * rgb.mean(axis=1)[None, :, None]
+    level = leds.compute_light(0.0)
+    rise = (leds.compute_light(_STEP_MM)[..., 2:] - level[..., 2:]) / _STEP_MM
     change = np.einsum("nlpi,nlk->nkpi", np.concatenate([level, rise], axis=-1), rgb)
     still = np.einsum("nlp,nlk->nkp", level[..., 2], rgb)
     share = rng.uniform(*_AMBIENT, (count, 1)) * np.exp(rng.normal(0.0, _AMBIENT_SPREAD, (count, 3)))
@@ -104,51 +106,55 @@ class _Gains:
     table: Floats  # (rows, cols, 3)
 
 
-_kept_priors: Memo[str, ShadingFieldPrior] = Memo(16)
-_kept_gains: Memo[str, Floats] = Memo(16)
-_kept_changes: Memo[str, Floats] = Memo(16)
+_priors: Memo[str, ShadingFieldPrior] = Memo(16)
+_gain_tables: Memo[str, Floats] = Memo(16)
+_described_changes: Memo[str, Floats] = Memo(16)
 
 
 def compute_gains(sensor: SensorSpec) -> Floats:
-    """How strongly a slope changes the colours of a unit with near lamps, in units of what is described.
+    """How strongly a slope changes the colours under near LEDs, in units of the described change; needs optics.
 
-    On a grid (rows, cols, 3) whose corners are the picture's, the middle of all possible units. Both changes are
-    relative to the untouched picture, the unit's own there and the described one, in its mean. Needs optics.
+    The median of random instances on a grid (rows, cols, 3) whose corners are the image's. Both changes are relative to
+    the reference image: the instance's own at that place, and the mean of the described one.
     """
     if sensor.optics is None:
         raise CalibrationError(f"{sensor.name} has no optics to derive its light from; it measures depth itself")
 
     def make() -> Floats:
         made_of = (sensor.camera, sensor.optics, sensor.pixel_mm)
-        return disk_store.load_or_make(_Gains, made_of, _CODE, lambda: _Gains(table=_gains(sensor)), "look_ups").table
+        return disk_store.load_or_make(
+            _Gains, made_of, _CODE, lambda: _Gains(table=_compute_gain_table(sensor)), "look_ups"
+        ).table
 
-    return _kept_gains.get_or_make(compute_cached_digest((sensor.camera, sensor.optics, sensor.pixel_mm)), make)
+    return _gain_tables.get_or_make(compute_cached_digest((sensor.camera, sensor.optics, sensor.pixel_mm)), make)
 
 
-def _gains(sensor: SensorSpec) -> Floats:
+def _compute_gain_table(sensor: SensorSpec) -> Floats:
     from pipeline.physics import optics
 
-    told, shape = optics.require_optics(sensor), sensor.camera.shape
+    described, shape = optics.require_optics(sensor), sensor.camera.shape
     u, v = _grid(shape)
-    fields = sample_instances(told, sensor.pixel_mm, shape, _N_UNITS, np.random.default_rng(0))
+    fields = sample_instances(described, sensor.pixel_mm, shape, _N_INSTANCES, np.random.default_rng(0))
     tilted = np.einsum("gp,nkpi->nkgi", compute_position_terms(u, v), fields[..., :2])
-    usual = compute_reference_light(sensor.camera, told).reshape(-1, 3).mean(axis=0) + slope_model.OFFSET_GREY
+    usual = compute_reference_light(sensor.camera, described).reshape(-1, 3).mean(axis=0) + slope_model.OFFSET_GREY
     change = compute_described_change(sensor).reshape(-1, 3, 2)
     change = -slope_model.SPAN_GREY * change / usual[:, None]  # of a normal's tilt, (places, colours, 2)
     size = np.maximum((change**2).sum(axis=-1), 1e-9)
-    found = np.median(np.einsum("nkgi,gki->ngk", tilted, change) / size, axis=0)
-    return freeze(np.clip(found, *_GAINS).reshape(*_GRID, 3).astype(np.float32))
+    gains = np.median(np.einsum("nkgi,gki->ngk", tilted, change) / size, axis=0)
+    return freeze(np.clip(gains, *_GAINS).reshape(*_GRID, 3).astype(np.float32))
 
 
 def compute_described_change(sensor: SensorSpec) -> Floats:
-    """Grey levels by which a slope of 1 along x and y changes the colours, on the grid of `gains`: (rows, cols, 3, 2).
+    """Grey levels by which a small slope along x and y changes the described colours, per mm/mm; needs optics.
 
-    As described, from lamps far away, and for small slopes. Needs optics.
+    (rows, cols, 3, 2) on the grid of `compute_gains`.
     """
-    return _kept_changes.get_or_make(compute_cached_digest((sensor.camera, sensor.optics)), lambda: _described(sensor))
+    return _described_changes.get_or_make(
+        compute_cached_digest((sensor.camera, sensor.optics)), lambda: _compute_described_change(sensor)
+    )
 
 
-def _described(sensor: SensorSpec) -> Floats:
+def _compute_described_change(sensor: SensorSpec) -> Floats:
     from pipeline.physics import optics
 
     shape = sensor.camera.shape
@@ -182,38 +188,38 @@ def has_weak_shading(contact: Mask, reference: Floats, sensor: SensorSpec) -> bo
     return float(np.median(full[contact])) < _WEAK_SHADING
 
 
-class _Lamps:
-    """Lamps of `count` units above points (n,) in mm, and the light that they throw on level ground there."""
+class _NearLeds:
+    """LEDs of `count` instances above points (n,) in mm, and their light on level gel there."""
 
     def __init__(self, optics: Optics, x_mm: Doubles, y_mm: Doubles, count: int, rng: np.random.Generator) -> None:
-        per_lamp, per_unit = (count, len(optics.leds)), (count, 1)
-        azimuth = np.radians([led.azimuth_deg for led in optics.leds] + rng.normal(0.0, _AZIMUTH_DEG, per_lamp))
-        elevation = np.array([led.elevation_deg for led in optics.leds]) + rng.normal(0.0, _ELEVATION_DEG, per_unit)
-        elevation = np.radians(np.clip(elevation + rng.normal(0.0, _OWN_ELEVATION_DEG, per_lamp), *_ELEVATIONS_DEG))
+        per_led, per_instance = (count, len(optics.leds)), (count, 1)
+        azimuth = np.radians([led.azimuth_deg for led in optics.leds] + rng.normal(0.0, _AZIMUTH_DEG, per_led))
+        elevation = np.array([led.elevation_deg for led in optics.leds]) + rng.normal(0.0, _ELEVATION_DEG, per_instance)
+        elevation = np.radians(np.clip(elevation + rng.normal(0.0, _LED_ELEVATION_DEG, per_led), *_ELEVATIONS_DEG))
         edge = np.abs(x_mm).max() * np.abs(np.cos(azimuth)) + np.abs(y_mm).max() * np.abs(np.sin(azimuth))
-        away = rng.uniform(*_DISTANCE, per_unit) * np.exp(rng.normal(0.0, 0.1, per_lamp))
+        away = rng.uniform(*_DISTANCE, per_instance) * np.exp(rng.normal(0.0, 0.1, per_led))
         away = edge * np.maximum(away, _NEAREST)
-        hits = (rng.uniform(-1.0, 1.0, per_unit) + rng.normal(0.0, 0.2, per_lamp)) * edge
-        width = np.radians(rng.uniform(*_BEAM_WIDTH_DEG, per_unit) * np.exp(rng.normal(0.0, 0.1, per_lamp)))
+        hits = (rng.uniform(-1.0, 1.0, per_instance) + rng.normal(0.0, 0.2, per_led)) * edge
+        width = np.radians(rng.uniform(*_BEAM_WIDTH_DEG, per_instance) * np.exp(rng.normal(0.0, 0.1, per_led)))
         spread = np.radians(rng.uniform(*_STRIP_DEG, (count, 1, 1))) * np.array([-1.0, 0.0, 1.0])
-        bearing = azimuth[..., None] + spread  # (units, lamps, strip)
+        bearing = azimuth[..., None] + spread  # (instances, LEDs, strip)
         self._height = (away * np.tan(elevation))[..., None, None]
-        self._to_x = (away[..., None] * np.cos(bearing))[..., None] - x_mm  # (units, lamps, strip, n)
+        self._to_x = (away[..., None] * np.cos(bearing))[..., None] - x_mm  # (instances, LEDs, strip, n)
         self._to_y = (away[..., None] * np.sin(bearing))[..., None] - y_mm
         self._across = np.hypot(self._to_x, self._to_y)
         self._beam = tuple(
             a[..., None, None] for a in (elevation, np.arctan2(self._height[..., 0, 0], away - hits), width)
         )
         self._reach = np.hypot(away, self._height[..., 0, 0])[..., None, None]
-        self._fading = rng.uniform(*_FADING, (count, 1, 1, 1))
+        self._falloff = rng.uniform(*_FALLOFF_POWER, (count, 1, 1, 1))
 
     def compute_light(self, indentation_mm: float) -> Doubles:
-        """Direction times strength (units, lamps, n, 3) on a surface raised by `indentation_mm`; 1 at the centre."""
+        """Direction times strength (instances, LEDs, n, 3) on a surface raised by `indentation_mm`; 1 at the centre."""
         elevation, axis, width = self._beam
         up = self._height - indentation_mm
         distance = np.hypot(self._across, up)
         off, centre_off = (np.arctan2(up, self._across) - axis) / width, (elevation - axis) / width
-        strength = (self._reach / distance) ** self._fading * np.exp(0.5 * (centre_off**2 - off**2)) / distance
+        strength = (self._reach / distance) ** self._falloff * np.exp(0.5 * (centre_off**2 - off**2)) / distance
         towards = (self._to_x, self._to_y, np.broadcast_to(up, distance.shape))
         return np.stack([(strength * part).mean(axis=2) for part in towards], axis=-1)
 
@@ -225,12 +231,12 @@ def _grid(shape: tuple[int, int]) -> tuple[Doubles, Doubles]:
     return across.ravel().astype(np.float64), down.ravel().astype(np.float64)
 
 
-def _misfit(shape: tuple[int, int], size: float) -> Doubles:
-    """Covariance of what no such unit shows: independent smooth fields, their polynomials' coefficients."""
+def _compute_misfit(shape: tuple[int, int], size: float) -> Doubles:
+    """Covariance (m, m) of smooth fields that no such instance has, as polynomial coefficients."""
     u, v = _grid(shape)
     apart_sq = (u[:, None] - u) ** 2 + (v[:, None] - v) ** 2
     back = np.linalg.pinv(compute_position_terms(u, v))
     field = back @ np.exp(-0.5 * apart_sq / _MISFIT_REACH**2) @ back.T
-    field += _SURE * np.trace(field) * np.eye(N_POSITION_TERMS)
+    field += _RIDGE * np.trace(field) * np.eye(N_POSITION_TERMS)
     share = (_MISFIT * size) ** 2 * np.array([1.0, 1.0, _LEVEL_MISFIT**2, 1.0])
     return np.kron(np.eye(3), np.kron(field, np.diag(share)))

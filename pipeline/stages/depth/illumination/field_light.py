@@ -1,6 +1,6 @@
 """Light of LEDs close to the gel as a smooth shading field, and its fit to one touch.
 
-Close LEDs change the colours differently from instance to instance, and many times over within one image: beside a LED
+Close LEDs change the colours differently from instance to instance, and many times over within one image: next to a LED
 a slope hardly changes its colour. Each colour k of the relative change q (`slope_model`) is linear in the normal n and
 the indentation z, q_k(p) = a_k(p) . (n - e_z) + b_k(p) z, with smooth fields a, b (`calibration.shading_field`).
 

@@ -67,6 +67,7 @@ class FitRule:
     hopeless_excess: float = math.inf  # excess in described light beyond which no fit is tried
     max_misfit: float = math.inf  # share of the change that may be left at all
     as_described: float = 0.0  # share of the deviance of random instances below which the description stands
+    stops_when_worse: bool = False  # take the smallest misfit of all iterations, not the last
 
 
 # Simulated instances reach up to 0.99 of the limit, one in fifty more; single balls on a real Mini from 1.19, other
@@ -79,7 +80,9 @@ LED_RULE = FitRule(
 )  # fmt: skip
 # Half of the presses on a real DIGIT have up to 0.98 of the limit and leave up to 0.52. Of 1,050 simulated presses on
 # other instances that no usual LEDs explain, 5 leave so little: three are measured better by these LEDs, two worse.
-SHADOW_RULE = FitRule(independent_pixels=200.0, max_deviance=95.0, max_excess=0.88, max_misfit=0.55)
+SHADOW_RULE = FitRule(
+    independent_pixels=200.0, max_deviance=95.0, max_excess=0.88, max_misfit=0.55, stops_when_worse=True
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -126,7 +129,7 @@ def fit_shadow_leds(
 def _fit(
     model: _ParameterModel, touches: Sequence[LedObservation], rule: FitRule, max_iterations: int
 ) -> Doubles | None:
-    """Deviations (m,) with the smallest misfit of all iterations; None where `rule` rejects them."""
+    """Deviations (m,) of the last or best iteration; None where `rule` rejects them."""
     from threadpoolctl import threadpool_limits
 
     precision = np.linalg.inv(model.prior_root @ model.prior_root.T)
@@ -143,7 +146,7 @@ def _fit(
             touches, misfit = _refine_surfaces(model, deviations, touches)
             if iteration == 0 and misfit - noise > rule.hopeless_excess * change:
                 return None
-            if misfit >= least:
+            if rule.stops_when_worse and misfit >= least:
                 break
             least, best = misfit, deviations
             if iteration < max_iterations:

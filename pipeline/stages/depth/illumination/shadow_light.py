@@ -40,7 +40,7 @@ _OWN_COLOUR = 0.5  # of the largest share
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LedArray:
-    """LEDs that stand low beside the gel."""
+    """LEDs that stand low next to the gel."""
 
     azimuth_rad: Doubles  # (n,)
     elevation_rad: Doubles  # (n,)
