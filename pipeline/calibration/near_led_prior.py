@@ -3,9 +3,10 @@
 A sensor's description has distant LEDs. In a real instance they stand a few millimetres next to the image: close to a
 LED its light falls steeply and hardly shades slopes, far from it at a glancing angle, and its beam meets the gel
 somewhere. Instances are sampled with LEDs of the described side, elevation (at the image centre) and colour, at random
-distances and beams, alike for the LEDs of one instance; light that no slope changes is added. The mean and covariance of
-their fields, widened by a smooth misfit, are the prior of `shading_field`. The ranges are those of such LEDs; the misfit
-is the one that does best on simulated instances of distant LEDs, with light of their own where they are pressed.
+distances and beams, alike for the LEDs of one instance; light that no slope changes is added. The mean and covariance
+of their fields, widened by a smooth misfit, are the prior of `shading_field`. The ranges are those of such LEDs; the
+misfit is the one that does best on simulated instances of distant LEDs, with light of their own where they are
+pressed.
 """
 
 from __future__ import annotations

@@ -1,14 +1,14 @@
 """How an instance's surface becomes colour, as a smooth field over its image that a few indentations can determine.
 
 Light of any number of LEDs, near or far, falls on a matt surface so that each colour k of the relative change q
-(`slope_model`) is linear in the unit normal n, as long as no LED is hidden; where the gel is indented by h it is brighter
-or darker by itself, on recorded indentations of all three gel sensors alike:
+(`slope_model`) is linear in the unit normal n, as long as no LED is hidden; where the gel is indented by h it is
+brighter or darker by itself, on recorded indentations of all three gel sensors alike:
 
     q_k(p) = a_k(p) . (n(p) - e_z) + b_k(p) h(p)        a: one number per axis, b: per mm; polynomials of position p
 
 The four numbers of a place are one Gaussian unknown for the whole image and all colours, with the variation between
-instances as prior (`near_led_prior`), and determined where indentations are. The calibration table is the regression of
-slopes on the colours that fields still possible would show, so that it relies on the colours that are known.
+instances as prior (`near_led_prior`), and determined where indentations are. The calibration table is the regression
+of slopes on the colours that fields still possible would show, so that it relies on the colours that are known.
 """
 
 from __future__ import annotations
