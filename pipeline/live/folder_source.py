@@ -22,6 +22,8 @@ _DAMAGED_AFTER_S = 2.0  # age of an unreadable image that counts as damaged, not
 class FolderSource:
     """Images of one size that appear after the source is opened."""
 
+    touching_object = None  # not known
+
     def __init__(self, folder: Path, *, sensor: str = "") -> None:
         self._folder, self._sensor = folder, sensor
         self._converter: GelImageConverter | None = None
@@ -38,10 +40,6 @@ class FolderSource:
     def sensor(self) -> str:
         """The stated sensor, or the one guessed from the first image's size; "" before."""
         return self._sensor or (self._converter.sensor if self._converter is not None else "")
-
-    @property
-    def touching_object(self) -> None:
-        """None: not known."""
 
     def open(self) -> None:
         """List the images that are there; raises LiveSourceLost without the folder."""

@@ -86,6 +86,8 @@ def open_capture(node: Path, profile: UsbCameraProfile) -> Any:
 class UsbCameraSource:
     """A camera by a part of its name or serial number, or by a path; after a loss it is searched on every port."""
 
+    touching_object = None  # not known
+
     def __init__(
         self,
         name_or_path: str,
@@ -110,10 +112,6 @@ class UsbCameraSource:
     def sensor(self) -> str:
         """The sensor as stated, else by the camera's name, else by the image size."""
         return self._sensor or self._profile.sensor or (self._converter.sensor if self._converter is not None else "")
-
-    @property
-    def touching_object(self) -> None:
-        """None: not known."""
 
     def open(self) -> None:
         """Find the camera and open it; raises LiveSourceLost."""
