@@ -27,7 +27,7 @@ def ball(height_mm, radius_mm=10.0, x_mm=0.0, y_mm=0.0):
     return np.where(inside, height_mm + radius_mm - np.sqrt(np.where(inside, radius_mm**2 - r_sq, 0.0)), np.inf)
 
 
-def test_untouched_it_is_the_dome_of_the_sensor_to_the_bit():
+def test_at_rest_it_is_the_dome_of_the_sensor_to_the_bit():
     at_rest = bubble.press_bubble(BUBBLE, plate(np.inf), ON)
     assert not at_rest.deviation_mm.any()
     assert at_rest.pressure_kpa == BUBBLE.pressure_kpa
@@ -111,7 +111,7 @@ def test_a_membrane_bridges_a_groove():
 
 
 @pytest.mark.parametrize("height", [19.999, 1.0, -5.0, -1000.0])
-def test_absurd_depths_stay_finite(height):
+def test_extreme_depths_stay_finite(height):
     pressed = bubble.press_bubble(BUBBLE, plate(height), ON)
     assert np.isfinite(pressed.deviation_mm).all()
     assert np.isfinite(pressed.pressure_kpa)
@@ -141,7 +141,7 @@ def test_rays_meet_the_surface_to_the_nanometre():
     assert np.abs(surface.depth_at(z * ray_x[None, :], z * ray_y[:, None]) - z).max() < 1e-6
 
 
-def test_contact_is_seen_where_it_is():
+def test_contact_is_in_its_place_in_the_image():
     pressed = bubble.press_bubble(BUBBLE, ball(13.0, x_mm=10.0, y_mm=-5.0), ON)
     depth = bubble_camera.compute_depth_from_deviation(SPEC, pressed.deviation_mm, ON)
     seen = lattice.sample_mask_at_pixels(SPEC.camera, pressed.contact, ON, depth)
@@ -151,7 +151,7 @@ def test_contact_is_seen_where_it_is():
     assert points[:, 1].mean() == pytest.approx(Y[where[0], 0].mean(), abs=0.3)
 
 
-def test_what_cannot_be_pressed_is_refused_in_words():
+def test_invalid_bubbles_are_refused():
     with pytest.raises(ShapeError, match="lattice"):
         bubble.press_bubble(BUBBLE, np.zeros((3, 3)), ON)
     with pytest.raises(SettingProblem, match="positive"):

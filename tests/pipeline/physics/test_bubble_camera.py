@@ -17,7 +17,7 @@ STEREO = load_sensor("soft_bubble_stereo")
 
 
 def stepped(jump_mm):
-    """The right half of the picture lies farther away."""
+    """The right half of the image lies farther away."""
     depth = np.full(SPEC.camera.shape, 70.0)
     depth[:, SPEC.camera.cols // 2 :] += jump_mm
     return depth
@@ -53,7 +53,7 @@ def test_without_a_seed_the_depth_is_exact():
     assert np.array_equal(bubble_camera.simulate_depth_frame(SPEC, REST, None), REST.astype(np.float32))
 
 
-def test_the_noise_over_the_untouched_bubble_is_what_the_sensor_states():
+def test_the_noise_of_the_bubble_at_rest_is_that_of_the_description():
     off = np.stack([bubble_camera.simulate_depth_frame(SPEC, REST, seed) - REST for seed in range(4)])
     assert np.sqrt((off**2).mean()) == pytest.approx(NOISE_MM, rel=0.03)  # 24 500 grains of about 8 pixels, four times
     assert abs(off.mean()) < 0.02
@@ -66,7 +66,7 @@ def test_a_coarser_grain_keeps_the_strength(grain_px):
     assert np.sqrt((off**2).mean()) == pytest.approx(NOISE_MM, rel=0.06)
 
 
-def test_the_same_seed_reads_the_same_and_another_differs():
+def test_the_same_seed_gives_the_same_frame_and_another_differs():
     for spec in (SPEC, STEREO):
         one, same, other = (bubble_camera.simulate_depth_frame(spec, REST, seed) for seed in (7, 7, 8))
         assert one.tobytes() == same.tobytes()
@@ -113,14 +113,14 @@ def test_nothing_flies_and_nothing_is_lost_on_the_bubble_itself():
     )
 
 
-def test_too_steep_a_surface_is_lost():
+def test_too_steep_a_surface_has_gaps():
     blinder = replace(QUIET, depth_camera=DepthCamera(max_incidence_deg=80.0))
     lost = np.isnan(bubble_camera.simulate_depth_frame(blinder, stepped(12.0), 1))
     assert lost.any()
     assert not np.delete(lost, np.arange(85, 90), axis=1).any()
 
 
-def test_stereo_reads_tenths_and_has_gaps():
+def test_stereo_depth_has_steps_and_gaps():
     seen = bubble_camera.simulate_depth_frame(STEREO, REST, 2)
     known = seen[np.isfinite(seen)]
     assert np.abs(known * 10 - np.rint(known * 10)).max() < 1e-3
@@ -136,7 +136,7 @@ def test_stereo_noise_is_shared_between_neighbours():
     assert shared(STEREO) > 0.9 > shared(SPEC) > 0.5
 
 
-def test_an_incidence_that_is_known_already_changes_no_reading():
+def test_a_given_incidence_changes_no_frame():
     depth = REST - 3.0 * np.exp(-np.hypot(*np.mgrid[-70:70, -87:88]) / 20.0)
     known = bubble_camera.compute_incidence_cosine(SPEC.camera, depth)
     assert np.array_equal(

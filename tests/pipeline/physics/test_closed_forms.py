@@ -1,4 +1,4 @@
-"""The contact solvers beside what is known exactly: Hertz, Sneddon's punch and cone, the clamped membrane."""
+"""The contact solvers against closed forms: Hertz, Sneddon's punch and cone, the clamped membrane."""
 
 import math
 from dataclasses import replace
@@ -81,7 +81,7 @@ def test_a_cone_has_the_contact_and_force_of_sneddon(slope):
 
 
 def test_far_away_presses_add_up():
-    """Two single loaded pixels move the pad as the sum of each; far away a load is felt as its sum alone."""
+    """Two single loaded pixels move the pad as the sum of each; far away only the sum of a load counts."""
     from pipeline.physics import gel_layer
 
     layer = gel_layer.make_elastic_layer(HALF_SPACE, 0.1, (96, 128))
@@ -168,7 +168,7 @@ def test_a_finer_bubble_is_nearer_to_the_plate_on_a_circle():
     assert 0.7 < math.log2(errors[0] / errors[2]) / 2 < 2.3
 
 
-def test_a_bubble_of_nothing_but_pins_is_solved_as_an_active_set_solves_it():
+def test_a_bubble_on_pins_is_solved_as_by_an_active_set():
     """Every held node has a force, every loose one solves the equation, and none passes the object."""
     on = bubble.make_lattice(BUBBLE, 1.0)
     rng = np.random.default_rng(5)

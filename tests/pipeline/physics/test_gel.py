@@ -29,7 +29,7 @@ def ball(shape, depth_mm, **at):
 
 
 @pytest.mark.parametrize("overlap_mm", [1e-45, 1e-40, 1e-30])
-def test_what_is_thinner_than_an_atom_presses_nothing_and_costs_no_denormal_sums(overlap_mm):
+def test_overlaps_below_an_atom_are_zero(overlap_mm):
     pressed = gel.press_gel(PAD, PIXEL_MM, np.full((60, 80), overlap_mm))
     assert not pressed.contact.any()
     assert not pressed.indentation_mm.any()
@@ -118,7 +118,7 @@ def test_twice_the_resolution_gives_the_same_force():
     assert coarse.force_n == pytest.approx(fine.force_n, rel=0.01)
 
 
-def test_the_size_of_the_picture_around_a_contact_does_not_matter():
+def test_the_size_of_the_image_around_a_contact_does_not_matter():
     wide = ball((200, 220), 0.3)
     narrow = wide[60:140, 70:150]
     cut = gel.press_gel(PAD, PIXEL_MM, wide).indentation_mm[60:140, 70:150]
@@ -135,7 +135,7 @@ def test_the_size_of_the_picture_around_a_contact_does_not_matter():
     ],
     ids=["nothing", "gaps", "above", "just at the surface"],
 )
-def test_what_does_not_reach_the_gel_leaves_it_alone(overlap):
+def test_an_object_above_the_gel_changes_nothing(overlap):
     pressed = gel.press_gel(PAD, PIXEL_MM, overlap)
     assert not pressed.indentation_mm.any()
     assert not pressed.contact.any()
@@ -143,7 +143,7 @@ def test_what_does_not_reach_the_gel_leaves_it_alone(overlap):
 
 
 @pytest.mark.parametrize("depth", [1e-6, 0.5, 50.0])
-def test_a_plate_over_the_whole_pad_and_absurd_depths_stay_finite(depth):
+def test_a_plate_over_the_whole_pad_and_extreme_depths_stay_finite(depth):
     pressed = gel.press_gel(PAD, PIXEL_MM, np.full((60, 70), depth))
     assert np.isfinite(pressed.indentation_mm).all()
     assert pressed.converged
@@ -156,11 +156,11 @@ def test_a_single_pixel_can_press():
     assert gel.press_gel(PAD, PIXEL_MM, overlap).indentation_mm[0, 49] == pytest.approx(0.2, abs=SURFACE_MM)
 
 
-def test_a_solve_that_runs_out_of_steps_says_so():
+def test_a_solve_out_of_steps_has_not_converged():
     assert not gel.press_gel(PAD, PIXEL_MM, ball((80, 90), 0.4), max_steps=2).converged
 
 
-def test_following_the_true_contact_gives_back_the_true_surface():
+def test_the_true_contact_relaxes_to_the_true_surface():
     spec = load_sensor("digit")
     assert spec.gel is not None
     pressed = gel.press_gel(spec.gel, PIXEL_MM, ball((100, 120), 0.5))

@@ -24,7 +24,7 @@ def dent(spec, depth_mm=0.8, width_mm=1.5):
 
 
 @pytest.mark.parametrize("name", GELS)
-def test_a_level_surface_renders_as_the_untouched_picture_to_the_byte(name):
+def test_a_flat_surface_renders_as_the_reference_to_the_byte(name):
     spec = load_sensor(name)
     assert np.array_equal(optics.render(spec, level(spec), seed=None), optics.render_reference(spec))
 
@@ -96,9 +96,9 @@ def test_markers_are_dark_dots_that_move_outward_as_they_come_nearer():
     lifted = optics.render(spec, np.full(spec.camera.shape, lift_mm, np.float32), seed=None)
     pitch_px = spec.markers.pitch_mm / spec.pixel_mm
 
-    def column_px(picture, expected_px):
+    def column_px(image, expected_px):
         columns = np.arange(round(expected_px - pitch_px / 2), round(expected_px + pitch_px / 2))
-        dark = (plain - picture).sum(axis=(0, 2))[columns].clip(0)
+        dark = (plain - image).sum(axis=(0, 2))[columns].clip(0)
         assert dark.max() > 100
         return (dark * columns).sum() / dark.sum()
 
@@ -109,13 +109,13 @@ def test_markers_are_dark_dots_that_move_outward_as_they_come_nearer():
 
 
 @pytest.mark.parametrize("name", GELS)
-def test_absurd_surfaces_still_give_a_picture(name):
+def test_extreme_surfaces_give_an_image(name):
     spec = load_sensor(name)
     for scale in (1e-6, 1e3, -1e3):
         assert optics.render(spec, scale * dent(spec), seed=0).shape == (*spec.camera.shape, 3)
 
 
-def test_gaps_and_wrong_shapes_are_refused_in_words():
+def test_gaps_and_wrong_shapes_are_refused():
     spec = load_sensor("digit")
     with pytest.raises(ShapeError, match="finite"):
         optics.render(spec, np.full(spec.camera.shape, np.nan, np.float32), seed=None)
@@ -143,7 +143,7 @@ def test_a_dent_takes_an_led_s_light_from_what_lies_behind_it():
     behind_px = np.rint([160, 120] + 3.0 / spec.pixel_mm * away[::-1]).astype(int)
     assert lost[behind_px[0], behind_px[1], 1] > 15  # grey
     assert lost.min() >= -1  # a shadow brightens nothing
-    assert not lost[:40].any()  # nor reaches the far end of the picture
+    assert not lost[:40].any()  # nor reaches the far end of the image
 
 
 def test_steep_light_casts_no_shadow():

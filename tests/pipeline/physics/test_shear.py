@@ -42,7 +42,7 @@ def plane_strain_answer(pad, q):
 
 @pytest.mark.parametrize("q", [0.05, 0.3, 1.0, 3.0])
 @pytest.mark.parametrize("poisson", [0.3, 0.45, 0.49])
-def test_the_answer_along_a_wave_solves_the_layer(q, poisson):
+def test_the_response_to_a_wave_solves_the_layer(q, poisson):
     pad = Gel(thickness_mm=2.0, youngs_kpa=120.0, poisson=poisson)
     _, along = shear.compute_symbols(pad, np.array([q]))
     assert along[0] == pytest.approx(plane_strain_answer(pad, q), rel=SYMBOL)

@@ -1,4 +1,4 @@
-"""Simulated data sets: what a reading depends on, and what happens to a recording that is interrupted or in the way."""
+"""Simulated data sets: what a frame depends on, and recordings that are interrupted, damaged or in the way."""
 
 from __future__ import annotations
 
@@ -59,13 +59,13 @@ def images(plan, index):
     return {frame.sensor: frame.image.tobytes() for frame, _ in datasets.simulate_moment(plan, index).frames}
 
 
-def test_the_same_seed_gives_the_same_readings_and_another_seed_others():
+def test_the_same_seed_gives_the_same_frames_and_another_seed_others():
     assert images(PLAN, 1) == images(PLAN, 1)
     other = images(replace(PLAN, seed=5), 1)
     assert all(other[name] != image for name, image in images(PLAN, 1).items())
 
 
-def test_a_reading_does_not_depend_on_the_sensors_beside_it():
+def test_a_frame_does_not_depend_on_the_other_sensors():
     alone = images(replace(PLAN, sensors=("digit",)), 2)
     assert alone["digit"] == images(PLAN, 2)["digit"]
 
@@ -84,7 +84,7 @@ def test_without_noise_only_the_touch_differs_from_the_reference():
     assert np.allclose(frame.reference - frame.image, truth.indentation_mm, atol=1e-4)  # float32 at 80 mm
 
 
-def test_varied_specimens_change_the_untouched_sensor_and_keep_the_true_poses():
+def test_varied_instances_change_the_reference_and_keep_the_true_poses():
     plan = replace(PLAN, vary=1.0)
     (plain, truth), (varied, varied_truth) = (datasets.simulate_moment(p, 0).frames[0] for p in (PLAN, plan))
     assert not np.array_equal(plain.reference, varied.reference)
@@ -94,7 +94,7 @@ def test_varied_specimens_change_the_untouched_sensor_and_keep_the_true_poses():
     )
 
 
-def test_a_drag_shears_gels_alone_and_the_truth_says_with_what_force():
+def test_a_drag_shears_gels_alone_and_the_truth_holds_its_force():
     plan = replace(PLAN, sensors=("digit", "gelslim", "soft_bubble"), n_poses=1, noise=False)
     still, dragged = (datasets.simulate_moment(p, 0).frames for p in (plan, replace(plan, drag_mm=0.3)))
     for (frame, truth), (dragged_frame, dragged_truth) in zip(still, dragged, strict=True):
@@ -128,7 +128,7 @@ def test_a_group_stands_for_its_objects_each_once():
 
 
 @pytest.mark.parametrize(
-    ("change", "tools", "told"),
+    ("change", "tools", "named"),
     [
         ({"n_poses": 0}, (TOOL,), "--poses"),
         ({"seed": -1}, (TOOL,), "--seed"),
@@ -141,13 +141,13 @@ def test_a_group_stands_for_its_objects_each_once():
         ({}, ("nowhere.stl",), "nowhere.stl"),
     ],
 )
-def test_what_cannot_be_simulated_is_said_in_one_sentence(change, tools, told):
-    with pytest.raises(TouchError, match=told) as caught:
+def test_invalid_plans_name_the_option(change, tools, named):
+    with pytest.raises(TouchError, match=named) as caught:
         datasets.make_plans(tools, replace(PLAN, **change))
     assert "\n" not in str(caught.value)
 
 
-def test_interrupted_work_goes_on_to_the_same_arrays(tmp_path):
+def test_an_interrupted_recording_continues_to_the_same_arrays(tmp_path):
     whole, parts = tmp_path / "whole.h5", tmp_path / "parts.h5"
     assert recorder.record_plan(PLAN, whole).n_moments == 3
     with pytest.raises(Cancelled):
@@ -167,7 +167,7 @@ def test_two_processes_write_what_one_writes(tmp_path):
     assert prints(one) == prints(two)
 
 
-def test_what_is_finished_is_in_place_before_the_rest_is(tmp_path, monkeypatch):
+def test_finished_moments_are_in_place_before_the_rest(tmp_path, monkeypatch):
     monkeypatch.setattr(recorder, "PUBLISH_INTERVAL_S", 0.0)
     path, seen = tmp_path / "a.h5", []
 
@@ -185,7 +185,7 @@ def test_what_is_finished_is_in_place_before_the_rest_is(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("damage", ["cut", "flipped", "one sensor short", "truth/known", "object"])
-def test_a_damaged_recording_is_mended_by_the_next_run(tmp_path, damage):
+def test_a_damaged_recording_is_repaired_by_the_next_run(tmp_path, damage):
     whole, path = tmp_path / "whole.h5", tmp_path / "damaged.h5"
     recorder.record_plan(PLAN, whole)
     data = bytearray(whole.read_bytes())
@@ -217,7 +217,7 @@ def test_a_damaged_recording_is_mended_by_the_next_run(tmp_path, damage):
         assert mended.notes == wanted.notes
 
 
-def test_what_is_in_the_way_stays_as_it_is(tmp_path):
+def test_other_files_in_the_way_are_kept(tmp_path):
     mine, foreign = tmp_path / "mine.h5", tmp_path / "notes.h5"
     recorder.record_plan(replace(PLAN, sensors=("digit",), n_poses=1), mine)
     foreign.write_text("lab notes")

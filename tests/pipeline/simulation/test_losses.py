@@ -1,4 +1,4 @@
-"""What a full disk and a kill leave of simulated recordings: what was finished, and nothing that looks whole and is not."""
+"""Simulated recordings after a full disk and after a kill hold the finished moments and no partial ones."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from pipeline.simulation.datasets import SimulationPlan
 TOOL = shapes.list_shapes("training")[0]
 POSES = 6
 PLAN = SimulationPlan(sensors=("digit",), object_source=TOOL, n_poses=POSES, seed=0)
-LONG_S = 120  # beyond any machine: only a process that hangs takes so long
+LONG_S = 120  # only a process that hangs takes so long
 
 SIMULATE = """
 import resource, sys
@@ -58,12 +58,12 @@ def readable(path: Path) -> int:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="limits the size of files as Linux does")
-def test_a_full_disk_ends_in_one_sentence_and_the_next_run_goes_on(tmp_path):
+def test_a_full_disk_is_an_error_and_the_next_run_continues(tmp_path):
     assert simulated(tmp_path / "whole.h5", 0).returncode == 0
     whole = (tmp_path / "whole.h5").stat().st_size
     out = tmp_path / "full.h5"
     rows, cols = load_sensor("digit").camera.shape
-    room = 2 * whole // 3 + 4 * 3 * rows * cols + (2 << 20)  # and what is taken in advance of a frame
+    room = 2 * whole // 3 + 4 * 3 * rows * cols + (2 << 20)  # and what is allocated ahead of a frame
     done = simulated(out, room)
     assert done.returncode == 2, done
     assert done.stderr.count("tactoscope: cannot write the recording (File too large)") == 1
@@ -98,7 +98,7 @@ def test_a_kill_costs_no_more_than_a_minute(tmp_path, monkeypatch):
     assert len(begun_s) >= POSES
 
 
-def test_what_a_killed_process_left_beside_is_taken_away_by_the_next(tmp_path):
+def test_files_of_a_killed_process_are_removed_by_the_next(tmp_path):
     gone = subprocess.Popen([sys.executable, "-c", ""])
     gone.wait()
     left = tmp_path / f".tactoscope-{gone.pid}-0.part"

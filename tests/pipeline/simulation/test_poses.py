@@ -29,15 +29,15 @@ def turned_by(pose):
     return np.rad2deg(np.arctan2(pose[1, 0], pose[0, 0])), np.rad2deg(np.arccos(min(1.0, pose[2, 2])))
 
 
-def depth_mm(thing, pose):
-    return -compute_lowest_mm(rigid.apply(pose, thing.vertices_mm), thing.triangles)
+def depth_mm(mesh, pose):
+    return -compute_lowest_mm(rigid.apply(pose, mesh.vertices_mm), mesh.triangles)
 
 
 @given(seed=st.integers(0, 2**31 - 1), name=st.sampled_from(SHAPES))
 @settings(max_examples=8, deadline=None)
 def test_a_grid_covers_the_square_and_keeps_its_bounds(seed, name):
-    thing = mesh_of(name)
-    grid = poses.make_paper_grid(thing, seed=seed)
+    mesh = mesh_of(name)
+    grid = poses.make_paper_grid(mesh, seed=seed)
     assert len(grid) == 60
     places = np.array([p[:2, 3] for p in grid]) / poses.SPREAD_MM + 0.5
     assert ((places >= 0) & (places < 1)).all()
@@ -48,15 +48,15 @@ def test_a_grid_covers_the_square_and_keeps_its_bounds(seed, name):
         angle, tilt = turned_by(pose)
         assert abs(angle) <= poses.MAX_ANGLE_DEG + 0.1  # a tilt of 3 degrees turns the x axis' shadow by up to 0.04
         assert tilt <= poses.MAX_TILT_DEG + ROUND_MM
-        assert poses.DEPTH_RANGE_MM[0] - ROUND_MM <= depth_mm(thing, pose) <= poses.DEPTH_RANGE_MM[1] + ROUND_MM
+        assert poses.DEPTH_RANGE_MM[0] - ROUND_MM <= depth_mm(mesh, pose) <= poses.DEPTH_RANGE_MM[1] + ROUND_MM
         assert not pose.flags.writeable
 
 
 def test_a_grid_spreads_angles_tilts_and_depths_over_their_ranges():
-    thing = mesh_of("hexagon")
-    grid = poses.make_paper_grid(thing, n=40, seed=5)
+    mesh = mesh_of("hexagon")
+    grid = poses.make_paper_grid(mesh, n=40, seed=5)
     angle, tilt = np.array([turned_by(p) for p in grid]).T
-    depth = np.array([depth_mm(thing, p) for p in grid])
+    depth = np.array([depth_mm(mesh, p) for p in grid])
     low, high = poses.DEPTH_RANGE_MM
     for share in (
         (angle / poses.MAX_ANGLE_DEG + 1) / 2,
@@ -88,12 +88,12 @@ def test_the_same_seed_gives_the_same_bytes_and_another_does_not():
 @example(name="sphere", x=0.0, y=0.0, turn=0.0, lean=1.1e-308)
 @settings(max_examples=15, deadline=None)
 def test_the_deepest_point_is_that_of_a_fine_grid_over_the_gels(name, x, y, turn, lean):
-    thing = mesh_of(name)
+    mesh = mesh_of(name)
     pose = rigid.from_parts((x, y, 0.0), (lean, 0.0, 0.0)) @ rigid.from_parts((0, 0, 0), (0.0, 0.0, turn))
-    vertices = rigid.apply(pose, thing.vertices_mm)
-    seen = lattice.rasterise_mesh(vertices, thing.triangles, WINDOW).min()
+    vertices = rigid.apply(pose, mesh.vertices_mm)
+    seen = lattice.rasterise_mesh(vertices, mesh.triangles, WINDOW).min()
     if np.isfinite(seen):
-        assert -SLOPE_MM < compute_lowest_mm(vertices, thing.triangles) - seen < 1e-6
+        assert -SLOPE_MM < compute_lowest_mm(vertices, mesh.triangles) - seen < 1e-6
 
 
 def test_the_deepest_point_of_a_tilted_plane_is_at_a_corner_of_the_square():
@@ -101,8 +101,8 @@ def test_the_deepest_point_of_a_tilted_plane_is_at_a_corner_of_the_square():
     corners[:, 2] = 0.1 * corners[:, 0] + 0.02 * corners[:, 1]
     plane = Mesh(vertices_mm=freeze(corners), triangles=freeze(np.array([[0, 2, 1], [0, 3, 2]], np.int32)))
     assert compute_lowest_mm(plane.vertices_mm, plane.triangles) == pytest.approx(-0.12 * HALF_WINDOW_MM)
-    beside = corners + np.array([200.0, 0.0, 0.0])
-    assert compute_lowest_mm(beside, plane.triangles) == pytest.approx(-6.0)
+    outside = corners + np.array([200.0, 0.0, 0.0])
+    assert compute_lowest_mm(outside, plane.triangles) == pytest.approx(-6.0)
 
 
 def test_every_gel_sees_the_square_that_depths_are_measured_over():
@@ -115,10 +115,10 @@ def test_every_gel_sees_the_square_that_depths_are_measured_over():
 @given(seed=st.integers(0, 2**31 - 1))
 @settings(max_examples=5, deadline=None)
 def test_a_motion_is_smooth(kind, seed):
-    thing, n = mesh_of("letters"), 33
-    motion = poses.make_motion(thing, kind, n=n, seed=seed)
+    mesh, n = mesh_of("letters"), 33
+    motion = poses.make_motion(mesh, kind, n=n, seed=seed)
     assert len(motion) == n
-    depth = np.array([depth_mm(thing, p) for p in motion])
+    depth = np.array([depth_mm(mesh, p) for p in motion])
     assert poses.DEPTH_RANGE_MM[0] - ROUND_MM <= depth.max() <= poses.DEPTH_RANGE_MM[1] + ROUND_MM
     phases = 4 if kind == "full" else 1
     steps = np.array([p[:2, 3] for p in motion])
@@ -128,9 +128,9 @@ def test_a_motion_is_smooth(kind, seed):
 
 
 def test_each_motion_does_what_its_name_says():
-    thing = mesh_of("letters")
-    motion = {k: poses.make_motion(thing, k, n=21, seed=9) for k in poses.MOTION_KINDS}
-    depth = {k: np.array([depth_mm(thing, p) for p in m]) for k, m in motion.items()}
+    mesh = mesh_of("letters")
+    motion = {k: poses.make_motion(mesh, k, n=21, seed=9) for k in poses.MOTION_KINDS}
+    depth = {k: np.array([depth_mm(mesh, p) for p in m]) for k, m in motion.items()}
     way = {k: np.linalg.norm(m[-1][:2, 3] - m[0][:2, 3]) for k, m in motion.items()}
     turn = {k: abs(turned_by(m[-1])[0] - turned_by(m[0])[0]) for k, m in motion.items()}
     assert depth["press"][0] == pytest.approx(-poses.CLEARANCE_MM)
@@ -150,11 +150,11 @@ def test_each_motion_does_what_its_name_says():
     assert np.flatnonzero(twisted).tolist() == [10, 11, 12, 13, 14]
 
 
-def test_motions_and_grids_that_cannot_be_are_refused():
-    thing = mesh_of("square")
+def test_invalid_motions_and_grids_are_refused():
+    mesh = mesh_of("square")
     with pytest.raises(SettingProblem, match="at least one"):
-        poses.make_paper_grid(thing, n=0, seed=0)
+        poses.make_paper_grid(mesh, n=0, seed=0)
     with pytest.raises(SettingProblem, match="twist"):
-        poses.make_motion(thing, "wiggle", n=5, seed=0)
+        poses.make_motion(mesh, "wiggle", n=5, seed=0)
     with pytest.raises(SettingProblem, match="two frames"):
-        poses.make_motion(thing, "press", n=1, seed=0)
+        poses.make_motion(mesh, "press", n=1, seed=0)

@@ -64,16 +64,16 @@ def test_an_outline_that_crosses_itself_or_is_too_thin_for_its_chamfer_is_refuse
 
 
 @pytest.mark.parametrize("name", SENSORS)
-def test_where_it_touches_the_surface_is_the_objects(name):
+def test_in_contact_the_surface_is_that_of_the_object(name):
     """Back-projected contact pixels lie on the mesh at its true pose: depth, mask, pose and camera agree."""
     spec = load_sensor(name)
-    felt = simulate_press(ELBOW, pressed_by(0.5, twist_deg=20.0), spec, seed=None)
-    truth = felt.truth
+    press = simulate_press(ELBOW, pressed_by(0.5, twist_deg=20.0), spec, seed=None)
+    truth = press.truth
     points = spec.camera.back_project(spec.rest_depth_mm - truth.indentation_mm)[truth.contact]
     in_object = rigid.apply(rigid.invert(truth.sensor_from_object), points)
     on_face = np.abs(in_object[:, 2]) < 1e-3
     z = np.maximum(0.0, in_object[:, 2])
-    assert felt.converged
+    assert press.converged
     assert len(points) > 100
     # Pressed 12 mm deeper than a gel, the bubble lies against the flanks of the bar as well.
     assert on_face.mean() > (0.6 if spec.kind == "gel" else 0.4)
@@ -81,16 +81,16 @@ def test_where_it_touches_the_surface_is_the_objects(name):
     assert in_object[:, 2].min() > (-SURFACE_MM if spec.kind == "gel" else -0.05)
 
 
-def test_two_sensors_feel_the_same_point_of_the_object():
+def test_two_sensors_touch_the_same_point_of_the_object():
     digit, mini = load_sensor("digit"), load_sensor("gelsight_mini")
     pose = pressed_by(0.5, twist_deg=10.0)
-    felt = {s.name: simulate_press(ELBOW, pose, s, seed=None).truth for s in (digit, mini)}
-    expected = alignment.resolve_alignment(digit, mini).target_from_source @ felt["digit"].sensor_from_object
-    assert np.abs(expected - felt["gelsight_mini"].sensor_from_object).max() < 1e-9
+    truths = {s.name: simulate_press(ELBOW, pose, s, seed=None).truth for s in (digit, mini)}
+    expected = alignment.resolve_alignment(digit, mini).target_from_source @ truths["digit"].sensor_from_object
+    assert np.abs(expected - truths["gelsight_mini"].sensor_from_object).max() < 1e-9
 
 
 def reach_mm(spec):
-    """How far the middle of the untouched sensor stands out of the plane z = 0 of the alignment frame."""
+    """How far the middle of the sensor at rest stands out of the plane z = 0 of the alignment frame."""
     apex = np.array([[0.0, 0.0, float(spec.membrane.depth_at(0.0, 0.0))]])
     return float(rigid.apply(spec.alignment_from_sensor, apex)[0, 2])
 
@@ -100,8 +100,8 @@ def test_a_flat_object_presses_each_sensor_by_its_reach_more(name):
     """The depth that makes up for softness is part of the alignment, so that it is in every pairing too."""
     spec, depth_mm = load_sensor(name), 0.4
     assert (reach_mm(spec) == 0.0) == (spec.kind == "gel")
-    felt = simulate_press(plane(), rigid.translation(0.0, 0.0, -depth_mm), spec, seed=None)
-    deepest = float(felt.truth.indentation_mm.max())
+    press = simulate_press(plane(), rigid.translation(0.0, 0.0, -depth_mm), spec, seed=None)
+    deepest = float(press.truth.indentation_mm.max())
     assert deepest == pytest.approx(depth_mm + reach_mm(spec), abs=REACH_TOLERANCE_MM)
     of_gel = alignment.resolve_alignment(spec, load_sensor("gelslim")).target_from_source
     apex = rigid.apply(of_gel, np.array([[0.0, 0.0, float(spec.membrane.depth_at(0.0, 0.0))]]))[0, 2]
@@ -110,24 +110,24 @@ def test_a_flat_object_presses_each_sensor_by_its_reach_more(name):
 
 def test_a_plane_pushes_the_whole_pad_by_its_depth():
     spec = load_sensor("digit")
-    felt = simulate_press(plane(), rigid.translation(0.0, 0.0, -0.3), spec, seed=None)
-    assert np.abs(felt.truth.indentation_mm - 0.3).max() < SURFACE_MM
-    assert felt.truth.contact.all()
+    press = simulate_press(plane(), rigid.translation(0.0, 0.0, -0.3), spec, seed=None)
+    assert np.abs(press.truth.indentation_mm - 0.3).max() < SURFACE_MM
+    assert press.truth.contact.all()
 
 
 def test_a_bubble_bridges_the_inner_corner_that_a_gel_does_not_reach_either():
-    felt = simulate_press(ELBOW, pressed_by(0.6), load_sensor("soft_bubble"), seed=None)
-    covered = felt.truth.indentation_mm > 0.5
-    assert felt.truth.contact.sum() < 0.5 * covered.sum()  # most of what has moved is not in contact
-    assert felt.truth.indentation_mm.min() < -0.1  # and the air makes the rest bulge
+    press = simulate_press(ELBOW, pressed_by(0.6), load_sensor("soft_bubble"), seed=None)
+    covered = press.truth.indentation_mm > 0.5
+    assert press.truth.contact.sum() < 0.5 * covered.sum()  # most of what has moved is not in contact
+    assert press.truth.indentation_mm.min() < -0.1  # and the air makes the rest bulge
 
 
 @pytest.mark.parametrize("name", ["gelslim", *SENSORS])
-def test_a_miss_is_the_untouched_reading(name):
-    felt = simulate_press(ELBOW, pressed_by(-30.0), load_sensor(name), seed=None)
-    assert not felt.truth.indentation_mm.any()
-    assert not felt.truth.contact.any()
-    assert felt.force_n == 0.0
+def test_a_miss_is_the_reference(name):
+    press = simulate_press(ELBOW, pressed_by(-30.0), load_sensor(name), seed=None)
+    assert not press.truth.indentation_mm.any()
+    assert not press.truth.contact.any()
+    assert press.force_n == 0.0
 
 
 @given(
@@ -138,23 +138,25 @@ def test_a_miss_is_the_untouched_reading(name):
     y=st.floats(-12, 12),
 )
 @settings(max_examples=12, deadline=None)
-def test_any_pose_gives_finite_readings_that_converged_or_went_through_the_pad(depth, twist, lean, x, y):
+def test_any_pose_gives_finite_frames_that_converge_or_go_through_the_pad(depth, twist, lean, x, y):
     for name in ("gelsight_mini", "soft_bubble"):
         spec = load_sensor(name)
-        felt = simulate_press(ELBOW, pressed_by(depth, twist, lean, x, y), spec, seed=1)
-        lowest_mm = rigid.apply(felt.truth.sensor_from_object, ELBOW.vertices_mm)[:, 2].min()  # perhaps beside the view
+        press = simulate_press(ELBOW, pressed_by(depth, twist, lean, x, y), spec, seed=1)
+        lowest_mm = rigid.apply(press.truth.sensor_from_object, ELBOW.vertices_mm)[
+            :, 2
+        ].min()  # perhaps outside the view
         through = spec.gel is not None and lowest_mm < spec.rest_depth_mm.max() - spec.gel.thickness_mm
-        assert felt.converged or through
-        assert np.isfinite(felt.truth.indentation_mm).all()
-        assert np.isfinite(felt.image).all()
+        assert press.converged or through
+        assert np.isfinite(press.truth.indentation_mm).all()
+        assert np.isfinite(press.image).all()
 
 
-def test_a_press_deeper_than_the_gel_is_thick_is_not_vouched_for():
+def test_a_press_deeper_than_the_gel_has_not_converged():
     assert not simulate_press(ELBOW, pressed_by(5.0), load_sensor("gelsight_mini"), seed=None).converged
 
 
 @pytest.mark.parametrize("bad", [np.full((4, 4), np.nan), np.diag([1.0, 1.0, -1.0, 1.0]), np.eye(3)])
-def test_a_pose_that_is_none_is_refused(bad):
+def test_an_invalid_pose_is_refused(bad):
     with pytest.raises(CalibrationError, match="the object's pose"):
         simulate_press(ELBOW, bad, load_sensor("digit"), seed=None)
 
@@ -176,7 +178,7 @@ def test_the_same_seed_gives_the_same_bytes():
     assert one == again != other
 
 
-def test_the_sample_recording_says_what_is_true_of_every_frame():
+def test_the_sample_recording_holds_the_truth_of_every_frame():
     recording = hdf5.read(SAMPLE)
     try:
         assert [s.sensor for s in recording.streams] == ["gelslim", "digit", "soft_bubble"]

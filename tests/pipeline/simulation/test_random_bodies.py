@@ -10,7 +10,7 @@ BODIES = [make_random_body(np.random.default_rng([3, k])) for k in range(12)]
 
 
 @pytest.mark.parametrize("mesh", BODIES)
-def test_every_body_is_a_sound_height_field_with_its_lowest_point_at_zero(mesh):
+def test_every_body_is_a_valid_height_field_with_its_lowest_point_at_zero(mesh):
     assert np.isfinite(mesh.vertices_mm).all()
     assert mesh.vertices_mm[:, 2].min() == 0.0
     assert mesh.triangles.min() == 0

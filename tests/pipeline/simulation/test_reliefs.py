@@ -15,7 +15,7 @@ def drawn(seed):
 
 
 @pytest.mark.parametrize("seed", range(24))
-def test_a_thing_has_a_lowest_point_and_no_holes_in_its_numbers(seed):
+def test_a_relief_is_finite_and_its_lowest_point_is_zero(seed):
     height = drawn(seed)
     assert height.shape == (N, N)
     assert height.dtype == np.float32
@@ -23,7 +23,7 @@ def test_a_thing_has_a_lowest_point_and_no_holes_in_its_numbers(seed):
     assert np.isfinite(height).all()
 
 
-def test_the_same_seed_gives_the_same_thing_and_another_another():
+def test_the_same_seed_gives_the_same_relief_and_another_another():
     assert np.array_equal(drawn(3), drawn(3))
     assert not np.array_equal(drawn(3), drawn(4))
 

@@ -10,7 +10,7 @@ from pipeline.simulation.shapes.catalogue import make_shape as made_once
 
 CHORD_MM = 0.002  # what the shapes promise
 SYMMETRIC_MM = 0.005  # twice the chord error, once for each of the two surfaces, and a little for a ball's back
-DIFFERENT_MM = 0.1  # felt by every sensor
+DIFFERENT_MM = 0.1  # resolved by every sensor
 NEAR_MM = 0.15  # farther is far
 SMALLEST_TRIANGLE_SQ_MM = 1e-5  # 4 um wide: far above rounding
 CURVED = ("lines_45", "cylinder", "sphere", "ring", "curve", "ellipse", "cone", "wave", "hex_key", "cup_rim", "marble")
@@ -33,13 +33,13 @@ def surface_distance_mm(mesh, points):
 def triangle_distance_mm(corners, point):
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    over, beside = np.ones(len(corners), dtype=bool), np.full(len(corners), np.inf)
+    over, outside = np.ones(len(corners), dtype=bool), np.full(len(corners), np.inf)
     for k in range(3):
         to, edge = point - corners[:, k], corners[:, (k + 1) % 3] - corners[:, k]
         over &= (np.cross(normal, edge) * to).sum(axis=1) >= 0
         share = np.clip((to * edge).sum(axis=1) / (edge**2).sum(axis=1), 0.0, 1.0)
-        beside = np.minimum(beside, np.linalg.norm(to - share[:, None] * edge, axis=1))
-    return np.where(over, np.abs((normal * (point - corners[:, 0])).sum(axis=1)), beside)
+        outside = np.minimum(outside, np.linalg.norm(to - share[:, None] * edge, axis=1))
+    return np.where(over, np.abs((normal * (point - corners[:, 0])).sum(axis=1)), outside)
 
 
 def edges_of(mesh):
@@ -68,7 +68,7 @@ def test_every_shape_is_one_closed_body_that_faces_outward(name):
 
 
 @pytest.mark.parametrize("name", shapes.list_shapes())
-def test_every_shape_is_as_large_as_a_finger_feels_and_over_its_origin(name):
+def test_every_shape_has_the_size_of_a_fingertip_and_covers_its_origin(name):
     found = shapes.make_shape(name)
     low, high = found.mesh.vertices_mm.min(axis=0), found.mesh.vertices_mm.max(axis=0)
     assert 6.0 <= (high - low).max() <= 60.1  # the lab's
@@ -84,7 +84,7 @@ def test_the_groups_are_twelve_six_and_six_without_overlap():
     assert len(set(shapes.list_shapes())) == 25
 
 
-def test_unknown_names_are_answered_with_those_that_there_are():
+def test_unknown_names_are_refused_with_a_list_of_names():
     with pytest.raises(SettingProblem, match=r"'squre'.*square"):
         shapes.make_shape("squre")
     with pytest.raises(SettingProblem, match="unseen"):
@@ -116,7 +116,7 @@ def test_symmetries_map_the_surface_onto_itself_and_are_a_group(name):
 
 
 @pytest.mark.parametrize("name", shapes.list_shapes())
-def test_no_shape_has_more_symmetry_than_it_says(name):
+def test_no_shape_has_more_symmetry_than_declared(name):
     found = shapes.make_shape(name)
     points, _normals = sample_surface(found.mesh, 300, seed=1)
     known = found.symmetry.sample_rotations(1 / 60)  # turns about an axis at most 2 / 60 rad apart
@@ -129,7 +129,7 @@ def test_no_shape_has_more_symmetry_than_it_says(name):
 
 
 @pytest.mark.parametrize("name", ["ring", "cylinder", "marble"])
-def test_neighbouring_turns_move_no_point_by_more_than_a_hundredth_of_the_diameter(name):
+def test_neighbouring_rotations_move_no_point_by_more_than_a_hundredth_of_the_diameter(name):
     found = shapes.make_shape(name)
     turns = found.symmetry.sample_rotations()
     n = len(turns) // len(found.symmetry.rotations)
@@ -148,7 +148,7 @@ def test_a_shape_without_symmetry_has_the_identity_alone():
 
 
 @pytest.mark.parametrize("face", ["-x", "+x", "-y", "+y", "-z", "+z"])
-def test_a_users_mesh_is_laid_on_the_face_that_was_chosen(tmp_path, face):
+def test_a_users_mesh_lies_on_the_chosen_face(tmp_path, face):
     axis, sign = "xyz".index(face[1]), 1.0 if face[0] == "+" else -1.0
     corners = np.array([[0, 0, 0], [3, 0, 0], [0, 5, 0], [0, 0, 7]], dtype=float)
     path = tmp_path / "wedge.obj"

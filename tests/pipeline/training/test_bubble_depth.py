@@ -88,7 +88,7 @@ def test_loss_and_metrics_are_best_for_the_truth(task):
     observed = gap < 0.5
 
     class Knows(torch.nn.Module):
-        def forward(self, picture):
+        def forward(self, image):
             logit = [20.0 * (2.0 * mask.float() - 1.0) for mask in (touched, observed)]
             behind = torch.log(torch.expm1(torch.clamp(gap, min=1e-3)))  # the inverse of softplus
             return torch.stack([moved - torch.tensor(example["smooth"]), behind, torch.full_like(gap, -6.0), *logit], 1)

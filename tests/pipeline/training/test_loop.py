@@ -111,7 +111,7 @@ def test_an_example_depends_on_seed_and_index_alone():
             e["disc"].sum() for e in there.make_validation_set(5)["unseen_tools"]
         ]
     whole = examples.make_batch(task, 7, 0, 8)
-    assert np.array_equal(examples.make_batch(task, 7, 5, 1)["picture"][0], whole["picture"][5])
+    assert np.array_equal(examples.make_batch(task, 7, 5, 1)["image"][0], whole["image"][5])
 
 
 def test_a_run_is_neither_overwritten_nor_resumed_with_another_recipe(run):
@@ -154,7 +154,7 @@ def test_a_run_starts_from_the_initial_weights_of_its_recipe(run, tmp_path, capl
 
 
 def test_with_minutes_the_learning_rate_follows_the_clock_also_over_a_stop(run, monkeypatch):
-    """The clock advances by a second on every reading."""
+    """The clock advances by a second on every call."""
     ticks = itertools.count()
     monkeypatch.setattr(loop, "time", SimpleNamespace(monotonic=lambda: float(next(ticks))))
     monkeypatch.setattr(loop, "LOG_INTERVAL_STEPS", 1)

@@ -70,16 +70,16 @@ def test_a_recorded_touch_makes_the_same_arrays_as_a_simulated_one():
 
 class Learns(toy.Discs):
     def make_touch_example(self, known: LabelledTouch, rng):
-        return {"picture": np.full((1, 16, 16), 5.0, np.float32), "disc": np.zeros((1, 16, 16), np.float32)}
+        return {"image": np.full((1, 16, 16), 5.0, np.float32), "disc": np.zeros((1, 16, 16), np.float32)}
 
 
 def test_a_share_of_the_examples_is_recorded_and_examples_stay_reproducible():
     task = mix_recordings(Learns(), (SAMPLE,), 0.3)
     assert isinstance(task, MixedTask)
-    pictures = make_batch(task, 4, 0, 200)["picture"]
-    recorded = (pictures == 5.0).all(axis=(1, 2, 3))
+    images = make_batch(task, 4, 0, 200)["image"]
+    recorded = (images == 5.0).all(axis=(1, 2, 3))
     assert 0.2 < recorded.mean() < 0.4
-    assert np.array_equal(make_batch(task, 4, 150, 20)["picture"], pictures[150:170])
+    assert np.array_equal(make_batch(task, 4, 150, 20)["image"], images[150:170])
     assert np.array_equal(
         task.make_validation_example("unseen_tools", 1)["disc"],
         toy.Discs().make_validation_example("unseen_tools", 1)["disc"],
@@ -93,9 +93,9 @@ def test_unusable_recordings_are_refused(tmp_path):
         mix_recordings(toy.Discs(), (SAMPLE,), 0.3)
     with pytest.raises(FileProblem):
         mix_recordings(Learns(), (RecordingSource(path=str(tmp_path / "missing.h5"), sensor="digit"),), 0.3)
-    picture = np.full((20, 30, 3), 80, np.uint8)
+    image = np.full((20, 30, 3), 80, np.uint8)
     for name in ("background.png", "a.png"):
-        cv2.imwrite(str(tmp_path / name), picture)
+        cv2.imwrite(str(tmp_path / name), image)
     with pytest.raises(FileProblem, match="truth"):
         mix_recordings(Learns(), (RecordingSource(path=str(tmp_path), sensor="digit"),), 0.3)
 

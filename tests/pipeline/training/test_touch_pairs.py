@@ -56,7 +56,7 @@ def test_a_damaged_file_is_simulated_again(folder, damaged):
 def test_nominal_and_other_gel_show_the_same_touch(folder):
     """Both images change at the same places, under other light and markers."""
     touch = simulate_touch_squares("all_objects", 3, 0, folder)
-    a, b = (np.abs(picture).sum(0).ravel() for picture in (touch.gel_change, touch.nominal_gel_change))
+    a, b = (np.abs(change).sum(0).ravel() for change in (touch.gel_change, touch.nominal_gel_change))
     assert not np.array_equal(touch.gel_change, touch.nominal_gel_change)
     assert np.corrcoef(a, b)[0, 1] > 0.6
 

@@ -36,7 +36,7 @@ def task(folder):
 def test_recipes_of_touch_to_depth_to_touch_use_no_pairs(monkeypatch):
     pressed = []
 
-    def press(thing, pose, sensor, **how):
+    def press(mesh, pose, sensor, **how):
         pressed.append(sensor.name)
         raise StopIteration
 
@@ -122,8 +122,8 @@ def test_a_pair_gives_the_source_change_and_the_target_touch(folder, target, cha
     pair = touch_pairs.simulate_touch_pair("unseen_tools", 7, 0, folder)
     truth = pair.bubble_mm if target == "soft_bubble" else pair.gel_mm
     assert example["condition"].shape == (channels, *truth.shape)
-    unit = RESIDUAL_SCALE_MM["bubble" if target == "soft_bubble" else "gel"]
-    assert np.allclose(unit * example["residual"][0], truth, atol=1e-4)
+    scale_mm = RESIDUAL_SCALE_MM["bubble" if target == "soft_bubble" else "gel"]
+    assert np.allclose(scale_mm * example["residual"][0], truth, atol=1e-4)
     assert not example["contact"][1].any()
     assert load_recipe(f"t2t_{'bubble' if channels == 13 else 'gelslim'}", "t2t").network["inputs"] == channels
 
@@ -132,11 +132,11 @@ def test_a_mirrored_pair_is_that_of_the_mirrored_object(monkeypatch):
     """Nominal sensors, so that only the mirroring differs; along both axes at once."""
     over = np.diag([-1.0, -1.0, 1.0])
     monkeypatch.setattr(touch_pairs.variation, "vary_sensor", lambda sensor, seed, strength=1.0: sensor)
-    thing, pose = shapes.make_shape("letters").mesh, rigid.translation(1.0, -2.0, -0.6)
-    monkeypatch.setattr(touch_pairs, "sample_object", lambda *_, **__: ("", thing))
+    mesh, pose = shapes.make_shape("letters").mesh, rigid.translation(1.0, -2.0, -0.6)
+    monkeypatch.setattr(touch_pairs, "sample_object", lambda *_, **__: ("", mesh))
     monkeypatch.setattr(touch_pairs.poses, "sample_press_pose", lambda *_: pose)
     pair = touch_pairs._simulate_pair("unseen_tools", np.random.default_rng(0), 0)
-    turned = replace(thing, vertices_mm=freeze(rigid.apply(pose, thing.vertices_mm) @ over))
+    turned = replace(mesh, vertices_mm=freeze(rigid.apply(pose, mesh.vertices_mm) @ over))
     monkeypatch.setattr(touch_pairs, "sample_object", lambda *_, **__: ("", turned))
     monkeypatch.setattr(touch_pairs.poses, "sample_press_pose", lambda *_: np.eye(4))
     true = touch_pairs._simulate_pair("unseen_tools", np.random.default_rng(0), 0)

@@ -45,10 +45,10 @@ class Discs:
         y, x = np.mgrid[:SIDE, :SIDE]
         centre, radius = rng.uniform(4, 12, 2), rng.uniform(2, 5)
         disc = ((x - centre[0]) ** 2 + (y - centre[1]) ** 2 < radius**2).astype(np.float32)[None]
-        picture = disc + self.noise * rng.standard_normal(disc.shape).astype(np.float32)
+        image = disc + self.noise * rng.standard_normal(disc.shape).astype(np.float32)
         if 0 <= self.bad_from <= 100 * rng.random():
-            picture[:] = np.nan
-        return {"picture": picture, "disc": disc}
+            image[:] = np.nan
+        return {"image": image, "disc": disc}
 
     def make_validation_example(self, split, index):
         return Discs(noise=self.noise).sample(np.random.default_rng([9, task.SPLITS.index(split), index]))
@@ -56,13 +56,13 @@ class Discs:
     def compute_loss(self, network, batch):
         from torch.nn import functional
 
-        loss = functional.binary_cross_entropy_with_logits(network(batch["picture"]), batch["disc"])
+        loss = functional.binary_cross_entropy_with_logits(network(batch["image"]), batch["disc"])
         return loss, {"bce": loss.detach()}
 
     def evaluate(self, network, held_out):
         import torch
 
-        predicted = network(torch.from_numpy(np.stack([one["picture"] for one in held_out]))).numpy() > 0
+        predicted = network(torch.from_numpy(np.stack([one["image"] for one in held_out]))).numpy() > 0
         truth = np.stack([one["disc"] for one in held_out]) > 0.5
         return {"overlap, 1": float((predicted & truth).sum() / (predicted | truth).sum())}
 
