@@ -226,7 +226,7 @@ class StreamChecker:
         return self._check("times", [f"timestamps do not rise after frame {i}" for i in back], "timestamps rise")
 
     def _check_colours(self) -> Check:
-        """Compare the colours of the reference with those of the description, also mirrored or with swapped channels."""
+        """Compare the colours of the reference with those of the description, also mirrored or channel-swapped."""
         frame, spec = self._reference, self._spec
         if frame is None or frame.reference is None or spec is None or spec.optics is None:
             return self._make_check("colours", "unknown", "needs a reference image and a sensor with described LEDs")

@@ -69,7 +69,7 @@ class SynchronyResult:
         lag = f"; they agree if the second is {abs(self.lag_frames)} frames {direction}" if self.lag_frames else ""
         return StageWarning(
             f"strength and place of {self.n_moments} moments agree only by chance (as well in {self.p_value:.0%} of "
-            f"random orders), so that results of pairs are wrong; check that frames of both streams are the same touches{lag}"
+            f"random orders), so that results of pairs are wrong; check that both streams show the same touches{lag}"
         )
 
 
