@@ -43,7 +43,7 @@ _UNTOUCHED = "nothing touches the sensor"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DepthParams:
-    """How the depth stage looks at a frame."""
+    """Parameters of the photometric depth."""
 
     contact_limit: float = setting(
         1.0, "Contact limit", unit="x", low=0.2, high=10.0, step=0.1,
@@ -65,17 +65,17 @@ class DepthParams:
     )  # fmt: skip
     sensitivity: float = setting(
         1.0, "Sensitivity", unit="x", low=0.2, high=5.0, step=0.1,
-        help="larger sees weaker touches: divides the sensor's limit of an untouched picture",
+        help="larger detects weaker touches: divides the sensor's limit of change without contact",
         source="our own; the limit is in the sensor's description",
     )  # fmt: skip
-    draft: bool = False  # a gel's picture is read with fewer pixels
+    draft: bool = False  # a gel's image is downsampled and refined less
 
 
 AnyDepthParams = TypeVar("AnyDepthParams", bound=DepthParams)
 
 
 def make_draft_params(params: AnyDepthParams) -> AnyDepthParams:
-    """What to show while a parameter is dragged."""
+    """The parameters of a draft, for while a slider is dragged."""
     return replace(params, draft=True)
 
 
@@ -180,7 +180,7 @@ def estimate_gel_depth(
 
 
 def make_bubble_error(source: SensorSpec) -> DepthErrorModel | None:
-    """What a bubble's depth is known to be off by where it touches; None where nobody has measured it."""
+    """Depth error in contact of a bubble sensor; None if not measured."""
     rms_mm = source.limits.depth_rms_mm
     return DepthErrorModel(rms_mm=rms_mm, correlation_mm=source.limits.depth_correlation_mm) if rms_mm else None
 
@@ -192,7 +192,7 @@ def estimate_depth_with_notes(
     params: DepthParams,
     progress: Progress = SILENT,
 ) -> DepthMap:
-    """`depth` of a frame that a real unit has taken: the first note says what its look-up is worth."""
+    """`estimate_depth` of a recorded frame; for a gel, the first note says how good its calibration is."""
     found = estimate_depth(frame, source, calibration, params, progress)
     return found if source.optics is None else add_calibration_notes(found, frame, source, calibration)
 
@@ -200,31 +200,31 @@ def estimate_depth_with_notes(
 def add_calibration_notes(
     found: DepthMap, frame: TactileFrame, source: SensorSpec, calibration: Calibration | None
 ) -> DepthMap:
-    """A gel's answer, with what its look-up is worth as the first note."""
-    worth = quality_notes.UNCALIBRATED_NOTE if calibration is None else quality_notes.describe_quality(calibration)
-    return replace(found, notes=(worth, *warn_of_mismatch(frame, source, calibration), *found.notes))
+    """A gel's result, with the quality of its calibration as the first note."""
+    quality = quality_notes.UNCALIBRATED_NOTE if calibration is None else quality_notes.describe_quality(calibration)
+    return replace(found, notes=(quality, *warn_of_mismatch(frame, source, calibration), *found.notes))
 
 
 def warn_of_mismatch(frame: TactileFrame, source: SensorSpec, calibration: Calibration | None) -> tuple[str, ...]:
-    """What speaks against a gel's pictures, where its look-up rests on the described lights."""
-    told = describe_mismatch(frame, source) if calibration is None or calibration.is_built_in else ""
-    return (StageWarning(f"{told}; depth and contact may be all wrong"),) if told else ()
+    """A warning where a gel's images contradict the described LEDs that its calibration rests on."""
+    mismatch = describe_mismatch(frame, source) if calibration is None or calibration.is_built_in else ""
+    return (StageWarning(f"{mismatch}; depth and contact may be all wrong"),) if mismatch else ()
 
 
 def describe_mismatch(frame: TactileFrame, source: SensorSpec) -> str:
-    """How a gel's pictures differ from those that the sensor's description tells of, as a clause; "" where they do not.
+    """How a gel's images differ from those of the sensor's description, as a clause; "" where they do not.
 
-    The untouched picture tells most of it; whether it is mirrored, only together with a touch on some sensors.
+    The reference image shows most of it; on some sensors, mirroring shows only together with a touch.
     """
     if frame.is_depth or frame.reference is None:
         return ""
     seen_by = see_by_frame(source, frame)
     found = compare_colours(cast("Image", frame.reference), seen_by)
     if found.problem:
-        return f"the untouched picture is not as {source.name} takes it: {found.problem}"
+        return f"the reference image is not that of a {source.name}: {found.problem}"
     how = found.possible_mirroring
     if how is not None and looks_mirrored(frame, seen_by, make_built_in(seen_by), how):
-        return f"the pictures look mirrored {how}: the touch has a surface's slopes only then"
+        return f"the images look mirrored {how}: only then are the touch's slopes those of a surface"
     return ""
 
 
@@ -234,7 +234,7 @@ def skip_without_contact(
     calibration: Calibration | None,  # noqa: ARG001 - every stage's short cut reads what the stage reads
     params: DepthParams,
 ) -> DepthMap | None:
-    """The exact answer for a frame in which nothing touches; None when something may, or a closer look is due."""
+    """The exact result for a frame without contact; None where there may be contact."""
     reference, image = frame.reference, frame.image
     if reference is None or reference.shape != image.shape or reference.dtype != image.dtype:
         return None
@@ -258,7 +258,7 @@ def check_frame(frame: TactileFrame, source: SensorSpec) -> None:
     image, reference = frame.image, frame.reference
     if reference is None:
         raise ShapeError(
-            f"no reference image for {where}; record one untouched frame, or name a picture of it as the reference"
+            f"no reference image for {where}; record one frame without contact, or choose its image as the reference"
         )
     camera = frame.camera or source.camera
     kind = source.sensor_kind
@@ -274,7 +274,7 @@ def check_frame(frame: TactileFrame, source: SensorSpec) -> None:
 
 
 def _at_rest(frame: TactileFrame, source: SensorSpec) -> DepthMap:
-    """The result for an untouched frame: the very same for one view of a gel, and for one reference of a bubble."""
+    """The result without contact: one object for each camera of a gel, and for each reference of a bubble."""
     rest = frame.reference if frame.is_depth and frame.reference is not None else source.rest_depth_mm
     shape = source.camera.shape
     return _rests.get_or_make(
