@@ -1,4 +1,4 @@
-"""Pixels of presses of a ball whose slopes are known, as the look-ups and the field of light take them."""
+"""Pixels with known slopes from presses of a ball, for calibration tables and the shading field."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from pipeline.calibration.ball_slopes import RING_RADII, TRUSTED_RADIUS_SHARE, B
 from pipeline.calibration.shading_field import SurfaceSamples, compute_shading_terms
 from pipeline.calibration.slope_model import SlopeSamples
 
-_RING_WEIGHT = 0.3  # of a pixel beyond the trusted contact: its slope is known from the other presses only
-_INSIDE, _RIM, _OUTSIDE = 1000, 600, 400  # pixels taken from each press
-_MANY = 16  # presses, beyond which fewer are taken from each
-_UNTOUCHED_FROM = 2.5  # contact radii from the centre
+_RING_WEIGHT = 0.3  # of a pixel outside the trusted contact: its slope comes from the other presses
+_CONTACT_PIXELS, _RIM_PIXELS, _UNTOUCHED_PIXELS = 1000, 600, 400  # per press
+_FULL_PRESSES_MAX = 16  # with more presses, each gives fewer pixels
+_UNTOUCHED_RADII = 2.5  # contact radii from the centre
 
 
 def sample_surface(
     press: BallPress, ball: BallSlopeProfile, pixel_mm: float, rng: np.random.Generator
 ) -> SurfaceSamples:
-    """Pixels of the trusted contact, with how deep the ball has pushed them in.
+    """Pixels of the trusted contact with their indentation.
 
-    At the contact's edge, radius a, an elastic body is pushed in by a^2 / 2R (Hertz), and in the middle by twice that.
+    At the contact's edge, radius a, the indentation of an elastic body is a^2 / 2R (Hertz), in the centre twice that.
     """
-    where = _zones(press)[0]
-    where = rng.choice(where, min(_INSIDE, len(where)), replace=False)
-    samples, distance_px = _known(press, ball, where)
+    where = _find_zones(press)[0]
+    where = rng.choice(where, min(_CONTACT_PIXELS, len(where)), replace=False)
+    samples, distance_px = _sample(press, ball, where)
     deep_px = (press.circle.radius_px**2 - 0.5 * distance_px**2) / ball.radius_px
     parts = compute_shading_terms(samples.slopes.astype(np.float64), deep_px * pixel_mm)
     return SurfaceSamples(u=samples.u, v=samples.v, shading_terms=parts, change=samples.change)
@@ -36,49 +36,49 @@ def sample_surface(
 
 def sample_contact(press: BallPress, ball: BallSlopeProfile) -> SlopeSamples:
     """All pixels of the trusted contact."""
-    return _known(press, ball, _zones(press)[0])[0]
+    return _sample(press, ball, _find_zones(press)[0])[0]
 
 
 def gather_contact_slopes(press: BallPress, gx: Floats, gy: Floats) -> Floats:
-    """What images of slopes (rows, cols) hold at the pixels of `inside`, (n, 2)."""
-    where = _zones(press)[0]
+    """Slopes (n, 2) of two images (rows, cols) at the pixels of `sample_contact`."""
+    where = _find_zones(press)[0]
     return np.stack([gx.ravel()[where], gy.ravel()[where]], axis=1)
 
 
 def sample_presses(
     presses: Sequence[BallPress], ball: BallSlopeProfile, rng: np.random.Generator
 ) -> tuple[SlopeSamples, Floats]:
-    """Pixels of the contacts, of their rims where the slope there is known, and untouched ones, with their weights."""
+    """Pixels of the contacts, of their rims where the profile is known, and untouched ones, with weights (n,)."""
     parts: list[SlopeSamples] = []
     weights: list[Floats] = []
-    share = min(1.0, _MANY / len(presses))
-    sizes = [round(share * n) for n in (_INSIDE, _RIM, _OUTSIDE)]
+    share = min(1.0, _FULL_PRESSES_MAX / len(presses))
+    sizes = [round(share * n) for n in (_CONTACT_PIXELS, _RIM_PIXELS, _UNTOUCHED_PIXELS)]
     for press in presses:
-        zones = [rng.choice(z, min(n, len(z)), replace=False) for z, n in zip(_zones(press), sizes, strict=True)]
-        parts.append(_known(press, ball, np.concatenate(zones))[0])
+        zones = [rng.choice(z, min(n, len(z)), replace=False) for z, n in zip(_find_zones(press), sizes, strict=True)]
+        parts.append(_sample(press, ball, np.concatenate(zones))[0])
         weights.append(np.repeat((1.0, _RING_WEIGHT, 1.0), [len(z) for z in zones]).astype(np.float32))
     return concatenate_samples(parts), np.concatenate(weights)
 
 
 def concatenate_samples(parts: Sequence[SlopeSamples]) -> SlopeSamples:
-    """The pixels of all parts."""
+    """The samples of all parts as one."""
     return SlopeSamples(
         change=np.concatenate([s.change for s in parts]), u=np.concatenate([s.u for s in parts]),
         v=np.concatenate([s.v for s in parts]), slopes=np.concatenate([s.slopes for s in parts]),
     )  # fmt: skip
 
 
-def _zones(press: BallPress) -> tuple[NDArray[np.intp], ...]:
-    """Flat indices of the pixels that are trusted, of the rim's, and of those that nothing touches."""
+def _find_zones(press: BallPress) -> tuple[NDArray[np.intp], ...]:
+    """Flat indices of the trusted contact's pixels, of the rim's, and of untouched ones."""
     rows, cols = press.change.shape[:2]
     c = press.circle
     distance = np.hypot((np.arange(cols) - c.x_px)[None, :], (np.arange(rows) - c.y_px)[:, None]) / c.radius_px
     rim = (distance >= TRUSTED_RADIUS_SHARE) & (distance < RING_RADII[-1])
-    return tuple(np.flatnonzero(m) for m in (distance < TRUSTED_RADIUS_SHARE, rim, distance > _UNTOUCHED_FROM))
+    return tuple(np.flatnonzero(m) for m in (distance < TRUSTED_RADIUS_SHARE, rim, distance > _UNTOUCHED_RADII))
 
 
-def _known(press: BallPress, ball: BallSlopeProfile, where: NDArray[np.intp]) -> tuple[SlopeSamples, Doubles]:
-    """The pixels with the ball's slopes, and how far they are from its centre."""
+def _sample(press: BallPress, ball: BallSlopeProfile, where: NDArray[np.intp]) -> tuple[SlopeSamples, Doubles]:
+    """Pixels (flat indices) with the ball's slopes, and their distance from its centre in px."""
     rows, cols = press.change.shape[:2]
     row, col = np.divmod(where, cols)
     dx, dy = col - press.circle.x_px, row - press.circle.y_px

@@ -1,4 +1,4 @@
-"""The slopes that one press of a ball leaves, and the circle that fits slopes seen."""
+"""The slopes around one press of a ball, and the circle that fits measured slopes."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from pipeline.calibration import slope_model
 from pipeline.calibration.contact_circles import Circle, compute_ring_profile
 from pipeline.calibration.slope_model import SlopeModel
 
-TRUSTED_RADIUS_SHARE = 0.85  # of the contact's radius: inside it the blurred rim is not felt
-RING_RADII = np.arange(0.0, 2.001, 0.05)  # r / contact radius at which the slope's profile is tabulated
+TRUSTED_RADIUS_SHARE = 0.85  # of the contact's radius: inside it the rim's blur has no effect
+RING_RADII = np.arange(0.0, 2.001, 0.05)  # radii over the contact radius at which the slope profile is tabulated
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BallPress:
-    """One picture of the ball."""
+    """One image of a press."""
 
     index: int
     change: Floats  # (rows, cols, 3)
@@ -27,10 +27,10 @@ class BallPress:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BallSlopeProfile:
-    """The slope that a press leaves at a distance from its centre: the sphere's, times what the rim makes of it."""
+    """Radial slope profile of a press: the sphere's slope times a share that accounts for the rim."""
 
     radius_px: float
-    sphere_slope_share: Doubles | None  # of the sphere's slope, at `RINGS`; None = not known beyond the trusted contact
+    sphere_slope_share: Doubles | None  # at `RING_RADII`; None = unknown outside the trusted contact
 
     def compute_slope(self, distance_px: Doubles, contact_px: float) -> Doubles:
         """Slope toward the centre, mm/mm."""
@@ -45,8 +45,8 @@ class BallSlopeProfile:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Around:
-    """What the look-up sees around one press."""
+class _Neighbourhood:
+    """Slopes by a calibration table around one press."""
 
     x: Doubles  # (1, cols) of the image
     y: Doubles  # (rows, 1)
@@ -54,7 +54,7 @@ class _Around:
     gy: Floats
 
 
-def _around(model: SlopeModel, press: BallPress) -> _Around:
+def _evaluate_around(model: SlopeModel, press: BallPress) -> _Neighbourhood:
     c = press.circle
     rows, cols = press.change.shape[:2]
     reach = RING_RADII[-1] * c.radius_px + 4.0
@@ -63,12 +63,12 @@ def _around(model: SlopeModel, press: BallPress) -> _Around:
     u, v = slope_model.compute_positions((rows, cols))
     part = np.ascontiguousarray(press.change[r0:r1, c0:c1])
     gx, gy = slope_model.evaluate(model, part, u[c0:c1], v[r0:r1], np.ones(part.shape[:2], np.bool_))
-    return _Around(
+    return _Neighbourhood(
         x=np.arange(c0, c1, dtype=np.float64)[None, :], y=np.arange(r0, r1, dtype=np.float64)[:, None], gx=gx, gy=gy
     )
 
 
-def _radial(around: _Around, circle: Circle) -> tuple[Floats, Doubles]:
+def _compute_radial_slopes(around: _Neighbourhood, circle: Circle) -> tuple[Floats, Doubles]:
     """(slope toward the centre, distance from it) of every pixel around a press."""
     dx, dy = around.x - circle.x_px, around.y - circle.y_px
     distance = np.maximum(np.hypot(dx, dy), 1e-6)
@@ -76,17 +76,17 @@ def _radial(around: _Around, circle: Circle) -> tuple[Floats, Doubles]:
 
 
 def refine_circle(model: SlopeModel, press: BallPress, ball: BallSlopeProfile) -> Circle:
-    """The circle that the look-up's own slopes speak for."""
-    c, around = press.circle, _around(model, press)
+    """The contact circle that fits the slopes of a calibration table."""
+    c, around = press.circle, _evaluate_around(model, press)
     x, y, gx, gy = around.x, around.y, around.gx, around.gy
     if ball.sphere_slope_share is not None:
-        return _aligned(around, c, ball)
+        return _fit_circle(around, c, ball)
     inside = np.hypot(x - c.x_px, y - c.y_px) < TRUSTED_RADIUS_SHARE * c.radius_px
     if inside.sum() < 12:
         return c
     along = ball.radius_px / np.sqrt(1.0 + gx * gx + gy * gy)
     moved = replace(c, x_px=float(np.median((x + along * gx)[inside])), y_px=float(np.median((y + along * gy)[inside])))
-    radial, _ = _radial(around, moved)
+    radial, _ = _compute_radial_slopes(around, moved)
     local = replace(moved, x_px=moved.x_px - float(x[0, 0]), y_px=moved.y_px - float(y[0, 0]))
     radii, profile = compute_ring_profile(radial, local, 1.7 * c.radius_px)
     far = radii >= max(4.0, 0.4 * c.radius_px)
@@ -95,15 +95,15 @@ def refine_circle(model: SlopeModel, press: BallPress, ball: BallSlopeProfile) -
     return replace(moved, radius_px=min(float(radii[far][int(np.argmax(profile[far]))]), 0.95 * ball.radius_px))
 
 
-def _aligned(around: _Around, circle: Circle, ball: BallSlopeProfile) -> Circle:
-    """The circle whose ball leaves the slopes seen: two robust Gauss-Newton steps over centre and radius."""
+def _fit_circle(around: _Neighbourhood, circle: Circle, ball: BallSlopeProfile) -> Circle:
+    """The circle whose ball fits the slopes: two robust Gauss-Newton steps over centre and radius."""
     c = circle
     for _ in range(2):
-        now = _field(around, c, ball)
+        now = _compute_ball_slopes(around, c, ball)
         columns = [
-            (_field(around, replace(c, x_px=c.x_px + 1.0), ball) - now).ravel(),
-            (_field(around, replace(c, y_px=c.y_px + 1.0), ball) - now).ravel(),
-            (_field(around, replace(c, radius_px=c.radius_px + 1.0), ball) - now).ravel(),
+            (_compute_ball_slopes(around, replace(c, x_px=c.x_px + 1.0), ball) - now).ravel(),
+            (_compute_ball_slopes(around, replace(c, y_px=c.y_px + 1.0), ball) - now).ravel(),
+            (_compute_ball_slopes(around, replace(c, radius_px=c.radius_px + 1.0), ball) - now).ravel(),
         ]
         off = (np.stack([around.gx, around.gy]) - now).ravel()
         near = np.hypot(around.x - c.x_px, around.y - c.y_px) < RING_RADII[-1] * c.radius_px
@@ -119,8 +119,8 @@ def _aligned(around: _Around, circle: Circle, ball: BallSlopeProfile) -> Circle:
     return c
 
 
-def _field(around: _Around, circle: Circle, ball: BallSlopeProfile) -> Doubles:
-    """Slopes (2, rows, cols) that the ball leaves."""
+def _compute_ball_slopes(around: _Neighbourhood, circle: Circle, ball: BallSlopeProfile) -> Doubles:
+    """Slopes (2, rows, cols) of the ball."""
     dx, dy = around.x - circle.x_px, around.y - circle.y_px
     r = np.maximum(np.hypot(dx, dy), 1e-6)
     fall = ball.compute_slope(r, circle.radius_px) / r
@@ -128,10 +128,10 @@ def _field(around: _Around, circle: Circle, ball: BallSlopeProfile) -> Doubles:
 
 
 def estimate_common_profile(model: SlopeModel, presses: Sequence[BallPress], ball_px: float) -> BallSlopeProfile:
-    """The share of the sphere's slope that is seen at each ring, the median of all presses: the same to all sides."""
+    """The slope profile common to all presses: the median share of the sphere's slope on each ring."""
     shares: list[Doubles] = []
     for press in presses:
-        radial, distance = _radial(_around(model, press), press.circle)
+        radial, distance = _compute_radial_slopes(_evaluate_around(model, press), press.circle)
         r = np.minimum(distance, 0.95 * ball_px)
         share = radial * np.sqrt(ball_px**2 - r * r) / r
         ring = np.rint(distance / press.circle.radius_px / RING_RADII[1]).astype(np.intp)

@@ -1,4 +1,4 @@
-"""The colour-to-slope look-up of one sensor: where it came from, and how good it is."""
+"""Calibration table of a sensor (photometric stereo look-up from colour to slope), its origin and quality."""
 
 from __future__ import annotations
 
@@ -18,78 +18,74 @@ from pipeline.engine import disk_store
 from pipeline.engine.digests import compute_cached_digest
 from pipeline.sensors.spec import Markers, SensorSpec
 
-SMOOTHING_PX = 1.0  # of the colour change, the same when the look-up is fitted and when it is used
-_DEGREES = 4, 2  # of colour and of position, of the built-in look-up
-_CODE = (  # what it comes from
+SMOOTHING_PX = 1.0  # blur of the colour change, the same in fitting and in use
+_DEGREES = 4, 2  # of colour and position, of the built-in table
+_CODE = (  # modules that the built-in table depends on: part of its cache key
     "pipeline.calibration.calibration_table", "pipeline.calibration.slope_model", "pipeline.physics.optics",
     "pipeline.physics.optics_kernels", "pipeline.sensors.reference_light",
 )  # fmt: skip
-_N_SLOPES = 96  # slope images that the built-in look-up is fitted to
+_N_SLOPES = 96  # slope images that the built-in table is fitted to
 _N_PIXELS = 400  # pixels taken from each
-_MOST = 0.5  # of a touch
-_STEEPEST = 1.2  # mm/mm: about 50 degrees, the rim of a deep ball press
+_COVERED_SHARE = 0.5  # of a touch that must be covered
+_SLOPE_MAX = 1.2  # mm/mm: about 50 degrees, the rim of a deep ball press
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BallFit:
-    """What the calibration made of one press of the ball."""
+    """The fit of one press of the ball."""
 
-    index: int  # of the picture among those given
+    index: int  # of the image
     x_px: float  # centre
     y_px: float
     radius_px: float  # of the contact
-    residual: float  # rms slope error inside the contact, mm/mm; NaN = not used
+    residual: float  # rms slope error in contact, mm/mm; NaN = not used
     used: bool
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExpectedError:
-    """How wrong a ball will be that is measured with the look-up anywhere in the picture: the median of many."""
+    """Median relative error of a ball measured with the table anywhere in the image."""
 
     diameter_share: float  # of its diameter
-    depth_share: float  # of how far it is pushed in
-    n_held_out: int  # presses that this was checked on; 0 = foreseen only
+    depth_share: float  # of its indentation
+    n_held_out: int  # validation presses; 0 = predicted only
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Calibration:
-    """What turns this sensor's colours into slopes."""
+    """A sensor's mapping from colour change to slope."""
 
     sensor: str
     rows: int
     cols: int
     pixel_mm: float
     model: SlopeModel
-    residual: float  # rms slope error of the samples it was fitted to, mm/mm
+    residual: float  # rms slope error of the samples of the fit, mm/mm
     origin: str  # a sentence for the user
-    presses: tuple[BallFit, ...] = ()  # empty = from the sensor's optical description
-    uses_built_in: bool = False  # the presses did not better the look-up from the sensor's description
-    expected_error: ExpectedError | None = None  # None = nobody has measured it
-    diameter_ratio: float | None = (
-        None  # the ball's diameter that is read without calibration over the one given; None = unknown
-    )
-    reference_thumbnail: Image | None = None  # the unit's untouched picture, `units.small`; None = nobody has kept it
-    coverage_map: Mask | None = (
-        None  # places of the picture, on any coarse grid, where presses tell the light; None = all
-    )
+    presses: tuple[BallFit, ...] = ()  # empty = from the sensor's description
+    uses_built_in: bool = False  # the presses did not improve on the table of the sensor's description
+    expected_error: ExpectedError | None = None  # None = not measured
+    diameter_ratio: float | None = None  # diameter measured without calibration over the one given; None = unknown
+    reference_thumbnail: Image | None = None  # of the sensor instance, see `reference_thumbnail`; None = unknown
+    coverage_map: Mask | None = None  # on any coarse grid: parts of the image that the presses cover; None = all
     median_pressure_share: float | None = (
-        None  # of the usual pressure that ends a contact on this gel (`contact`); None = usual
+        None  # of the median pressure, at which contacts end on this gel (`contact`); None = default
     )
 
     @property
     def is_built_in(self) -> bool:
-        """Whether this is what the sensor's description implies, whatever was pressed."""
+        """Whether the table is that of the sensor's description."""
         return self.uses_built_in or not self.presses
 
     def covers(self, where: Mask, corner: tuple[int, int]) -> bool:
-        """Whether presses tell the light of most of `where` (rows, cols), whose first pixel is `corner`."""
+        """Whether presses cover most of a mask (rows, cols) whose first pixel is `corner`."""
         import cv2
 
         if self.coverage_map is None or not where.any():
             return True
         whole = cv2.resize(self.coverage_map.astype(np.float32), (self.cols, self.rows), interpolation=cv2.INTER_LINEAR)
         row, col = corner
-        return bool(whole[row : row + where.shape[0], col : col + where.shape[1]][where].mean() > _MOST)
+        return bool(whole[row : row + where.shape[0], col : col + where.shape[1]][where].mean() > _COVERED_SHARE)
 
 
 def compute_slopes(
@@ -104,7 +100,7 @@ def compute_slopes(
 ) -> tuple[Floats, Floats]:
     """(gx, gy) of the indentation, mm/mm, x right and y down: (rows, cols) float32, zero outside `where`.
 
-    The pictures are the part of the calibrated one whose first pixel is `corner`.
+    The images are the part of the calibrated one whose first pixel is `corner`.
     """
     change = compute_relative_change(image, reference, calibration.pixel_mm, markers=markers, smoothing_px=smoothing_px)
     u, v = slope_model.compute_positions((calibration.rows, calibration.cols))
@@ -120,9 +116,9 @@ def compute_relative_change(
     markers: Markers | None = None,
     smoothing_px: float = SMOOTHING_PX,
 ) -> Floats:
-    """The smoothed change of colour relative to the untouched brightness, q of `slope_model`; (rows, cols, 3).
+    """The smoothed colour change relative to the reference brightness, q of `slope_model`; (rows, cols, 3).
 
-    Printed markers, where they are now and where they were, are filled in from around them.
+    Printed markers of both images are inpainted.
     """
     import cv2
 
@@ -141,18 +137,18 @@ _built_in_cache: Memo[str, Calibration] = Memo(16)  # simulated variations of a 
 
 
 def make_built_in(sensor: SensorSpec) -> Calibration:
-    """The look-up that the sensor's optical description implies, made once per sensor.
+    """The calibration table of the sensor's optical description, cached on disk.
 
-    The forward model is sampled over the whole image and all slopes up to 50 degrees, and inverted by regression.
+    The forward model is sampled over the whole image and slopes up to 50 degrees, and inverted by regression.
     Raises CalibrationError for a sensor without optics.
     """
     if sensor.optics is None:
-        raise CalibrationError(f"{sensor.name} has no optics to derive a look-up from; it measures depth itself")
+        raise CalibrationError(f"{sensor.name} has no optics to derive a calibration from; it measures depth itself")
 
     def make() -> Calibration:
-        # Light falls on slopes alike at any distance, so that units of one sensor at several depths share the fit.
+        # The shading of a slope is independent of distance, so variants of a sensor at several depths share the fit.
         fitted = disk_store.load_or_make(
-            _Fitted, (sensor.camera, sensor.optics), _CODE, lambda: _invert_optics(sensor), "look_ups"
+            _Inversion, (sensor.camera, sensor.optics), _CODE, lambda: _invert_optics(sensor), "calibration_tables"
         )
         model = SlopeModel(colour_degree=_DEGREES[0], position_degree=_DEGREES[1],
                            coefficients=fitted.coefficients, slope_max=fitted.slope_max)  # fmt: skip
@@ -165,30 +161,30 @@ def make_built_in(sensor: SensorSpec) -> Calibration:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Fitted:
-    """What the regression finds."""
+class _Inversion:
+    """The result of the regression."""
 
     coefficients: Floats  # of a `SlopeModel` of the built-in degrees
     slope_max: float
     residual: float
 
 
-def _invert_optics(sensor: SensorSpec) -> _Fitted:
+def _invert_optics(sensor: SensorSpec) -> _Inversion:
     from pipeline.physics import optics
 
     rng = np.random.default_rng(0)
     shape = sensor.camera.shape
-    plain = optics.render_reference(_without_markers(sensor))
+    plain = optics.render_reference(_remove_markers(sensor))
     scale = slope_model.compute_gain(plain)
     u, v = slope_model.compute_positions(shape)
     parts: list[tuple[Floats, ...]] = []
     for index in range(_N_SLOPES):
-        steep = _STEEPEST * index / (_N_SLOPES - 1)
+        steep = _SLOPE_MAX * index / (_N_SLOPES - 1)
         angle = rng.uniform(0.0, 2.0 * np.pi, shape).astype(np.float32)
         gx, gy = steep * np.cos(angle), steep * np.sin(angle)
         row, col = rng.integers(0, shape[0], _N_PIXELS), rng.integers(0, shape[1], _N_PIXELS)
         seen = optics.compute_colour_change(sensor, gx, gy)[row, col]
-        # Eight bits end somewhere: what the camera cannot record must not be expected here.
+        # The camera saturates at eight bits.
         seen = np.clip(seen + plain[row, col], 0.0, 255.0) - plain[row, col]
         parts.append((seen * scale[row, col], u[col], v[row], np.stack([gx[row, col], gy[row, col]], axis=-1)))
     change, u_all, v_all, g = (np.concatenate(p).astype(np.float32) for p in zip(*parts, strict=True))
@@ -198,21 +194,21 @@ def _invert_optics(sensor: SensorSpec) -> _Fitted:
         huber=0.1,
     )  # fmt: skip
     rms = float(np.sqrt(np.mean((slope_model.predict(model, samples) - g) ** 2)))
-    return _Fitted(coefficients=model.coefficients, slope_max=model.slope_max, residual=rms)
+    return _Inversion(coefficients=model.coefficients, slope_max=model.slope_max, residual=rms)
 
 
-def _without_markers(sensor: SensorSpec) -> SensorSpec:
+def _remove_markers(sensor: SensorSpec) -> SensorSpec:
     return sensor if sensor.markers is None else replace(sensor, markers=None)
 
 
 def check_calibration(calibration: Calibration, sensor: str, image: Image) -> None:
-    """Raise CalibrationError unless the look-up was made for this sensor and image size."""
+    """Raise CalibrationError unless the calibration is of this sensor and image size."""
     if calibration.sensor != sensor:
         raise CalibrationError(
-            f"the calibration was made for {calibration.sensor!r}, the frame comes from {sensor!r}; calibrate that one"
+            f"the calibration was made for {calibration.sensor!r}, the frame comes from {sensor!r}; calibrate that"
         )
     if image.shape[:2] != (calibration.rows, calibration.cols):
         raise CalibrationError(
-            f"the calibration was made for pictures of {calibration.rows} x {calibration.cols} pixels, "
+            f"the calibration was made for images of {calibration.rows} x {calibration.cols} pixels, "
             f"the frame has {image.shape[0]} x {image.shape[1]}"
         )

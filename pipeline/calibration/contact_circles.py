@@ -1,4 +1,4 @@
-"""Finding the contact circle of a ball in a picture of its press, without knowing anything but the colour change."""
+"""Detects the contact circle of a ball from the colour change alone."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import numpy as np
 
 from pipeline.base.arrays import Doubles, Floats, Mask
 
-_ABOVE_NOISE = 6.0  # times the median change of the picture: certainly touched
+_NOISE_FACTOR = 6.0  # times the median change of the image: certainly touched
 _SHARE_OF_PEAK = 0.35
-_FEWEST_PX = 60  # of a patch that can be a ball
+_PATCH_MIN_PX = 60  # smallest area of a ball
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -24,20 +24,20 @@ class Circle:
 
 
 def detect_contact_circle(change: Floats) -> Circle | None:
-    """The first guess from a colour change (rows, cols, 3): centre of the changed patch, radius of its steepest ring.
+    """An initial circle from a colour change (rows, cols, 3): centre of the changed patch, radius of its steepest ring.
 
-    At the edge of a contact the slope is largest (Hertz), and so is the change of colour. None if nothing stands out.
+    At the edge of a contact the slope is largest (Hertz), and so is the colour change. None without a clear patch.
     """
     import cv2
 
     strength = np.linalg.norm(np.asarray(cv2.GaussianBlur(change, (0, 0), 2.0)), axis=2).astype(np.float32)
-    limit = max(_ABOVE_NOISE * float(np.median(strength)), _SHARE_OF_PEAK * float(np.percentile(strength, 99.8)))
-    patch = _largest_patch(strength > limit)
+    limit = max(_NOISE_FACTOR * float(np.median(strength)), _SHARE_OF_PEAK * float(np.percentile(strength, 99.8)))
+    patch = _find_largest_patch(strength > limit)
     if patch is None:
         return None
-    outline = _outline_circle(patch)
+    outline = _fit_outline_circle(patch)
     radii, profile = compute_ring_profile(strength, outline, 1.3 * outline.radius_px)
-    # Next to the centre a ball's own brightness can outdo its rim: look from half of the patch outward.
+    # Near the centre a ball can be brighter than at its rim: only the outer part counts.
     outer = radii >= 0.4 * outline.radius_px
     if not outer.any():
         return None
@@ -58,7 +58,7 @@ def compute_ring_profile(values: Floats, circle: Circle, reach_px: float) -> tup
     return table[:, 0], table[:, 1]
 
 
-def _largest_patch(mask: Mask) -> Mask | None:
+def _find_largest_patch(mask: Mask) -> Mask | None:
     import cv2
     from scipy import ndimage
 
@@ -68,10 +68,10 @@ def _largest_patch(mask: Mask) -> Mask | None:
     if n < 2:
         return None
     largest = 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))
-    return labels == largest if int(stats[largest, cv2.CC_STAT_AREA]) >= _FEWEST_PX else None
+    return labels == largest if int(stats[largest, cv2.CC_STAT_AREA]) >= _PATCH_MIN_PX else None
 
 
-def _outline_circle(patch: Mask) -> Circle:
+def _fit_outline_circle(patch: Mask) -> Circle:
     """The circle through the patch's outline, image border left out, robust to dents (algebraic fit, reweighted)."""
     rows, cols = patch.shape
     padded = np.pad(patch, 1, "edge")

@@ -1,9 +1,8 @@
-"""What error a look-up from presses of balls is to be expected to have: foreseen, and corrected by what was held out.
+"""Expected error of a calibration table from presses of a ball: predicted, then corrected by held-out presses.
 
-The field of light that is left possible (`light_field`) says how wrong the look-up is anywhere in the picture, also
-where no press was: virtual presses of the ball at places all over it are coloured by possible fields and measured with
-the look-up. Presses that were held out tell how wrong it is where presses are, with all that the field knows nothing
-of: circles that are a little off, and a gel that shines otherwise.
+The posterior of the shading field (`shading_field`) predicts the error anywhere in the image, also far from presses:
+virtual presses of the ball on a grid are rendered under sampled fields and measured with the table. Held-out presses
+measure the error where presses are, with everything that the field does not model: inexact circles, other reflectance.
 """
 
 from __future__ import annotations
@@ -21,28 +20,28 @@ from pipeline.calibration.shading_field import ShadingFieldPrior
 from pipeline.calibration.slope_model import SlopeModel
 
 _DRAWS = 12
-_PLACES = (5, 6)  # down and across
-_COVERED = 24  # places along each side, for the share that presses cover
-_MARGIN = 0.1  # of the picture: touches at its very border are measured badly by anything
+_GRID = (5, 6)  # virtual presses, down and across
+_COVERAGE_GRID = 24  # points along each side, for the share that presses cover
+_MARGIN = 0.1  # of the image: no table measures touches at its very border well
 _PIXELS = 60  # of a virtual press
-_NEAR = 0.5  # halves of the picture from a press: within that three quarters of the light hang together
-_WORTH = 4.0  # presses that what is foreseen counts as
-_UNFORESEEN = 2.0  # times what is foreseen: circles that are off and light that is no such field
-_ALWAYS = 0.03  # where the contact ends is not known better, however many presses: a real Mini, forty of them
-_LEAST = 0.005  # a median of a few errors below this is luck
-_FEWEST_COVERED = 0.5  # of the picture: with less, how it is read in the middle of its places is a guess
-_MEDIAN_OF_MEAN = 0.845  # of the sizes of normal errors; the mean of a few is known better by a third
+_NEAR_SHARE = 0.5  # half-widths of the image from a press: within this, light correlates by three quarters
+_PRIOR_PRESSES = 4.0  # presses that the prediction counts as
+_PREDICTION_FACTOR = 2.0  # on the prediction: inexact circles and light that the field does not model
+_ERROR_FLOOR = 0.03  # uncertainty of the contact's edge, however many presses: forty of a real Mini
+_MEDIAN_MIN = 0.005  # smaller medians of a few errors are chance
+_COVERAGE_MIN = 0.5  # of the image: with less, the error elsewhere is unknown
+_MEDIAN_OVER_MEAN = 0.845  # of the sizes of normal errors; the mean of a few is more certain by a third
 
 
 def simulate_errors(model: SlopeModel, fields: ShadingFieldPrior, known: PressSet) -> Doubles:
-    """Diameter errors, as shares, of virtual presses of the ball: (draws, places)."""
+    """Relative diameter errors of virtual presses of the ball: (draws, places)."""
     rng = np.random.default_rng(1)
     rows, cols = known.shape
     ball_px = known.ball.radius_px
     contact_px = float(np.median([p.circle.radius_px for p in known.presses]))
     u_all, v_all = slope_model.compute_positions(known.shape)
     y, x = (
-        np.linspace(_MARGIN * (n - 1), (1 - _MARGIN) * (n - 1), k) for n, k in zip((rows, cols), _PLACES, strict=True)
+        np.linspace(_MARGIN * (n - 1), (1 - _MARGIN) * (n - 1), k) for n, k in zip((rows, cols), _GRID, strict=True)
     )
     r, turn = contact_px * np.sqrt(rng.random(_PIXELS)), rng.uniform(0.0, 2.0 * math.pi, _PIXELS)
     dx, dy = r * np.cos(turn), r * np.sin(turn)
@@ -63,52 +62,54 @@ def simulate_errors(model: SlopeModel, fields: ShadingFieldPrior, known: PressSe
 
 
 def estimate_expected_error(virtual: Doubles, held: HeldOutErrors | None, best: int) -> ExpectedError:
-    """The error to be expected of correction number `best`, in the middle of the picture's places.
+    """The expected error of correction number `best`, a median over the image.
 
-    `virtual` is what is `foreseen` of it.
+    `virtual`: its errors of `simulate_errors`.
     """
     virtual = virtual.ravel()
     measured = np.array([]) if held is None else held.diameter_share[:, best]
     measured = measured[np.isfinite(measured)]
     return ExpectedError(
-        diameter_share=_together(np.abs(virtual), np.abs(measured)),
-        # How far a ball of known size is pushed in goes with the curvature that is measured.
-        depth_share=_together(np.abs(1.0 / (1.0 + virtual) - 1.0), np.abs(1.0 / (1.0 + measured) - 1.0)),
+        diameter_share=_combine_errors(np.abs(virtual), np.abs(measured)),
+        # The indentation of a ball of known size is proportional to the measured curvature.
+        depth_share=_combine_errors(np.abs(1.0 / (1.0 + virtual) - 1.0), np.abs(1.0 / (1.0 + measured) - 1.0)),
         n_held_out=len(measured),
     )
 
 
 def compute_coverage_map(virtual: Doubles, known: PressSet) -> Mask:
-    """Places (down, across) where presses tell the light: one is near, and what is `foreseen` there is a ball."""
+    """Places (down, across) that the presses cover: one is near, and a virtual ball there is detected."""
     rows, cols = known.shape
-    down, across = (np.linspace(_MARGIN * n, (1 - _MARGIN) * n, k) for n, k in zip((rows, cols), _PLACES, strict=True))
-    seen = np.median(np.abs(virtual), axis=0).reshape(_PLACES) < 1.0
-    return freeze(np.asarray(seen & _near(known, *np.meshgrid(across, down)), np.bool_))
+    down, across = (np.linspace(_MARGIN * n, (1 - _MARGIN) * n, k) for n, k in zip((rows, cols), _GRID, strict=True))
+    seen = np.median(np.abs(virtual), axis=0).reshape(_GRID) < 1.0
+    return freeze(np.asarray(seen & _is_near_press(known, *np.meshgrid(across, down)), np.bool_))
 
 
 def has_low_coverage(known: PressSet) -> bool:
-    """Whether too much of the picture is a guess."""
-    return compute_coverage(known) < _FEWEST_COVERED
+    """Whether the presses cover too little of the image."""
+    return compute_coverage(known) < _COVERAGE_MIN
 
 
 def compute_coverage(known: PressSet) -> float:
-    """The share of the picture that lies near a press: in the rest the field of light is guessed."""
+    """The share of the image near a press; elsewhere the shading field is a guess."""
     rows, cols = known.shape
-    x, y = np.meshgrid(np.arange(0.5, _COVERED) / _COVERED * cols, np.arange(0.5, _COVERED) / _COVERED * rows)
-    return float(_near(known, x, y).mean())
+    x, y = np.meshgrid(
+        np.arange(0.5, _COVERAGE_GRID) / _COVERAGE_GRID * cols, np.arange(0.5, _COVERAGE_GRID) / _COVERAGE_GRID * rows
+    )
+    return float(_is_near_press(known, x, y).mean())
 
 
-def _near(known: PressSet, x_px: Doubles, y_px: Doubles) -> Mask:
-    """Which places are near a press."""
+def _is_near_press(known: PressSet, x_px: Doubles, y_px: Doubles) -> Mask:
+    """Which points are near a press."""
     away = np.min([np.hypot(x_px - p.circle.x_px, y_px - p.circle.y_px) for p in known.presses], axis=0)
-    return np.asarray(away < _NEAR * 0.5 * max(known.shape), np.bool_)
+    return np.asarray(away < _NEAR_SHARE * 0.5 * max(known.shape), np.bool_)
 
 
 def summarise_errors(errors: Doubles) -> ExpectedError:
-    """The error to be expected where a look-up that the presses did not make had these `errors` of their diameters."""
+    """The expected error of a table that is independent of the presses, from their relative diameter `errors`."""
 
     def estimate_median(sizes: Doubles) -> float:
-        return max(_MEDIAN_OF_MEAN * float(np.abs(sizes).mean()), _LEAST)
+        return max(_MEDIAN_OVER_MEAN * float(np.abs(sizes).mean()), _MEDIAN_MIN)
 
     return ExpectedError(
         diameter_share=estimate_median(errors),
@@ -117,10 +118,12 @@ def summarise_errors(errors: Doubles) -> ExpectedError:
     )
 
 
-def _together(virtual: Doubles, measured: Doubles) -> float:
-    """The middle of what was foreseen and of what was measured, in the logarithm: the more presses, the more theirs."""
-    before = math.log(_UNFORESEEN * float(np.median(virtual)))
+def _combine_errors(virtual: Doubles, measured: Doubles) -> float:
+    """Weighted log mean of predicted and measured median errors: more presses, more weight of the measured."""
+    before = math.log(_PREDICTION_FACTOR * float(np.median(virtual)))
     if len(measured) == 0:
-        return math.hypot(math.exp(before), _ALWAYS)
-    after = math.log(max(float(np.median(measured)), _LEAST))
-    return math.hypot(math.exp((_WORTH * before + len(measured) * after) / (_WORTH + len(measured))), _ALWAYS)
+        return math.hypot(math.exp(before), _ERROR_FLOOR)
+    after = math.log(max(float(np.median(measured)), _MEDIAN_MIN))
+    return math.hypot(
+        math.exp((_PRIOR_PRESSES * before + len(measured) * after) / (_PRIOR_PRESSES + len(measured))), _ERROR_FLOOR
+    )

@@ -1,20 +1,18 @@
-"""What a look-up is worth, in words: for the terminal, the window and a frame's notes."""
+"""Notes on the quality of a calibration, for the terminal, the window and frames."""
 
 from __future__ import annotations
 
 from pipeline.base.stage_warnings import StageWarning
 from pipeline.calibration.calibration_table import Calibration
 
-CALIBRATION_ADVICE = "press a ball in sixteen places all over the picture and run 'tactoscope calibrate balls'"
-UNCALIBRATED = "uncalibrated look-up"
-_ODD = 1.6  # times: the presses read by the described lights as a ball so much larger or smaller than was said
-UNCALIBRATED_NOTE = StageWarning(
-    f"{UNCALIBRATED}: a real unit's sizes and depths may be wrong by half; {CALIBRATION_ADVICE}"
-)
+CALIBRATION_ADVICE = "press a ball in sixteen places all over the image and run 'tactoscope calibrate balls'"
+UNCALIBRATED = "sensor not calibrated"
+_SIZE_RATIO_MAX = 1.6  # larger ratios (or smaller inverses) of measured to given diameter suggest a wrong size
+UNCALIBRATED_NOTE = StageWarning(f"{UNCALIBRATED}: sizes and depths may be wrong by half; {CALIBRATION_ADVICE}")
 
 
 def describe_quality(calibration: Calibration) -> str:
-    """One sentence on the sizes and depths that come from this look-up."""
+    """One sentence on the accuracy of sizes and depths with this calibration."""
     if not calibration.presses:
         return UNCALIBRATED_NOTE
     if describe_size_mismatch(calibration):
@@ -23,39 +21,43 @@ def describe_quality(calibration: Calibration) -> str:
     error = calibration.expected_error
     worth = "" if error is None else f"a ball's diameter within {100 * error.diameter_share:.0f} %"
     if calibration.uses_built_in:
-        told = f"; {worth}" if worth else ""
+        accuracy = f"; {worth}" if worth else ""
         return StageWarning(
-            f"{UNCALIBRATED}: {n_used} presses did not surely better it{told}; {CALIBRATION_ADVICE}, with other pictures"
+            f"{UNCALIBRATED}: {n_used} presses did not improve it significantly{accuracy}; {CALIBRATION_ADVICE} again"
         )
-    return f"{worth}{': ' if worth else ''}look-up from {n_used} presses of a ball"
+    return f"{worth}{': ' if worth else ''}calibrated by {n_used} presses of a ball"
 
 
 def describe_size_mismatch(calibration: Calibration) -> str:
-    """What speaks against the ball's size that was given; "" = nothing does."""
+    """Why the given size of the ball may be wrong; "" if it fits."""
     share = calibration.diameter_ratio
-    if share is None or 1.0 / _ODD < share < _ODD:
+    if share is None or 1.0 / _SIZE_RATIO_MAX < share < _SIZE_RATIO_MAX:
         return ""
-    return (f"the presses of this calibration look like those of a ball of {share:.2g} times the diameter that was "
-            "given: is it the radius that was, or another width of a pixel?")  # fmt: skip
+    return (f"the presses look like a ball of {share:.2g} times the given diameter, so all sizes may be wrong: "
+            "check that it is the diameter and not the radius, and the pixel width")  # fmt: skip
 
 
 def format_calibration(calibration: Calibration) -> list[str]:
-    """The look-up as lines for a terminal."""
+    """The calibration as lines for a terminal."""
     size = f"{calibration.cols} x {calibration.rows} px of {calibration.pixel_mm:.4f} mm"
     used = [p.residual for p in calibration.presses if p.used]
-    out = [f"calibration of {calibration.sensor}, {size}", f"  look-up: {calibration.origin}"]
+    out = [f"calibration of {calibration.sensor}, {size}", f"  table: {calibration.origin}"]
     if used:
         out.append(f"  slope residual {calibration.residual:.3f} mm/mm over {len(used)} presses")
     odd = describe_size_mismatch(calibration)
-    return [*out, f"  {describe_expected_error(calibration)}", *([f"  doubtful: {odd}"] if odd else [])]
+    return [*out, f"  {describe_expected_error(calibration)}", *([f"  warning: {odd}"] if odd else [])]
 
 
 def describe_expected_error(calibration: Calibration) -> str:
-    """The error to be expected, and what the statement rests on."""
+    """The expected error and its basis."""
     error = calibration.expected_error
     if error is None:
         return describe_quality(calibration)
-    basis = f"checked on {error.n_held_out} presses held out" if error.n_held_out else "foreseen, no press was held out"
+    basis = (
+        f"measured on {error.n_held_out} held-out presses"
+        if error.n_held_out
+        else "predicted, without held-out presses"
+    )
     return (
         f"expected error of a ball's diameter {100 * error.diameter_share:.0f} %, of its depth "
         f"{100 * error.depth_share:.0f} %; {basis}"

@@ -1,13 +1,13 @@
-"""From colour change to slope: one polynomial in the change and the place, without a constant term.
+"""Slope from colour change: a polynomial in the change and the position, without a constant term.
 
-Where the colour has not changed the slope is exactly zero, whatever the coefficients: an untouched gel stays flat.
-The change is taken relative to the untouched brightness, so that vignetting and fading light cancel to first order:
+Without a colour change the slope is exactly zero: an untouched gel is flat. The change is relative to the reference
+brightness, so vignetting and fading light cancel to first order:
 
     q = span * (image - reference) / (blurred reference + offset)                      per colour, offset, span in grey
     slope = sum_ab  C_ab  monomial_a(q_r, q_g, q_b)  monomial_b(u, v),     degree of a in 1..m, degree of b in 0..n
 
-u and v run over the image from -1 to 1 along its longer axis. The length of the slope
-is cut at `slope_max`, beyond which nothing was seen.
+u and v run over the image from -1 to 1 along its longer axis. The magnitude of the slope is limited to `slope_max`, the
+range of the samples.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from numpy.typing import NDArray
 
 from pipeline.base.arrays import Doubles, Floats, Mask, freeze
 
-OFFSET_GREY = 15.0  # dark corners: keeps the division from blowing up camera noise
-_STIFFER = 4.0  # how much more each further degree is held back
-SPAN_GREY = 2.5  # brings q to the order of 1 for steep slopes, so that one ridge suits all monomials
+OFFSET_GREY = 15.0  # limits the amplification of camera noise in dark corners
+_RIDGE_GROWTH = 4.0  # factor of the ridge for each further degree
+SPAN_GREY = 2.5  # brings q to the order of 1 for steep slopes, so one ridge suits all monomials
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SlopeModel:
-    """Coefficients of the polynomial, and how far it may be trusted."""
+    """Coefficients of the polynomial and its range."""
 
     colour_degree: int
     position_degree: int
@@ -36,7 +36,7 @@ class SlopeModel:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SlopeSamples:
-    """Pixels whose slope is known."""
+    """Pixels with known slopes."""
 
     change: Floats  # (n, 3) q of the formula above
     u: Floats  # (n,)
@@ -60,7 +60,7 @@ def list_exponents(degree: int) -> NDArray[np.int64]:
 
 
 def compute_gain(reference: NDArray[np.generic]) -> Floats:
-    """What a change in grey levels is multiplied with to become q; (rows, cols, 3) from the untouched picture."""
+    """The factor (rows, cols, 3) from a change in grey levels to q, from the reference image."""
     import cv2
 
     smooth = cv2.GaussianBlur(reference.astype(np.float32), (0, 0), 3.0)
@@ -85,7 +85,7 @@ def compute_features(samples: SlopeSamples, colour_degree: int, position_degree:
     q, e = samples.change, list_exponents(colour_degree)
     ladder = np.stack([q**k for k in range(colour_degree + 1)])  # (degree + 1, n, 3)
     colour = ladder[e[:, 0], :, 0] * ladder[e[:, 1], :, 1] * ladder[e[:, 2], :, 2]  # (m, n)
-    place = np.stack([samples.u**i * samples.v**j for j, i in _place_powers(position_degree)])  # (p, n)
+    place = np.stack([samples.u**i * samples.v**j for j, i in _list_position_powers(position_degree)])  # (p, n)
     return np.ascontiguousarray((place[:, None, :] * colour[None, :, :]).reshape(-1, len(q)).T, np.float32)
 
 
@@ -98,10 +98,10 @@ def fit(
     ridge: float,
     huber: float = 0.05,
 ) -> SlopeModel:
-    """The polynomial nearest to the samples: ridge regression in closed form, three rounds of Huber weights.
+    """The polynomial fitted to samples: ridge regression in closed form with three iterations of Huber weights.
 
-    `ridge` is relative to the mean square of each monomial, and grows with its degree; `huber` is the residual in mm/mm
-    from which a sample's pull no longer grows.
+    `ridge` is relative to the mean square of each monomial and grows with its degree; `huber` is the residual in mm/mm
+    from which a sample's influence no longer grows.
     """
     from threadpoolctl import threadpool_limits
 
@@ -109,9 +109,9 @@ def fit(
     target = samples.slopes
     solution: Doubles = np.zeros((f.shape[1], 2))
     w = weights
-    place = np.array([j + i for j, i in _place_powers(position_degree)])
-    stiffer = (_STIFFER ** (place[:, None] + list_exponents(colour_degree).sum(axis=1)[None, :] - 1.0)).ravel()
-    # Several threads add up in another order: one gives the same bytes everywhere, in the same time.
+    place = np.array([j + i for j, i in _list_position_powers(position_degree)])
+    stiffer = (_RIDGE_GROWTH ** (place[:, None] + list_exponents(colour_degree).sum(axis=1)[None, :] - 1.0)).ravel()
+    # One thread gives the same bytes everywhere; several sum in another order and are no faster.
     with threadpool_limits(limits=1, user_api="blas"):
         for _ in range(3):
             weighted = f * w[:, None]
@@ -124,7 +124,7 @@ def fit(
             w = weights * np.minimum(1.0, huber / np.maximum(residual, 1e-6)).astype(np.float32)
     table = np.zeros((position_degree + 1, position_degree + 1, len(list_exponents(colour_degree)), 2), np.float32)
     blocks = solution.reshape(-1, table.shape[2], 2)
-    for block, (j, i) in zip(blocks, _place_powers(position_degree), strict=True):
+    for block, (j, i) in zip(blocks, _list_position_powers(position_degree), strict=True):
         table[j, i] = block
     steepest = float(np.linalg.norm(samples.slopes, axis=1).max(initial=0.0))
     return SlopeModel(
@@ -136,14 +136,14 @@ def fit(
 
 
 def predict(model: SlopeModel, samples: SlopeSamples) -> Floats:
-    """Slopes (n, 2) that the polynomial gives the samples."""
+    """Slopes (n, 2) of the samples by the polynomial."""
     f = compute_features(samples, model.colour_degree, model.position_degree)
-    place = _place_powers(model.position_degree)
+    place = _list_position_powers(model.position_degree)
     flat = np.stack([model.coefficients[j, i] for j, i in place]).reshape(-1, 2)
     g = f @ flat
     length = np.linalg.norm(g, axis=1, keepdims=True)
     return np.asarray(g * np.minimum(1.0, model.slope_max / np.maximum(length, 1e-9)), np.float32)
 
 
-def _place_powers(degree: int) -> list[tuple[int, int]]:
+def _list_position_powers(degree: int) -> list[tuple[int, int]]:
     return [(j, i) for j in range(degree + 1) for i in range(degree + 1 - j)]

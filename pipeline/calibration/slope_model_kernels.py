@@ -12,7 +12,7 @@ from pipeline.base.cached_kernels import FAST, kernel
 def evaluate_polynomial(change, u, v, where, powers, coefficients, slope_max, row, ladder, gx, gy):
     """Slopes of every pixel of `where`; the powers of v are summed once a row.
 
-    row (places, colours, 2): written over. ladder (3, degree + 1): ones first, the other columns written over.
+    row (places, colours, 2): scratch. ladder (3, degree + 1): ones in the first column, the others scratch.
     """
     rows, cols = where.shape
     n_place = coefficients.shape[0]
@@ -24,7 +24,7 @@ def evaluate_polynomial(change, u, v, where, powers, coefficients, slope_max, ro
                 continue
             if not started:
                 started = True
-                for i in range(n_place):  # one by one: numba compiles 6 s for the error of a slice that does not fit
+                for i in range(n_place):  # element-wise: a slice assignment adds 6 s of compilation
                     for m in range(n_colour):
                         row[i, m, 0] = coefficients[n_place - 1, i, m, 0]
                         row[i, m, 1] = coefficients[n_place - 1, i, m, 1]

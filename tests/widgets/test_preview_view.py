@@ -143,9 +143,9 @@ def test_a_column_reads_its_first_note_out_in_short(qtbot):
     column = StageColumn("depth", "Depth")
     qtbot.addWidget(column)
     column.show()
-    column.show_state("computed", 12.0, ("uncalibrated look-up: press a ball", "more"))
+    column.show_state("computed", 12.0, ("sensor not calibrated: press a ball", "more"))
     label = column.findChild(QLabel, "note_depth")
-    assert label.text() == "uncalibrated look-up"
+    assert label.text() == "sensor not calibrated"
     assert label.isVisible()
     assert "press a ball" in label.toolTip()
     column.show_state("computed", 12.0, ("368 of 2,571 points at (1, 2) fall outside, and more",))

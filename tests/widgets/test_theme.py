@@ -149,12 +149,12 @@ def _near(canvas, at, colour):
 
 
 def test_no_doubt_is_cut_in_the_middle():
-    told = ("Depth: uncalibrated look-up: press a ball", "View: the source saw 66%", "Pose: 2 poses fit: turned")
+    told = ("Depth: sensor not calibrated: press a ball", "View: the source saw 66%", "Pose: 2 poses fit: turned")
     assert fit_sentences(told, lambda words: len(words) < 1000) == "   ·   ".join(told)
-    assert fit_sentences(told, lambda words: len(words) < 80).startswith("Depth: uncalibrated look-up   ·   View")
+    assert fit_sentences(told, lambda words: len(words) < 80).startswith("Depth: sensor not calibrated   ·   View")
     assert (
         fit_sentences(told, lambda words: len(words) < 62)
-        == "Depth: uncalibrated look-up: press a ball   ·   and 2 more"
+        == "Depth: sensor not calibrated: press a ball   ·   and 2 more"
     )
     assert fit_sentences((), lambda _: True) == ""
 

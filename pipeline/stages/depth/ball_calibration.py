@@ -1,7 +1,7 @@
-"""A look-up from presses of a ball that is better than what the depth stage reads without any.
+"""Calibration from presses of a ball, kept only where it beats the depth stage without calibration.
 
-The stage knows more than the built-in look-up (`gel_light`), so that presses have to do better than the stage: it is
-asked what it makes of every press.
+The uncalibrated stage knows more than the built-in table (it estimates the illumination), so its slopes of every press
+are the baseline.
 """
 
 from __future__ import annotations
@@ -21,9 +21,11 @@ from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth.photometric import DepthParams, estimate_depth
 from pipeline.values.frames import TactileFrame
 
-_LOOKED_AT = 8  # presses
+_PRESSES_MAX = 8  # used to fit the contact limit
 _SHARES = (0.45, 0.6, 0.75)
-_AS_WIDE = 1.08  # times a contact's circle: balls on simulated gels 0.96, on a real Mini 1.03, on a GelSlim 3 1.16
+_WIDTH_RATIO_MAX = (
+    1.08  # of contact width to circle: balls on simulated gels 0.96, on a real Mini 1.03, on a GelSlim 3 1.16
+)
 
 
 def calibrate_sensor(
@@ -36,7 +38,7 @@ def calibrate_sensor(
     progress: Progress = SILENT,
     seed: int = 0,
 ) -> Calibration:
-    """`calibrate_balls`, which keeps the built-in look-up unless presses better what the stage makes of it."""
+    """The calibration of `calibrate_balls`; the built-in table where the presses do not improve on the stage."""
     plain = make_built_in(sensor)
     if pixel_mm is not None:
         plain = replace(plain, pixel_mm=pixel_mm)
@@ -52,13 +54,13 @@ def calibrate_sensor(
 
 
 def fit_contact_limit(found: Calibration, images: Sequence[Image], reference: Image, sensor: SensorSpec) -> Calibration:
-    """The look-up with the share of the usual pressure at which contacts end on this gel.
+    """The calibration with the share of the median pressure at which contacts end on this gel.
 
-    Skin or coating that bridges the gel beside a ball looks as if it pressed there: where contacts of the presses come
-    out wider than their circles, the least share by which they do not is taken.
+    A skin or coating that bridges the gel next to a ball looks like pressure there: where contacts of the presses are
+    wider than their circles, the smallest share that prevents it is taken.
     """
     fits = [fit for fit in found.presses if fit.used]
-    fits = fits[:: max(1, len(fits) // _LOOKED_AT)]
+    fits = fits[:: max(1, len(fits) // _PRESSES_MAX)]
 
     def measure_width_ratio(look_up: Calibration) -> float:
         widths: list[float] = []
@@ -70,6 +72,6 @@ def fit_contact_limit(found: Calibration, images: Sequence[Image], reference: Im
 
     for share in (None, *_SHARES):
         look_up = replace(found, median_pressure_share=share)
-        if measure_width_ratio(look_up) <= (_AS_WIDE if share is None else 1.0):
+        if measure_width_ratio(look_up) <= (_WIDTH_RATIO_MAX if share is None else 1.0):
             return look_up
     return replace(found, median_pressure_share=_SHARES[-1])

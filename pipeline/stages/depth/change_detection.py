@@ -1,4 +1,4 @@
-"""Where a gel's picture has changed: how much, and the part of it that is worked on."""
+"""Where a gel's image differs from its reference, and the window in which the surface is estimated."""
 
 from __future__ import annotations
 
@@ -11,34 +11,34 @@ from pipeline.base.arrays import Floats, Image, Mask, freeze
 from pipeline.stages.depth.contact import fill_holes
 from pipeline.stages.depth.drift import compute_block_means
 
-_BLOCK_PX = 8  # changes are looked for in blocks of this width
-_GROWS_FROM = 0.35  # share of the no-touch limit down to which a touched region is followed outward
-_DRIFT_FACTOR = 2.5  # times the picture's typical change, above which a block is part of a touch
-_TYPICAL = 0.25  # quantile of the blocks' changes that stands for what the whole picture does: a touch may fill most
-_TOGETHER = 1.2  # blocks over which a touch changes colours alike, and noise does not
-_ABOVE_NOISE = 16.0  # times the noise of neighbours: a dithered film's untouched frames reach 15, its touches 16 to 100
-_BLOCKS = 40  # along the longer side, at least, to tell noise by
-_MARGIN_MM = 2.0  # beyond the last visible change: the gel relaxes to nothing within about this distance
-_FADES = 0.5  # share of the margin over which the surface fades out
+_BLOCK_PX = 8  # width of the blocks that changes are averaged over
+_LOW_SHARE = 0.35  # of the no-touch limit: a touched region extends down to this change
+_DRIFT_FACTOR = 2.5  # times the image's typical change: less is drift of the light
+_TYPICAL_QUANTILE = 0.25  # quantile of the block changes that is typical of the image, of which a touch may fill most
+_SMOOTHING_BLOCKS = 1.2  # standard deviation in blocks: a touch is smooth over it, noise is not
+_NOISE_FACTOR = 16.0  # times the noise: untouched frames of a dithered film reach 15, its touches 16 to 100
+_BLOCKS_MIN = 40  # along the longer side, for the estimate of noise
+_MARGIN_MM = 2.0  # around the visible change: the gel relaxes to rest within about this distance
+_BLEND_SHARE = 0.5  # share of the margin over which the surface is blended to rest
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImageWindow:
-    """The part of the image that is worked on."""
+    """The part of the image in which the surface is estimated."""
 
     rows: slice
     cols: slice
-    changed: Mask  # (rows, cols) of the window: where the surface is looked for
-    blend_weight: Floats  # (rows, cols) of the surface that is kept: 1, and less toward the end of `moved`
+    changed: Mask  # (rows, cols) of the window: where the surface is estimated
+    blend_weight: Floats  # (rows, cols) weight of the surface: 1, falling to 0 at the end of `changed`
 
 
 def compute_largest_change(image: Image, reference: Image) -> float:
     """Largest mean absolute change of a block of 8 x 8 pixels, in grey levels; infinite if the image is black."""
-    blocks = _block_change(image, reference)
+    blocks = _compute_blocks(image, reference)
     return float(blocks.max()) if int(image.max()) > 2 else math.inf
 
 
-def _block_change(image: Image, reference: Image) -> Image:
+def _compute_blocks(image: Image, reference: Image) -> Image:
     """Mean absolute change of every whole block (rows // 8, cols // 8, 3), rounded; the last few pixels are dropped."""
     import cv2
 
@@ -50,63 +50,65 @@ def _block_change(image: Image, reference: Image) -> Image:
         return np.asarray(cv2.resize(change, (max(1, cols), max(1, rows)), interpolation=cv2.INTER_AREA), np.uint8)
     out = np.empty((rows, cols, 3), np.uint8)
     of_rows = np.empty(3 * image.shape[1], np.uint16)
-    compute_block_change(_flat(image), _flat(reference), _BLOCK_PX, of_rows, out)
+    compute_block_change(_flatten_rows(image), _flatten_rows(reference), _BLOCK_PX, of_rows, out)
     return out
 
 
-def _flat(image: Image) -> Image:
-    """Rows of numbers as the kernel takes them; read-only, as it is compiled anew for what can be written to."""
+def _flatten_rows(image: Image) -> Image:
+    """Image rows as the kernel takes them; read-only, since writable arrays would compile it again."""
     return freeze(np.ascontiguousarray(image).reshape(image.shape[0], -1).view())
 
 
 def detect_change(image: Image, reference: Image, no_touch_grey: float, pixel_mm: float) -> ImageWindow | None:
-    """The box around everything that has changed, grown by the gel's relaxation; None where nothing has.
+    """The window around all changes, with a margin for the gel's relaxation; None without a change above noise.
 
-    Some block must have changed together with its neighbours by more than noise does.
+    Some block and its neighbours must have changed together by more than noise does.
     """
     import cv2
 
-    blocks = _block_change(image, reference).max(axis=2).astype(np.float32)
-    # A touch is not followed into what the whole picture does (drift of the light).
-    low = max(_GROWS_FROM * no_touch_grey, _DRIFT_FACTOR * float(np.quantile(blocks, _TYPICAL)))
-    if float(blocks.max()) < low:  # all of it has changed alike: a touch larger than the picture
+    blocks = _compute_blocks(image, reference).max(axis=2).astype(np.float32)
+    # A touched region does not extend into changes that the whole image has (drift of the light).
+    low = max(_LOW_SHARE * no_touch_grey, _DRIFT_FACTOR * float(np.quantile(blocks, _TYPICAL_QUANTILE)))
+    if float(blocks.max()) < low:  # all of it has changed equally: a touch larger than the image
         low = no_touch_grey
-    above = _above_noise(image, reference, blocks.shape)
+    relative = _compare_with_noise(image, reference, blocks.shape)
     n, regions = cv2.connectedComponents((blocks > low).astype(np.uint8), connectivity=8)
     strong = np.zeros(n, np.bool_)
     strong[np.unique(regions[blocks >= max(no_touch_grey, low)])] = True
     strong[0] = False
-    if not (strong[regions] & (above >= 1.0)).any():
+    if not (strong[regions] & (relative >= 1.0)).any():
         return None
-    # A flat face changes no colours, but it is not at rest: what a touch encloses belongs to it.
-    whole = fill_holes(strong[regions])
-    return grow_to_window(whole, image.shape[:2], pixel_mm)
+    # A flat face changes no colours, but is indented: what a touch encloses belongs to it.
+    touched = fill_holes(strong[regions])
+    return grow_to_window(touched, image.shape[:2], pixel_mm)
 
 
-def _above_noise(image: Image, reference: Image, shape: tuple[int, ...]) -> Floats:
-    """How far the change of every block (rows // 8, cols // 8) and its neighbours lies above what noise makes, 1 = so.
+def _compare_with_noise(image: Image, reference: Image, shape: tuple[int, ...]) -> Floats:
+    """Smoothed change of every block over the noise limit, (rows // 8, cols // 8) = `shape`; 1 or more is no noise.
 
-    Dither and strong compression make grains of many pixels that no block averages out. Noise is told from how a block
-    lies between its neighbours; all that is smooth, a touch and drift, does not count for it. A small picture is looked
-    at in smaller blocks, between which a touch is still smooth; `shape` is that of the answer.
+    Dither and strong compression make grains of many pixels that a block does not average out. Noise is estimated from
+    second differences of neighbouring blocks, to which smooth changes (a touch, drift) do not contribute. A small image
+    is divided into smaller blocks, between which a touch is still smooth.
     """
     import cv2
 
     if min(shape) < 3:
         return np.full(shape, np.inf, np.float32)
-    block_px = max(1, min(_BLOCK_PX, max(image.shape[:2]) // _BLOCKS))
+    block_px = max(1, min(_BLOCK_PX, max(image.shape[:2]) // _BLOCKS_MIN))
     change = compute_block_means(image, block_px) - compute_block_means(reference, block_px)
-    smooth = np.asarray(cv2.GaussianBlur(change, (0, 0), _TOGETHER), np.float32)
-    bent = np.abs(smooth[:, 2:] - 2.0 * smooth[:, 1:-1] + smooth[:, :-2])
-    noise = 1.48 * float(np.median(bent))  # a Gaussian's standard deviation
-    above = np.abs(smooth).max(axis=2) / np.float32(max(_ABOVE_NOISE * noise, 1e-6))
+    smooth = np.asarray(cv2.GaussianBlur(change, (0, 0), _SMOOTHING_BLOCKS), np.float32)
+    second_differences = np.abs(smooth[:, 2:] - 2.0 * smooth[:, 1:-1] + smooth[:, :-2])
+    noise = 1.48 * float(
+        np.median(second_differences)
+    )  # standard deviation of a Gaussian from its median absolute value
+    above = np.abs(smooth).max(axis=2) / np.float32(max(_NOISE_FACTOR * noise, 1e-6))
     return above if above.shape == shape else np.asarray(cv2.resize(above, shape[::-1], interpolation=cv2.INTER_LINEAR))
 
 
 def grow_to_window(touched: Mask, shape: tuple[int, ...], pixel_mm: float) -> ImageWindow:
-    """The box around the blocks (rows // 8, cols // 8) that a touch has changed, and the margin around them.
+    """The window around the changed blocks (rows // 8, cols // 8) with its margin.
 
-    Blocks are looked at through their distances, so that the margin ends in a line and not in steps.
+    The margin follows the interpolated distance to the blocks, so it has no steps.
     """
     import cv2
 
@@ -115,25 +117,28 @@ def grow_to_window(touched: Mask, shape: tuple[int, ...], pixel_mm: float) -> Im
     tall, wide = touched.shape[0] * _BLOCK_PX, touched.shape[1] * _BLOCK_PX
     full = np.asarray(cv2.resize(away, (wide, tall), interpolation=cv2.INTER_LINEAR), np.float32)[:rows, :cols]
     full = np.pad(full, ((0, max(0, rows - tall)), (0, max(0, cols - wide))), "edge")
-    left = np.clip((_MARGIN_MM / pixel_mm - full) * np.float32(pixel_mm / (_FADES * _MARGIN_MM)), 0.0, 1.0)
+    left = np.clip((_MARGIN_MM / pixel_mm - full) * np.float32(pixel_mm / (_BLEND_SHARE * _MARGIN_MM)), 0.0, 1.0)
     moved = fill_holes(left > 0)
     left[moved & (left <= 0)] = 1.0
     r, c = np.flatnonzero(moved.any(axis=1)), np.flatnonzero(moved.any(axis=0))
-    box = (_quick(int(r[0]) - _BLOCK_PX, int(r[-1]) + _BLOCK_PX + 1, rows),
-           _quick(int(c[0]) - _BLOCK_PX, int(c[-1]) + _BLOCK_PX + 1, cols))  # fmt: skip
-    return ImageWindow(rows=box[0], cols=box[1], changed=np.ascontiguousarray(moved[box]),
-                  blend_weight=np.ascontiguousarray(left[box] * left[box] * (3 - 2 * left[box]), np.float32))  # fmt: skip
+    box = (_extend_to_fast_length(int(r[0]) - _BLOCK_PX, int(r[-1]) + _BLOCK_PX + 1, rows),
+           _extend_to_fast_length(int(c[0]) - _BLOCK_PX, int(c[-1]) + _BLOCK_PX + 1, cols))  # fmt: skip
+    blend_weight = left[box] * left[box] * (3 - 2 * left[box])
+    return ImageWindow(
+        rows=box[0], cols=box[1], changed=np.ascontiguousarray(moved[box]),
+        blend_weight=np.ascontiguousarray(blend_weight, np.float32),
+    )  # fmt: skip
 
 
-def _quick(low: int, high: int, n: int) -> slice:
-    """The pixels `low` to `high` of `n`, and a few more, so that waves along them are quick to find."""
+def _extend_to_fast_length(low: int, high: int, n: int) -> slice:
+    """The pixels `low` to `high` of `n`, extended by a few to a length with a fast transform."""
     from scipy import fft
 
     low, high = max(0, low), min(n, high)
     more = int(fft.next_fast_len(high - low, real=True) or 0) - (high - low)
     after = min(more, n - high)
     before = min(more - after, low)
-    # Up to the border is another kind of end, which the touch does not have there: the last pixel stays outside.
+    # Reaching the image border would change the boundary condition: its last pixel stays outside.
     after -= after > 0 and high + after == n
     before -= before > 0 and low - before == 0
     return slice(low - before, high + after)

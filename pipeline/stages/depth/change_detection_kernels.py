@@ -1,4 +1,4 @@
-"""Compiled mean change of the blocks of two pictures (`moved`)."""
+"""Compiled mean change of the blocks of two images (`change_detection`)."""
 # pyright: basic
 
 import numpy as np
@@ -10,7 +10,7 @@ from pipeline.base.cached_kernels import kernel
 def compute_block_change(image, reference, block, total, out):
     """Write the mean absolute difference of every whole block, rounded half to even, into `out` (rows, cols, 3).
 
-    image, reference (rows, 3 x cols) uint8. total (at least 3 x block x blocks across,) uint16: written over.
+    image, reference (rows, 3 x cols) uint8. total (at least 3 x block x blocks across,) uint16: scratch.
     """
     tall, wide, colours = out.shape
     width = wide * block * colours

@@ -1,22 +1,22 @@
-"""Where a gel is touched, from how it is pushed in.
+"""Contact of a gel or membrane, from its indentation.
 
-A surface moves beyond the contact too (Hertz: at the contact's edge by half of the largest indentation, on a thin
-bonded layer by less), so no limit on depth separates touched from moved. Pressure does: it is zero outside. A pressure
-wave of wavenumber q moves an elastic half-space by U(q) = 2 P(q) / (E* q), hence P(q) ~ q U(q), which is no rougher
-than a slope, and in units of one where U is in mm. A layer bonded to a plate answers alike except to waves longer than
-its thickness; leaving that out shifts the pressure by a smooth amount, and neither the thickness of the gel nor its
-stiffness is needed.
+A surface moves outside the contact too (Hertz: at its edge by half of the largest indentation, on a thin bonded layer
+by less), so no limit on depth separates touched from moved. Pressure does: it is zero outside. A pressure wave of
+wavenumber q moves an elastic half-space by U(q) = 2 P(q) / (E* q), hence P(q) ~ q U(q), which is no rougher than a
+slope, and dimensionless where U is in mm. A layer bonded to a plate responds in the same way except to waves longer
+than its thickness; neglecting that shifts the pressure by a smooth amount, and neither the thickness nor the stiffness
+of the gel is needed.
 
-Pressure as it is seen is blurred. A ball's falls like a root, which a blur hardly moves; below a sharp rim it is as
-good as infinite and spreads by the blur's width, over the wall beside it as well. So a limit is a share of the peak
-nearby, a larger one where that peak stands far above what is usual in the contact, as below a rim. What is far from any
-peak is held against the usual pressure, the median, not against the region's peak: a cone's is infinite at its tip, and
-0.16 of what a picture shows of it loses a quarter of the cone.
+The estimated pressure is blurred. That of a ball falls like a square root, which a blur hardly moves; below a sharp rim
+it is nearly infinite and spreads by the width of the blur, over the adjacent wall as well. So the limit is a share of
+the peak nearby, a larger one where that peak is far above the median of the contact, as below a rim. Far from any peak
+the limit is a share of the median, not of the region's peak: a cone's is infinite at its tip, and 0.16 of it would lose
+a quarter of the cone.
 
-Numbers were chosen by presses of `shapes.names("training")` on simulated units and by flat faces, but for the share of
-the usual pressure and what hangs: pressure is read beyond the contact of balls on real gels, and these two end it near
-their visible rim, on the recordings that `benchmarks/real_depth.py` reads. By simulated units alone the first would be
-0.24 or less and the second not needed.
+The constants were chosen by presses of the training objects on simulated sensor instances and by flat faces, except
+the share of the median pressure and the rule for hanging gel: the pressure of balls on real gels extends beyond their
+contact, and these two end it near their visible rim in the recordings of `benchmarks/real_depth.py`. By simulated
+instances alone the first would be 0.24 or less and the second unnecessary.
 """
 
 from __future__ import annotations
@@ -31,37 +31,38 @@ from pipeline.base.memo import memoise
 from pipeline.base.ranks import percentile
 from pipeline.physics.slopes import compute_slopes
 
-_WORKERS, _WORTH_WORKERS = 2, 2**18  # threads, and pixels of fewer of which they take longer to wake
-_NEAR_MM = 0.25  # farther than lens and smoothing spread light
-_LEAST_PRESSURE = np.float32(0.02)  # mm/mm, in slopes: noise and light that is not quite this unit's make as much
-MEDIAN_PRESSURE_SHARE = 0.32  # of the usual pressure of a region: the median of what exceeds `_CORE_SHARE`
+_WORKERS, _PARALLEL_PIXELS = 2, 2**18  # threads, and the pixels above which they save time
+_NEAR_MM = 0.25  # farther than lens and smoothing spread an edge
+_PRESSURE_MIN = np.float32(0.02)  # mm/mm: noise and an inexact light make as much
+MEDIAN_PRESSURE_SHARE = 0.32  # of the median pressure of a region above `_CORE_SHARE`
 _CORE_SHARE, _PART_SHARE = np.float32(0.16), np.float32(0.25)  # of the region's peak
-_RIDGE_FROM, _RIDGE_TO, _RIDGE_SHARE = 1.7, 3.5, 0.6  # times what is usual; the share of such a peak nearby
-_HANGS_MM, _HANGS_SHARE = 2.0, np.float32(0.25)  # within about a gel's thickness of what is deep
+_RIDGE_START, _RIDGE_END, _RIDGE_SHARE = 1.7, 3.5, 0.6  # times the median; share of such a peak nearby
+_HANGING_MM, _HANGING_SHARE = (
+    2.0,
+    np.float32(0.25),
+)  # gel within this distance (about its thickness) of a deeper point, and shallower than this share of it, hangs there
 _REACH_CELLS = 8
-_MOST_SHORT = 2**16  # regions, whose numbers are sorted in one pass
-_SPECK_SHARE = 0.05  # of the largest region: dust and scratches that the press has shifted
-_FLAT_DEPTH_SHARE = 0.8  # of the depth of the nearest rim: a face that is level with its rim is touched as well
+_SHORT_SORT_MAX = 2**16  # regions up to which 16-bit labels sort faster
+_SPECK_SHARE = 0.05  # of the largest region: smaller ones are dust and scratches that the press has shifted
+_FLAT_DEPTH_SHARE = 0.8  # of the depth of the nearest rim: a face that deep is in contact as well
 _PRESSURE_FREE_BLUR_PX = 1.0
-_CORNER_WIDE = 3.0  # times `narrow_px`
-_CORNER_MM = 0.12  # untouched frames of real Minis and drift on a real GelSlim make corners up to 0.1 mm deep
-_FLAT_SLOPE_SHARE = 0.3  # of the region's steep slopes: beside a contact the gel falls away, on a face it does not
+_CORNER_LENGTH = 3.0  # times `narrow_px`
+_CORNER_MM = 0.12  # untouched frames of real Minis and drift of a real GelSlim make corners up to 0.1 mm deep
+_FLAT_SLOPE_SHARE = 0.3  # of the region's steep slopes: the gel falls away next to a contact, but not on a face
 
 
 def compute_relative_pressure(indentation_mm: Floats, smoothing_px: float, order: Literal[1, 2] = 1) -> Floats:
-    """Pressure (rows, cols) up to a constant factor, without its longest waves; negative where the surface hangs free.
+    """Pressure (rows, cols) up to a constant factor and a smooth offset; negative where the surface hangs free.
 
-    `order` is the power of the wavenumber: 1 for an elastic gel, 2 for a membrane under tension, which carries a
-    load by its curvature alone.
-
-    The image is mirrored at its border (cosine transform), as if the touch went on beyond it.
+    `order` is the power of the wavenumber: 1 for an elastic gel, 2 for a membrane under tension, which carries load by
+    its curvature alone. The image is mirrored at its border (cosine transform).
     """
     from scipy import fft
 
     rows, cols = indentation_mm.shape
-    workers = _WORKERS if rows * cols > _WORTH_WORKERS else 1
+    workers = _WORKERS if rows * cols > _PARALLEL_PIXELS else 1
     wave = np.asarray(fft.dctn(indentation_mm, type=2, norm="ortho", workers=workers))
-    wave *= _wavenumbers(rows, cols, smoothing_px, order)
+    wave *= _compute_wavenumbers(rows, cols, smoothing_px, order)
     return np.asarray(fft.idctn(wave, type=2, norm="ortho", workers=workers, overwrite_x=True), np.float32)
 
 
@@ -74,12 +75,12 @@ def detect_contact(
     smoothing_px: float,
     median_pressure_share: float = MEDIAN_PRESSURE_SHARE,
 ) -> Mask:
-    """A gel's contact (rows, cols): pushed in by `least_mm` or more, and pressed by more than a share of what is near.
+    """Contact of a gel (rows, cols): indented by `least_mm` or more, with more pressure than a share of that nearby.
 
-    The blur of a picture spreads pressure no farther than its own width, so that only the peak within that counts: a
-    cone's rim is touched however its tip presses, and a sharp edge's pressure is not taken for more gel beside it.
-    Gel that is hardly pushed in beside what is deep hangs there: a ball's contact on real gels ends where it is about a
-    third as deep. A part in which no pixel presses by `_PART_SHARE` of its region's peak is left out.
+    An image's blur spreads pressure no farther than its own width, so only the peak within that counts: a cone's rim is
+    in contact whatever its tip does, and the pressure of a sharp edge does not widen the contact. Shallow gel close to
+    a deep point hangs free: a ball's contact on real gels ends where it is about a third as deep. A part in which no
+    pixel reaches `_PART_SHARE` of its region's peak pressure is left out.
     """
     import cv2
 
@@ -90,37 +91,41 @@ def detect_contact(
     pressure[~deep] = 0.0
     reach = 2 * max(1, round(_NEAR_MM / pixel_mm)) + 1
     near = np.asarray(cv2.dilate(pressure, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach))), np.float32)
-    regions, n = _regions(deep)
-    peak = _peaks(deep, pressure, regions, n)
-    deep_here = deep & (indentation_mm >= _HANGS_SHARE * _deepest_near(indentation_mm, _HANGS_MM / pixel_mm))
-    least = np.maximum(_LEAST_PRESSURE, pressure_share * near)
-    usual = _usual(pressure, regions, n, deep_here & (pressure > np.maximum(least, _CORE_SHARE * peak)))
-    ridge = np.clip((near / np.maximum(usual, _LEAST_PRESSURE) - _RIDGE_FROM) / (_RIDGE_TO - _RIDGE_FROM), 0.0, 1.0)
+    regions, n = _label_regions(deep)
+    peak = _find_peaks(deep, pressure, regions, n)
+    deep_here = deep & (
+        indentation_mm >= _HANGING_SHARE * _compute_local_maximum(indentation_mm, _HANGING_MM / pixel_mm)
+    )
+    least = np.maximum(_PRESSURE_MIN, pressure_share * near)
+    median = _compute_median_pressure(
+        pressure, regions, n, deep_here & (pressure > np.maximum(least, _CORE_SHARE * peak))
+    )
+    ridge = np.clip((near / np.maximum(median, _PRESSURE_MIN) - _RIDGE_START) / (_RIDGE_END - _RIDGE_START), 0.0, 1.0)
     share = pressure_share + np.maximum(_RIDGE_SHARE - pressure_share, 0.0) * ridge
-    limit = np.maximum(np.maximum(_LEAST_PRESSURE, np.float32(median_pressure_share) * usual), share * near)
+    limit = np.maximum(np.maximum(_PRESSURE_MIN, np.float32(median_pressure_share) * median), share * near)
     mask = np.asarray(deep_here & (pressure > limit), np.bool_)
-    return _faces(indentation_mm, _with(mask, mask & (pressure > _PART_SHARE * peak)), deep)
+    return _add_faces(indentation_mm, _select_seeded(mask, mask & (pressure > _PART_SHARE * peak)), deep)
 
 
 def detect_membrane_contact(
     indentation_mm: Floats, *, least_mm: float, pressure_share: float, smoothing_px: float
 ) -> Mask:
-    """A membrane's contact (rows, cols): pushed in, and loaded by more than a share of the region's peak; no holes.
+    """Contact of a membrane (rows, cols): indented, with more load than a share of its region's peak; without holes.
 
-    Each region that is pushed in has its own peak, so that a light touch beside a firm one is kept.
+    Each indented region has its own peak, so a light touch next to a firm one is kept.
     """
     deep = indentation_mm > least_mm
     if not deep.any():
         return deep
     load = compute_relative_pressure(indentation_mm, smoothing_px, 2)
     mask = deep & (
-        load > np.maximum(_peaks(deep, load, *_regions(deep)), np.float32(1e-9)) * np.float32(pressure_share)
+        load > np.maximum(_find_peaks(deep, load, *_label_regions(deep)), np.float32(1e-9)) * np.float32(pressure_share)
     )
     return fill_holes(np.asarray(mask, np.bool_))
 
 
-def _deepest_near(indentation_mm: Floats, reach_px: float) -> Floats:
-    """The largest indentation (rows, cols) within a square of `reach_px` to each side, on cells of an eighth of it."""
+def _compute_local_maximum(indentation_mm: Floats, reach_px: float) -> Floats:
+    """The largest indentation (rows, cols) within `reach_px` in rows and columns, on cells of an eighth of it."""
     import cv2
 
     by = max(1, round(reach_px / _REACH_CELLS))
@@ -133,45 +138,45 @@ def _deepest_near(indentation_mm: Floats, reach_px: float) -> Floats:
     )
 
 
-def _regions(mask: Mask, connectivity: int = 8) -> tuple[Indices, int]:
-    """The number of the connected region (rows, cols) that each pixel belongs to, 0 beside the mask, and how many."""
+def _label_regions(mask: Mask, connectivity: int = 8) -> tuple[Indices, int]:
+    """Labels (rows, cols) of connected regions, 0 outside the mask, and the number of labels."""
     import cv2
 
-    n, found = cv2.connectedComponents(mask.astype(np.uint8), connectivity=connectivity)
-    return np.asarray(found, np.int32), int(n)
+    n, labels = cv2.connectedComponents(mask.astype(np.uint8), connectivity=connectivity)
+    return np.asarray(labels, np.int32), int(n)
 
 
-def _peaks(deep: Mask, pressure: Floats, regions: Indices, n: int) -> Floats:
-    """The largest pressure (rows, cols) of the connected region of `deep` that each pixel belongs to."""
+def _find_peaks(deep: Mask, pressure: Floats, regions: Indices, n: int) -> Floats:
+    """The largest pressure (rows, cols) in each pixel's connected region."""
     peaks = np.zeros(n, np.float32)
     np.maximum.at(peaks, regions[deep], pressure[deep])
     return peaks[regions]
 
 
-def _usual(pressure: Floats, regions: Indices, n: int, core: Mask) -> Floats:
-    """The median pressure (rows, cols) of the `core` in the connected region that each pixel belongs to."""
-    of, values = regions[core], pressure[core]
+def _compute_median_pressure(pressure: Floats, regions: Indices, n: int, core: Mask) -> Floats:
+    """The median pressure (rows, cols) of the `core` in each pixel's connected region."""
+    labels, values = regions[core], pressure[core]
     order = np.argsort(values)
-    order = order[np.argsort(of[order].astype(np.uint16 if n < _MOST_SHORT else np.int32), kind="stable")]
-    ends = np.searchsorted(of[order], np.arange(n + 1))
+    order = order[np.argsort(labels[order].astype(np.uint16 if n < _SHORT_SORT_MAX else np.int32), kind="stable")]
+    ends = np.searchsorted(labels[order], np.arange(n + 1))
     count = np.diff(ends)
     middle = values[order][np.minimum(ends[:-1] + count // 2, max(0, len(values) - 1))] if len(values) else 0.0
     return np.where(count > 0, middle, 0.0).astype(np.float32)[regions]
 
 
-def _with(mask: Mask, seeds: Mask) -> Mask:
-    """The connected parts of `mask` in which a seed lies."""
-    regions, n = _regions(mask)
+def _select_seeded(mask: Mask, seeds: Mask) -> Mask:
+    """The connected parts of `mask` that contain a seed."""
+    regions, n = _label_regions(mask)
     keep = np.zeros(n, np.bool_)
     keep[regions[seeds]] = True
     return keep[regions]
 
 
-def _faces(indentation_mm: Floats, pressed: Mask, deep: Mask) -> Mask:
-    """What belongs to the contact though hardly any pressure shows: the inside of flat faces.
+def _add_faces(indentation_mm: Floats, pressed: Mask, deep: Mask) -> Mask:
+    """The contact with the inside of flat faces, where hardly any pressure shows.
 
-    A flat face carries its pressure along its rim. Its inside is as deep as the rim and as level, unlike the gel beside
-    a contact, which falls away at once.
+    A flat face carries its pressure along its rim. Its inside is as deep as the rim and level, unlike the gel around a
+    contact, which falls away at once.
     """
     import cv2
 
@@ -188,31 +193,31 @@ def _faces(indentation_mm: Floats, pressed: Mask, deep: Mask) -> Mask:
     steep = float(percentile(slope, 95.0, deep))
     level = deep & ~pressed & (slope < _FLAT_SLOPE_SHARE * steep)
     level &= indentation_mm >= _FLAT_DEPTH_SHARE * depth_of[labels]
-    regions, n = _regions(level | pressed, 4)
+    regions, n = _label_regions(level | pressed, 4)
     with_rim = np.zeros(n, np.bool_)
     with_rim[regions[pressed]] = True
     with_rim[0] = False
     joined = with_rim[regions].astype(np.uint8)
-    # The rim's pressure ridge and the face meet in a line of pixels that are neither.
+    # A line of pixels between the rim's pressure ridge and the face belongs to neither.
     closed = cv2.morphologyEx(joined, cv2.MORPH_CLOSE, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (7, 7)))
     return np.asarray(closed, np.bool_) & deep
 
 
 def fill_holes(mask: Mask) -> Mask:
-    """The mask (rows, cols) with what it encloses: from there no way along rows and columns leads out of the picture.
+    """The mask (rows, cols) with its holes filled: pixels without a 4-connected path to the image border.
 
-    As scipy's `binary_fill_holes`, whose package takes a third of a second to load.
+    Same as scipy's `binary_fill_holes`, whose package takes a third of a second to load.
     """
-    regions, _ = _regions(np.pad(~mask, 1, constant_values=True), 4)
+    regions, _ = _label_regions(np.pad(~mask, 1, constant_values=True), 4)
     return np.asarray(regions[1:-1, 1:-1] != regions[0, 0], np.bool_)
 
 
 def fill_small_holes(mask: Mask, max_pixels: int) -> Mask:
-    """The mask (rows, cols) with what it encloses where that is `max_pixels` pixels or less."""
+    """The mask (rows, cols) with holes of at most `max_pixels` pixels filled."""
     holes = fill_holes(mask) & ~mask
     if not holes.any():
         return mask
-    regions, n = _regions(holes, 4)
+    regions, n = _label_regions(holes, 4)
     small = np.bincount(regions.ravel(), minlength=n) <= max_pixels
     small[0] = False
     return mask | small[regions]
@@ -220,7 +225,7 @@ def fill_small_holes(mask: Mask, max_pixels: int) -> Mask:
 
 def remove_specks(mask: Mask, min_pixels: int) -> Mask:
     """The mask without regions of fewer than `min_pixels` pixels or 5 % of the largest region."""
-    regions, n = _regions(mask)
+    regions, n = _label_regions(mask)
     areas = np.bincount(regions.ravel(), minlength=n)
     areas[0] = 0
     keep = areas >= max(min_pixels, _SPECK_SHARE * int(areas.max()))
@@ -234,7 +239,7 @@ def remove_weak_specks(mask: Mask, pressure: Floats, min_pixels: float, peak_sha
     What presses by `peak_share` of the largest `pressure` (rows, cols) stays however small it is: of a light touch's
     rim only pieces are seen.
     """
-    regions, n = _regions(mask)
+    regions, n = _label_regions(mask)
     keep = np.bincount(regions.ravel(), minlength=n) >= min_pixels
     keep[regions[mask & (pressure >= peak_share * float(pressure.max()))]] = True
     keep[0] = False
@@ -266,14 +271,14 @@ def remove_border_artifacts(
     for k in (int(k) for k in np.flatnonzero(cut & keep)):
         at_corner = np.count_nonzero(across[:, k]) == np.count_nonzero(along[:, k]) == 1
         narrow = min(tall[k] if across[:, k].any() else wide[k], wide[k] if along[:, k].any() else tall[k])
-        at_corner &= bool(max(wide[k], tall[k]) <= _CORNER_WIDE * narrow_px or narrow <= narrow_px)
+        at_corner &= bool(max(wide[k], tall[k]) <= _CORNER_LENGTH * narrow_px or narrow <= narrow_px)
         shallow = at_corner and float(indentation_mm[np.equal(regions, k)].max()) <= _CORNER_MM
         keep[k] = not shallow and (narrow > narrow_px or area[k] > largest)
     return np.asarray(keep[regions], np.bool_)
 
 
 @memoise(8)  # a touch has a window of its own size
-def _wavenumbers(rows: int, cols: int, smoothing_px: float, order: Literal[1, 2]) -> Floats:
+def _compute_wavenumbers(rows: int, cols: int, smoothing_px: float, order: Literal[1, 2]) -> Floats:
     """Wavenumbers (rows, cols) of a cosine transform to the power of `order`, radians per pixel, damped by a blur."""
     ky, kx = (np.arange(n) * (math.pi / n) for n in (rows, cols))
     q_sq = ky[:, None] ** 2 + kx[None, :] ** 2

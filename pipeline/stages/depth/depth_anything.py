@@ -1,4 +1,4 @@
-"""Depth by Depth Anything V2 on a user's weights: what the paper reads a touch with."""
+"""Depth by Depth Anything V2, the paper's depth network, with weights that the user gives."""
 
 from __future__ import annotations
 
@@ -24,41 +24,41 @@ from pipeline.stages.depth import photometric
 from pipeline.values.frames import TactileFrame
 from pipeline.values.results import DepthMap
 
-OutputKind = Literal["as taught", "metric", "relative"]
-_MARGIN = 2  # patches around the contact's box
-_NONE = NoWeights(
-    why="Depth Anything V2 does not come along; give its weights as --weights FILE, such as depth_anything_v2_vits.pth"
+OutputKind = Literal["as trained", "metric", "relative"]
+_MARGIN_PATCHES = 2  # patches around the contact's bounding box
+_NOT_SHIPPED = NoWeights(
+    why="no weights of Depth Anything V2 are shipped; give yours as --weights FILE, such as depth_anything_v2_vits.pth"
 )
 PatchWindow = tuple[int, int, int, int]  # top, left, rows, cols, in patches
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DepthAnythingParams:
-    """How the network is asked."""
+    """Input size and output kind of the network."""
 
     shorter_side_px: int = setting(0, "Shorter side", unit="px", low=0, high=1400, step=14,
-                        help="of the picture that the network sees; 0 = as it was taught",
+                        help="of the image that the network sees; 0 = as it was trained",
                         source="Yang et al. 2024: 518 px, in patches of 14")  # fmt: skip
     max_indentation_mm: float = setting(
         0.0, "Largest indentation", unit="mm", low=0.0, high=100.0, step=0.1,
-        help="what its answer 1 stands for; 0 = as the weights say, or else the sensor's own limit",
+        help="indentation of an output of 1; 0 = as the weights say, else the sensor's limit",
         source="Yang et al. 2024, metric head: a sigmoid times the largest depth",
     )  # fmt: skip
     output_kind: OutputKind = setting(
-        "as taught", "Answer", choices=OutputKind,
-        help="metric: a share of the largest indentation; relative: of no unit, brought to the physical estimate",
+        "as trained", "Output", choices=OutputKind,
+        help="metric: a share of the largest indentation; relative: without unit, fitted to the physical estimate",
         source="Yang et al. 2024, both heads; relative depth up to scale and shift: Ranftl et al. 2022",
     )  # fmt: skip
     crop_to_contact: bool = setting(
-        False, "Contact's box alone",
-        help="quicker by the share of the patches; not exact, as every patch looks at all others",
-        source="our own; attention over patches: Dosovitskiy et al. 2021",
+        False, "Crop to contact",
+        help="faster by the share of patches left out; approximate, since every patch attends to all others",
+        source="our choice; attention over patches: Dosovitskiy et al. 2021",
     )  # fmt: skip
 
 
 def select_weights(_source: SensorSpec, _target: SensorSpec, file: Path | None) -> Weights | NoWeights:
-    """The user's weights; none come along."""
-    return _NONE if file is None else weights_registry.load_file(file, read_weights)
+    """The user's weights; none are shipped."""
+    return _NOT_SHIPPED if file is None else weights_registry.load_file(file, read_weights)
 
 
 def estimate_depth(
@@ -69,36 +69,36 @@ def estimate_depth(
     params: DepthAnythingParams,
     progress: Progress,
 ) -> DepthMap | Skipped:
-    """Indentation, depth and contact of a frame as the network tells them, on the frame's own grid.
+    """Indentation, depth and contact of a frame as the network predicts them, on the frame's own pixels.
 
-    The membrane at rest comes from the physical reading, and so does the scale of an answer without a unit.
-    Raises what that reading does.
+    The membrane at rest comes from the physical estimate, and so does the scale of a relative output. Raises what the
+    physical estimate raises.
     """
     still = photometric.skip_without_contact(frame, source, calibration, photometric.DepthParams())
     if still is not None:
         return Skipped(output=still, reason=still.notes[0])
     physical = photometric.estimate_depth(frame, source, calibration, photometric.DepthParams(), progress)
-    progress.step(0.5, "asking the network")
-    assert frame.reference is not None  # the physical reading has it
-    picture = resize_to_patches(
+    progress.step(0.5, "running the network")
+    assert frame.reference is not None  # checked by the physical estimate
+    image = resize_to_patches(
         prepare_image(frame.image, frame.reference, network.image_content), params.shorter_side_px or network.side
     )
-    shape = (picture.shape[0] // PATCH_PX, picture.shape[1] // PATCH_PX)
-    window = _box(physical.contact, shape) if params.crop_to_contact else (0, 0, *shape)
-    sense = str(network.answer) if params.output_kind == "as taught" else params.output_kind
-    answer, touching = _asked(network, picture, window, physical.contact.shape, sense)
-    notes = [_told(window, shape)]
-    if sense == "metric":
+    shape = (image.shape[0] // PATCH_PX, image.shape[1] // PATCH_PX)
+    window = _compute_patch_window(physical.contact, shape) if params.crop_to_contact else (0, 0, *shape)
+    kind = str(network.answer) if params.output_kind == "as trained" else params.output_kind
+    output, contact_mask = _run_network(network, image, window, physical.contact.shape, kind)
+    notes = [_describe_window(window, shape)]
+    if kind == "metric":
         largest_mm = params.max_indentation_mm or network.largest_mm or source.limits.indentation_max_mm
-        indentation = largest_mm * answer
+        indentation = largest_mm * output
     else:
-        indentation = _scaled(answer, physical.indentation_mm, notes)
-    inside = _seen(window, shape, physical.contact.shape)
+        indentation = _fit_to_physical(output, physical.indentation_mm, notes)
+    inside = _mask_window(window, shape, physical.contact.shape)
     indentation = np.where(inside, indentation, 0.0).astype(np.float32)
     least = source.limits.contact_min_mm
-    contact = (indentation > least if touching is None else touching) & inside & np.isfinite(physical.depth_mm)
-    if touching is None:
-        notes.append(f"these weights tell no contact: it is where the indentation exceeds {least:g} mm")
+    contact = (indentation > least if contact_mask is None else contact_mask) & inside & np.isfinite(physical.depth_mm)
+    if contact_mask is None:
+        notes.append(f"these weights predict no contact: it is where the indentation exceeds {least:g} mm")
     rest = physical.depth_mm + physical.indentation_mm
     return replace(
         physical, indentation_mm=freeze(indentation), depth_mm=freeze((rest - indentation).astype(np.float32)),
@@ -106,68 +106,68 @@ def estimate_depth(
     )  # fmt: skip
 
 
-def _asked(
-    network: Any, picture: Floats, window: PatchWindow, shape: tuple[int, ...], sense: str
+def _run_network(
+    network: Any, image: Floats, window: PatchWindow, shape: tuple[int, ...], kind: str
 ) -> tuple[Floats, Mask | None]:
-    """The network's two answers brought back to the frame's own grid; outside the window they mean nothing."""
+    """The network's depth and contact on the frame's pixels; meaningless outside the window."""
     import torch
 
     top, left, rows, cols = window
-    part = picture[top * PATCH_PX : (top + rows) * PATCH_PX, left * PATCH_PX : (left + cols) * PATCH_PX]
-    whole = (top, left, picture.shape[0] // PATCH_PX, picture.shape[1] // PATCH_PX)
+    part = image[top * PATCH_PX : (top + rows) * PATCH_PX, left * PATCH_PX : (left + cols) * PATCH_PX]
+    whole = (top, left, image.shape[0] // PATCH_PX, image.shape[1] // PATCH_PX)
     with torch.inference_mode():
         shown = torch.from_numpy(np.ascontiguousarray(part.transpose(2, 0, 1)))[None]
-        answer, contact = network(shown, whole, sense)
+        output, contact = network(shown, whole, kind)
 
     def resample_to_frame(field: Any) -> Floats:
         import cv2
 
-        filled = np.zeros(picture.shape[:2], np.float32)
+        filled = np.zeros(image.shape[:2], np.float32)
         filled[top * PATCH_PX : (top + rows) * PATCH_PX, left * PATCH_PX : (left + cols) * PATCH_PX] = field[0].numpy()
         size = (shape[1], shape[0])
         return np.asarray(cv2.resize(filled, size, interpolation=cv2.INTER_LINEAR), np.float32)
 
-    return resample_to_frame(answer), None if contact is None else resample_to_frame(torch.sigmoid(contact)) > 0.5
+    return resample_to_frame(output), None if contact is None else resample_to_frame(torch.sigmoid(contact)) > 0.5
 
 
-def _box(contact: Mask, shape: tuple[int, int]) -> PatchWindow:
-    """The patches that hold the contact and some around it; all of them where there is none."""
+def _compute_patch_window(contact: Mask, shape: tuple[int, int]) -> PatchWindow:
+    """The patches of the contact with a margin; all of them where there is none."""
     rows, cols = np.nonzero(contact)
     if not rows.size:
         return (0, 0, *shape)
     ends: list[tuple[int, int]] = []
     for places, n_px, n in ((rows, contact.shape[0], shape[0]), (cols, contact.shape[1], shape[1])):
         first, last = (int(place) * n / n_px for place in (places.min(), places.max() + 1))
-        ends.append((max(0, math.floor(first) - _MARGIN), min(n, math.ceil(last) + _MARGIN)))
+        ends.append((max(0, math.floor(first) - _MARGIN_PATCHES), min(n, math.ceil(last) + _MARGIN_PATCHES)))
     (top, bottom), (left, right) = ends
     return top, left, bottom - top, right - left
 
 
-def _seen(window: PatchWindow, shape: tuple[int, int], size: tuple[int, ...]) -> Mask:
-    """The frame's pixels that lie in the window."""
+def _mask_window(window: PatchWindow, shape: tuple[int, int], size: tuple[int, ...]) -> Mask:
+    """Pixels (rows, cols) of the frame inside the window."""
     top, left, rows, cols = window
     row, col = (np.arange(n_px) * n // n_px for n_px, n in zip(size, shape, strict=True))
     return ((row >= top) & (row < top + rows))[:, None] & ((col >= left) & (col < left + cols))[None, :]
 
 
-def _scaled(answer: Floats, physical_mm: Floats, notes: list[str]) -> Floats:
-    """An answer without a unit, stretched and shifted to lie as near as it can to the physical estimate."""
+def _fit_to_physical(output: Floats, physical_mm: Floats, notes: list[str]) -> Floats:
+    """A relative output, scaled and shifted to the least-squares fit to the physical estimate."""
     known = np.isfinite(physical_mm)
-    stretch, shift = 0.0, 0.0
-    if known.any() and float(np.ptp(answer[known])) > 0:
-        stretch, shift = np.polyfit(answer[known].astype(np.float64), physical_mm[known].astype(np.float64), 1)
-    told = "the network's answer has no unit: it is brought to the physical estimate by a stretch and a shift"
-    notes.append(StageWarning(told))
-    if stretch <= 0:
-        told = "it runs against that estimate, so that nothing of it is left; give weights of a metric depth"
-        notes.append(StageWarning(told))
-        stretch, shift = 0.0, 0.0
-    return (stretch * answer + shift).astype(np.float32)
+    scale, shift = 0.0, 0.0
+    if known.any() and float(np.ptp(output[known])) > 0:
+        scale, shift = np.polyfit(output[known].astype(np.float64), physical_mm[known].astype(np.float64), 1)
+    text = "the output has no unit: it is fitted to the physical estimate, and its depths are only as good as that"
+    notes.append(StageWarning(text))
+    if scale <= 0:
+        text = "the output decreases where physics increases, so it is ignored; give weights that predict metric depth"
+        notes.append(StageWarning(text))
+        scale, shift = 0.0, 0.0
+    return (scale * output + shift).astype(np.float32)
 
 
-def _told(window: PatchWindow, shape: tuple[int, int]) -> str:
+def _describe_window(window: PatchWindow, shape: tuple[int, int]) -> str:
     rows, cols = (n * PATCH_PX for n in shape)
-    told = f"Depth Anything V2 saw {rows}x{cols} pixels, {window[2] * window[3]} patches"
+    text = f"Depth Anything V2 saw {rows}x{cols} pixels, {window[2] * window[3]} patches"
     if window[2:] != shape:
-        told += f" of {shape[0] * shape[1]}: the contact's box alone, which is not exactly what it would tell of all"
-    return told
+        text += f" of {shape[0] * shape[1]}: cropped to the contact, an approximation of the whole image"
+    return text

@@ -46,12 +46,12 @@ GelNetwork = Callable[
 ]  # channels (28, 120, 160) -> `GelDepthPrediction` without batch axis
 _SPECK_MM2 = 0.15  # smaller contacts are camera noise
 _CORRELATION_PX = 8.0  # correlation length of the network's errors: about the length over which it integrates
-# Weight of the network's log depth factor relative to physics, where it is larger and where it is smaller. Least squares
-# over 385 random presses on instances outside the training data give 1.0 to 2.0 and 0.5 to 0.65; over 141 touches of
-# six instances whose LEDs other frames of the recording constrain, 1.1 and 0.24.
+# Weight of the network's log depth factor relative to physics, where it is larger and where it is smaller. Least
+# squares over 385 random presses on instances outside the training data give 1.0 to 2.0 and 0.5 to 0.65; over 141
+# touches of six instances whose LEDs other frames of the recording constrain, 1.1 and 0.24.
 _WEIGHT_ABOVE, _WEIGHT_BELOW, _WEIGHT_BELOW_WITH_CONTEXT = 1.0, 0.6, 0.3
-# Median of the measured over the predicted error (log mean over 163 of those presses): the prediction is a mean, which a
-# few touches with large errors raise. `depth_error` states physics' error as a median, too.
+# Measured over predicted error (log mean over 163 of those presses): the prediction is a mean, which a few touches with
+# large errors raise. `depth_error` states physics' error as a median, too.
 _MEDIAN_ERROR_SHARE = 0.68
 
 
@@ -60,7 +60,7 @@ class NetworkParams(photometric.DepthParams):
     """Parameters of the photometric depth, and the contact threshold of the network."""
 
     smoothing_px: float = setting(
-        1.0, "Smoothing", unit="px", low=0.0, high=5.0, step=0.25, help="blur of the colour change before slopes are computed",
+        1.0, "Smoothing", unit="px", low=0.0, high=5.0, step=0.25, help="blur of the colour change",
         source="a Gaussian's standard deviation; its size is our choice", only="gel",
     )  # fmt: skip
     certainty: float = setting(
@@ -217,7 +217,7 @@ def _compute_depth_scale(
 
 
 def _build_error_model(error_px: Floats, cell_mm: float) -> DepthErrorModel | None:
-    """The error in contact from Laplace scales b there, each a standard deviation of sqrt(2) b; None without contact."""
+    """The error in contact from Laplace scales b there (standard deviation sqrt(2) b); None without contact."""
     if not error_px.size:
         return None
     rms = math.sqrt(2.0 * float(np.mean(np.square(error_px, dtype=np.float64)))) * cell_mm

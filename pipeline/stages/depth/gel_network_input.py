@@ -150,7 +150,7 @@ class NetworkInput:
 def prepare_input(
     image: Image, reference: Floats, physical_mm: Floats, touched: Mask, source: SensorSpec, light: DescribedLight
 ) -> NetworkInput:
-    """The network input of an image, its reference, photometric depth and contact, each (rows, cols, ...) of the sensor."""
+    """The input from an image, its reference, photometric depth and contact, each (rows, cols, ...) of the sensor."""
     grid = make_grid(source.camera.shape)
     small, small_reference = grid.resample_to_grid(image), grid.resample_to_grid(reference)
     return NetworkInput(

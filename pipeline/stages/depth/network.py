@@ -1,4 +1,4 @@
-"""Depth by network: which one reads a sensor, and where its weights come from."""
+"""Depth by network: selects the weights and the method for the kind of sensor."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _TASKS = {"gel": "gel_instances", "bubble": "bubble_depth"}  # kind of sensor ->
 
 
 def select_weights(source: SensorSpec, _target: SensorSpec, file: Path | None) -> Weights | NoWeights:
-    """The weights that read this source: one network for all gels, one for all bubbles."""
+    """The weights for this source: one network for all gels, one for all bubbles."""
     task = _TASKS.get(source.kind)
     if task is None:
         return NoWeights(why=f"no network estimates depth of sensors of kind {source.kind!r}")
@@ -34,7 +34,7 @@ def skip_without_contact(
     _weights: Weights | NoWeights,
     params: NetworkParams,
 ) -> DepthMap | None:
-    """The exact answer for a frame in which nothing touches; None when something may."""
+    """The exact depth of a frame without contact; None where something may touch."""
     return photometric.skip_without_contact(frame, source, calibration, params)
 
 
@@ -46,14 +46,14 @@ def estimate_depth(
     params: NetworkParams,
     progress: Progress = SILENT,
 ) -> DepthMap:
-    """Indentation, depth and contact of a frame as a network reads it; raises ShapeError for what is no frame.
+    """Indentation, depth and contact of a frame; raises ShapeError for an invalid frame.
 
-    `network` is what `building.ready` makes of the weights for this kind of sensor.
+    `network`: `network_factory.load_predictor` of the weights for this kind of sensor.
     """
     if source.kind == "gel":
         return gel_network.estimate_depth(frame, source, calibration, network, params, progress)
-    photometric.check_frame(frame, source)  # fewer pixels are no quicker here: a draft is the answer
+    photometric.check_frame(frame, source)  # a draft is the full result: fewer pixels are no faster here
     seen_by = source if frame.camera is None else source.with_camera(frame.camera)
     least_mm = params.contact_limit * source.limits.contact_min_mm
-    found = bubble_network.estimate_depth(frame, seen_by, network, certainty=params.certainty, least_mm=least_mm)
-    return replace(found, error=photometric.make_bubble_error(source))
+    depth = bubble_network.estimate_depth(frame, seen_by, network, certainty=params.certainty, least_mm=least_mm)
+    return replace(depth, error=photometric.make_bubble_error(source))

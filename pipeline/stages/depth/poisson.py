@@ -1,20 +1,20 @@
-"""From slopes back to a surface: the least-squares integral, solved exactly by cosine or sine transforms.
+"""Integration of slopes to a surface: the exact least-squares solution by cosine or sine transforms.
 
 Minimises the sum of |D z - g|^2 over the edges between neighbouring pixels, where the slope of an edge is the mean of
-its two pixels, g_{i+1/2} = (g_i + g_{i+1}) / 2. The normal equations are a five-point Poisson equation, which waves
-along an axis make diagonal, cosines at an end where nothing is known, sines at one that is held at zero:
+its two pixels, g_{i+1/2} = (g_i + g_{i+1}) / 2. The normal equations are a five-point Poisson equation, which is
+diagonal in waves along an axis: cosines at a free end, sines at an end that is held at zero:
 
     z^(k, l) = -div^(k, l) / (4 sin^2(pi k / 2W) + 4 sin^2(pi l / 2H)),
     k = 0..W-1 both ends free (DCT-II);  1..W both flat (DST-II);  1/2..W-1/2 one of each (DCT-IV, DST-IV).
 
-Waves are made along the axis whose length they are found quickly at; along the other, each wave has three terms a
-pixel, which are eliminated one after the other (Hockney 1965): as exact, and a third of the time of waves along both.
+The transform runs along the axis with the faster length; along the other, each wave is a tridiagonal system, solved by
+elimination (Hockney 1965): as exact, in a third of the time of transforms along both.
 
 Frankot & Chellappa 1988, Simchony et al. 1990. Two slips are common in public integrators and are avoided here:
 counting k from 1, which damps the long waves, and a divergence without the half of the central difference.
 
-Where slopes are known more surely at some pixels than at others, `nearest` asks for the surface that minimises
-sum (D z - g)' A (D z - g), of which no transform is known; a few such integrals lead to it.
+For slopes with different weights per pixel, `solve_weighted_slopes` minimises sum (D z - g)' A (D z - g) by conjugate
+gradients, with this integral as the preconditioner.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ Boundary = Literal["flat", "free"]
 EndConditions = tuple[Boundary, Boundary]
 Integrator = Callable[[Floats, Floats], Floats]  # slopes (gx, gy) in mm/mm to a surface in mm
 
-_WORKERS, _WORTH_WORKERS = 2, 2**18  # threads, and pixels of fewer of which they take longer to wake
-_NOTHING = 1e-20
-_SLOW = 8  # waves of so few lengths along a side that single precision loses some of its own on the other
-_QUICK = 13  # waves of lengths of no larger primes are quick to find
+_WORKERS, _PARALLEL_PIXELS = 2, 2**18  # threads, and the pixels above which they save time
+_ENERGY_MIN = 1e-20
+_DOUBLE_MODES = 8  # the longest waves, solved in double precision: single precision loses digits there
+_FAST_PRIME_MAX = 13  # lengths without larger prime factors have a fast transform
 
 
 class SideBoundaries(NamedTuple):
-    """What is known along each side of an image."""
+    """The boundary condition along each side of an image."""
 
     left: Boundary
     right: Boundary
@@ -53,9 +53,9 @@ class SideBoundaries(NamedTuple):
 def integrate_slopes(gx: Floats, gy: Floats, pixel_mm: float, boundary: Boundary | SideBoundaries = "free") -> Floats:
     """The surfaces z_mm (..., rows, cols) float32 whose slopes (mm/mm, x right, y down) are nearest to gx, gy.
 
-    "free" knows nothing at the border; "flat" holds it at zero along the outer edge of the border pixels; the four
-    sides may differ. Free on all of them, the surface has mean zero. Raises ShapeError for arrays that differ in shape,
-    are no images, or hold a value that is not finite, SettingProblem for another boundary.
+    "free": no condition at the border; "flat": zero along the outer edge of the border pixels; the four sides may
+    differ. Free on all sides, the surface has mean zero. Raises ShapeError for arrays of different shapes, that are no
+    images or not finite, SettingProblem for another boundary.
     """
     if gx.ndim < 2 or gx.shape != gy.shape or gx.size == 0:
         raise ShapeError(f"slopes must be two images of one shape (rows, cols), got {gx.shape} and {gy.shape}")
@@ -66,20 +66,24 @@ def integrate_slopes(gx: Floats, gy: Floats, pixel_mm: float, boundary: Boundary
         if side not in get_args(Boundary):
             raise SettingProblem(f"boundary must be one of {', '.join(get_args(Boundary))}, got {side!r}")
     *_, rows, cols = gx.shape
-    across = _is_quicker(cols, rows)
+    across = _is_fast_length(cols, rows)
     free = np.array([side == "free" for side in sides])
     out = np.empty((gx.size // (rows * cols), rows, cols), np.float32)
-    if not math.isfinite(compute_divergence(_kept(gx.reshape(out.shape)), _kept(gy.reshape(out.shape)), free, out)):
+    if not math.isfinite(
+        compute_divergence(
+            _make_kernel_input(gx.reshape(out.shape)), _make_kernel_input(gy.reshape(out.shape)), free, out
+        )
+    ):
         raise ShapeError("slopes hold values that are not finite; fill them before integrating")
     along_x: EndConditions = (sides.left, sides.right)
     along_y: EndConditions = (sides.top, sides.bottom)
     ends, others = (along_x, along_y) if across else (along_y, along_x)
-    wave = out if across else _turned(out)
-    wave = _waves(wave, ends, back=False)
-    per, slow = _pivots(wave.shape[1], wave.shape[2], ends, others)
+    wave = out if across else _transpose(out)
+    wave = _transform(wave, ends, back=False)
+    per, slow = _compute_pivots(wave.shape[1], wave.shape[2], ends, others)
     solve_tridiagonal(wave, per, np.float32(-pixel_mm), slow, np.empty(slow.shape))
-    wave = _waves(wave, ends, back=True)
-    return freeze((wave if across else _turned(wave)).reshape(gx.shape))
+    wave = _transform(wave, ends, back=True)
+    return freeze((wave if across else _transpose(wave)).reshape(gx.shape))
 
 
 def solve_weighted_slopes(
@@ -90,10 +94,10 @@ def solve_weighted_slopes(
     integrated: Integrator,
     steps: int,
 ) -> Floats:
-    """The surfaces (..., rows, cols) whose slopes come nearest to those `wanted`, as far as pixels are sure of them.
+    """The surfaces (..., rows, cols) whose slopes are nearest to `target_slopes` under per-pixel weights.
 
-    sure (rows, cols, 3): the weight of a pixel's two slopes, a matrix (xx, xy, yy). `steps` of conjugate gradients from
-    `surface_mm`, helped by `integrated`, the surfaces when all slopes count alike.
+    slope_weights (rows, cols, 3): a matrix (xx, xy, yy) for each pixel. `steps` of conjugate gradients from
+    `surface_mm`, preconditioned by `integrated`, the integral with equal weights.
     """
     from pipeline.stages.depth.poisson_kernels import (
         advance_solution,
@@ -109,11 +113,11 @@ def solve_weighted_slopes(
     )
 
     def compute_flat_slopes(surfaces: Floats) -> list[Floats]:
-        return [_kept(g.reshape(flat)) for g in compute_slopes(surfaces, pixel_mm)]
+        return [_make_kernel_input(g.reshape(flat)) for g in compute_slopes(surfaces, pixel_mm)]
 
     left = np.empty((2, *surface.shape), np.float32)
     compute_residual(
-        *compute_flat_slopes(surface_mm), *(_kept(g.reshape(flat)) for g in target_slopes), *weights, *left
+        *compute_flat_slopes(surface_mm), *(_make_kernel_input(g.reshape(flat)) for g in target_slopes), *weights, *left
     )
     way, along, energy = np.zeros_like(surface), np.zeros_like(left), np.zeros(len(surface))
     for _ in range(steps):
@@ -121,43 +125,45 @@ def solve_weighted_slopes(
         step = integrated(field[0], field[1])
         slope, new, stiff = compute_flat_slopes(step), np.empty_like(energy), np.empty_like(energy)
         compute_energy(*slope, *left, new)
-        update_direction(_kept(step.reshape(flat)), *slope, _share(new, energy), *weights, way, *along, stiff)
-        energy, far = new, _share(new, stiff)
+        update_direction(
+            _make_kernel_input(step.reshape(flat)), *slope, _divide(new, energy), *weights, way, *along, stiff
+        )
+        energy, far = new, _divide(new, stiff)
         if not far.any():
             break
         advance_solution(far, way, *along, *weights, surface, *left)
     return surface.reshape(surface_mm.shape)
 
 
-def _share(part: Doubles, whole: Doubles) -> Doubles:
-    """`part` of `whole`; 0 where there is nothing."""
-    return np.divide(part, whole, out=np.zeros_like(part), where=whole > _NOTHING)
+def _divide(part: Doubles, whole: Doubles) -> Doubles:
+    """`part` over `whole`; 0 where `whole` is."""
+    return np.divide(part, whole, out=np.zeros_like(part), where=whole > _ENERGY_MIN)
 
 
-def split_weights(sure: Floats) -> tuple[Floats, ...]:
-    """The three numbers (rows, cols) of the matrices `sure` (rows, cols, 3), each beside its own."""
+def split_weights(weights: Floats) -> tuple[Floats, ...]:
+    """The three components (rows, cols) of weights (rows, cols, 3), each contiguous."""
     import cv2
 
-    return tuple(_kept(np.asarray(one, np.float32)) for one in cv2.split(np.asarray(sure, np.float32)))
+    return tuple(_make_kernel_input(np.asarray(one, np.float32)) for one in cv2.split(np.asarray(weights, np.float32)))
 
 
-def _kept(images: Floats) -> Floats:
-    """As the kernels take it; read-only, as they are compiled anew for what can be written to."""
+def _make_kernel_input(images: Floats) -> Floats:
+    """Images as the kernels take them; read-only, since writable arrays would compile them again."""
     return freeze(np.ascontiguousarray(images, np.float32).view())
 
 
-def _waves(images: Floats, ends: EndConditions, *, back: bool) -> Floats:
-    """The orthonormal transform along the last axis whose waves fit both ends, or back from it."""
+def _transform(images: Floats, ends: EndConditions, *, back: bool) -> Floats:
+    """The orthonormal transform along the last axis for its two end conditions, or its inverse."""
     from scipy import fft
 
     first, last = ends
     kind = 2 if first == last else 4
     transforms = (fft.dct, fft.idct) if first == "free" else (fft.dst, fft.idst)
-    workers = _WORKERS if images.size > _WORTH_WORKERS else 1
+    workers = _WORKERS if images.size > _PARALLEL_PIXELS else 1
     return np.asarray(transforms[back](images, type=kind, norm="ortho", workers=workers), np.float32)
 
 
-def _turned(images: Floats) -> Floats:
+def _transpose(images: Floats) -> Floats:
     """The images (n, cols, rows) of (n, rows, cols)."""
     import cv2
 
@@ -168,12 +174,12 @@ def _turned(images: Floats) -> Floats:
 
 
 @lru_cache(maxsize=256)
-def _is_quicker(n: int, other: int) -> bool:
-    """Whether waves of `n` are found no more slowly than those of another length: by the largest prime in either."""
-    return _largest_prime(n) <= max(_largest_prime(other), _QUICK)
+def _is_fast_length(n: int, other: int) -> bool:
+    """Whether a transform of length `n` is no slower than one of another length, by their largest prime factors."""
+    return _compute_largest_prime(n) <= max(_compute_largest_prime(other), _FAST_PRIME_MAX)
 
 
-def _largest_prime(n: int) -> int:
+def _compute_largest_prime(n: int) -> int:
     largest, k = 1, 2
     while k * k <= n:
         while n % k == 0:
@@ -183,12 +189,12 @@ def _largest_prime(n: int) -> int:
 
 
 @memoise(8)
-def _pivots(rows: int, modes: int, ends: EndConditions, others: EndConditions) -> tuple[Floats, Doubles]:
-    """What `solved` needs of images (rows, modes) in waves that fit `ends`, and have `others` along their columns."""
+def _compute_pivots(rows: int, modes: int, ends: EndConditions, others: EndConditions) -> tuple[Floats, Doubles]:
+    """Inverse pivots for `solve_tridiagonal`: images (rows, modes) with `ends` along the rows, `others` across."""
     from pipeline.stages.depth.poisson_kernels import compute_pivots
 
     first = 0.5 if ends[0] != ends[1] else float(ends[0] == "flat")
     waves = 4.0 * np.sin((np.arange(modes) + first) * (math.pi / (2 * modes))) ** 2
-    out, slow = np.empty((rows, modes), np.float32), np.empty((rows, min(_SLOW, modes)))
+    out, slow = np.empty((rows, modes), np.float32), np.empty((rows, min(_DOUBLE_MODES, modes)))
     compute_pivots(waves, *(1.0 if end == "free" else 3.0 for end in others), np.zeros(modes), out, slow)
     return freeze(out), freeze(slow)

@@ -1,6 +1,6 @@
-"""Compiled parts of the integral of slopes, and of the surface nearest to slopes that are not all as sure (`poisson`).
+"""Compiled parts of the integration of slopes, equally or individually weighted (`poisson`).
 
-Images are (n, rows, cols), n at once.
+Images are (n, rows, cols): n at once.
 """
 # pyright: basic
 
@@ -11,11 +11,10 @@ from pipeline.base.cached_kernels import FAST, kernel
 
 @kernel(fastmath=FAST)
 def compute_divergence(gx, gy, free, out):
-    """Edge slopes in minus out; free (4,): whether nothing is known left, right, above and below.
+    """Write the negated divergence of slopes into `out`; free (4,): whether the left, right, top, bottom side is free.
 
-    A side that is held lies half a pixel outside: the edge to it has its pixel's own slope. The edge across a free
-    side is left out: this is the transpose of D applied to the slopes, negated. Returns 0, NaN for slopes that hold a
-    value that is not finite.
+    A held side lies half a pixel outside: the edge to it has its pixel's slope. A free side has no edge. This is the
+    negated transpose of D applied to the slopes. Returns 0, or NaN if a slope is not finite.
     """
     rows, cols = gx.shape[1:]
     nothing, half = np.float32(0.0), np.float32(0.5)
@@ -44,11 +43,11 @@ def compute_divergence(gx, gy, free, out):
 
 @kernel()
 def compute_pivots(waves, first, last, per, out, slow):
-    """Write one over the pivots (rows, modes) of a five-point operator whose rows are coupled, modes are not.
+    """Write the inverse pivots (rows, modes) of a five-point operator, tridiagonal along the rows, diagonal in modes.
 
-    waves (modes,): its eigenvalues along the other axis. first, last: the diagonal at the ends beside that, 1 at a
-    free one, 3 at one that is held. per (modes,): nothing, and written over. slow (rows, at most modes): the same of
-    the first modes. A pivot that is nothing, of the constant, is taken for endless.
+    waves (modes,): its eigenvalues along the other axis. first, last: the diagonal at the ends at both sides, 1 at a
+    free one, 3 at one that is held. per (modes,): zeros, scratch. slow (rows, at most modes): the same of
+    the first modes. A zero pivot (the constant mode) counts as infinite.
     """
     rows, modes = out.shape
     for r in range(rows):
@@ -68,8 +67,8 @@ def compute_pivots(waves, first, last, per, out, slow):
 def solve_tridiagonal(wave, per, scale, slow, line):
     """Solve in place for `wave` (n, rows, modes), times `scale`, with `per` and `slow` of `pivots`.
 
-    The modes of `slow`, which change slowly along the rows, are solved for in double precision; line, of the same
-    shape: written over. Where only differences of the first are known, its mean is nothing.
+    The modes of `slow`, the longest waves, are solved in double precision; line, of the same shape: scratch. If only
+    differences of the first mode are determined, its mean is zero.
     """
     (rows, few), modes, one = slow.shape, wave.shape[2], np.uint64(1)
     for m in range(wave.shape[0]):
@@ -109,7 +108,7 @@ def solve_tridiagonal(wave, per, scale, slow, line):
 
 @kernel(fastmath=FAST)
 def compute_residual(slope_x, slope_y, wanted_x, wanted_y, xx, xy, yy, left_x, left_y):
-    """Write what slopes lack of those wanted, times A."""
+    """Write the residual A (wanted - slopes)."""
     for m in range(slope_x.shape[0]):
         image = np.uint64(m)
         for i in range(slope_x.shape[1]):
@@ -121,7 +120,7 @@ def compute_residual(slope_x, slope_y, wanted_x, wanted_y, xx, xy, yy, left_x, l
 
 @kernel(fastmath=FAST)
 def compute_energy(slope_x, slope_y, left_x, left_y, energy):
-    """Write the sums (n,) of what is left times the slopes of a step."""
+    """Write the sums (n,) of the residual times the slopes of a step."""
     for m in range(slope_x.shape[0]):
         image, total = np.uint64(m), 0.0
         for i in range(slope_x.shape[1]):
@@ -132,7 +131,7 @@ def compute_energy(slope_x, slope_y, left_x, left_y, energy):
 
 @kernel(fastmath=FAST)
 def update_direction(step, slope_x, slope_y, on, xx, xy, yy, way, along_x, along_y, stiff):
-    """Turn the way, and its slopes along, to `step` plus `on` (n,) of what they were; write slopes' A slopes (n,)."""
+    """Set the direction, and its slopes, to `step` plus `on` (n,) times the old; write slopes' A slopes (n,)."""
     for m in range(step.shape[0]):
         image, total = np.uint64(m), 0.0
         share = np.float32(on[image])
@@ -148,7 +147,7 @@ def update_direction(step, slope_x, slope_y, on, xx, xy, yy, way, along_x, along
 
 @kernel(fastmath=FAST)
 def advance_solution(far, way, along_x, along_y, xx, xy, yy, surface, left_x, left_y):
-    """Go `far` (n,) on the way: the surfaces, and what is left."""
+    """Advance surfaces and residuals by `far` (n,) along the direction."""
     for m in range(way.shape[0]):
         image = np.uint64(m)
         share = np.float32(far[image])

@@ -1,14 +1,14 @@
-"""Where a pressed gel is at rest, and its surface brought to it.
+"""Levels a gel's surface: finds where it is at rest and brings it to zero there.
 
-Slopes that are a little wrong on one flank of a dent leave the gel beyond it too high or too low, and a level face has
-no slopes at all to tell it from the gel around. Mechanics tells: a nearly incompressible layer of thickness t falls to
-its rest within about t of what presses. So what is quiet, farther than that from any pressure, is in patches that are
-either at rest or the inside of a face, and a face is about as deep as the rim that encloses it. The surface z is
-brought to zero on the first, and as little bent as that asks:
+Slopes that are slightly wrong on one flank of a dent leave the gel behind it too high or too low, and a level face has
+no slopes that distinguish it from the gel around. Mechanics does: a nearly incompressible layer of thickness t returns
+to rest within about t of a load. So quiet patches, farther than that from any pressure, are either at rest or the
+inside of a face, and a face is about as deep as the rim that encloses it. The surface z is brought to zero on the
+former with the least bending:
 
     minimise  sum |grad (z' - z)|^2 + w z'^2,   w > 0 at rest;
 
-what is added is smooth, so that it is looked for on a coarse grid.
+the correction is smooth, so it is computed on a coarse grid.
 """
 
 from __future__ import annotations
@@ -23,95 +23,97 @@ from pipeline.base.ranks import median
 from pipeline.physics import gel as gel_mechanics
 from pipeline.sensors.spec import Gel
 
-_CELLS = 56  # of the coarse grid along the longer side
-_QUIET_FROM = 0.7  # thicknesses from what presses
-_FACE_SHARE = 0.7  # of the rim's depth: a patch that deep, which a rim encloses, is the inside of a face
-_OPEN_SHARE = 0.87  # the same for one that the picture's border cuts: slopes that are a little wrong lift it as well
-_FACE_RELIEF = 0.3  # of the whole relief, that a face's rim is deep at least
-_LOWEST = 2.0  # percentile of a surface that stands for its lowest part: a bulge, or what lies beside a face
-_AT_REST = 0.2  # of the whole relief: what is quiet and lies no farther apart is at rest as it is
-_LOW, _HIGH = 5.0, 95.0  # percentiles that it lies between: a patch counts by its size
-_HELD = 0.3  # weight w of a cell at rest beside one step of the surface between two cells
-_STEPS = 24
-_EXACT = 1e-3
+_CELLS = 56  # of the coarse grid, along the longer side
+_QUIET_DISTANCE = 0.7  # gel thicknesses from pressure
+_FACE_SHARE = 0.7  # of the rim's depth: an enclosed patch that deep is the inside of a face
+_CUT_FACE_SHARE = 0.87  # the same for a patch at the image border, which slightly wrong slopes lift as well
+_FACE_RELIEF_SHARE = 0.3  # of the whole relief: smallest depth of a face's rim
+_LOWEST_PERCENT = 2.0  # percentile that stands for the lowest part: a bulge, or the surroundings of a face
+_REST_SPREAD_SHARE = 0.2  # of the whole relief: quiet parts with less spread need no correction
+_LOW_PERCENT, _HIGH_PERCENT = 5.0, 95.0  # percentiles of that spread
+_REST_WEIGHT = 0.3  # weight w of a cell at rest, against one of a step between two cells
+_ITERATIONS = 24
+_TOLERANCE = 1e-3
 _CELL_TOUCHED = 0.5  # share of a cell
-_FEWEST_FAR = 0.02  # of the pixels, that tell a level
-_FAR_MM, _FAR_STEPS = 2e-3, 12  # how exact the far field is: micrometres of what is a tenth of a millimetre
+_FAR_SHARE_MIN = 0.02  # of the pixels: fewer far pixels give no level
+_FAR_TOLERANCE_MM, _FAR_ITERATIONS = 2e-3, 12  # of the far field, which is a tenth of a millimetre
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LevelledSurface:
-    """A surface whose rest is zero, and what it tells of the part of the image that no light told of."""
+    """A surface that is zero at rest, and the faces inside it that cause no colour change."""
 
     surface_mm: Floats  # (rows, cols)
-    face_interior: Mask  # (rows, cols) patches without pressure that belong to a face
+    face_interior: Mask  # (rows, cols) parts of faces without visible pressure
 
 
 def level_surface(surface_mm: Floats, pressed: Mask, pixel_mm: float, gel: Gel) -> LevelledSurface:
-    """The surface (rows, cols) with its rest at zero; `pressed` is where anything certainly presses."""
+    """The surface (rows, cols) with its rest at zero; `pressed`: where there certainly is pressure."""
     by = max(1, round(max(surface_mm.shape) / _CELLS))
     z, held = downsample(surface_mm, by), downsample(pressed.astype(np.float32), by) > 0
     inside = np.zeros(z.shape, np.bool_)
-    reach = _QUIET_FROM * gel.thickness_mm / (pixel_mm * by)
-    quiet, patches = _quiet(held, reach)
-    lowest, highest = (float(v) for v in np.percentile(z, (_LOWEST, 100.0 - _LOWEST)))
+    reach = _QUIET_DISTANCE * gel.thickness_mm / (pixel_mm * by)
+    quiet, patches = _find_quiet_patches(held, reach)
+    lowest, highest = (float(v) for v in np.percentile(z, (_LOWEST_PERCENT, 100.0 - _LOWEST_PERCENT)))
     rest, level = quiet.copy(), (lowest if held.any() else float(np.median(z)))
     if patches:
         levels = [float(np.median(z[patch])) for patch in patches]
         level = min(levels)
         if level - lowest > _FACE_SHARE * (highest - lowest):
-            level = lowest  # all that is quiet lies higher than what surrounds it
+            level = lowest  # all quiet patches are higher than their surroundings
         for patch, own in zip(patches, levels, strict=True):
-            deep = _rim(z, patch, reach) - level
-            share = _OPEN_SHARE if _is_cut(patch) else _FACE_SHARE
-            if deep > _FACE_RELIEF * (highest - lowest) and own - level > share * deep:
+            deep = _compute_rim_height(z, patch, reach) - level
+            share = _CUT_FACE_SHARE if _is_cut(patch) else _FACE_SHARE
+            if deep > _FACE_RELIEF_SHARE * (highest - lowest) and own - level > share * deep:
                 inside |= patch
         if not inside.any():
             level = min(levels)
-        if not inside.any() and _spread(z[quiet]) < _AT_REST * (highest - lowest):
+        if not inside.any() and _compute_spread(z[quiet]) < _REST_SPREAD_SHARE * (highest - lowest):
             return LevelledSurface(surface_mm=surface_mm, face_interior=np.zeros_like(pressed))
         rest &= ~inside
     z = z - np.float32(level)
-    added = _brought(z, rest)
+    added = _solve_correction(z, rest)
     shape = surface_mm.shape
-    settled_mm = surface_mm - np.float32(level) + upsample(added, shape)
+    levelled_mm = surface_mm - np.float32(level) + upsample(added, shape)
     return LevelledSurface(
-        surface_mm=settled_mm,
-        face_interior=_up_to_its_rim(settled_mm, upsample(inside.astype(np.float32), shape) > 0.5),
+        surface_mm=levelled_mm,
+        face_interior=_extend_to_rim(levelled_mm, upsample(inside.astype(np.float32), shape) > 0.5),
     )
 
 
 def compute_far_field(surface_mm: Floats, touched: Mask, pixel_mm: float, gel: Gel) -> Floats:
-    """How the layer lies (rows, cols) in mm around what presses, from mechanics alone: bulge and all.
+    """The layer's surface (rows, cols) in mm outside the contact, with its bulge, from mechanics alone.
 
-    The surface of least energy that passes through the touched part as it was measured, on a coarse grid.
+    The surface of least energy through the measured contact, on a coarse grid.
     """
     by = max(1, round(max(surface_mm.shape) / _CELLS))
     share = downsample(touched.astype(np.float32), by)
     depth = downsample(np.where(touched, surface_mm, np.float32(0.0)), by) / np.maximum(share, np.float32(1e-6))
     held = share > min(_CELL_TOUCHED, 0.5 * float(share.max()))
-    return upsample(_relaxed(np.asarray(depth, np.float32), held, pixel_mm * by, gel), surface_mm.shape)
+    return upsample(_relax(np.asarray(depth, np.float32), held, pixel_mm * by, gel), surface_mm.shape)
 
 
 def level_by_far_field(surface_mm: Floats, touched: Mask, far: Mask, pixel_mm: float, gel: Gel) -> Floats:
-    """The surface (rows, cols) whose `far` part lies as high as mechanics have it beside the contact.
+    """The surface (rows, cols) shifted so that its `far` part is as high as mechanics predicts.
 
-    What a nearly incompressible layer is pressed out of rises around the contact, so that what looks at rest is not:
-    slopes alone would measure the contact from the bulge. Where too little lies far away to tell, it stays as it is.
+    A nearly incompressible layer rises around a contact, so what looks at rest is not: slopes alone would measure the
+    contact from the bulge. Unchanged where too few pixels are far from the contact.
     """
-    if np.count_nonzero(far) <= _FEWEST_FAR * far.size:
+    if np.count_nonzero(far) <= _FAR_SHARE_MIN * far.size:
         return surface_mm
     beyond = compute_far_field(surface_mm, touched, pixel_mm, gel)
     return surface_mm + np.float32(median(beyond, far) - median(surface_mm, far))
 
 
-def _relaxed(depth_mm: Floats, held: Mask, cell_mm: float, gel: Gel) -> Floats:
-    found = gel_mechanics.relax_gel(gel, cell_mm, depth_mm, held, tolerance_mm=_FAR_MM, max_steps=_FAR_STEPS)
-    return found.indentation_mm
+def _relax(depth_mm: Floats, held: Mask, cell_mm: float, gel: Gel) -> Floats:
+    solution = gel_mechanics.relax_gel(
+        gel, cell_mm, depth_mm, held, tolerance_mm=_FAR_TOLERANCE_MM, max_steps=_FAR_ITERATIONS
+    )
+    return solution.indentation_mm
 
 
-def _up_to_its_rim(surface_mm: Floats, inside: Mask) -> Mask:
-    """The face that a patch of its inside belongs to: all around it that is about as deep."""
+def _extend_to_rim(surface_mm: Floats, inside: Mask) -> Mask:
+    """The face that a patch of its inside belongs to: everything connected to it that is about as deep."""
     import cv2
 
     if not inside.any():
@@ -124,7 +126,7 @@ def _up_to_its_rim(surface_mm: Floats, inside: Mask) -> Mask:
     return np.asarray(joined[labels], np.bool_)
 
 
-def _quiet(held: Mask, reach: float) -> tuple[Mask, list[Mask]]:
+def _find_quiet_patches(held: Mask, reach: float) -> tuple[Mask, list[Mask]]:
     """Cells farther than `reach` cells from any pressure, and their connected patches."""
     import cv2
 
@@ -136,18 +138,18 @@ def _quiet(held: Mask, reach: float) -> tuple[Mask, list[Mask]]:
     return quiet, [np.asarray(labels == k, np.bool_) for k in range(1, n)]
 
 
-def _spread(values: Floats) -> float:
-    low, high = np.percentile(values, (_LOW, _HIGH))
+def _compute_spread(values: Floats) -> float:
+    low, high = np.percentile(values, (_LOW_PERCENT, _HIGH_PERCENT))
     return float(high - low)
 
 
 def _is_cut(patch: Mask) -> bool:
-    """Whether the picture's border cuts a patch."""
+    """Whether a patch reaches the image border."""
     return bool(patch[0].any() or patch[-1].any() or patch[:, 0].any() or patch[:, -1].any())
 
 
-def _rim(z: Floats, patch: Mask, reach: float) -> float:
-    """How deep the ridge is, of what presses around a patch: the usual depth of the deepest cells near its end."""
+def _compute_rim_height(z: Floats, patch: Mask, reach: float) -> float:
+    """Depth of the rim around a patch: the median of the deepest cells near its outline."""
     import cv2
 
     width = 2 * math.ceil(2.0 * reach) + 1
@@ -156,13 +158,13 @@ def _rim(z: Floats, patch: Mask, reach: float) -> float:
     return float(np.median(np.asarray(cv2.dilate(z, disc))[patch & ~inner]))
 
 
-def _brought(z: Floats, rest: Mask) -> Floats:
-    """What to add to the coarse surface: conjugate gradients on (laplacian + w) d = -w z, helped by cosines."""
+def _solve_correction(z: Floats, rest: Mask) -> Floats:
+    """The correction d of the coarse surface: (laplacian + w) d = -w z by preconditioned conjugate gradients."""
     from scipy import fft
 
     if not rest.any():
         return np.zeros_like(z)
-    weight = _HELD * rest.astype(np.float64)
+    weight = _REST_WEIGHT * rest.astype(np.float64)
     rows, cols = z.shape
     ky, kx = (np.arange(n) * (math.pi / (2 * n)) for n in (rows, cols))
     symbol = 4.0 * np.sin(ky)[:, None] ** 2 + 4.0 * np.sin(kx)[None, :] ** 2
@@ -174,8 +176,8 @@ def _brought(z: Floats, rest: Mask) -> Floats:
     d: Doubles = np.zeros(z.shape)
     left = -weight * z.astype(np.float64)
     step, energy, first = np.zeros_like(d), 1.0, float(np.abs(left).max())
-    for k in range(_STEPS):
-        if float(np.abs(left).max()) <= _EXACT * first:
+    for k in range(_ITERATIONS):
+        if float(np.abs(left).max()) <= _TOLERANCE * first:
             break
         ready = apply_preconditioner(left)
         new = float((left * ready).sum())
@@ -187,7 +189,7 @@ def _brought(z: Floats, rest: Mask) -> Floats:
 
 
 def _laplacian(a: Doubles) -> Doubles:
-    """Of five points, mirrored at the border, positive."""
+    """The negated five-point Laplacian, mirrored at the border."""
     out = np.zeros_like(a)
     out[1:] += a[1:] - a[:-1]
     out[:-1] += a[:-1] - a[1:]
@@ -197,7 +199,7 @@ def _laplacian(a: Doubles) -> Doubles:
 
 
 def downsample(image: Floats, by: int) -> Floats:
-    """Means of an image (rows, cols) over cells of `by` x `by` pixels, about; the last of a row may be narrower."""
+    """Means of an image (rows, cols) over cells of about `by` x `by` pixels."""
     import cv2
 
     size = (-(-image.shape[1] // by), -(-image.shape[0] // by))
@@ -205,7 +207,7 @@ def downsample(image: Floats, by: int) -> Floats:
 
 
 def upsample(image: Floats, shape: tuple[int, ...]) -> Floats:
-    """An image of `coarse` at `shape` (rows, cols)."""
+    """A coarse image interpolated to `shape` (rows, cols)."""
     import cv2
 
     return np.asarray(cv2.resize(image, (shape[1], shape[0]), interpolation=cv2.INTER_LINEAR), np.float32)

@@ -1,4 +1,4 @@
-"""The slot *depth*: how far the source's membrane is pushed in."""
+"""The stage *depth*: indentation, depth and contact of the source sensor."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ PHYSICS = Method(
     stage="depth",
     name="physics",
     title="Physics",
-    help="colour look-up and integration for a gel, load on the membrane for a bubble",
+    help="photometric stereo and integration for a gel, load on the membrane for a bubble",
     run=skip_if_exact(photometric.skip_without_contact, photometric.estimate_depth_with_notes),
     params=photometric.DepthParams,
     reads=("frame", "source", "calibration"),
@@ -22,7 +22,7 @@ NETWORK = Method(
     stage="depth",
     name="network",
     title="Network",
-    help="a compact network, learned from simulated presses on other units; a gel's corrects physics",
+    help="a compact network trained on simulated touches; for a gel it corrects physics",
     run=skip_if_exact(
         network.skip_without_contact, fall_back_without_weights(network.estimate_depth, fallback=PHYSICS)
     ),
@@ -36,7 +36,7 @@ DEPTH_ANYTHING = Method(
     stage="depth",
     name="depth_anything",
     title="Depth Anything V2",
-    help="the paper's network, on weights that you give",
+    help="the paper's network, with weights that you give",
     run=fall_back_without_weights(depth_anything.estimate_depth, fallback=PHYSICS),
     params=depth_anything.DepthAnythingParams,
     reads=(*PHYSICS.reads, "depth_weights"),
@@ -44,7 +44,7 @@ DEPTH_ANYTHING = Method(
 )
 
 
-# Both kinds are read better by the network (`benchmarks/bubble_network.py`, `benchmarks/simulated_depth.py`).
+# The network comes first: its error is smaller (`benchmarks/simulated_depth.py`, `benchmarks/bubble_network.py`).
 STAGE = make_depth_stage(
     name="depth", title="Depth", legend="membrane", sensor_role="source", methods=(NETWORK, PHYSICS, DEPTH_ANYTHING)
 )

@@ -91,7 +91,7 @@ def test_presses_that_tell_nothing_leave_the_built_in_look_up(monkeypatch):
     assert found.uses_built_in
     assert found.is_built_in
     assert found.model is true
-    assert "did not surely better" in found.origin
+    assert "did not improve" in found.origin
 
 
 def test_a_sphere_seen_too_flat_is_said_to_be_too_large():
@@ -138,7 +138,7 @@ def test_places_far_from_presses_are_not_told_by_them():
                                 built_in=make_built_in(load_sensor("gelsight_mini")).model, seed=0)  # fmt: skip
     virtual = np.full((12, 30), 0.02)
     assert compute_coverage_map(virtual, known).all()
-    virtual[:, 3] = 5.0  # no ball is foreseen there
+    virtual[:, 3] = 5.0  # no ball is detected there
     assert np.flatnonzero(~compute_coverage_map(virtual, known).ravel()).tolist() == [3]
     assert not has_low_coverage(known)
     left = known.drop_presses({i for i, c in enumerate(everywhere) if c.x_px > 160})

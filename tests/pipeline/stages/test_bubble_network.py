@@ -182,7 +182,7 @@ def test_the_weights_that_come_along_see_no_contact_in_untouched_frames_of_a_rea
     lambda frame: estimate_depth(frame, SPEC, None, DepthParams()),
 ])  # fmt: skip
 def test_a_membrane_that_comes_out_where_it_was_is_doubted(read):
-    told = "farther out than untouched"
+    told = "farther out than the reference"
     assert not any(told in note for note in read(frame()).notes)
     touched_before = frame(rest=REST - np.float32(BALL), moved=-np.float32(BALL))
     assert any(told in note for note in select_warnings(read(touched_before).notes))

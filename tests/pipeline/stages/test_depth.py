@@ -8,6 +8,7 @@ import pytest
 from pipeline.base.errors import CalibrationError, ShapeError
 from pipeline.base.stage_warnings import AT_BORDER, select_warnings
 from pipeline.calibration.calibration_table import BallFit, make_built_in
+from pipeline.calibration.quality_notes import UNCALIBRATED
 from pipeline.geometry.camera import Camera
 from pipeline.geometry.membrane import make_flat_membrane
 from pipeline.physics import optics
@@ -204,8 +205,8 @@ def test_a_bubbles_gaps_are_filled_or_left_without_a_value():
     assert np.isnan(found.indentation_mm[125, 20])
     assert not found.contact[125, 20]
     assert abs(found.indentation_mm[20, 20]) < 2.0
-    assert any("no reading" in note for note in found.notes)
-    assert any("jumped" in note for note in found.notes)
+    assert any("not measured" in note for note in found.notes)
+    assert any("moved by more" in note for note in found.notes)
 
 
 def ring_on_a_bubble(seed):
@@ -336,7 +337,7 @@ def test_a_recorded_frame_says_first_what_its_look_up_is_worth():
     source, frame, _ = press("gelsight_mini")
     plain = estimate_depth(frame, source, None, PARAMS)
     found = estimate_depth_with_notes(frame, source, None, PARAMS)
-    assert found.notes[0].startswith("uncalibrated look-up")
+    assert found.notes[0].startswith(UNCALIBRATED)
     assert found.notes[1:] == plain.notes
     pressed = replace(
         make_built_in(source), presses=(BallFit(index=0, x_px=9, y_px=9, radius_px=9, residual=0, used=True),)

@@ -82,7 +82,7 @@ def test_a_share_becomes_an_indentation_on_the_frames_own_grid(opened, frame, ph
 def test_without_a_contact_head_the_limit_of_the_sensor_tells_and_the_note_says_so(opened, frame):
     found = asked(opened, frame, Told(lambda p: torch.linspace(0, 1, p.shape[-1]).expand(1, *p.shape[-2:])))
     assert np.array_equal(found.contact, found.indentation_mm > opened.source.limits.contact_min_mm)
-    assert any("tell no contact" in note for note in found.notes)
+    assert any("predict no contact" in note for note in found.notes)
 
 
 def test_an_answer_without_a_unit_is_brought_to_the_physical_estimate(opened, frame, physical):
@@ -101,7 +101,7 @@ def test_an_answer_without_a_unit_is_brought_to_the_physical_estimate(opened, fr
     against = asked(opened, frame, turned, output_kind="relative")
     assert turned.shown[0][2] == "relative"
     assert not against.indentation_mm.any()
-    assert any("runs against" in note for note in against.notes)
+    assert any("decreases" in note for note in against.notes)
 
 
 def test_in_its_box_only_the_patches_around_the_contact_are_asked(opened, frame, physical):
@@ -113,7 +113,7 @@ def test_in_its_box_only_the_patches_around_the_contact_are_asked(opened, frame,
     assert inside[physical.contact].all()
     assert not inside.all()
     assert np.array_equal(found.contact, inside)
-    assert "the contact's box alone, which is not exactly" in found.notes[0]
+    assert "cropped to the contact" in found.notes[0]
     assert (top, left) != (0, 0)
 
 
@@ -140,6 +140,6 @@ def test_a_users_file_is_read_and_another_is_told(opened, tmp_path):
             made.recording.close()
 
     assert first(tmp_path / "depth_anything_v2_vits.pth").startswith("Depth Anything V2 saw 42x28 pixels, 6 patches")
-    assert "does not come along; give its weights" in first(None)
+    assert "weights of Depth Anything V2 are shipped" in first(None)
     (tmp_path / "x.pth").write_bytes(b"nothing")
     assert first(tmp_path / "x.pth").endswith("physics is used instead")
