@@ -66,8 +66,8 @@ def calibrate_balls(
     """The calibration of `sensor` from images (rows, cols, 3) of presses of one ball.
 
     `pixel_mm` None: the sensor's. `read_slopes`: slopes of an image without calibration, the baseline to beat; None:
-    the built-in table is the baseline. Raises ShapeError for images of another size, CalibrationError if no image shows a
-    ball or its size is impossible.
+    the built-in table is the baseline. Raises ShapeError for images of another size, CalibrationError if no image
+    shows a ball or its size is impossible.
     """
     scale = sensor.pixel_mm if pixel_mm is None else pixel_mm
     ball_px = 0.5 * diameter_mm / scale if scale > 0 else math.nan

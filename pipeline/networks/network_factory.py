@@ -69,11 +69,16 @@ def release_networks(keep: Container[str] = ()) -> None:
     _predictors.keep_only(keep)
 
 
-def _load_predictor(weights: Weights) -> OnnxPredictor:
+def export_weights(weights: Weights) -> bytes:
+    """An ONNX file of weights of `ONNX_KINDS`; raises ModelMissing where they do not fit their network."""
     from pipeline.networks.onnx_export import export_onnx
 
+    return export_onnx(load_network(weights), int(weights.config["inputs"]))
+
+
+def _load_predictor(weights: Weights) -> OnnxPredictor:
     try:
-        return OnnxPredictor(weights.onnx or export_onnx(weights), fold=int(weights.config.get("fold", 2)))
+        return OnnxPredictor(weights.onnx or export_weights(weights), fold=int(weights.config.get("fold", 2)))
     except ValueError as error:
         raise ModelMissing(f"the weights {weights.name!r} cannot be run: {error}") from error
 

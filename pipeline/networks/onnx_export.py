@@ -6,24 +6,20 @@ import io
 import warnings
 from typing import Any
 
-from pipeline.networks.network_factory import load_network
-from pipeline.networks.weights import Weights
-
 _OPSET = 17  # ONNX operators that OpenCV 5 reads
 _EXAMPLE_SIZE = 96, 128  # (rows, cols) of the example that is traced where the exported file serves any size
 
 
-def export_onnx(weights: Weights) -> bytes:
-    """An ONNX file of the network with its weights; raises ModelMissing where they do not fit.
+def export_onnx(network: Any, n_channels: int) -> bytes:
+    """An ONNX file of a torch network whose input has `n_channels` channels.
 
-    The input is (1, inputs, rows, cols); rows and cols are those of the network's `onnx_size`, or multiples of its
+    The input is (1, n_channels, rows, cols); rows and cols are those of the network's `onnx_size`, or multiples of its
     `fold` where that is None.
     """
     import torch
 
-    network: Any = load_network(weights)
     size = network.onnx_size
-    image = torch.zeros(1, int(weights.config["inputs"]), *(size or _EXAMPLE_SIZE))
+    image = torch.zeros(1, n_channels, *(size or _EXAMPLE_SIZE))
     file: Any = io.BytesIO()  # torch takes one, its types do not say so
     with warnings.catch_warnings(), torch.no_grad():
         outputs = network(image)

@@ -8,8 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from pipeline.base.processor_name import describe_processor
-from pipeline.networks.network_factory import ONNX_KINDS
-from pipeline.networks.onnx_export import export_onnx
+from pipeline.networks.network_factory import ONNX_KINDS, export_weights
 from pipeline.networks.weights import Weights, save_weights
 from pipeline.training import state
 from pipeline.training.state import TrainingState
@@ -28,7 +27,7 @@ def make_weights(run: TrainingState, name: str) -> Weights:
     kind = str(recipe["network"].pop("kind"))
     tensors = {key: tensor.detach().float().cpu().numpy().copy() for key, tensor in run.averaged_tensors.items()}
     weights = Weights(name=name, kind=kind, config=recipe["network"], tensors=tensors, card=_card(run, recipe))
-    return replace(weights, onnx=export_onnx(weights)) if kind in ONNX_KINDS else weights
+    return replace(weights, onnx=export_weights(weights)) if kind in ONNX_KINDS else weights
 
 
 def _card(run: TrainingState, recipe: dict[str, object]) -> dict[str, str]:

@@ -234,10 +234,10 @@ def remove_specks(mask: Mask, min_pixels: int) -> Mask:
 
 
 def remove_weak_specks(mask: Mask, pressure: Floats, min_pixels: float, peak_share: float) -> Mask:
-    """The mask (rows, cols) without regions of fewer than `min_pixels` pixels that hardly press: specks of noise.
+    """The mask (rows, cols) without regions of fewer than `min_pixels` pixels and little pressure: specks of noise.
 
-    What presses by `peak_share` of the largest `pressure` (rows, cols) stays however small it is: of a light touch's
-    rim only pieces are seen.
+    A region that reaches `peak_share` of the largest `pressure` (rows, cols) stays however small it is: only pieces of
+    a light touch's rim are visible.
     """
     regions, n = _label_regions(mask)
     keep = np.bincount(regions.ravel(), minlength=n) >= min_pixels
@@ -249,11 +249,11 @@ def remove_weak_specks(mask: Mask, pressure: Floats, min_pixels: float, peak_sha
 def remove_border_artifacts(
     mask: Mask, indentation_mm: Floats, rows: slice, cols: slice, shape: tuple[int, int], narrow_px: float
 ) -> Mask:
-    """The mask without what the picture's border alone makes; it is the part `rows`, `cols` of a picture of `shape`.
+    """The mask without artifacts of the image border; it is the part `rows`, `cols` of an image of `shape`.
 
-    Small and shallow regions that a corner cuts: the corners of a gel slide under load. Strips along the border no
-    wider than `narrow_px`, beside a larger contact that the border does not cut: what lies beyond the border is not
-    known to be at rest, and light is least known there.
+    Artifacts are small, shallow regions in a corner (the corners of a gel slide under load), and strips along the border
+    no wider than `narrow_px`, if there is a larger contact away from the border: beyond the border nothing is known to
+    be at rest, and illumination is least known there.
     """
     import cv2
 

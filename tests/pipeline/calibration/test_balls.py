@@ -59,14 +59,14 @@ def sphere_diameter(indentation_mm, contact, pixel_mm):
     return 2 * abs(found.x[3]), np.sqrt(np.mean(found.fun**2))
 
 
-def test_centres_are_found_by_themselves(presses, look_up):
+def test_circles_are_detected_without_hints(presses, look_up):
     _, places, _ = presses
     off = [np.hypot(p.x_px - x, p.y_px - y) for p, (x, y) in zip(look_up.presses, places, strict=True) if p.used]
     assert len(off) >= len(places) - 1
     assert np.median(off) < CENTRE_TOLERANCE_PX
 
 
-def test_a_larger_ball_is_measured_with_the_look_up_of_a_smaller_one(presses, look_up):
+def test_a_larger_ball_is_measured_with_the_calibration_of_a_smaller_one(presses, look_up):
     source, _, _ = presses
     still = optics.render_reference(source)
     errors = []
@@ -100,8 +100,8 @@ def test_nothing_but_untouched_pictures_is_refused(presses):
         calibrate_balls([still], still, source, DIAMETER_MM)
 
 
-def test_no_pictures_are_refused(presses):
-    with pytest.raises(CalibrationError, match="no pictures"):
+def test_no_images_are_refused(presses):
+    with pytest.raises(CalibrationError, match="no images"):
         calibrate_balls([], optics.render_reference(presses[0]), presses[0], DIAMETER_MM)
 
 

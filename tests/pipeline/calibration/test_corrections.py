@@ -82,7 +82,7 @@ def test_diameters_that_are_right_by_luck_do_not_keep_slopes_that_are_wrong():
     assert choose_candidate(HeldOutErrors(slope_rms=slope, diameter_share=diameter)) == 1
 
 
-def test_presses_that_tell_nothing_leave_the_built_in_look_up(monkeypatch):
+def test_uninformative_presses_leave_the_built_in_table(monkeypatch):
     unit = load_sensor("gelsight_mini")
     still, true = optics.render_reference(unit), make_built_in(unit).model
     pictures = [press(unit, x, y, 6.31, i) for i, (x, y) in enumerate(PLACES[:2])]
@@ -129,7 +129,7 @@ def test_the_error_said_of_presses_that_change_nothing_is_the_middle_one_and_ste
     assert middles.std() < 0.85 * np.median(np.abs(errors), axis=1).std()
 
 
-def test_places_far_from_presses_are_not_told_by_them():
+def test_places_far_from_presses_are_not_covered():
     everywhere = [Circle(x_px=x, y_px=y, radius_px=20.0) for x in range(40, 320, 80) for y in range(40, 240, 80)]
     change = np.zeros((240, 320, 3), np.float32)
     pressed = tuple(BallPress(index=i, change=change, circle=c) for i, c in enumerate(everywhere))

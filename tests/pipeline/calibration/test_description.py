@@ -15,33 +15,33 @@ ERROR = ExpectedError(diameter_share=0.083, depth_share=0.071, n_held_out=4)
 
 
 @pytest.fixture
-def look_up():
+def table():
     return make_built_in(load_sensor("gelsight_mini"))
 
 
-def test_a_look_up_without_presses_is_called_uncalibrated_and_what_to_do_is_said(look_up):
-    note = quality_notes.describe_quality(look_up)
+def test_a_calibration_without_presses_is_called_uncalibrated_with_a_remedy(table):
+    note = quality_notes.describe_quality(table)
     assert note.startswith(UNCALIBRATED)
     assert "calibrate balls" in note
-    assert any("uncalibrated" in line for line in quality_notes.format_calibration(look_up))
+    assert any(UNCALIBRATED in line for line in quality_notes.format_calibration(table))
 
 
-def test_presses_that_look_like_a_ball_of_another_size_speak_against_the_size_that_was_given(look_up):
-    known = replace(look_up, presses=(PRESS,) * 4, expected_error=ERROR)
+def test_presses_that_look_like_another_size_give_a_warning(table):
+    known = replace(table, presses=(PRESS,) * 4, expected_error=ERROR)
     for ratio, odd in ((None, False), (0.7, False), (1.5, False), (2.0, True), (0.5, True)):
         told = replace(known, diameter_ratio=ratio)
         assert isinstance(quality_notes.describe_quality(told), StageWarning) is odd
         assert any("times the given diameter" in line for line in quality_notes.format_calibration(told)) is odd
 
 
-def test_a_look_up_that_presses_did_not_better_is_called_uncalibrated(look_up):
-    note = quality_notes.describe_quality(replace(look_up, presses=(PRESS,), uses_built_in=True, expected_error=ERROR))
+def test_a_table_that_presses_did_not_improve_is_called_uncalibrated(table):
+    note = quality_notes.describe_quality(replace(table, presses=(PRESS,), uses_built_in=True, expected_error=ERROR))
     assert note.startswith(UNCALIBRATED)
     assert "did not improve" in note
 
 
-def test_a_calibrated_look_up_says_what_error_to_expect_and_on_what_that_rests(look_up):
-    known = replace(look_up, presses=(PRESS,) * 4, expected_error=ERROR)
+def test_a_calibration_states_its_expected_error_and_the_basis(table):
+    known = replace(table, presses=(PRESS,) * 4, expected_error=ERROR)
     assert quality_notes.describe_quality(known) == "a ball's diameter within 8 %: calibrated by 4 presses of a ball"
     told = " ".join(quality_notes.format_calibration(known))
     assert "diameter 8 %" in told
@@ -49,6 +49,6 @@ def test_a_calibrated_look_up_says_what_error_to_expect_and_on_what_that_rests(l
     assert "4 held-out presses" in told
 
 
-def test_an_error_that_no_press_was_held_out_for_is_called_foreseen(look_up):
-    known = replace(look_up, presses=(PRESS,), expected_error=replace(ERROR, n_held_out=0))
+def test_an_error_without_held_out_presses_is_called_predicted(table):
+    known = replace(table, presses=(PRESS,), expected_error=replace(ERROR, n_held_out=0))
     assert "predicted" in quality_notes.describe_expected_error(known)

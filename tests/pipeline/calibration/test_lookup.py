@@ -36,7 +36,7 @@ def ball_slopes(shape, radius_px=60.0, contact_px=35.0):
 
 
 @pytest.mark.parametrize("name", ["gelslim_dotless", "digit", "gelsight_mini"])
-def test_the_built_in_look_up_inverts_the_forward_model(name):
+def test_the_built_in_table_inverts_the_forward_model(name):
     source = load_sensor(name)
     look_up = calibration.make_built_in(source)
     gx, gy, inside = ball_slopes(source.camera.shape)
@@ -62,7 +62,7 @@ def test_slopes_are_finite_and_bounded_for_any_picture(mini):
         assert np.hypot(gx, gy).max() <= mini.model.slope_max * (1 + 1e-5)
 
 
-def test_a_saved_look_up_comes_back_the_same(mini, tmp_path):
+def test_a_saved_calibration_is_loaded_unchanged(mini, tmp_path):
     press = calibration.BallFit(index=0, x_px=1.5, y_px=2.5, radius_px=20.0, residual=0.03, used=True)
     written = replace(mini, presses=(press,), diameter_ratio=1.25)
     calibration_file.save(written, tmp_path / "mini.npz")
@@ -72,12 +72,12 @@ def test_a_saved_look_up_comes_back_the_same(mini, tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["mini.npz"]
 
 
-def test_a_missing_look_up_is_told_in_a_sentence(tmp_path):
+def test_a_missing_file_is_one_sentence(tmp_path):
     with pytest.raises(FileProblem, match="No such file"):
         calibration_file.load(tmp_path / "none.npz")
 
 
-def test_a_damaged_look_up_is_told_in_a_sentence(mini, tmp_path):
+def test_a_damaged_file_is_one_sentence(mini, tmp_path):
     path = tmp_path / "mini.npz"
     calibration_file.save(mini, path)
     whole = path.read_bytes()
@@ -91,7 +91,7 @@ def test_a_damaged_look_up_is_told_in_a_sentence(mini, tmp_path):
     ("pixel_mm", np.nan), ("pixel_mm", 0.0), ("pixel_mm", -0.05), ("slope_max", np.inf), ("slope_max", 0.0),
     ("residual", np.nan),
 ])  # fmt: skip
-def test_numbers_that_no_look_up_has_are_refused(mini, tmp_path, field, value):
+def test_impossible_numbers_are_refused(mini, tmp_path, field, value):
     path = tmp_path / "mini.npz"
     calibration_file.save(mini, path)
     with np.load(path) as read:
@@ -101,7 +101,7 @@ def test_numbers_that_no_look_up_has_are_refused(mini, tmp_path, field, value):
         calibration_file.load(path)
 
 
-def test_a_look_up_that_lacks_a_field_names_it(tmp_path):
+def test_a_missing_field_is_named(tmp_path):
     np.savez(tmp_path / "half.npz", version=2)
     with pytest.raises(FileProblem, match="lacks 'colour_degree'"):
         calibration_file.load(tmp_path / "half.npz")
@@ -131,12 +131,12 @@ def test_a_picture_of_another_size_is_refused(mini):
         calibration.check_calibration(mini, "gelsight_mini", np.zeros((10, 10, 3), np.uint8))
 
 
-def test_a_look_up_of_another_sensor_is_refused(mini):
+def test_a_calibration_of_another_sensor_is_refused(mini):
     with pytest.raises(CalibrationError, match="made for 'gelsight_mini'"):
         calibration.check_calibration(mini, "digit", np.zeros((320, 240, 3), np.uint8))
 
 
-def test_a_bubble_has_no_look_up():
+def test_a_bubble_has_no_calibration_table():
     with pytest.raises(CalibrationError, match="no optics"):
         calibration.make_built_in(load_sensor("soft_bubble"))
 
@@ -155,14 +155,14 @@ def test_the_compiled_polynomial_equals_the_fitted_one():
     assert np.allclose(gy, expected[..., 1], atol=1e-5)
 
 
-def test_the_built_in_look_up_follows_the_rest_depth():
+def test_the_built_in_table_follows_the_rest_depth():
     near = load_sensor("digit")
     far = replace(near, rest_depth_mm=1.5 * near.rest_depth_mm)
     assert calibration.make_built_in(near).pixel_mm == near.pixel_mm
     assert calibration.make_built_in(far).pixel_mm == pytest.approx(1.5 * near.pixel_mm)
 
 
-def test_the_built_in_look_up_is_kept_for_the_next_process(tmp_path, monkeypatch):
+def test_the_built_in_table_is_cached_on_disk(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     source = replace(load_sensor("digit"), name="one that was never asked for")
     first = calibration.make_built_in(source)
@@ -173,7 +173,7 @@ def test_the_built_in_look_up_is_kept_for_the_next_process(tmp_path, monkeypatch
     assert replace(again, model=first.model) == first
 
 
-def test_the_expected_error_and_the_kept_look_up_come_back(mini, tmp_path):
+def test_the_optional_fields_are_loaded_unchanged(mini, tmp_path):
     expected = calibration.ExpectedError(diameter_share=0.08, depth_share=0.07, n_held_out=4)
     still = np.arange(4 * 5 * 3, dtype=np.uint8).reshape(4, 5, 3)
     told = np.eye(5, 6) > 0
@@ -195,7 +195,7 @@ def test_the_expected_error_and_the_kept_look_up_come_back(mini, tmp_path):
 
 
 @pytest.mark.parametrize("row", [[0.1, 0.1], [0.1, np.nan, 4.0], [-0.1, 0.1, 4.0]])
-def test_an_expected_error_that_is_none_is_refused(mini, tmp_path, row):
+def test_an_invalid_expected_error_is_refused(mini, tmp_path, row):
     path = tmp_path / "look_up.npz"
     calibration_file.save(mini, path)
     np.savez(path, **{**np.load(path), "expected_error": np.array(row)})
@@ -203,7 +203,7 @@ def test_an_expected_error_that_is_none_is_refused(mini, tmp_path, row):
         calibration_file.load(path)
 
 
-def test_an_untouched_picture_that_is_none_is_refused(mini, tmp_path):
+def test_an_invalid_thumbnail_is_refused(mini, tmp_path):
     path = tmp_path / "look_up.npz"
     calibration_file.save(mini, path)
     np.savez(path, **{**np.load(path), "reference_thumbnail": np.zeros((4, 5), np.float32)})
@@ -218,7 +218,7 @@ def test_an_untouched_picture_that_is_none_is_refused(mini, tmp_path):
         ("median_pressure_share", [7.0]),
     ],
 )
-def test_what_presses_tell_is_read_whole_or_refused(mini, tmp_path, field, value):
+def test_invalid_optional_fields_are_refused(mini, tmp_path, field, value):
     path = tmp_path / "look_up.npz"
     calibration_file.save(mini, path)
     np.savez(path, **{**np.load(path), field: np.array(value)})
@@ -226,7 +226,7 @@ def test_what_presses_tell_is_read_whole_or_refused(mini, tmp_path, field, value
         calibration_file.load(path)
 
 
-def test_a_touch_is_told_where_presses_tell_most_of_it(mini):
+def test_a_touch_is_covered_where_presses_cover_most_of_it(mini):
     left = replace(mini, coverage_map=np.array([[True, False]]))
     touch = np.ones((20, 20), np.bool_)
     assert mini.covers(touch, (0, mini.cols - 20))

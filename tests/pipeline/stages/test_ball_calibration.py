@@ -48,7 +48,7 @@ def another_unit():
     return unit, presses(unit)
 
 
-def test_presses_are_asked_beside_what_the_stage_reads_not_beside_the_look_up_alone(another_unit):
+def test_the_baseline_of_presses_is_the_depth_stage_and_not_the_built_in_table_alone(another_unit):
     unit, pictures = another_unit
     still, told = optics.render_reference(unit), load_sensor("gelsight_mini")
     flat = np.zeros(still.shape[:2], np.float32)
@@ -62,7 +62,7 @@ def test_presses_are_asked_beside_what_the_stage_reads_not_beside_the_look_up_al
     assert calibrate_balls(pictures, still, told, DIAMETER_MM, read_slopes=exact).uses_built_in
 
 
-def test_presses_in_one_corner_do_not_speak_for_the_picture(another_unit):
+def test_presses_in_one_corner_keep_the_built_in_table(another_unit):
     unit, _ = another_unit
     still, flat = optics.render_reference(unit), np.zeros(unit.camera.shape, np.float32)
     corner = [
@@ -73,7 +73,7 @@ def test_presses_in_one_corner_do_not_speak_for_the_picture(another_unit):
         corner, still, load_sensor("gelsight_mini"), DIAMETER_MM, read_slopes=lambda _: (flat, flat)
     )
     assert found.uses_built_in
-    assert "press elsewhere" in found.origin
+    assert "press in more places" in found.origin
 
 
 def test_pixels_of_another_width_are_compared_in_that_width():
@@ -95,7 +95,7 @@ def of_presses(coverage_map=None):
     return replace(make_built_in(load_sensor("gelsight_mini")), presses=fits, coverage_map=coverage_map)
 
 
-def test_a_touch_where_no_press_tells_the_light_is_read_without():
+def test_a_touch_that_no_press_covers_is_estimated_without_calibration():
     told = load_sensor("gelsight_mini")
     picture, still = presses(told)[0], optics.render_reference(told)  # to the left
     frame = TactileFrame(sensor=told.name, image=picture, reference=still)
@@ -111,7 +111,7 @@ def test_a_touch_where_no_press_tells_the_light_is_read_without():
 
 
 @pytest.mark.parametrize(("too_wide", "share"), [(1.0, None), (1.2, 0.6), (3.0, 0.75)])
-def test_contacts_that_come_out_wider_than_their_circles_end_at_more_pressure(monkeypatch, too_wide, share):
+def test_contacts_wider_than_their_circles_get_a_higher_pressure_limit(monkeypatch, too_wide, share):
     told, shape = load_sensor("gelsight_mini"), (240, 320)
 
     def read(frame, _source, look_up, _params):  # contacts narrow down as the share grows
@@ -125,7 +125,7 @@ def test_contacts_that_come_out_wider_than_their_circles_end_at_more_pressure(mo
     assert fit_contact_limit(of_presses(), pictures, pictures[0], told).median_pressure_share == share
 
 
-def test_a_larger_share_of_the_usual_pressure_ends_a_contact_sooner():
+def test_a_larger_share_of_the_median_pressure_shrinks_a_contact():
     told = load_sensor("gelsight_mini")
     frame = TactileFrame(sensor=told.name, image=presses(told)[0], reference=optics.render_reference(told))
     usual, more = (

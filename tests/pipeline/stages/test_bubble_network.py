@@ -49,7 +49,7 @@ def frame(rest=REST, moved=BALL):
     return TactileFrame(sensor="soft_bubble", image=(rest - moved).astype(np.float32), reference=rest)
 
 
-def test_the_network_is_shown_the_parts_of_the_move_and_its_answer_is_taken_in_millimetres():
+def test_the_network_gets_the_channels_and_its_output_is_in_millimetres():
     network = Says()
     found = bubble_network.estimate_depth(frame(), SPEC, network, least_mm=0.7)
     assert network.pictures[0].shape == (N_CHANNELS, 140, 175)
@@ -59,7 +59,7 @@ def test_the_network_is_shown_the_parts_of_the_move_and_its_answer_is_taken_in_m
     assert np.nanmax(found.expected_error_mm) == pytest.approx(np.exp(-2.0))
 
 
-def test_the_object_is_told_beside_the_contact_behind_the_membrane():
+def test_the_object_is_predicted_behind_the_membrane_around_the_contact():
     found = bubble_network.estimate_depth(frame(), SPEC, Says(), least_mm=0.7)
     beside = np.isfinite(found.object_depth_mm) & ~found.contact
     assert np.isfinite(found.object_depth_mm[found.contact]).all()
@@ -68,14 +68,14 @@ def test_the_object_is_told_beside_the_contact_behind_the_membrane():
     assert np.abs(behind - 0.3).max() < 1e-3
 
 
-def test_without_contact_no_object_is_told():
+def test_without_contact_no_object_is_predicted():
     found = bubble_network.estimate_depth(frame(moved=0.0 * BALL), SPEC, Says(), least_mm=0.7)
     assert not found.contact.any()
     assert np.isnan(found.object_depth_mm).all()
     assert "nothing touches the sensor" in found.notes
 
 
-def test_a_finer_camera_is_read_at_the_pixels_that_the_network_knows_and_answered_at_its_own():
+def test_a_finer_camera_is_resampled_to_the_working_pixels_and_back():
     fine = SPEC.with_camera(SPEC.camera.scale(2.0))
     rest = fine.rest_depth_mm.astype(np.float32)
     moved = np.kron(BALL, np.ones((2, 2)))
@@ -84,7 +84,7 @@ def test_a_finer_camera_is_read_at_the_pixels_that_the_network_knows_and_answere
     assert found.contact.sum() == pytest.approx(4 * np.pi * 64, rel=0.05)
 
 
-def test_the_noise_of_the_untouched_reading_is_no_part_of_the_surface():
+def test_the_rest_surface_has_no_noise_of_the_reference():
     noisy = np.array(bubble_camera.simulate_depth_frame(SPEC, SPEC.rest_depth_mm, 3))
     calm = estimate_rest_surface(noisy, np.ones(noisy.shape, bool), SPEC.pixel_mm)
     assert np.std(noisy - REST) > 0.3
@@ -94,7 +94,7 @@ def test_the_noise_of_the_untouched_reading_is_no_part_of_the_surface():
     assert bias[15:-15, 15:-15].max() < 0.005
 
 
-def test_pixels_without_a_reading_are_shown_as_such_and_have_no_value_far_from_any():
+def test_unmeasured_pixels_are_marked_and_large_gaps_have_no_value():
     image = (REST - BALL).astype(np.float32)
     image[20:60, 20:60] = np.nan
     network = Says()
@@ -105,7 +105,7 @@ def test_pixels_without_a_reading_are_shown_as_such_and_have_no_value_far_from_a
     assert np.isfinite(found.depth_mm[100, 100])
 
 
-def test_what_is_noise_in_the_reference_stands_in_two_channels_with_opposite_signs():
+def test_noise_of_the_reference_is_in_two_channels_with_opposite_signs():
     """A network can only take it out if it is there twice."""
     noisy = np.array(bubble_camera.simulate_depth_frame(SPEC, SPEC.rest_depth_mm, 3))
     seen = np.ones(noisy.shape, bool)
@@ -116,7 +116,7 @@ def test_what_is_noise_in_the_reference_stands_in_two_channels_with_opposite_sig
     assert np.std(rough_mm - (noisy - REST)[inner]) < 0.35 * np.std((noisy - REST)[inner])
 
 
-def test_physics_too_leaves_the_noise_of_the_untouched_reading_out_of_the_surface():
+def test_physics_removes_the_noise_of_the_reference_as_well():
     noisy = np.array(bubble_camera.simulate_depth_frame(SPEC, SPEC.rest_depth_mm, 3))
     pressed = TactileFrame(sensor="soft_bubble", image=(REST - BALL).astype(np.float32), reference=noisy)
     found = estimate_depth(pressed, SPEC, None, DepthParams())
@@ -133,7 +133,7 @@ def shipped():
     return network_factory.load_predictor(weights)
 
 
-def test_the_weights_that_come_along_read_a_tool_they_have_never_seen_better_than_physics(shipped):
+def test_shipped_weights_are_nearer_than_physics_on_an_unseen_object(shipped):
     """A marble on another unit, both readings with their noise; errors of the surface that the object has."""
     unit = vary_sensor(SPEC, 5)
     closer = replace(unit, alignment_from_sensor=rigid.translation(0, 0, 9.0) @ unit.alignment_from_sensor)
@@ -152,7 +152,7 @@ def test_the_weights_that_come_along_read_a_tool_they_have_never_seen_better_tha
     assert np.nanmean(found.expected_error_mm[truth.contact]) < 0.3
 
 
-def test_the_weights_that_come_along_see_no_contact_in_drift_and_noise(shipped):
+def test_shipped_weights_find_no_contact_in_drift_and_noise(shipped):
     rng = np.random.default_rng(4)
     noisy = np.array(bubble_camera.simulate_depth_frame(SPEC, SPEC.rest_depth_mm, 1))
     for k in range(4):
@@ -163,7 +163,7 @@ def test_the_weights_that_come_along_see_no_contact_in_drift_and_noise(shipped):
 
 
 @pytest.mark.real_data
-def test_the_weights_that_come_along_see_no_contact_in_untouched_frames_of_a_real_bubble_and_some_in_touched(shipped):
+def test_shipped_weights_tell_untouched_from_touched_frames_of_a_real_bubble(shipped):
     path = Path(os.environ.get("TACTILE_DATA", "../shared/data")) / "punyo_bubble" / "depth_sequence.npz"
     if not path.exists():
         pytest.skip(f"no {path}")
@@ -181,7 +181,7 @@ def test_the_weights_that_come_along_see_no_contact_in_untouched_frames_of_a_rea
     lambda frame: bubble_network.estimate_depth(frame, SPEC, Says(), least_mm=0.7),
     lambda frame: estimate_depth(frame, SPEC, None, DepthParams()),
 ])  # fmt: skip
-def test_a_membrane_that_comes_out_where_it_was_is_doubted(read):
+def test_an_outward_bulge_gives_a_warning(read):
     told = "farther out than the reference"
     assert not any(told in note for note in read(frame()).notes)
     touched_before = frame(rest=REST - np.float32(BALL), moved=-np.float32(BALL))

@@ -59,7 +59,7 @@ def half(picture):
     return torch.full((1, *picture.shape[-2:]), 0.5)
 
 
-def test_a_share_becomes_an_indentation_on_the_frames_own_grid(opened, frame, physical):
+def test_a_metric_output_becomes_an_indentation_on_the_frames_pixels(opened, frame, physical):
     network = Told(half, contact=lambda picture: half(picture) - 0.25)
     found = asked(opened, frame, network)
     assert found.indentation_mm.shape == frame.image.shape[:2]
@@ -79,13 +79,13 @@ def test_a_share_becomes_an_indentation_on_the_frames_own_grid(opened, frame, ph
     assert min(network.shown[-1][0][2:]) == 84
 
 
-def test_without_a_contact_head_the_limit_of_the_sensor_tells_and_the_note_says_so(opened, frame):
+def test_without_a_contact_head_the_sensors_limit_defines_contact(opened, frame):
     found = asked(opened, frame, Told(lambda p: torch.linspace(0, 1, p.shape[-1]).expand(1, *p.shape[-2:])))
     assert np.array_equal(found.contact, found.indentation_mm > opened.source.limits.contact_min_mm)
     assert any("predict no contact" in note for note in found.notes)
 
 
-def test_an_answer_without_a_unit_is_brought_to_the_physical_estimate(opened, frame, physical):
+def test_a_relative_output_is_fitted_to_the_physical_estimate(opened, frame, physical):
     small = torch.nn.functional.interpolate(torch.from_numpy(physical.indentation_mm.copy())[None, None], (70, 56))[0]
 
     def told(picture, sign=1.0):
@@ -104,7 +104,7 @@ def test_an_answer_without_a_unit_is_brought_to_the_physical_estimate(opened, fr
     assert any("decreases" in note for note in against.notes)
 
 
-def test_in_its_box_only_the_patches_around_the_contact_are_asked(opened, frame, physical):
+def test_a_crop_runs_the_patches_around_the_contact_only(opened, frame, physical):
     network = Told(half, contact=half)
     found = asked(opened, frame, network, crop_to_contact=True, shorter_side_px=168)
     shape, (top, left, rows, cols), _ = network.shown[0]
@@ -117,14 +117,14 @@ def test_in_its_box_only_the_patches_around_the_contact_are_asked(opened, frame,
     assert (top, left) != (0, 0)
 
 
-def test_nothing_is_asked_of_an_untouched_frame(opened, frame):
+def test_an_untouched_frame_is_skipped(opened, frame):
     network = Told(half)
     still = asked(opened, replace(frame, image=frame.reference), network)
     assert isinstance(still, Skipped)
     assert not network.shown
 
 
-def test_a_users_file_is_read_and_another_is_told(opened, tmp_path):
+def test_a_users_file_is_loaded_and_a_foreign_one_gives_the_reason(opened, tmp_path):
     torch.manual_seed(0)
     net = DepthAnything(encoder="vits", contact=False)
     torch.save(net.half().state_dict(), tmp_path / "depth_anything_v2_vits.pth")

@@ -49,7 +49,7 @@ def test_a_picture_that_only_drifted_is_untouched(name, how):
     assert not found.indentation_mm.any()
 
 
-def test_what_was_taken_out_is_told():
+def test_removed_drift_is_noted():
     source = load_sensor("gelslim")
     image = drifted(optics.render_reference(source), gain=1.08, shift_px=(2.0, 0.0))
     told = " ".join(skip_without_contact(frame(source, image), source, None, PARAMS).notes)

@@ -19,7 +19,7 @@ def bump(rows, cols, row, col, width):
 
 
 @pytest.mark.parametrize("shape", [(240, 320), (320, 240), (320, 427), (68, 90), (1280, 1708), (128, 128), (100, 400)])
-def test_a_field_comes_back_where_it_was(shape):
+def test_resampling_to_the_grid_and_back_keeps_positions(shape):
     at = gel_network_input.make_grid(shape)
     rows, cols = shape
     there = bump(rows, cols, 0.4 * rows, 0.6 * cols, 0.2 * min(shape))
@@ -55,7 +55,7 @@ def test_the_described_light_gives_the_slopes_of_a_shallow_dent(name):
         assert float(np.corrcoef(slope.ravel(), true.ravel())[0, 1]) > 0.95
 
 
-def test_steep_slopes_are_told_better_than_a_linear_light_would():
+def test_steep_slopes_are_more_accurate_than_with_a_linear_light():
     mini = load_sensor("gelsight_mini")
     source = replace(mini, optics=replace(mini.optics, blur_px=0.0))
     height = 1.4 * bump(240, 320, 120, 160, 45)
@@ -67,7 +67,7 @@ def test_steep_slopes_are_told_better_than_a_linear_light_would():
 
 
 @pytest.mark.parametrize("name", ["gelsight_mini", "digit"])
-def test_the_physical_answer_is_among_the_fields_with_its_slopes(name):
+def test_the_physical_surface_and_its_slopes_are_channels(name):
     source = load_sensor(name)
     rows, cols = source.camera.shape
     height = bump(rows, cols, 0.4 * rows, 0.6 * cols, 0.2 * rows)
@@ -83,14 +83,14 @@ def test_the_physical_answer_is_among_the_fields_with_its_slopes(name):
     assert fields[gel_network_input.CONTACT_CHANNEL].mean() == pytest.approx((height > 0.1).mean(), abs=0.01)
 
 
-def test_a_portrait_sensor_lies_on_its_side_with_its_light():
+def test_a_portrait_sensor_is_transposed_with_its_light():
     digit = load_sensor("digit").optics
     turned = gel_network_input._swap_axes(digit)
     assert gel_network_input._swap_axes(turned) == digit
     assert [led.azimuth_deg for led in turned.leds] == [(90 - led.azimuth_deg) % 360 for led in digit.leds]
 
 
-def test_nothing_depends_on_a_unit_of_length():
+def test_the_channels_are_free_of_units_of_length():
     """A sensor twice as large in every way gives the same fields."""
     mini = load_sensor("gelsight_mini")
     c = mini.camera
@@ -105,7 +105,7 @@ def test_nothing_depends_on_a_unit_of_length():
     np.testing.assert_allclose(found[0], found[1], atol=0.08)  # two grey levels
 
 
-def test_a_touch_twice_as_deep_in_half_the_light_looks_alike_but_for_how_steep_it_is():
+def test_a_touch_twice_as_deep_in_half_the_light_differs_in_the_log_depth_only():
     rng, height = np.random.default_rng(1), bump(120, 160, 60, 80, 25)
     change, slopes = rng.normal(0, 1, (120, 160, 3)) * height[..., None], rng.normal(0, 1, (2, 120, 160)) * height
     found = []
@@ -122,7 +122,7 @@ def test_a_touch_twice_as_deep_in_half_the_light_looks_alike_but_for_how_steep_i
     np.testing.assert_allclose(np.delete(found[0], steep, 0), np.delete(found[1], steep, 0), atol=1e-4)
 
 
-def test_drift_that_took_all_light_away_leaves_numbers():
+def test_a_dark_reference_gives_finite_channels():
     source = load_sensor("gelsight_mini")
     still = optics.render_reference(source)
     assert np.isfinite(gel_network_input.compute_channels(seen(source, still, still - 300.0))).all()
