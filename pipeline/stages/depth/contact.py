@@ -251,9 +251,9 @@ def remove_border_artifacts(
 ) -> Mask:
     """The mask without artifacts of the image border; it is the part `rows`, `cols` of an image of `shape`.
 
-    Artifacts are small, shallow regions in a corner (the corners of a gel slide under load), and strips along the border
-    no wider than `narrow_px`, if there is a larger contact away from the border: beyond the border nothing is known to
-    be at rest, and illumination is least known there.
+    Artifacts are small, shallow regions in a corner (the corners of a gel slide under load), and strips along the
+    border no wider than `narrow_px`, if there is a larger contact away from the border: beyond the border nothing is
+    known to be at rest, and illumination is least known there.
     """
     import cv2
 
