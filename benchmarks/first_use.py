@@ -55,8 +55,8 @@ event.register("numba:compile", compiled)
 """
 PREPARE = """
 import json, sys, time
-from pipeline.cli.prepare import compile_kernels
-compile_kernels()
+from pipeline.cli.prepare import prepare
+prepare()
 """
 CHAIN = """
 import json, sys, time

@@ -57,15 +57,15 @@ def main(files: list[str]) -> str:
         told = json.loads(Path(file).read_text("utf-8"))
         rows = tables.setdefault(told["split"], {})
         for row in told["rows"]:
-            own = row["contender"] in ("recorded", "untouched", "mean")
-            key = "" if own else row["source"], row["target"], row["contender"]
+            own = row["candidate"] in ("recorded", "no_contact", "mean")
+            key = "" if own else row["source"], row["target"], row["candidate"]
             before = rows.get(key, {})
             rows[key] = {
-                **row, "poses": {**before.get("poses", {}), **row["poses"]}, "sets": row["sets"] or before.get("sets")
+                **row, "pose_errors": {**before.get("pose_errors", {}), **row["pose_errors"]}, "set_distances": row["set_distances"] or before.get("set_distances")
             }  # fmt: skip
     parts = [HEAD]
     for split, rows in tables.items():
-        touches = max(row["touches"] for row in rows.values())
+        touches = max(row["n_touches"] for row in rows.values())
         parts.append(f"\n## {split.replace('_', ' ').capitalize()}: {touches} touches a transfer\n")
         parts += ["| " + " | ".join(COLUMNS) + " |", "|" + " --- |" * len(COLUMNS)]
         ordered = sorted(rows.items(), key=lambda item: (item[0][1] != "soft_bubble", item[0][0] != "", item[0][0]))
@@ -74,7 +74,7 @@ def main(files: list[str]) -> str:
 
 
 def _cells(source: str, target: str, contender: str, row: Mapping[str, Any]) -> list[str]:
-    figures, paper = row["figures"], row["paper"] or {}
+    figures, paper = row["metrics"], row["paper"] or {}
 
     def value(name: str, region: str = "all") -> str:
         found = figures.get(name, {}).get(region)
@@ -84,16 +84,17 @@ def _cells(source: str, target: str, contender: str, row: Mapping[str, Any]) -> 
         known = paper.get(theirs)
         return ours if known is None else f"{ours} ({known:.{digits}f})"
 
-    sets, pose = row["sets"], row["poses"].get("network")
+    sets, pose = row["set_distances"], row["pose_errors"].get("network")
     frechet = "-" if not sets else f"{sets['frechet']:.3g} ({sets['frechet_floor']:.3g}"
     if sets:
         frechet += f"; {paper['fid']:.0f})" if paper.get("fid") is not None else ")"
     shift, turn = (
-        "-" if pose is None else f"{pose[name][0]:.2f} ± {pose[name][1]:.2f}" for name in ("shift_mm", "turn_deg")
+        "-" if pose is None else f"{pose[name][0]:.2f} ± {pose[name][1]:.2f}"
+        for name in ("translation_mm", "rotation_deg")
     )
     if paper:
         shift, turn = f"{shift} ({paper['shift_mm'][0]:.2f})", f"{turn} ({paper['turn_deg'][0]:.2f})"
-    others = (_both(row["poses"].get(name)) for name in ("signed_distances", "icp"))
+    others = (_both(row["pose_errors"].get(name)) for name in ("signed_distances", "icp"))
     way = SHORT[target] if not source else f"{SHORT[source]} > {SHORT[target]}"
     return [
         way, row["title"] if not source else contender, format_with_paper(value("psnr_db"), "psnr_db"),
@@ -105,7 +106,7 @@ def _cells(source: str, target: str, contender: str, row: Mapping[str, Any]) -> 
 def _both(pose: Mapping[str, Any] | None) -> str:
     if pose is None:
         return "-"
-    return "; ".join(f"{pose[name][0]:.2f} ± {pose[name][1]:.2f}" for name in ("shift_mm", "turn_deg"))
+    return "; ".join(f"{pose[name][0]:.2f} ± {pose[name][1]:.2f}" for name in ("translation_mm", "rotation_deg"))
 
 
 if __name__ == "__main__":

@@ -1,11 +1,11 @@
-"""A case: one frame with all that its translation reads, in a folder that can be sent, and what came out of it.
+"""Repro bundle: a folder with one frame, all that its translation reads, and its results.
 
-case.json        what is asked, in paths within the folder; the figures; a note; the command that replays it
-frame.h5         the frame on both sides with all that is known of it, the object, how the sensors stand; behind it the
-                 touches of the recording that its unit's light was told by
-alignment.toml   as it was in use, moved by hand or not
-expected.npz     every array of every slot
-sheet.png        the same as a picture
+bundle.json      request with paths within the folder, metrics, a note, the command that replays it
+frame.h5         the frame of both sensors with ground truth, the object and the alignment; then the context frames
+                 that the illumination of the sensor instance is estimated from
+alignment.toml   the alignment in use, with offsets
+expected.npz     every array of every stage
+sheet.png        the same as an image
 mesh.*, calibration.npz, weights_*, source.toml, target.toml   where they were given as files
 """
 
@@ -41,14 +41,14 @@ from pipeline.values.frames import TactileFrame
 
 REPLAY_TOLERANCE = 1e-4  # of an array's own range: what another processor's rounding may make of it
 _VERSION = 1
-_SAID = "tactoscope case"
+_VERSION_KEY = "tactoscope bundle"
 _WORDS = ("source", "target", "stream", "route", "mesh_unit", "depth_unit")
 _FILES = ("recording", "mesh", "calibration", "alignment")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StageAgreement:
-    """One slot of a replayed case against what it gave when the case was made."""
+    """Agreement of one stage of a replayed bundle with the recorded result."""
 
     stage: str
     n_arrays: int
@@ -60,7 +60,7 @@ class StageAgreement:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReplayResult:
-    """A case played again."""
+    """Result of a replayed bundle."""
 
     note: str
     agreements: tuple[StageAgreement, ...]
@@ -82,41 +82,41 @@ def write_bundle(
     note: str = "",
     progress: Progress = SILENT,
 ) -> None:
-    """Write the case of one frame into a new `folder`; raises TouchError."""
+    """Write the repro bundle of one frame into a new `folder`; raises TouchError."""
     if folder.exists():
         raise FileProblem("something of this name is there already and is kept; choose another", folder)
     with closing(open_translation(request)) as translation:
         index = translation.check_index(frame)
 
         def fill(part: Path) -> None:
-            inside = _copied(translation, part)
+            inside = _copy_inputs(translation, part)
             _record(translation, index, part / "frame.h5")
             told = {name: getattr(inside, name) for name in _WORDS}
             told |= {name: _name(getattr(inside, name)) for name in _FILES}
             told |= {"methods": dict(inside.methods), "weights": {slot: file.name for slot, file in inside.weights}}
-            frame_now, results, metrics = _played(inside, settings, part, progress)
+            frame_now, results, metrics = _translate(inside, settings, part, progress)
             write_arrays(part / "expected.npz", collect_stage_arrays(frame_now, results))
             write_json(
-                part / "case.json",
+                part / "bundle.json",
                 {
-                    _SAID: _VERSION, "made with": __version__, "note": note, "frame": index,
+                    _VERSION_KEY: _VERSION, "made with": __version__, "note": note, "frame": index,
                     "of": str(request.recording),
-                    "command": shlex.join(["tactoscope", "case", str(folder.absolute())]),
+                    "command": shlex.join(["tactoscope", "replay", str(folder.absolute())]),
                     "translate": _translating(inside, settings), "request": told, "settings": list(settings),
                     "metrics": metrics,
                 },
-                "the case",
+                "the repro bundle",
             )  # fmt: skip
 
         write_folder(folder, fill)
 
 
 def replay_bundle(folder: Path, progress: Progress = SILENT) -> ReplayResult:
-    """Translate a case's frame again and hold it against what is kept; raises TouchError."""
+    """Translate a bundle's frame again and compare it with the recorded results; raises TouchError."""
     said = _read(folder)
     request = _request(said, folder)
-    frame, results, metrics = _played(request, tuple(map(str, said["settings"])), None, progress)
-    now, kept = collect_stage_arrays(frame, results), read_arrays(folder / "expected.npz", "what the case gave")
+    frame, results, metrics = _translate(request, tuple(map(str, said["settings"])), None, progress)
+    now, kept = collect_stage_arrays(frame, results), read_arrays(folder / "expected.npz", "the expected results")
     slots = dict.fromkeys(name.partition(".")[0] for name in (*kept, *now))
     return ReplayResult(
         note=str(said.get("note", "")), metrics=metrics,
@@ -125,7 +125,7 @@ def replay_bundle(folder: Path, progress: Progress = SILENT) -> ReplayResult:
     )  # fmt: skip
 
 
-def _played(
+def _translate(
     request: Request, settings: tuple[str, ...], sheet_into: Path | None, progress: Progress
 ) -> tuple[TactileFrame, Mapping[str, StageResult], dict[str, float]]:
     with closing(open_translation(request)) as translation:
@@ -140,13 +140,13 @@ def _played(
         return frame, results, metrics
 
 
-def _copied(translation: Translation, part: Path) -> Request:
-    """The request by what lies in the folder."""
+def _copy_inputs(translation: Translation, part: Path) -> Request:
+    """Copy all input files into the folder; returns the request of the copies."""
     request = translation.request
     source, target = translation.source.name, translation.target.name
     aligned = AlignmentFile(
         alignment=translation.alignment, source=source, target=target,
-        origin=f"in use on {request.recording.name} when the case was made",
+        origin=f"in use on {request.recording.name} when the bundle was written",
     )  # fmt: skip
     save_alignment(part / "alignment.toml", aligned)
     weights = tuple((slot, _copy(file, part / f"weights_{slot}{file.suffix}")) for slot, file in request.weights)
@@ -171,7 +171,7 @@ def _copy(file: Path, place: Path) -> Path:
 
 
 def _record(translation: Translation, index: int, path: Path) -> None:
-    """The frame of both sides, with its truth, and those that tell its light: alone it would be read otherwise."""
+    """Write the frame of both sensors with ground truth, and its context frames, without which it gives other results."""
     recording, stream = translation.recording, translation.stream
     other = recording.stream_of_sensor(translation.target.name)
     names = {stream.name, *(() if other is None else (other.name,))}
@@ -179,13 +179,13 @@ def _record(translation: Translation, index: int, path: Path) -> None:
     with RecordingWriter(
         path, object_mesh=recording.object_mesh, symmetry=recording.symmetry, pairings=pairings, notes=recording.notes
     ) as writer:
-        light = select_context_frames(stream) if translation.load_context_images() else ()
-        for place, k in enumerate(dict.fromkeys((index, *(frame.index for frame in light)))):
-            own = replace(stream.frame(k), sensor=translation.source.name, index=place)
-            writer.append(stream.name, own, stream.truth(k))
-            felt = translation.read_target_observation(k)
-            if felt is not None and other is not None:
-                writer.append(other.name, replace(felt[0], index=place), felt[1])
+        context = select_context_frames(stream) if translation.load_context_images() else ()
+        for place, k in enumerate(dict.fromkeys((index, *(frame.index for frame in context)))):
+            source_frame = replace(stream.frame(k), sensor=translation.source.name, index=place)
+            writer.append(stream.name, source_frame, stream.truth(k))
+            observed = translation.read_target_observation(k)
+            if observed is not None and other is not None:
+                writer.append(other.name, replace(observed[0], index=place), observed[1])
 
 
 def _translating(request: Request, settings: tuple[str, ...]) -> str:
@@ -217,15 +217,15 @@ def _gap(now: NDArray[Any] | None, kept: NDArray[Any] | None) -> float:
 
 
 def _read(folder: Path) -> dict[str, Any]:
-    path = folder / "case.json"
-    said: object = read_json(path, "the case")
+    path = folder / "bundle.json"
+    said: object = read_json(path, "the repro bundle")
     known = cast("dict[str, Any]", said) if isinstance(said, dict) else {}
-    if _SAID not in known:
-        raise FileProblem("this folder holds no case; `tactoscope make-case` makes one", folder)
-    if known[_SAID] != _VERSION:
-        raise FileProblem(f"the case has version {known[_SAID]!r}, this program reads {_VERSION}", path)
+    if _VERSION_KEY not in known:
+        raise FileProblem("this folder holds no repro bundle; `tactoscope bundle` writes one", folder)
+    if known[_VERSION_KEY] != _VERSION:
+        raise FileProblem(f"the repro bundle has version {known[_VERSION_KEY]!r}, this program reads {_VERSION}", path)
     if not isinstance(known.get("request"), dict) or not isinstance(known.get("settings"), list):
-        raise FileProblem("the case lacks its request or its settings", path, field="request")
+        raise FileProblem("the repro bundle lacks its request or its settings", path, field="request")
     return known
 
 

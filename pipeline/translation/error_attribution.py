@@ -1,8 +1,8 @@
-"""Which slot an error comes from: truth is put in place of one slot after the other, and the error is asked again.
+"""Attribution of an error to stages: ground truth replaces one stage after the other, and the error is measured again.
 
-What goes when the source's depth is true is the depth's share; and so on along the route. The target's view gets its
-truth twice, first only where the source could see: what goes with the rest was never felt by the source, and no method
-that knows only the touch can give it back.
+The decrease when the source's depth is replaced is the share of depth, and so on along the route. The target depth is
+replaced twice, first only where it is visible to the source: the rest was outside the source's view, and no method that
+knows only the touch can recover it.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from pipeline.translation.translate import Translation
 from pipeline.values.results import TargetDepth
 
 DEFAULT_METRIC = "touch_depth.contact_mae_mm"  # how far off the target's membrane is where the object really touches it
-OUTSIDE_VIEW = "not felt by the source"
-_SEEN_TITLE = "carried over"
+OUTSIDE_VIEW = "outside the source's view"
+_VISIBLE_TITLE = "reprojected"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ErrorShare:
-    """The part of an error that goes when one more slot is true; negative where truth alone makes it worse."""
+    """Decrease of an error when one more stage is replaced by ground truth; negative if it increases."""
 
     stage: str
     title: str
@@ -37,7 +37,7 @@ class ErrorShare:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ErrorAttribution:
-    """An error of one frame as a sum: `total` = the parts' shares + `rest`."""
+    """An error of one frame as a sum: `total` = all shares + `remainder`."""
 
     frame: int
     metric: str  # as in a frame's metrics, "slot.name"
@@ -48,12 +48,12 @@ class ErrorAttribution:
 
     @property
     def summary(self) -> str:
-        """The error and its largest part in words."""
-        told = f"{self.total:.2f} {self.unit}"
+        """The error and its largest share."""
+        text = f"{self.total:.2f} {self.unit}"
         worst = max(self.shares, key=lambda part: part.share, default=None)
         if worst is None or worst.share <= max(0.0, self.remainder):
-            return told
-        return f"{told}, of it {worst.share:.2f}: {worst.title}"
+            return text
+        return f"{text}, of it {worst.share:.2f}: {worst.title}"
 
 
 def attribute_error(
@@ -68,20 +68,20 @@ def attribute_error(
 
     Raises SettingProblem for a figure that there is not, or for which more is not better or worse.
     """
-    slot, _, name = figure.partition(".")
-    if name not in METRICS or slot not in translation.stages:
+    stage, _, name = figure.partition(".")
+    if name not in METRICS or stage not in translation.stages:
         known = sorted(f"{s}.*" for s in translation.stages)
-        raise SettingProblem(f"no figure {figure!r} on this route; a figure is slot.name, as {', '.join(known)}")
+        raise SettingProblem(f"no metric {figure!r} on this route; a metric is stage.name, as {', '.join(known)}")
     if METRICS[name].better != "lower":
-        raise SettingProblem(f"{figure} is no error; choose a figure of which less is better")
+        raise SettingProblem(f"{figure} is not an error; choose a metric of which lower is better")
 
     def evaluate_metric(inputs: Mapping[str, object], part: Progress) -> tuple[Mapping[str, StageResult], float | None]:
-        results = graph.evaluate([slot], inputs, params, part)
+        results = graph.evaluate([stage], inputs, params, part)
         return results, translation.compute_metrics(results, frame).get(figure)
 
     inputs = dict(translation.read_inputs(frame))
     truths = translation.read_true_outputs(frame)
-    before = translation.stages[: translation.stages.index(slot)]
+    before = translation.stages[: translation.stages.index(stage)]
     each = 1.0 / (2 + len(before))
     results, total = evaluate_metric(inputs, SubProgress(progress, 0.0, each))
     if total is None:
@@ -108,19 +108,19 @@ def _steps(
     for name, value in truths.items():
         made = results[name].output if name in results else None
         if isinstance(value, TargetDepth) and isinstance(made, TargetDepth):
-            yield name, _SEEN_TITLE, _cut(value, made.in_view)
+            yield name, _VISIBLE_TITLE, _restrict(value, made.in_view)
             yield name, OUTSIDE_VIEW, value
         else:
             yield name, translation.catalogue.stage(name).title.lower(), value
 
 
-def _cut(view: TargetDepth, seen: Mask) -> TargetDepth:
-    """The true view without what lies beyond what the source could see."""
-    contact = view.contact & seen
+def _restrict(view: TargetDepth, visible: Mask) -> TargetDepth:
+    """True target depth restricted to what is visible to the source."""
+    contact = view.contact & visible
     return replace(
         view,
         contact=freeze(contact),
         depth_mm=freeze(np.where(contact, view.depth_mm, np.float32(np.nan))),
         indentation_mm=freeze(np.where(contact, view.indentation_mm, np.float32(0.0))),
-        in_view=seen,
+        in_view=visible,
     )

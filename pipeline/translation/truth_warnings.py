@@ -1,4 +1,4 @@
-"""Doubts that no method can have by itself: those that only the truth of a frame tells."""
+"""Warnings that need ground truth."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from pipeline.engine.graph import StageResult
 from pipeline.stages.stage import GroundTruth
 from pipeline.values.results import TargetDepth
 
-_MOST_SEEN = 0.9  # of the target's contact: what is missing then lies along its rim
+_MAX_VISIBLE_SHARE = 0.9  # of the target's contact; above this only its rim is missing
 
 
 def add_truth_warnings(result: StageResult, facts: GroundTruth) -> StageResult:
-    """The same result; a target's view also says so where the source saw only a part of what the target felt."""
-    view, truth = result.output, facts.target_truth
-    if not isinstance(view, TargetDepth) or truth is None or truth.contact is None:
+    """The result, with a warning on a target depth of which only a part is visible to the source."""
+    target_depth, truth = result.output, facts.target_truth
+    if not isinstance(target_depth, TargetDepth) or truth is None or truth.contact is None:
         return result
-    n_felt = int(np.count_nonzero(truth.contact))
-    if truth.contact.shape != view.in_view.shape or not n_felt:
+    n_contact = int(np.count_nonzero(truth.contact))
+    if truth.contact.shape != target_depth.in_view.shape or not n_contact:
         return result
-    share = np.count_nonzero(truth.contact & view.in_view) / n_felt
-    if share >= _MOST_SEEN:
+    share = np.count_nonzero(truth.contact & target_depth.in_view) / n_contact
+    if share >= _MAX_VISIBLE_SHARE:
         return result
-    told = StageWarning(f"the source saw {share:.0%} of the target's contact: what lies beyond is not carried over")
-    return replace(result, notes=(told, *result.notes))
+    warning = StageWarning(f"the source saw {share:.0%} of the target's contact: the rest is missing")
+    return replace(result, notes=(warning, *result.notes))

@@ -165,9 +165,9 @@ def test_a_case_plays_again_and_tells_when_something_changed(edited, tmp_path, c
     assert np.allclose(expected["target_depth.indentation_mm"], on_screen.indentation_mm, atol=1e-6)
     moved = tmp_path / "moved"
     folder.rename(moved)
-    said = json.loads((moved / "case.json").read_text())
+    said = json.loads((moved / "bundle.json").read_text())
     said["settings"] = [line for line in said["settings"] if not line.startswith("depth")] + ["depth.contact_mm=0.5"]
-    (moved / "case.json").write_text(json.dumps(said))
+    (moved / "bundle.json").write_text(json.dumps(said))
     code = run_app(build_app(), ["case", str(moved)])
     assert code in (1, 2)
     assert code == 1 or "contact_mm" in capsys.readouterr().err
