@@ -1,4 +1,4 @@
-"""Where to begin: a search over shifts and turns in the plane of the touch, since outlines have many near misses."""
+"""Initial alignments: a grid search over in-plane translation and rotation, since outlines have many local minima."""
 
 from __future__ import annotations
 
@@ -13,29 +13,29 @@ from pipeline.base.progress import Progress
 from pipeline.geometry import rigid
 from pipeline.sensors.offsets import compose_motion
 
-COMPARISON_NOISE = ResidualNoise(surface_mm=0.2, outline_mm=0.4)  # fixed, so that costs of different places compare
+COMPARISON_NOISE = ResidualNoise(surface_mm=0.2, outline_mm=0.4)  # fixed, so that costs of different alignments compare
 COMPARISON_SCALE = ResidualNoise(surface_mm=1.0, outline_mm=2.0)
 _SHIFTS_MM = np.arange(-4.0, 4.5, 1.0)
 _TURNS_DEG = np.arange(-8.0, 8.5, 4.0)
-_TOUCHES = 4  # that are looked at, spread over all
-_POINTS = 80  # of each kind
-_APART_MM = 1.5  # two beginnings nearer than this, and within one turn, end at the same place
+_TOUCHES = 4  # touches compared, spread over all
+_POINTS = 80  # points of each kind
+_APART_MM = 1.5  # starts nearer than this, and within one rotation step, converge alike
 
 
 def list_initial_alignments(
     touches: Sequence[Evidence], start: Doubles, pivot_mm: Doubles, many: int, progress: Progress
 ) -> list[Doubles]:
-    """Motions (4, 4) after `start` to begin from: none at all first, then the `many` best and different of a grid.
+    """Return motions (4, 4) to apply after `start`: the identity first, then the `many` best distinct ones of a grid.
 
-    The grid spans 4 mm and 8 deg in the plane that the touch lies in, the source's optical axis being its normal;
-    after each shift the surfaces are brought together along it, because depth is what a wrong shift spoils.
+    The grid spans 4 mm and 8 deg in the plane normal to the source's optical axis; after each translation the surfaces
+    are brought together along that axis, because a wrong translation mostly shifts depth.
     """
     few = [thin_points(t, _POINTS) for t in touches[:: max(1, -(-len(touches) // _TOUCHES))]]
     x, y, normal = start[:3, :3].T
     ranked: list[tuple[float, int, float, float, Doubles]] = []
     for n, (right, down, turn) in enumerate(_grid()):
         if n % 50 == 0:
-            progress.step(0.0, "looking for a place to begin")
+            progress.step(0.0, "searching for an initial alignment")
         motion = compose_motion(pivot_mm, np.deg2rad(turn) * normal, right * x + down * y)
         motion = rigid.translation(*(_lift_mm(few, motion @ start) * normal)) @ motion
         ranked.append((compute_cost(few, motion @ start, COMPARISON_NOISE, COMPARISON_SCALE), n, right, down, motion))
@@ -58,7 +58,7 @@ def _grid() -> Iterator[tuple[float, float, float]]:
 
 
 def _lift_mm(touches: Sequence[Evidence], target_from_source: Doubles) -> float:
-    """How far along the source's axis the surfaces are apart, against the sign that would close the gap."""
+    """Return the translation (mm) along the source's axis that closes the gap between the surfaces."""
     normal = target_from_source[:3, 2]
     surfaces = [one.surface for one in compute_touch_distances(touches, target_from_source)]
     found = [s.mm / (s.jacobian @ normal) for s in surfaces if s.mm.size]

@@ -1,7 +1,7 @@
-"""The sums that least squares over many touches needs, with a robust loss and each touch's own outline growth.
+"""Normal equations of the alignment over many touches, with a robust loss and a growth of each touch's outline.
 
-Unknowns are six: a turn about a pivot and a shift, in units of what counts as well known (1 deg, 0.2 mm), so that all
-directions compare. Loss: Geman-McClure, s^2 r^2 / (s^2 + r^2), whose scale s is named by kind.
+Unknowns are six: a rotation about a pivot and a translation, in units of the tolerance (1 deg, 0.2 mm), so that all
+directions compare. Loss: Geman-McClure, s^2 r^2 / (s^2 + r^2), with a scale s for each kind.
 """
 
 from __future__ import annotations
@@ -16,19 +16,23 @@ from pipeline.alignment.residuals import Distances, Evidence, compute_outline_di
 from pipeline.base.arrays import Doubles
 from pipeline.geometry import rigid
 
-TOLERANCE_MM = 0.2  # a direction whose predicted spread is wider than this says nothing
+TOLERANCE_MM = 0.2  # predicted std above which a direction counts as undetermined
 TOLERANCE_DEG = 1.0
 TOLERANCE_UNITS = np.array([math.radians(TOLERANCE_DEG)] * 3 + [TOLERANCE_MM] * 3)  # (rad, mm) of one unit
-_IN_ONE_TOUCH = 8.0  # independent readings of each kind: what is a millimetre apart errs alike
-_SHARED = 4.0  # this many touches are half as good as any number: a sensor errs alike in all of them
-_GROWTH_MM = 0.5  # expected size of an outline's growth from one sensor to the other
-_LEAST_NOISE = {"surface": 0.02, "outline": 0.1}  # mm: calibration and pixels; a perfect fit claims no certainty
-_ROUNDS = 3  # of finding a touch's growth
+_INDEPENDENT_IN_TOUCH = (
+    8.0  # independent measurements of each kind in a touch: errors within a millimetre are correlated
+)
+_SHARED_ERROR_TOUCHES = (
+    4.0  # this many touches have half the weight of any number: a sensor's error is alike in all of them
+)
+_GROWTH_MM = 0.5  # expected growth of an outline from one sensor to the other
+_MIN_NOISE = {"surface": 0.02, "outline": 0.1}  # mm: calibration and pixels; avoids a zero covariance
+_ITERATIONS = 3  # iterations of estimating a touch's growth
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ResidualNoise:
-    """Robust standard deviations of the two kinds of distance, mm."""
+    """Robust standard deviations (mm) of the two kinds of distance."""
 
     surface_mm: float
     outline_mm: float
@@ -52,7 +56,7 @@ class TouchDistances:
 
 
 def compute_touch_distances(touches: Sequence[Evidence], target_from_source: Doubles) -> list[TouchDistances]:
-    """Distances (mm) of all touches under T_S->T of the descriptions."""
+    """Compute the distances (mm) of each touch under the described T_S->T."""
     found: list[TouchDistances] = []
     for touch in touches:
         surface, outline = (
@@ -68,21 +72,21 @@ def compute_touch_distances(touches: Sequence[Evidence], target_from_source: Dou
 
 
 def estimate_noise(distances: Sequence[TouchDistances]) -> ResidualNoise:
-    """From the median absolute deviation over all touches, the outlines' growth taken off."""
+    """Estimate noise from the median absolute deviation over all touches, less the outlines' growth."""
     surface = np.concatenate([s.surface.mm for s in distances])
-    outline = np.concatenate([s.outline.mm - _middle(s.outline.mm) for s in distances])
+    outline = np.concatenate([s.outline.mm - _median(s.outline.mm) for s in distances])
     return ResidualNoise(
-        surface_mm=max(_LEAST_NOISE["surface"], 1.4826 * _middle(np.abs(surface))),
-        outline_mm=max(_LEAST_NOISE["outline"], 1.4826 * _middle(np.abs(outline))),
+        surface_mm=max(_MIN_NOISE["surface"], 1.4826 * _median(np.abs(surface))),
+        outline_mm=max(_MIN_NOISE["outline"], 1.4826 * _median(np.abs(outline))),
     )
 
 
 def estimate_growth_mm(outline_mm: Doubles, scale_mm: float, noise_mm: float, n_asked: int) -> tuple[float, float]:
-    """How much wider (mm) one touch is than its partner, robustly, and 1 / variance of that estimate."""
-    each = _IN_ONE_TOUCH / (max(n_asked, 1) * noise_mm**2)
-    growth = _middle(outline_mm)
+    """Return how much wider (mm) a touch's outline is than its partner's, and 1 / variance of that."""
+    each = _INDEPENDENT_IN_TOUCH / (max(n_asked, 1) * noise_mm**2)
+    growth = _median(outline_mm)
     certainty = _GROWTH_MM**-2
-    for _ in range(_ROUNDS):
+    for _ in range(_ITERATIONS):
         weight = _weights(outline_mm - growth, scale_mm)
         certainty = each * float(weight.sum()) + _GROWTH_MM**-2
         growth = each * float(weight @ outline_mm) / certainty
@@ -96,9 +100,9 @@ def accumulate_sums(
     noise: ResidualNoise,
     scale: ResidualNoise,
 ) -> NormalEquations:
-    """Cost, gradient and information over all touches; every touch counts alike."""
+    """Accumulate cost, gradient and information over all touches with equal weight."""
     total, gradient, information = 0.0, np.zeros(6), np.zeros((6, 6))
-    independent = _IN_ONE_TOUCH / (1.0 + len(touches) / _SHARED)
+    independent = _INDEPENDENT_IN_TOUCH / (1.0 + len(touches) / _SHARED_ERROR_TOUCHES)
     for one, touch in zip(distances, touches, strict=True):
         lift = touch.instance_shift_mm - pivot_mm
         for d, sigma, s, grows in (
@@ -116,7 +120,7 @@ def accumulate_sums(
             pull = each * weighted.sum(axis=0)
             gradient += each * (weighted.T @ gap)
             information += each * (weighted.T @ jacobian) - np.outer(pull, pull) / certainty
-            # A point that met nothing costs as much as one that is hopelessly off: losing sight is no gain.
+            # A point with nothing to compare costs as much as an outlier: leaving the view is no gain.
             lost = s * s * (d.n_points - len(d.mm))
             total += each * (float((s * s * gap * gap / (s * s + gap * gap)).sum()) + lost)
             total += (growth / _GROWTH_MM) ** 2
@@ -126,7 +130,7 @@ def accumulate_sums(
 def compute_cost(
     touches: Sequence[Evidence], target_from_source: Doubles, noise: ResidualNoise, scale: ResidualNoise
 ) -> float:
-    """What `sums` minimises, for places to be compared under the same `noise` and `scale`."""
+    """Return the cost that `accumulate_sums` minimises, to compare alignments under one `noise` and `scale`."""
     return accumulate_sums(
         compute_touch_distances(touches, target_from_source), touches, np.zeros(3), noise, scale
     ).cost
@@ -137,5 +141,5 @@ def _weights(gap_mm: Doubles, scale_mm: float) -> Doubles:
     return ratio * ratio
 
 
-def _middle(values: Doubles) -> float:
+def _median(values: Doubles) -> float:
     return float(np.median(values)) if values.size else 0.0

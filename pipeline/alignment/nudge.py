@@ -1,7 +1,7 @@
-"""Small edits of an alignment, one axis at a time, about a point that stays where it is.
+"""Small edits of an alignment, one axis at a time, about a fixed pivot.
 
-A turn about the camera's origin would carry a touch that is tens of millimetres away from it out of the picture, so
-that every turn would have to be made good by a shift. About the middle of the contact a turn is only a turn.
+A rotation about the camera's origin would move a touch tens of millimetres away out of the image. About the contact's
+centroid it is a pure rotation.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from pipeline.values.results import DepthMap
 
 
 def axis_unit(axis: Axis) -> str:
-    """`mm` of a shift, `deg` of a turn."""
+    """Return `mm` for a translation axis, `deg` for a rotation axis."""
     return "deg" if axis.startswith("r") else "mm"
 
 
 def compute_pivot_mm(depth: DepthMap, alignment: Alignment) -> Doubles:
-    """The contact's centroid (3,) in the target frame; of the whole surface in view where nothing touches.
+    """Return the contact's centroid (3,) in the target frame; of the whole visible surface where there is no contact.
 
-    It is found once, when an edit begins: a pivot that follows the edit would let the touch drift.
+    Compute it once, when an edit begins: a pivot that follows the edit lets the touch drift.
     """
     known = np.isfinite(depth.depth_mm)
     where = known & depth.contact
@@ -39,9 +39,9 @@ def compute_pivot_mm(depth: DepthMap, alignment: Alignment) -> Doubles:
 
 
 def nudge(alignment: Alignment, axis: Axis, amount: float, *, pivot_mm: Doubles) -> Alignment:
-    """The alignment with the touch shifted by `amount` mm along an axis, or turned by `amount` deg about it.
+    """Return the alignment after translating the touch by `amount` mm along an axis, or rotating it by `amount` deg.
 
-    The axis is one of the target frame; turns are about `pivot_mm` (3,), which stays where it is.
+    The axis is one of the target frame; rotations keep `pivot_mm` (3,) in place.
     """
     direction = amount * np.eye(3)["xyz".index(axis[-1])]
     if axis_unit(axis) == "deg":

@@ -1,4 +1,4 @@
-"""The alignment that fits many touches at once, what of it the touches do not tell, and how it does on others."""
+"""Refine an alignment to many touches at once; report undetermined directions and the fit on held-out touches."""
 
 from __future__ import annotations
 
@@ -30,38 +30,40 @@ from pipeline.geometry.screws import describe_motions
 from pipeline.sensors.alignment import Alignment, AlignmentPart, correct_alignment
 from pipeline.sensors.offsets import compose_motion
 
-_START = ResidualNoise(surface_mm=2.0, outline_mm=4.0)  # loss scales to begin with: as far off as a start may be
-_START_NEAR = ResidualNoise(surface_mm=0.5, outline_mm=1.0)  # once the place is roughly known
-_ROUGH_POINTS = 120  # of each kind and touch, until then
-_NARROWER = 0.75  # a round; wide loss first, so that a start that is far off is not taken for outliers
-_LOSS_SCALE = 3.0  # in standard deviations, once narrow
+_START = ResidualNoise(surface_mm=2.0, outline_mm=4.0)  # first loss scales: as far as a start may be off
+_START_NEAR = ResidualNoise(surface_mm=0.5, outline_mm=1.0)  # from a start that is roughly right
+_ROUGH_POINTS = 120  # of each kind and touch, for the rough part
+_NARROWING = 0.75  # factor on the scale per iteration; wide first, so that a distant start is not rejected as outliers
+_LOSS_SCALE = 3.0  # final loss scale in standard deviations
 _ROUNDS = 60
-_STILL = 0.002  # of a tolerance: 0.4 um, 0.002 deg
-_LONGEST = 10.0  # tolerances in one step: 2 mm, 10 deg
+_CONVERGENCE = 0.002  # of a tolerance, convergence: 0.4 um, 0.002 deg
+_MAX_STEP = 10.0  # tolerances in one step: 2 mm, 10 deg
 _TRIES = 8
-_BEGINNINGS = 3  # besides where the user stands
-_RADIUS_MM = TOLERANCE_MM / np.deg2rad(TOLERANCE_DEG)  # makes a turn of the tolerance as long as such a shift
+_N_STARTS = 3  # starts besides the given alignment
+_RADIUS_MM = TOLERANCE_MM / np.deg2rad(
+    TOLERANCE_DEG
+)  # scales a rotation of the tolerance to the length of a translation of the tolerance
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AlignmentFit:
-    """How far touches are from agreeing, medians over all points."""
+    """Disagreement of touches under an alignment, medians over all points."""
 
     surface_mm: float  # |distance| to the target's surface along its normal
-    outline_mm: float  # |distance| to the target's outline, each touch's growth taken off
-    share_compared: float  # share of the points that met something to compare with
+    outline_mm: float  # |distance| to the target's outline, less each touch's growth
+    share_compared: float  # share of the points that had something to compare with
     n_touches: int
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Refinement:
-    """A refined alignment and how far to trust it."""
+    """A refined alignment and its uncertainty."""
 
     alignment: Alignment
-    motion: Doubles  # (4, 4) mm, target frame: what was put after the old T_S->T
+    motion: Doubles  # (4, 4) mm, target frame: applied after the old T_S->T
     pivot_mm: Doubles  # (3,) target frame
     std: Doubles  # (6,) predicted standard deviations (deg about the pivot, mm); 0 along frozen directions
-    weak_directions: tuple[str, ...]  # what the touches do not tell, in words; left as it was
+    weak_directions: tuple[str, ...]  # undetermined directions in words; left unchanged
     used_fit: tuple[AlignmentFit, AlignmentFit]  # before, after
     held_out_fit: tuple[AlignmentFit, AlignmentFit] | None
     n_iterations: int
@@ -78,28 +80,28 @@ def refine_alignment(
     tolerance: float = 1.0,
     progress: Progress = SILENT,
 ) -> Refinement:
-    """Least squares over all `touches` for one rigid correction of T_S->T, stored in `into`.
+    """Fit one rigid correction of T_S->T to all `touches` by least squares, stored in `into`.
 
     Damped Gauss-Newton with a Geman-McClure loss that narrows from millimetres to three standard deviations; see
-    `residuals` for what is compared. Directions whose predicted spread exceeds `tolerance` times 0.2 mm or 1 deg are
-    frozen and named. `held_out` touches are only judged, before and after. Raises SettingProblem when no touch is felt
-    by both sensors, or for a tolerance that is not positive.
+    `residuals` for what is compared. Directions whose predicted std exceeds `tolerance` times 0.2 mm or 1 deg are
+    frozen and named. `held_out` touches are only evaluated, before and after. Raises SettingProblem when no touch has
+    contact on both sensors, or for a tolerance that is not positive.
     """
     if not 0.0 < tolerance < np.inf:
         raise SettingProblem(f"the tolerance of a refinement must be positive and finite, got {tolerance:g}")
     kept = [collect_evidence(t) for t in touches if t.has_contact_on_both]
     kept = [e for e in kept if len(e.surface_mm) and len(e.outline_mm)]
     if not kept:
-        raise SettingProblem("no frame is felt by both sensors; refining needs touches with contact on either side")
+        raise SettingProblem("no frame has contact on both sensors; refinement needs some")
     others = [collect_evidence(t) for t in held_out if t.has_contact_on_both]
     start = alignment.target_from_source
     pivot = np.mean([rigid.apply(start, e.surface_mm).mean(axis=0) for e in kept], axis=0)
     solver = _Solver(kept, start, pivot, progress)
     rough = _Solver([thin_points(e, _ROUGH_POINTS) for e in kept], start, pivot, progress)
-    motion = rough.solve_from_starts(list_initial_alignments(kept, start, pivot, _BEGINNINGS, progress))
+    motion = rough.solve_from_starts(list_initial_alignments(kept, start, pivot, _N_STARTS, progress))
     motion, converged = solver.solve(motion, np.eye(6), _START_NEAR)
-    told = solver.build_final_equations(motion).information
-    free, lost = _determined(told, tolerance)
+    information = solver.build_final_equations(motion).information
+    free, lost = _split_determined(information, tolerance)
     if lost.shape[1]:
         motion, converged = solver.solve_within(motion, free)
     information = free.T @ solver.build_final_equations(motion).information @ free
@@ -114,24 +116,27 @@ def refine_alignment(
         weak_directions=tuple(
             words
             for words, _ in describe_motions(
-                lost, pivot, float(_RADIUS_MM), lambda v: bool(tolerance**2 * (v @ told @ v) < v @ v)
+                lost, pivot, float(_RADIUS_MM), lambda v: bool(tolerance**2 * (v @ information @ v) < v @ v)
             )
         ),
         used_fit=(measure_fit(kept, start), measure_fit(kept, after)),
         held_out_fit=(measure_fit(others, start), measure_fit(others, after)) if others else None,
-        n_iterations=solver.rounds,
+        n_iterations=solver.iterations,
         converged=converged,
-        notes=() if converged else (f"stopped after {solver.rounds} rounds while still moving; begin nearer",),
+        notes=()
+        if converged
+        else (f"not converged after {solver.iterations} iterations; start from a closer alignment",),
     )
 
 
 def measure_fit(touches: Sequence[Evidence], target_from_source: Doubles) -> AlignmentFit:
-    """How far `touches` are from agreeing under this T_S->T; NaN where no point met anything."""
+    """Return the disagreement of `touches` under this T_S->T; NaN where no point had something to compare with."""
     distances = compute_touch_distances(touches, target_from_source)
     noise = estimate_noise(distances)
     surface = np.concatenate([s.surface.mm for s in distances])
     outline = np.concatenate(
-        [s.outline.mm - estimate_growth_mm(s.outline.mm, noise.outline_mm * _LOSS_SCALE, noise.outline_mm, s.outline.n_points)[0]
+        [s.outline.mm
+         - estimate_growth_mm(s.outline.mm, noise.outline_mm * _LOSS_SCALE, noise.outline_mm, s.outline.n_points)[0]
          for s in distances]
     )  # fmt: skip
     asked = sum(s.surface.n_points + s.outline.n_points for s in distances)
@@ -144,14 +149,14 @@ def measure_fit(touches: Sequence[Evidence], target_from_source: Doubles) -> Ali
 
 
 class _Solver:
-    """Damped Gauss-Newton from one start, as often as wanted."""
+    """Damped Gauss-Newton from one start."""
 
     def __init__(self, touches: Sequence[Evidence], start: Doubles, pivot_mm: Doubles, progress: Progress) -> None:
         self._touches, self._start, self._pivot, self._progress = touches, start, pivot_mm, progress
-        self.rounds = 0
+        self.iterations = 0
 
     def solve_from_starts(self, beginnings: Sequence[Doubles]) -> Doubles:
-        """The solution of least cost from several beginnings."""
+        """Return the solution of least cost over several starts."""
         found = [self.solve(b, np.eye(6))[0] for b in beginnings]
         costs = [
             compute_cost(self._touches, motion @ self._start, COMPARISON_NOISE, COMPARISON_SCALE) for motion in found
@@ -159,7 +164,7 @@ class _Solver:
         return found[int(np.argmin(costs))]
 
     def solve_within(self, solution: Doubles, free: Doubles) -> tuple[Doubles, bool]:
-        """The solution within the span of `free` (6, k) steps from the start: the others stay as they were."""
+        """Return the solution within the span of `free` (6, k) steps from the start."""
         if not free.shape[1]:
             return np.eye(4), True
         step = self._as_step(solution)
@@ -167,11 +172,11 @@ class _Solver:
         return self.solve(compose_motion(self._pivot, turn, shift), free, _START_NEAR)
 
     def solve(self, motion: Doubles, free: Doubles, scale: ResidualNoise = _START) -> tuple[Doubles, bool]:
-        """The best motion (4, 4) from this one within the span of `free` (6, k), and whether it stands still."""
+        """Return the best motion (4, 4) from this one within the span of `free` (6, k), and whether it converged."""
         damping = 1e-3
         for done in range(_ROUNDS):
-            self._progress.step(done / _ROUNDS, f"round {done + 1}: outlines to {scale.outline_mm:.2f} mm")
-            self.rounds += 1
+            self._progress.step(done / _ROUNDS, f"iteration {done + 1}: outlines to {scale.outline_mm:.2f} mm")
+            self.iterations += 1
             distances = compute_touch_distances(self._touches, motion @ self._start)
             noise = estimate_noise(distances)
             wide = ResidualNoise(
@@ -181,20 +186,20 @@ class _Solver:
             narrow = wide.surface_mm > scale.surface_mm and wide.outline_mm > scale.outline_mm
             here = accumulate_sums(distances, self._touches, self._pivot, noise, wide)
             motion, damping, length = self._step(motion, here, noise, wide, free, damping)
-            if length < _STILL and narrow:
+            if length < _CONVERGENCE and narrow:
                 return motion, True
-            scale = ResidualNoise(surface_mm=scale.surface_mm * _NARROWER, outline_mm=scale.outline_mm * _NARROWER)
+            scale = ResidualNoise(surface_mm=scale.surface_mm * _NARROWING, outline_mm=scale.outline_mm * _NARROWING)
         return motion, False
 
     def build_final_equations(self, motion: Doubles) -> NormalEquations:
-        """The quadratic model at the end, with the noise that is left."""
+        """Return the final quadratic model, with the remaining noise."""
         distances = compute_touch_distances(self._touches, motion @ self._start)
         noise = estimate_noise(distances)
         narrow = ResidualNoise(surface_mm=_LOSS_SCALE * noise.surface_mm, outline_mm=_LOSS_SCALE * noise.outline_mm)
         return accumulate_sums(distances, self._touches, self._pivot, noise, narrow)
 
     def _as_step(self, motion: Doubles) -> Doubles:
-        """The step (6,) in tolerances that `motion_about` makes this motion of."""
+        """Return the step (6,) in tolerances that gives this motion; inverse of `motion_about`."""
         shift = rigid.apply(motion, self._pivot) - self._pivot
         return np.concatenate([rigid.rotation_vector_rad(motion), shift]) / TOLERANCE_UNITS
 
@@ -207,13 +212,13 @@ class _Solver:
         free: Doubles,
         damping: float,
     ) -> tuple[Doubles, float, float]:
-        """The next motion, damping, and the length of the step in tolerances; 0 when no step makes it better."""
+        """Return the next motion, damping, and the step length in tolerances; length 0 when no step improves."""
         information, gradient = free.T @ here.information @ free, free.T @ here.gradient
         load = np.maximum(np.diag(information), 1e-6 * np.trace(information) + 1e-12)
         for _ in range(_TRIES):
             step = -free @ np.linalg.solve(information + damping * np.diag(load), gradient)
             length = float(np.linalg.norm(step))
-            step *= min(1.0, _LONGEST / max(length, 1e-12))
+            step *= min(1.0, _MAX_STEP / max(length, 1e-12))
             turn, shift = np.split(step * TOLERANCE_UNITS, 2)
             moved = compose_motion(self._pivot, turn, shift) @ motion
             there = accumulate_sums(
@@ -225,8 +230,8 @@ class _Solver:
         return motion, damping, 0.0
 
 
-def _determined(information: Doubles, tolerance: float) -> tuple[Doubles, Doubles]:
-    """Orthonormal directions (6, k) that are known to within `tolerance` units, and those that are not."""
+def _split_determined(information: Doubles, tolerance: float) -> tuple[Doubles, Doubles]:
+    """Return orthonormal directions (6, k) known to within `tolerance` units, and the others."""
     certainty, directions = np.linalg.eigh(0.5 * (information + information.T))
     weak = ~(certainty * tolerance**2 > 1.0)
     return directions[:, ~weak], directions[:, weak]

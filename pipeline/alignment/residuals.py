@@ -1,12 +1,12 @@
-"""What a paired touch says about its alignment: two kinds of distances that are right on average.
+"""Residuals of a paired touch under an alignment: two kinds of distances without bias.
 
-*Surface.* Where both membranes touch the object they lie on the same rigid surface, however soft each of them is. So a
-contact point of the source, carried over, should lie on the target's measured surface: its distance along that
-surface's normal, taken only where the target is in contact too.
+*Surface.* Where both membranes touch the object they lie on the same rigid surface, whatever their stiffness. So a
+contact point of the source, transferred, lies on the target's measured surface: its distance along that surface's
+normal, only where the target is in contact too.
 
-*Outline.* A softer sensor touches more, so that outlines do not fall together; but they grow on all sides. So each
-touch may have its own width of growth, held loosely near 0, and what counts is the signed distance beyond it: the
-outline's place, not its size.
+*Outline.* A softer sensor has more contact, so outlines differ; but they grow on all sides. So each touch may have its
+own growth, with a weak prior at 0, and the residual is the signed distance beyond it: the outline's place, not its
+size.
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ from pipeline.geometry.camera import MIN_DEPTH_MM, Camera
 from pipeline.geometry.normals import compute_area_vectors
 from pipeline.values.results import DepthMap
 
-SURFACE_POINTS = 600  # of a touch; more tell the same again
+SURFACE_POINTS = 600  # per touch; more add no information
 OUTLINE_POINTS = 300
-_NORMAL_BLUR_MM = 0.5  # the surface that normals are taken from is smoothed this much
-_BORDER_PX = 2  # an outline this near to the border of its image is where the image ends
-_INSIDE_PX = 1.0  # a surface is compared this far within the target's contact: its rim is half air
+_NORMAL_BLUR_MM = 0.5  # smoothing of the surface that normals are taken from
+_BORDER_PX = 2  # an outline this near to the border is the image's end
+_INSIDE_PX = 1.0  # margin within the target's contact: its rim is half air
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Evidence:
-    """A touch made ready for `distances`: points of the source, fields of the target."""
+    """Points of the source and fields of the target of one touch, independent of the alignment."""
 
     index: int
     surface_mm: Doubles  # (n, 3) contact points, frame of the described source
     outline_mm: Doubles  # (m, 3) points between a contact pixel and a free one
-    instance_shift_mm: Doubles  # (3,) what the target's own camera reads too little, against the described one
+    instance_shift_mm: Doubles  # (3,) offset of the target instance's camera against the described one
     camera: Camera  # of the target
     depth_mm: Doubles  # (rows, cols) of the target in its own camera; NaN outside its contact
     normal: Doubles  # (rows, cols, 3) unit, of the target's surface
@@ -44,16 +44,16 @@ class Evidence:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Distances:
-    """Distances of one kind with what a small motion of the points changes in them."""
+    """Distances of one kind and their derivatives by the points."""
 
     mm: Doubles  # (k,)
     jacobian: Doubles  # (k, 3) d mm / d point
     points_mm: Doubles  # (k, 3) target frame
-    n_points: int  # points that there were; those that met nothing to compare with are not among the k
+    n_points: int  # all points; those with nothing to compare with are not among the k
 
 
 def collect_evidence(touch: AlignmentTouch) -> Evidence:
-    """All that does not depend on the alignment."""
+    """Collect what does not depend on the alignment."""
     target = touch.target
     usable = target.contact & np.isfinite(target.depth_mm)
     depth = np.where(usable, target.depth_mm, np.nan).astype(np.float64)
@@ -71,13 +71,13 @@ def collect_evidence(touch: AlignmentTouch) -> Evidence:
 
 
 def thin_points(touch: Evidence, points: int) -> Evidence:
-    """The same with at most about this many points of each kind."""
+    """Return the evidence with at most about `points` points of each kind."""
     surface, outline = (p[:: max(1, len(p) // points)] for p in (touch.surface_mm, touch.outline_mm))
     return replace(touch, surface_mm=surface, outline_mm=outline)
 
 
 def compute_surface_distances(touch: Evidence, points_mm: Doubles) -> Distances:
-    """Of contact points (n, 3) given in the target's camera frame, to the target's surface along its normal."""
+    """Distances of contact points (n, 3) in the target's camera frame to the target's surface along its normal."""
     x, y, visible = touch.camera.project(points_mm)
     visible &= points_mm[:, 2] > MIN_DEPTH_MM
     inside = np.zeros(visible.shape, np.bool_)
@@ -86,15 +86,15 @@ def compute_surface_distances(touch: Evidence, points_mm: Doubles) -> Distances:
     depth = sample_bilinear(touch.depth_mm, x[inside], y[inside])
     row, col = np.rint(y[inside]).astype(np.intp), np.rint(x[inside]).astype(np.intp)
     normal = touch.normal[row, col]
-    told = np.isfinite(depth) & np.isfinite(normal).all(axis=1)
-    p, depth, normal = p[told], depth[told], normal[told]
-    # On the ray through p the surface is at p * depth / p_z: their gap lies along the ray.
+    weights = np.isfinite(depth) & np.isfinite(normal).all(axis=1)
+    p, depth, normal = p[weights], depth[weights], normal[weights]
+    # On the ray through p the surface is at p * depth / p_z: the gap lies along the ray.
     gap = (p * (1.0 - depth / p[:, 2])[:, None] * normal).sum(axis=1)
     return Distances(mm=gap, jacobian=normal, points_mm=p, n_points=len(points_mm))
 
 
 def compute_outline_distances(touch: Evidence, points_mm: Doubles) -> Distances:
-    """Of outline points (m, 3) given in the target's camera frame, to the target's outline in its image, in mm."""
+    """Distances (mm) of outline points (m, 3) in the target's camera frame to the target's outline in its image."""
     camera = touch.camera
     x, y, visible = camera.project(points_mm)
     margin = _BORDER_PX
@@ -115,7 +115,7 @@ def compute_outline_distances(touch: Evidence, points_mm: Doubles) -> Distances:
 
 
 def sample_bilinear(field: Doubles, x_px: Doubles, y_px: Doubles) -> Doubles:
-    """Values (k,) of a field (rows, cols) between its pixels, clamped at its border; NaN where a corner is NaN."""
+    """Sample a field (rows, cols) bilinearly (k,), clamped at its border; NaN where a corner is NaN."""
     rows, cols = field.shape
     x, y = np.clip(x_px, 0.0, cols - 1.0), np.clip(y_px, 0.0, rows - 1.0)
     col, row = np.minimum(x.astype(np.intp), cols - 2), np.minimum(y.astype(np.intp), rows - 2)
@@ -135,7 +135,7 @@ def _surface_points(depth: DepthMap) -> Doubles:
 
 
 def _outline_points(depth: DepthMap) -> Doubles:
-    """Points half way between a contact pixel and its free neighbour, at the contact pixel's depth."""
+    """Return points half way between a contact pixel and its free neighbour, at the contact pixel's depth."""
     contact = depth.contact
     rows, cols = contact.shape
     found: list[Doubles] = []
@@ -162,7 +162,7 @@ def _at(depth: DepthMap, x_px: Doubles, y_px: Doubles, z_mm: Doubles) -> Doubles
 
 
 def _normals(depth_mm: Doubles, camera: Camera) -> Doubles:
-    """Unit normals (rows, cols, 3), z > 0, of the surface smoothed over what is known of it; NaN elsewhere."""
+    """Return unit normals (rows, cols, 3), z > 0, of the smoothed surface; NaN where it is unknown."""
     import cv2
 
     known = np.isfinite(depth_mm)
@@ -179,7 +179,7 @@ def _normals(depth_mm: Doubles, camera: Camera) -> Doubles:
 
 
 def _outside_px(contact: Mask) -> Doubles:
-    """Signed distance (rows, cols) in pixels to the line between contact and free pixels; one sign if all are alike."""
+    """Return the signed distance (rows, cols) in pixels to the contact's outline; one sign if all pixels are alike."""
     import cv2
 
     def to(mask: Mask) -> Doubles:

@@ -1,4 +1,4 @@
-"""How well a touch carried over by an alignment agrees with what the target really felt of it."""
+"""Score how well a touch transferred by an alignment agrees with the target's observation of it."""
 
 from __future__ import annotations
 
@@ -19,30 +19,30 @@ from pipeline.values.results import TargetDepth
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AlignmentScore:
-    """Agreement within what the source could see; None where there is nothing to compare."""
+    """Agreement within the source's field of view; None where there is nothing to compare."""
 
     iou: float  # of the contact masks; 1 where both are empty
     edge_px: float | None  # mean distance of the outlines, both ways, in pixels of the target's full image
     depth_mm: float | None  # median |difference| of depth where both are in contact
     depth_rms_mm: float | None
-    bias_mm: float | None  # median of carried over - felt: positive = too far from the target's camera
+    bias_mm: float | None  # median of transferred - observed; positive = too far from the target's camera
     overlap_px: int  # pixels of the scored grid in contact on both sides
 
 
-def score_alignment(view: TargetDepth, felt: TargetObservation) -> AlignmentScore:
-    """Compare a view drawn into `touch_depth.spec` with what was felt there.
+def score_alignment(view: TargetDepth, observation: TargetObservation) -> AlignmentScore:
+    """Compare a target depth rendered into `observation.spec` with the observation.
 
-    An outline where the source's picture ends, or the target's, is no outline of the contact and is left out.
+    Outlines at the border of either sensor's image are cut off and left out.
     """
-    there = felt.contact & view.in_view
+    there = observation.contact & view.in_view
     both = view.contact & there
     either = int(np.count_nonzero(view.contact | there))
     overlap = int(np.count_nonzero(both))
-    gap = (view.depth_mm[both] - felt.depth_mm[both]).astype(np.float64)
+    gap = (view.depth_mm[both] - observation.depth_mm[both]).astype(np.float64)
     gap = gap[np.isfinite(gap)]
     return AlignmentScore(
         iou=overlap / either if either else 1.0,
-        edge_px=_edge_px(view, felt),
+        edge_px=_edge_px(view, observation),
         depth_mm=float(np.median(np.abs(gap))) if gap.size else None,
         depth_rms_mm=float(np.sqrt(np.mean(gap * gap))) if gap.size else None,
         bias_mm=float(np.median(gap)) if gap.size else None,
@@ -51,37 +51,37 @@ def score_alignment(view: TargetDepth, felt: TargetObservation) -> AlignmentScor
 
 
 def score_preview(
-    touch: AlignmentTouch, alignment: Alignment, felt: TargetObservation, params: ProjectionParams | None = None
+    touch: AlignmentTouch, alignment: Alignment, observation: TargetObservation, params: ProjectionParams | None = None
 ) -> tuple[TargetDepth, AlignmentScore]:
-    """The touch as the alignment carries it over, on the grid of `felt`, and how well it agrees."""
+    """Render the touch under the alignment on the observation's grid, and score it."""
     aligned, drawn = touch.apply_instance_shifts(alignment), params or SurfaceProjectionParams()
-    cloud = back_project_depth(touch.source, aligned, BackProjectionParams(stride=_stride(touch, felt)))
-    view = project_cloud(cloud, felt.spec, drawn)
-    return view, score_alignment(view, felt)
+    cloud = back_project_depth(touch.source, aligned, BackProjectionParams(stride=_stride(touch, observation)))
+    view = project_cloud(cloud, observation.spec, drawn)
+    return view, score_alignment(view, observation)
 
 
 def score_touches(
     touches: Sequence[AlignmentTouch],
-    felts: Sequence[TargetObservation],
+    observations: Sequence[TargetObservation],
     alignment: Alignment,
     progress: Progress = SILENT,
 ) -> tuple[AlignmentScore, ...]:
-    """The score of every touch: what one frame gains at the cost of the others shows here."""
+    """Score every touch; shows what one frame gains at the cost of the others."""
     found: list[AlignmentScore] = []
-    for done, (touch, side) in enumerate(zip(touches, felts, strict=True)):
+    for done, (touch, side) in enumerate(zip(touches, observations, strict=True)):
         progress.step(done / len(touches), f"scoring frame {touch.index}")
         found.append(score_preview(touch, alignment, side)[1])
     return tuple(found)
 
 
 def median_score(found: Sequence[AlignmentScore]) -> AlignmentScore | None:
-    """Medians over frames, of what each can tell; None of no frames at all."""
+    """Return medians over the frames that have a value; None without frames."""
     if not found:
         return None
 
     def middle(name: str) -> float | None:
-        told = [value for s in found if (value := getattr(s, name)) is not None]
-        return float(np.median(told)) if told else None
+        values = [value for s in found if (value := getattr(s, name)) is not None]
+        return float(np.median(values)) if values else None
 
     return AlignmentScore(
         iou=float(np.median([s.iou for s in found])),
@@ -93,28 +93,28 @@ def median_score(found: Sequence[AlignmentScore]) -> AlignmentScore | None:
     )
 
 
-def _stride(touch: AlignmentTouch, felt: TargetObservation) -> int:
-    """Every how many-th source pixel is enough: at most `touch_depth.factor`, and never sparser than the pixels drawn."""
+def _stride(touch: AlignmentTouch, observation: TargetObservation) -> int:
+    """Return a stride of source pixels: at most the observation's factor, no sparser than its pixels."""
     camera, depth = touch.source.camera, touch.source.depth_mm[::16, ::16]
     seen = depth[np.isfinite(depth)]
-    if felt.factor == 1 or not seen.size:
+    if observation.factor == 1 or not seen.size:
         return 1
     pixel_mm = float(np.median(seen)) / camera.fx_px
-    return int(np.clip(felt.spec.pixel_mm / pixel_mm, 1, felt.factor))
+    return int(np.clip(observation.spec.pixel_mm / pixel_mm, 1, observation.factor))
 
 
-def _edge_px(view: TargetDepth, felt: TargetObservation) -> float | None:
+def _edge_px(view: TargetDepth, observation: TargetObservation) -> float | None:
     inside = _inside(view.in_view)
-    drawn, there = find_edge(view.contact) & inside, felt.edge & inside
+    drawn, there = find_edge(view.contact) & inside, observation.edge & inside
     if not drawn.any() or not there.any():
         return None
-    onward = float(felt.edge_distance_px[drawn].mean())
+    onward = float(observation.edge_distance_px[drawn].mean())
     back = float(compute_distance_px(drawn)[there].mean())
-    return 0.5 * (onward + back) * felt.factor
+    return 0.5 * (onward + back) * observation.factor
 
 
 def _inside(known: Mask) -> Mask:
-    """What is known without its outermost two pixels, where a touch is cut off rather than ends."""
+    """Return the mask without its outermost two pixels, where a touch is cut off."""
     import cv2
 
     return cv2.erode(known.view(np.uint8), np.ones((5, 5), np.uint8)).view(np.bool_)

@@ -1,4 +1,4 @@
-"""Which axis matters: how much the agreement changes when an alignment is moved a little along each axis."""
+"""Estimate how much the agreement changes when an alignment moves a little along each axis."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.offsets import AXES, Axis
 from pipeline.stages.target_depth.surface_projection import ProjectionParams
 
-UNIT_STEP = 0.1  # mm or deg: what all changes are stated per
-_STEP_PX = 0.5  # masks change by whole pixels: smaller motions than about this show nothing
+UNIT_STEP = 0.1  # mm or deg: unit of all stated changes
+_STEP_PX = 0.5  # masks change by whole pixels: smaller motions show nothing
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ScoreChange:
-    """How one figure of the score answers to one axis, per 0.1 mm or 0.1 deg; None where it cannot be told."""
+    """Change of one figure of the score along one axis, per 0.1 mm or 0.1 deg; None where unknown."""
 
-    slope: float | None  # signed, toward the axis' positive direction: which way is better
-    magnitude: float | None  # mean |change| to either side: how much the axis matters, also at the best place
+    slope: float | None  # signed, toward the axis' positive direction
+    magnitude: float | None  # mean |change| to both sides: how much the axis matters, also at the optimum
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,7 +34,7 @@ class Sensitivity:
 
     axis: Axis
     unit: str  # mm or deg
-    step: float  # how far it was moved to either side to find out
+    step: float  # motion to either side
     iou: ScoreChange
     edge_px: ScoreChange
     depth_mm: ScoreChange  # of the rms difference, which is smooth
@@ -43,30 +43,30 @@ class Sensitivity:
 def compute_sensitivities(
     touch: AlignmentTouch,
     alignment: Alignment,
-    felt: TargetObservation,
+    observation: TargetObservation,
     params: ProjectionParams | None = None,
     *,
     pivot: Doubles | None = None,
     progress: Progress = SILENT,
 ) -> tuple[Sensitivity, ...]:
-    """For each of the six axes, by differences of previews on the grid of `felt`: thirteen of them.
+    """Estimate the six axes by differences of thirteen previews on the grid of `observation`.
 
-    Moves by about half a pixel of that grid and states the change per 0.1 mm or 0.1 deg. Turns are about `pivot` (3,)
-    mm in the target frame, by default the contact's centroid.
+    Moves by about half a pixel of that grid and states the change per 0.1 mm or 0.1 deg. Rotations are about `pivot`
+    (3,) mm in the target frame, by default the contact's centroid.
     """
     about = find_pivot(touch, alignment) if pivot is None else pivot
-    here = score_preview(touch, alignment, felt, params)[1]
-    shift_mm = max(UNIT_STEP, _STEP_PX * felt.spec.pixel_mm)
+    here = score_preview(touch, alignment, observation, params)[1]
+    shift_mm = max(UNIT_STEP, _STEP_PX * observation.spec.pixel_mm)
     turn_deg = max(UNIT_STEP, float(np.rad2deg(shift_mm / _radius_mm(touch))))
-    told: list[Sensitivity] = []
+    score: list[Sensitivity] = []
     for done, axis in enumerate(AXES):
         progress.step(done / len(AXES), f"moving along {axis}")
         step = turn_deg if axis_unit(axis) == "deg" else shift_mm
         down, up = (
-            score_preview(touch, nudge(alignment, axis, amount, pivot_mm=about), felt, params)[1]
+            score_preview(touch, nudge(alignment, axis, amount, pivot_mm=about), observation, params)[1]
             for amount in (-step, step)
         )
-        told.append(
+        score.append(
             Sensitivity(
                 axis=axis,
                 unit=axis_unit(axis),
@@ -76,7 +76,7 @@ def compute_sensitivities(
                 depth_mm=_change(down, here, up, "depth_rms_mm", step),
             )
         )
-    return tuple(told)
+    return tuple(score)
 
 
 def _change(down: AlignmentScore, here: AlignmentScore, up: AlignmentScore, name: str, step: float) -> ScoreChange:
@@ -88,7 +88,7 @@ def _change(down: AlignmentScore, here: AlignmentScore, up: AlignmentScore, name
 
 
 def _radius_mm(touch: AlignmentTouch) -> float:
-    """Root mean square distance of the contact from its middle, at least a millimetre."""
+    """Return the contact's root mean square radius, at least a millimetre."""
     row, col = np.nonzero(touch.source.contact)
     if not row.size:
         return 1.0

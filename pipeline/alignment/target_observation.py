@@ -1,4 +1,4 @@
-"""The target's side of a touch, made ready once: while a handle is dragged only the source's side is worked out."""
+"""Prepare the target's side of a touch once: while a handle is dragged only the source's side is computed."""
 
 from __future__ import annotations
 
@@ -12,39 +12,39 @@ from pipeline.geometry.camera import Camera
 from pipeline.sensors.spec import SensorSpec
 from pipeline.values.results import DepthMap
 
-PREVIEW_FACTOR = 4  # every n-th pixel along each side while a handle is dragged
-_FEWEST_ROWS = 64  # of a preview: a coarse image is fast as it is, and shows nothing at a quarter
+PREVIEW_FACTOR = 4  # stride of pixels while a handle is dragged
+_MIN_ROWS = 64  # smallest preview; a coarser image is fast at full size
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TargetObservation:
-    """What the target measured of a touch, on the grid that the source's side is drawn into."""
+    """The target's measurement of a touch, on the grid that the source's side is rendered into."""
 
     spec: SensorSpec  # the target with the camera of this grid
-    factor: int  # one pixel here is this many of the target's own along each side
+    factor: int  # pixels of the target per pixel here, along each side
     contact: Mask  # (rows, cols)
     depth_mm: Floats  # (rows, cols) target frame; NaN outside the contact
-    edge: Mask  # (rows, cols) the outermost pixels of the contact
+    edge: Mask  # (rows, cols) outermost pixels of the contact
     edge_distance_px: (
         Floats  # (rows, cols) distance to the nearest of them, in pixels of this grid; 0 everywhere if none
     )
 
 
 def observe_target(target: DepthMap, spec: SensorSpec, *, factor: int = 1) -> TargetObservation:
-    """The target's depth map of a touch as `score` wants it; `factor` 1 is full size, `PREVIEW` for dragging.
+    """Reduce the target's depth map of a touch for `score`; `factor` 1 is full size, `PREVIEW_FACTOR` for dragging.
 
     The grid is that of the depth map's own camera. A pixel of a smaller grid is in contact where half of its area is.
     Raises SettingProblem for a factor below 1.
     """
     if factor < 1:
         raise SettingProblem(f"a preview takes every n-th pixel, with n at least 1, got {factor}")
-    drawn_into = spec.with_camera(target.camera)
+    rendered = spec.with_camera(target.camera)
     if factor > 1:
-        drawn_into = drawn_into.with_camera(drawn_into.camera.scale(1.0 / factor))
-    contact, depth_mm = _shrunk(target, drawn_into.camera)
+        rendered = rendered.with_camera(rendered.camera.scale(1.0 / factor))
+    contact, depth_mm = _resample(target, rendered.camera)
     edge = find_edge(contact)
     return TargetObservation(
-        spec=drawn_into,
+        spec=rendered,
         factor=factor,
         contact=freeze(contact),
         depth_mm=freeze(depth_mm),
@@ -54,19 +54,19 @@ def observe_target(target: DepthMap, spec: SensorSpec, *, factor: int = 1) -> Ta
 
 
 def choose_preview_factor(spec: SensorSpec) -> int:
-    """The factor for dragging: `PREVIEW`, less where that would leave hardly an image."""
-    return max(1, min(PREVIEW_FACTOR, min(spec.camera.shape) // _FEWEST_ROWS))
+    """Return the factor for dragging: `PREVIEW_FACTOR`, less where the image would get too small."""
+    return max(1, min(PREVIEW_FACTOR, min(spec.camera.shape) // _MIN_ROWS))
 
 
 def find_edge(mask: Mask) -> Mask:
-    """The pixels of a mask with a neighbour outside it; the border of the image is no edge."""
+    """Return the pixels of a mask with a neighbour outside it; the border of the image is no edge."""
     import cv2
 
     return mask & (cv2.erode(mask.view(np.uint8), np.ones((3, 3), np.uint8)) == 0)
 
 
 def compute_distance_px(edge: Mask) -> Floats:
-    """Distance (rows, cols) of every pixel to the nearest of `edge`; 0 everywhere where there is none."""
+    """Return each pixel's distance (rows, cols) to the nearest of `edge`; 0 everywhere where there is none."""
     import cv2
 
     if not edge.any():
@@ -74,8 +74,8 @@ def compute_distance_px(edge: Mask) -> Floats:
     return np.asarray(cv2.distanceTransform((~edge).view(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5), np.float32)
 
 
-def _shrunk(target: DepthMap, camera: Camera) -> tuple[Mask, Floats]:
-    """Contact and depth on the grid of `camera`: shares of area, and means over what is in contact."""
+def _resample(target: DepthMap, camera: Camera) -> tuple[Mask, Floats]:
+    """Return contact and depth on the grid of `camera`: area shares, and means over the contact."""
     import cv2
 
     usable = target.contact & np.isfinite(target.depth_mm)

@@ -1,4 +1,4 @@
-"""The same touch as two sensors felt it: what an alignment is judged on and refined with."""
+"""One touch as both sensors observed it: what an alignment is scored on and refined with."""
 
 from __future__ import annotations
 
@@ -28,23 +28,23 @@ class AlignmentTouch:
     index: int
     source: DepthMap
     target: DepthMap
-    source_shift_mm: float = 0.0  # `pipeline.translate.own_shift_mm` of either side
+    source_shift_mm: float = 0.0  # `translate.estimate_camera_shift_mm` of either side
     target_shift_mm: float = 0.0
 
     def apply_instance_shifts(self, alignment: Alignment) -> Alignment:
-        """The alignment between the very units that recorded this touch."""
+        """Return the alignment between the sensor instances that recorded this touch."""
         return shift_alignment_along_z(
             alignment, source_shift_mm=self.source_shift_mm, target_shift_mm=self.target_shift_mm
         )
 
     @property
     def has_contact_on_both(self) -> bool:
-        """Whether both sensors say that they were touched."""
+        """Return whether both sensors have contact."""
         return bool(self.source.contact.any()) and bool(self.target.contact.any())
 
 
 def find_pivot(touch: AlignmentTouch, alignment: Alignment) -> Doubles:
-    """The contact's centroid (3,) in the target frame of the descriptions: what turns are about."""
+    """Return the contact's centroid (3,) in the described target frame: the pivot of rotations."""
     return compute_pivot_mm(
         touch.source, shift_alignment_along_z(alignment, source_shift_mm=touch.source_shift_mm, target_shift_mm=0.0)
     )
@@ -53,9 +53,9 @@ def find_pivot(touch: AlignmentTouch, alignment: Alignment) -> Doubles:
 def load_paired_touch(
     translation: Translation, index: int, params: DepthParams | None = None, *, exact: bool = False
 ) -> AlignmentTouch:
-    """Frame `index` of both sensors through the depth stage, or (`exact`) as the recording's truth has it.
+    """Load frame `index` of both sensors through the depth stage, or (`exact`) from the recording's ground truth.
 
-    Raises SettingProblem when the target took no part, or when truth is asked for and there is none; FileProblem for
+    Raises SettingProblem when the target did not record, or when ground truth is requested and unknown; FileProblem for
     a damaged frame.
     """
     params = params or DepthParams()
@@ -63,7 +63,7 @@ def load_paired_touch(
     if other is None:
         raise SettingProblem(
             f"{translation.target.name} recorded no frame {index} here; "
-            f"an alignment is judged on a recording of both sensors"
+            f"scoring an alignment needs a recording of both sensors"
         )
     frame, (target_frame, target_truth) = translation.stream.frame(index), other
     maps: list[DepthMap] = []
@@ -71,7 +71,7 @@ def load_paired_touch(
         (frame, translation.source, translation.read_source_truth(index) if exact else None, translation.calibration),
         (target_frame, translation.target, target_truth, None),
     ):
-        maps.append(_exact(seen, spec, truth) if exact else _measured(seen, spec, look_up, params))
+        maps.append(_make_exact(seen, spec, truth) if exact else _measure(seen, spec, look_up, params))
     return AlignmentTouch(
         index=index,
         source=maps[0],
@@ -89,24 +89,26 @@ def load_paired_touches(
     exact: bool = False,
     progress: Progress = SILENT,
 ) -> tuple[AlignmentTouch, ...]:
-    """Those of the frames that both sensors felt, in order; raises like `paired_touch`."""
+    """Load the frames with contact on both sensors, in order; raises like `load_paired_touch`."""
     wanted = tuple(indices)
-    felt: list[AlignmentTouch] = []
+    touches: list[AlignmentTouch] = []
     for done, index in enumerate(wanted):
         progress.step(done / len(wanted), f"depth of frame {index} on both sides")
         touch = load_paired_touch(translation, index, params, exact=exact)
         if touch.has_contact_on_both:
-            felt.append(touch)
-    return tuple(felt)
+            touches.append(touch)
+    return tuple(touches)
 
 
-def _measured(frame: TactileFrame, spec: SensorSpec, look_up: Calibration | None, params: DepthParams) -> DepthMap:
+def _measure(frame: TactileFrame, spec: SensorSpec, look_up: Calibration | None, params: DepthParams) -> DepthMap:
     return skip_without_contact(frame, spec, look_up, params) or estimate_depth(frame, spec, look_up, params)
 
 
-def _exact(frame: TactileFrame, spec: SensorSpec, truth: Truth | None) -> DepthMap:
+def _make_exact(frame: TactileFrame, spec: SensorSpec, truth: Truth | None) -> DepthMap:
     if truth is None or truth.indentation_mm is None or truth.contact is None:
-        raise SettingProblem(f"the truth of frame {frame.index} of {spec.name} is not known; use the depth stage")
+        raise SettingProblem(
+            f"the ground truth of frame {frame.index} of {spec.name} is not known; use the depth stage"
+        )
     camera = frame.camera or spec.camera
     rest = spec.rest_depth_mm if camera == spec.camera else spec.membrane.rest_depth_mm(camera)
     if frame.is_depth and frame.reference is not None and frame.camera is not None:

@@ -1,4 +1,4 @@
-"""What the C library's allocator keeps of memory that is free; where there is no glibc, nothing is done."""
+"""Control how much free memory glibc's allocator keeps; without glibc nothing is done."""
 
 from __future__ import annotations
 
@@ -6,18 +6,18 @@ import ctypes
 import sys
 from functools import lru_cache
 
-_ARENA_MAX = -8  # glibc's number of that setting
-_MOST_ARENAS = 2
+_ARENA_MAX = -8  # glibc's M_ARENA_MAX
+_MAX_ARENAS = 2
 
 
 def limit_arenas() -> bool:
-    """Let threads share two heaps: each of twenty would keep what its largest moment took. Whether that was done."""
+    """Limit threads to two shared heaps, as each keeps its peak; returns whether that was possible."""
     library = _glibc()
-    return library is not None and bool(library.mallopt(_ARENA_MAX, _MOST_ARENAS))
+    return library is not None and bool(library.mallopt(_ARENA_MAX, _MAX_ARENAS))
 
 
 def release_free_memory() -> None:
-    """Return free memory to the system: where a recording is closed, a hundred megabytes may lie about in pieces."""
+    """Return free memory to the system; after closing a recording a hundred megabytes may be fragmented."""
     library = _glibc()
     if library is not None:
         library.malloc_trim(0)

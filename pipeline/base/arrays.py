@@ -1,4 +1,4 @@
-"""Array types, and the one habit they share: what leaves a function is not written to again."""
+"""Array types; arrays that leave a function are read-only."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from pipeline.base.lazy_import import defer_import
 
-defer_import("numpy.f2py", "numpy.testing")  # scipy asks numpy for all it has, a Fortran compiler's front among it
+defer_import("numpy.f2py", "numpy.testing")  # scipy touches all of numpy, including a Fortran compiler's front end
 
 Image = NDArray[np.uint8]  # (rows, cols, 3) RGB
 Floats = NDArray[np.float32]
@@ -21,11 +21,11 @@ A = TypeVar("A", bound=NDArray[Any])
 
 
 def freeze(array: A) -> A:
-    """The same array, read-only from now on."""
+    """Make the array read-only and return it."""
     array.flags.writeable = False
     return array
 
 
 def ensure_float(array: NDArray[Any]) -> NDArray[Any]:
-    """The array in a type that lengths keep their micrometres in: float64 and float32 as they are, others widened."""
+    """Return float64 and float32 arrays unchanged, others as float32, which holds micrometres."""
     return array if array.dtype.char in "fd" else array.astype(np.float32)

@@ -1,7 +1,7 @@
-"""Work on other machines: Dask's workers behind a scheduler's address, as processes of this machine are used.
+"""Work on other machines: Dask workers behind a scheduler's address, used like local processes.
 
-What is sent is a function of a module and plain values, so that a worker needs the project installed and the files at
-the same paths. A worker that dies loses nothing: what it had not handed over is done by another one.
+A task is a module's function and plain values, so a worker needs the project installed and the files at the same paths.
+If a worker dies, its unfinished tasks go to another one.
 """
 
 from __future__ import annotations
@@ -27,41 +27,39 @@ class ClusterPool:
 
     @property
     def pool(self) -> Executor:
-        """The same as an executor, for those who hand out work piece by piece."""
+        """The workers as an executor, for single tasks."""
         return self._client.get_executor(pure=False)
 
     def map(self, work: Callable[[Any], R], pieces: Sequence[Any], progress: Progress = SILENT) -> list[R]:
-        """What `work` makes of every piece, in their order; raises what it raises, NotConverged where workers die.
+        """Return `work` of every piece, in order; raises what it raises, NotConverged if workers keep dying.
 
-        Results are taken as they come: what is here is not done again, whatever becomes of its worker.
+        Results are fetched as they come and never computed again.
         """
         from distributed import KilledWorker, as_completed
 
         futures = self._client.map(work, pieces, pure=False)
-        place = {future.key: index for index, future in enumerate(futures)}
-        found: dict[int, R] = {}
+        index_by_key = {future.key: index for index, future in enumerate(futures)}
+        results: dict[int, R] = {}
         try:
             for future in as_completed(futures, loop=self._client.loop):
-                found[place[future.key]] = future.result()
-                future.release()  # else the scheduler has it done again when the worker that keeps it dies
-                progress.step(len(found) / len(pieces), f"{len(found)} of {len(pieces)} done elsewhere")
+                results[index_by_key[future.key]] = future.result()
+                future.release()  # otherwise it is computed again when its worker dies
+                progress.step(len(results) / len(pieces), f"{len(results)} of {len(pieces)} done elsewhere")
         except KilledWorker as error:
-            raise NotConverged(
-                "several workers died over the same piece of work, perhaps for want of memory"
-            ) from error
+            raise NotConverged("several workers died over the same task, perhaps out of memory") from error
         finally:
             self._client.cancel(futures)
-        return [found[index] for index in range(len(pieces))]
+        return [results[index] for index in range(len(pieces))]
 
 
 @contextmanager
 def connect_cluster(address: str) -> Generator[ClusterPool, None, None]:
-    """The workers of the scheduler at `address`, as `tcp://host:8786`; raises SettingProblem where there is none."""
+    """Connect to the scheduler at `address`, such as `tcp://host:8786`; raises SettingProblem if there is none."""
     try:
         from distributed import Client
     except ImportError as error:
         raise SettingProblem("--scheduler needs Dask: install it with `pip install 'tactoscope[cluster]'`") from error
-    logging.getLogger("distributed").setLevel(logging.ERROR)  # that a worker died is no news: its work goes on
+    logging.getLogger("distributed").setLevel(logging.ERROR)  # a dead worker is no news: its work goes on
     try:
         client = Client(address, timeout=CONNECT_S, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:

@@ -1,4 +1,4 @@
-"""An error that nobody foresaw: one sentence for the user, and its traceback in a file for whoever mends it."""
+"""Log unexpected errors: one sentence for the user, the traceback in a file."""
 
 from __future__ import annotations
 
@@ -8,22 +8,22 @@ import time
 import traceback
 from pathlib import Path
 
-MAX_LOG_BYTES = 1_000_000  # a longer file of details is put aside, and the one before it goes
+MAX_LOG_BYTES = 1_000_000  # a longer log is renamed and replaces the previous one
 
 
 def format_sentence(error: BaseException) -> str:
-    """What happened, by the error's kind and the first line of its text."""
+    """Return one sentence of the error's class and the first line of its text."""
     first = str(error).strip().splitlines()
-    return f"something unexpected went wrong ({type(error).__name__}{': ' + first[0] if first else ''})"
+    return f"unexpected error ({type(error).__name__}{': ' + first[0] if first else ''})"
 
 
 def format_details(error: BaseException) -> str:
-    """The traceback."""
+    """Return the traceback."""
     return "".join(traceback.format_exception(error))
 
 
 def log_error(error: BaseException) -> str:
-    """The sentence, with the file that the details were added to."""
+    """Append the details to the log; returns the sentence with the log's path."""
     entry = f"{time.strftime('%Y-%m-%d %H:%M:%S')}\n{format_details(error)}\n"
     for folder in (_own_folder(), Path(tempfile.gettempdir())):
         path = folder / "tactoscope.log"
@@ -34,7 +34,7 @@ def log_error(error: BaseException) -> str:
             with path.open("a", encoding="utf-8", errors="backslashreplace") as file:
                 file.write(entry)
             return f"{format_sentence(error)}; the details are in '{path}'"
-    return f"{format_sentence(error)}; there is nowhere to write its details to"
+    return f"{format_sentence(error)}; its details could not be written"
 
 
 def _own_folder() -> Path:

@@ -1,4 +1,4 @@
-"""What a user can be told went wrong: one sentence of what, where and what to try."""
+"""Errors that a user can solve, each one sentence: what, where and what to try."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from pipeline.base.text import escape_text
 
 
 class TouchError(Exception):
-    """Root of every error that is the user's to mend; its text is shown as it is, never as a traceback.
+    """Root of all errors that a user can solve; the text is shown without a traceback.
 
-    What a file or its name put into the text is escaped here, so that it stays one sentence on any terminal.
+    Control characters from files and names are escaped, so that it stays one sentence on any terminal.
     """
 
     def __init__(self, text: str) -> None:
@@ -31,13 +31,13 @@ class FileProblem(TouchError):
         super().__init__(f"{what}: '{path}'")
 
     def relocate(self, place: Path, instead_of: Path) -> FileProblem:
-        """The same, told of where the file under `instead_of` was to end up; itself for a file elsewhere."""
+        """Return the error with its path under `instead_of` moved to `place`; unchanged for a file elsewhere."""
         if not self.path.is_relative_to(instead_of):
             return self
         return FileProblem(self._what, place / self.path.relative_to(instead_of), field=self.field)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """What it is built from: a worker's error reaches its parent as it is."""
+        """Pickle the error for worker processes."""
         return partial(FileProblem, field=self.field), (self._what, self.path)
 
 
@@ -58,8 +58,8 @@ class MeshProblem(TouchError):
 
 
 class ModelMissing(TouchError):
-    """Weights of a network are missing, or another network's; what works without them answers instead."""
+    """Weights of a network are missing or belong to another network; a method without them is used instead."""
 
 
 class NotConverged(TouchError):
-    """An iterative solve ended without an answer that it can vouch for."""
+    """An iterative solver ended without a reliable result."""

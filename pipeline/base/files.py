@@ -1,6 +1,6 @@
-"""Files that are whole or not there, and files that are read only if they are files.
+"""Write files atomically, and read only regular files.
 
-Everything is written beside its place, brought to the disk while that can still fail in words, and moved in at the end.
+Files are written under a temporary name in the same folder, flushed to disk and then renamed.
 """
 
 from __future__ import annotations
@@ -25,25 +25,25 @@ from numpy.typing import NDArray
 
 from pipeline.base.errors import FileProblem
 
-MOST_BYTES = 2 << 30  # of one picture or mesh; what is larger is none
+MOST_BYTES = 2 << 30  # of one image or mesh
 MOST_TEXT_BYTES = 16 << 20  # of a description, an alignment or a session, which are a few kB
-_MOST_TRIES = 10  # of putting a folder in its place while others do
+_MAX_TRIES = 10  # of replacing a folder while other processes do
 _numbers = itertools.count()
 
 
 @contextlib.contextmanager
 def open_atomic(path: Path, what: str) -> Generator[BinaryIO, None, None]:
-    """An open file beside `path`, which takes its place when the block ends without an error and is gone otherwise.
+    """Yield a temporary file that replaces `path` when the block succeeds and is removed otherwise.
 
     Raises FileProblem "cannot write `what`" with the system's reason, also for an OSError of the block itself, and
-    where something stands at `path` that is no file.
+    where `path` is no regular file.
     """
     part = path.with_name(f".tactoscope-{os.getpid()}-{next(_numbers)}.part")
     try:
         if path.exists() and not path.is_file():
             raise FileProblem(f"cannot write {what} (a folder or a device of this name is there)", path)
         path.parent.mkdir(parents=True, exist_ok=True)
-        _remove_left_over(path.parent)
+        _remove_leftovers(path.parent)
         with part.open("w+b") as file:
             yield file
             file.flush()
@@ -57,14 +57,14 @@ def open_atomic(path: Path, what: str) -> Generator[BinaryIO, None, None]:
 
 
 def write_folder(folder: Path, fill: Callable[[Path], None]) -> None:
-    """Have `fill` write into a new folder that takes the place of `folder` once it is complete."""
+    """Have `fill` write into a new folder that replaces `folder` once it is complete."""
     ours = f".{folder.name}.{uuid.getnode():x}-"  # other machines may write into the same folder
     part, before = (folder.with_name(f"{ours}{os.getpid()}-{next(_numbers)}.part") for _ in range(2))
     try:
-        _remove_left_over(folder.parent, f"{glob.escape(ours)}*.part")
+        _remove_leftovers(folder.parent, f"{glob.escape(ours)}*.part")
         part.mkdir(parents=True)
         fill(part)
-        _take_place(part, folder, before)
+        _replace_folder(part, folder, before)
     except FileProblem as error:
         raise error.relocate(folder, instead_of=part) from error
     except OSError as error:
@@ -74,9 +74,9 @@ def write_folder(folder: Path, fill: Callable[[Path], None]) -> None:
             _remove(rest)
 
 
-def _take_place(part: Path, folder: Path, before: Path) -> None:
-    """Put `part` where `folder` is, which goes to `before`; another process may do the same at this very moment."""
-    for _ in range(_MOST_TRIES):
+def _replace_folder(part: Path, folder: Path, before: Path) -> None:
+    """Rename `part` to `folder`, and `folder` to `before`; safe against other processes doing the same."""
+    for _ in range(_MAX_TRIES):
         with contextlib.suppress(FileNotFoundError):
             folder.replace(before)
         try:
@@ -90,7 +90,7 @@ def _take_place(part: Path, folder: Path, before: Path) -> None:
 
 
 def prepare_folder(folder: Path) -> None:
-    """Make sure that `folder` is there and can be written to, before the work whose results it is for.
+    """Make sure that `folder` exists and is writable, before long work.
 
     Raises FileProblem otherwise.
     """
@@ -100,23 +100,22 @@ def prepare_folder(folder: Path) -> None:
             pass
     except OSError as error:
         raise FileProblem(
-            f"no results can be written here ({describe_os_error(error)}); choose another place", folder
+            f"this folder is not writable ({describe_os_error(error)}); choose another place", folder
         ) from error
 
 
 def prepare_folder_for(path: Path) -> None:
-    """The same for a file at `path`."""
+    """Make sure that the file `path` can be written."""
     if path.is_dir():
-        raise FileProblem("a folder stands where the file is to be written; choose another name", path)
+        raise FileProblem("this is a folder, not a file; choose another name", path)
     prepare_folder(path.parent)
 
 
 @contextlib.contextmanager
 def open_growing_file(path: Path, what: str) -> Generator[BinaryIO, None, None]:
-    """A new file in its place at once, for what is to be read while it grows.
+    """Yield a new file in its final place, to be read while it grows.
 
-    Nothing is replaced at the end: who writes it keeps it whole at every moment. Raises FileProblem, also for an
-    OSError of the block itself.
+    The writer keeps it valid at every moment. Raises FileProblem, also for an OSError of the block itself.
     """
     try:
         with path.open("w+b") as file:
@@ -126,7 +125,7 @@ def open_growing_file(path: Path, what: str) -> Generator[BinaryIO, None, None]:
 
 
 def open_lock(path: Path) -> BinaryIO:
-    """An empty file that other processes see as locked for as long as it is open, however this one ends.
+    """Open an empty file, locked against other processes until it is closed or this process ends.
 
     Raises FileProblem.
     """
@@ -142,7 +141,7 @@ def open_lock(path: Path) -> BinaryIO:
 
 
 def set_aside(path: Path) -> Path:
-    """Give the file at `path` another name beside, so that nothing is lost when one is written there; returns it."""
+    """Rename the file at `path` so that a new one does not overwrite it; returns the new path."""
     aside = next(
         place for n in itertools.count() if not (place := path.with_name(f"{path.name}.unread{n or ''}")).exists()
     )
@@ -154,26 +153,26 @@ def set_aside(path: Path) -> Path:
 
 
 def write_text(path: Path, text: str, what: str) -> None:
-    """`text` as UTF-8, whole or not at all; raises FileProblem."""
+    """Write `text` as UTF-8 atomically; raises FileProblem."""
     with open_atomic(path, what) as file:
         file.write(text.encode("utf-8"))
 
 
 def write_json(path: Path, value: object, what: str = "the report") -> None:
-    """`value` as indented JSON; numbers that are not finite become null, which JSON has a word for."""
-    write_text(path, json.dumps(_plain(value), indent=1, allow_nan=False) + "\n", what)
+    """Write `value` as indented JSON; numbers that are not finite become null."""
+    write_text(path, json.dumps(_to_json(value), indent=1, allow_nan=False) + "\n", what)
 
 
 def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], what: str = "the arrays") -> None:
-    """`arrays` as one .npz, lightly compressed; opened again without pickle."""
+    """Write `arrays` as one lightly compressed .npz without pickle."""
     with open_atomic(path, what) as file:
         np.savez_compressed(file, allow_pickle=False, **arrays)  # type: ignore[arg-type]
 
 
 def read_arrays(path: Path, what: str) -> dict[str, NDArray[Any]]:
-    """Every array of an .npz by its key, or the one of an .npy by its file's name, mapped rather than read.
+    """Read every array of an .npz by its key, or the memory-mapped array of an .npy by its file's stem.
 
-    Raises FileProblem for what is damaged, and for pickled objects, which could run code.
+    Raises FileProblem for damaged files, and for pickled objects, which could run code.
     """
     require_file(path, what, most_bytes=1 << 50)
     try:
@@ -194,16 +193,16 @@ def read_arrays(path: Path, what: str) -> dict[str, NDArray[Any]]:
 
 
 def read_cached_arrays(path: Path) -> dict[str, NDArray[Any]] | None:
-    """Every array of an .npz that this program can make again; None where there is none, or a damaged one."""
+    """Read every array of an .npz in a cache; None where the file is missing or damaged."""
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as opened:
             return {key: opened[key] for key in opened.files}
-    except Exception:  # noqa: BLE001 - errors of zip, zlib and numpy's headers have no common root, and none is news
+    except Exception:  # noqa: BLE001 - errors of zip, zlib and numpy's headers have no common root
         return None
 
 
 def require_file(path: Path, what: str, most_bytes: int = MOST_BYTES) -> None:
-    """Raise FileProblem unless `path` is a plain file of at most `most_bytes`: a pipe would be waited for forever."""
+    """Raise FileProblem unless `path` is a regular file of at most `most_bytes`; reading a pipe could block forever."""
     try:
         found = path.stat()
     except (OSError, ValueError) as error:
@@ -212,11 +211,11 @@ def require_file(path: Path, what: str, most_bytes: int = MOST_BYTES) -> None:
         kind = "a folder" if stat.S_ISDIR(found.st_mode) else "a pipe or a device"
         raise FileProblem(f"cannot read {what} (this is {kind}, not a file)", path)
     if found.st_size > most_bytes:
-        raise FileProblem(f"cannot read {what} ({found.st_size:.3g} bytes are more than any has)", path)
+        raise FileProblem(f"cannot read {what} ({found.st_size:.3g} bytes is too large)", path)
 
 
 def read_bytes(path: Path, what: str, most_bytes: int = MOST_BYTES) -> bytes:
-    """The content of a plain file; raises FileProblem "cannot read `what`" with the reason."""
+    """Return the content of a regular file; raises FileProblem "cannot read `what`" with the reason."""
     require_file(path, what, most_bytes)
     try:
         return path.read_bytes()
@@ -225,16 +224,16 @@ def read_bytes(path: Path, what: str, most_bytes: int = MOST_BYTES) -> bytes:
 
 
 def read_toml(path: Path, what: str) -> dict[str, Any]:
-    """The tables of a TOML file; raises FileProblem, also when they are nested beyond all use."""
-    return _parsed(path, what, tomllib.loads, "TOML")
+    """Return the tables of a TOML file; raises FileProblem, also for excessive nesting."""
+    return _parse(path, what, tomllib.loads, "TOML")
 
 
 def read_json(path: Path, what: str) -> Any:
-    """The value of a JSON file; raises FileProblem, also when it is nested beyond all use."""
-    return _parsed(path, what, json.loads, "JSON")
+    """Return the value of a JSON file; raises FileProblem, also for excessive nesting."""
+    return _parse(path, what, json.loads, "JSON")
 
 
-def _parsed(path: Path, what: str, parse: Callable[[str], Any], language: str) -> Any:
+def _parse(path: Path, what: str, parse: Callable[[str], Any], language: str) -> Any:
     try:
         return parse(read_bytes(path, what, MOST_TEXT_BYTES).decode("utf-8"))
     except (ValueError, RecursionError) as error:  # both languages' own errors, and that of UTF-8, are ValueErrors
@@ -242,15 +241,15 @@ def _parsed(path: Path, what: str, parse: Callable[[str], Any], language: str) -
 
 
 def describe_os_error(error: Exception) -> str:
-    """Why the system refused, in its few words; the HDF5 library wraps them in many."""
+    """Return the system's reason for an error; the HDF5 library wraps it in a long text."""
     number = error.errno if isinstance(error, OSError) else None
     return os.strerror(number) if number else str(error).partition("\n")[0]
 
 
-def _remove_left_over(folder: Path, pattern: str = ".tactoscope-*.part") -> None:
-    """Take away what a process that was killed left beside its place."""
+def _remove_leftovers(folder: Path, pattern: str = ".tactoscope-*.part") -> None:
+    """Remove temporary files of processes that were killed."""
     for rest in folder.glob(pattern):
-        with contextlib.suppress(PermissionError, ValueError, OverflowError):  # somebody else's
+        with contextlib.suppress(PermissionError, ValueError, OverflowError):  # another user's
             try:
                 os.kill(int(rest.name.split("-")[-2]), 0)
             except ProcessLookupError:
@@ -258,18 +257,18 @@ def _remove_left_over(folder: Path, pattern: str = ".tactoscope-*.part") -> None
 
 
 def _remove(path: Path) -> None:
-    """Take away a file or a folder, as far as that can be done."""
+    """Remove a file or a folder, as far as possible."""
     if path.is_dir():
         shutil.rmtree(path, ignore_errors=True)
     else:
         path.unlink(missing_ok=True)
 
 
-def _plain(value: object) -> object:
+def _to_json(value: object) -> object:
     if isinstance(value, Mapping):
-        return {str(k): _plain(v) for k, v in value.items()}
+        return {str(k): _to_json(v) for k, v in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_plain(v) for v in value]
+        return [_to_json(v) for v in value]
     if isinstance(value, (float, np.floating)):
         return float(value) if np.isfinite(value) else None
     if isinstance(value, np.integer):

@@ -1,4 +1,4 @@
-"""Frames as people write them."""
+"""Parse lists of frame numbers."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ _RANGE = re.compile(r"([0-9]{1,12})(?:-([0-9]{1,12}))?")
 
 
 def check_frame_index(index: int, n_frames: int) -> int:
-    """`index` if a recording of so many frames has it; raises SettingProblem otherwise, also where it has none."""
+    """Return `index` if a recording of `n_frames` has it; raises SettingProblem otherwise."""
     if n_frames < 1:
         raise SettingProblem("the recording holds no frame; choose another")
     if not 0 <= index < n_frames:
@@ -19,18 +19,18 @@ def check_frame_index(index: int, n_frames: int) -> int:
 
 
 def parse_frames(listed: str, n_frames: int) -> list[int]:
-    """Frame numbers of a text such as `0,3-7`; all of them if it is empty. Raises SettingProblem as `one_of` does."""
+    """Return the frame numbers of a text such as `0,3-7`; all if it is empty. Raises SettingProblem."""
     check_frame_index(0, n_frames)
     if not listed.strip():
         return list(range(n_frames))
-    chosen: set[int] = set()
+    frames: set[int] = set()
     for part in listed.split(","):
-        words = _RANGE.fullmatch(part.strip())
-        if words is None:
+        match = _RANGE.fullmatch(part.strip())
+        if match is None:
             raise SettingProblem(f"frames are given as numbers and ranges such as 0,3-7, got {listed[:40]!r}")
-        first, last = int(words[1]), int(words[2] or words[1])
+        first, last = int(match[1]), int(match[2] or match[1])
         check_frame_index(max(first, last), n_frames)
         if last < first:
             raise SettingProblem(f"a range of frames goes from the smaller number to the larger, got {part.strip()!r}")
-        chosen.update(range(first, last + 1))
-    return sorted(chosen)
+        frames.update(range(first, last + 1))
+    return sorted(frames)

@@ -1,4 +1,4 @@
-"""Modules that others name but nobody uses: they are there at once, and loaded when something of them is asked for."""
+"""Defer imports that libraries make but rarely use."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import sys
 
 
 def defer_import(*names: str) -> None:
-    """Have submodules of loaded packages loaded by the first look into them; those loaded already stay as they are."""
+    """Load submodules of loaded packages at their first attribute access; modules already loaded are unchanged."""
     for name in names:
         package, _, last = name.rpartition(".")
         spec = None if name in sys.modules or package not in sys.modules else importlib.util.find_spec(name)

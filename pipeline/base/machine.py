@@ -1,4 +1,4 @@
-"""Which machine, which versions and how many threads a figure comes from."""
+"""Describe the machine, versions and threads that a measurement was made with."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ THREAD_SETTINGS: Mapping[str, str] = {
     "MKL_NUM_THREADS": str(N_THREADS),
     "NUMBA_NUM_THREADS": str(N_THREADS),
     "TBB_NUM_THREADS": str(N_THREADS),
-    "OMP_WAIT_POLICY": "PASSIVE",  # a peer's idle threads must not spin on the cores that ours run on
+    "OMP_WAIT_POLICY": "PASSIVE",  # idle threads of other libraries must not occupy our cores
 }
 _PACKAGES = ("numpy", "scipy", "numba", "opencv-contrib-python-headless", "open3d", "small_gicp", "torch", "taxim")
 
@@ -36,12 +36,12 @@ def describe_machine(environment: Mapping[str, str] = os.environ) -> dict[str, A
 
 
 def format_machine(about: Mapping[str, Any]) -> str:
-    """The same in one line."""
+    """Return the description in one line."""
     versions = ", ".join(f"{name} {version}" for name, version in about["packages"].items() if version)
     threads = about["threads"]["OMP_NUM_THREADS"]
     load = f", load {about['load'][0]:g}" if about["load"] else ""
     return (
-        f"{about['cpu']}, {about['cores']} cores{load}; {threads or 'any number of'} threads; "
+        f"{about['cpu']}, {about['cores']} cores{load}; {threads or 'default'} threads; "
         f"Python {about['python']}, {versions}"
     )
 

@@ -1,6 +1,6 @@
-"""What has been worked out once and is kept for the next time: bounded, locked, and made once however many ask.
+"""A bounded, thread-safe cache that computes each value once.
 
-Keys are content: plain values, or the digest of what holds arrays (`pipeline.engine.digests.content`).
+Keys are plain values, or digests of values with arrays (`pipeline.engine.digests.compute_cached_digest`).
 """
 
 from __future__ import annotations
@@ -20,70 +20,70 @@ K = TypeVar("K", bound=Hashable)
 V = TypeVar("V")
 P = ParamSpec("P")
 
-MOST_BYTES = 64 * 1024 * 1024  # of one memo: two dozen answers of the size of a picture
+MOST_BYTES = 64 * 1024 * 1024  # of one memo: two dozen values of the size of an image
 
 
 class Memo(Generic[K, V]):
-    """Key -> answer; the longest unused goes first, and one that alone is too large is not kept."""
+    """Key -> value; the least recently used goes first, and a value that exceeds the limit alone is not kept."""
 
     def __init__(
         self, most: float = math.inf, *, most_bytes: int = MOST_BYTES, weigh: Callable[[V], int] | None = None
     ) -> None:
-        """Hold `most` answers that weigh `most_bytes` in all; `weigh` None counts the bytes of their arrays."""
+        """Hold at most `most` values of `most_bytes` in all; `weigh` None counts the bytes of their arrays."""
         self.most, self.most_bytes = most, most_bytes
         self._weigh = measure_bytes if weigh is None else weigh
-        self._kept: OrderedDict[K, tuple[V, int]] = OrderedDict()
+        self._values: OrderedDict[K, tuple[V, int]] = OrderedDict()
         self._making: dict[K, threading.Event] = {}
         self._n_bytes = 0
         self._lock = threading.Lock()
 
     @property
     def n_bytes(self) -> int:
-        """How much is held now; never above `most_bytes`."""
+        """Bytes held; at most `most_bytes`."""
         return self._n_bytes
 
     def __len__(self) -> int:
-        """How many answers are held."""
-        return len(self._kept)
+        """Return the number of values held."""
+        return len(self._values)
 
     def get(self, key: K) -> V | None:
-        """The answer of `key`, from now on the most recently used one; None where there is none."""
+        """Return the value of `key` and mark it as used; None if there is none."""
         with self._lock:
-            found = self._kept.get(key)
+            found = self._values.get(key)
             if found is None:
                 return None
-            self._kept.move_to_end(key)
+            self._values.move_to_end(key)
             return found[0]
 
     def put(self, key: K, answer: V) -> None:
-        """Keep `answer`, forgetting old ones."""
+        """Store `answer`; the least recently used values go."""
         weight = self._weigh(answer)
         with self._lock:
-            self._n_bytes -= self._kept.pop(key, (None, 0))[1]
+            self._n_bytes -= self._values.pop(key, (None, 0))[1]
             if weight > self.most_bytes:
                 return
-            self._kept[key] = (answer, weight)
+            self._values[key] = (answer, weight)
             self._n_bytes += weight
-            while self._n_bytes > self.most_bytes or len(self._kept) > self.most:
-                self._n_bytes -= self._kept.popitem(last=False)[1][1]
+            while self._n_bytes > self.most_bytes or len(self._values) > self.most:
+                self._n_bytes -= self._values.popitem(last=False)[1][1]
 
     def get_or_make(self, key: K, make: Callable[[], V]) -> V:
-        """The answer of `key`, kept or made by `make`, which must not ask for the same key; not None.
+        """Return the value of `key`, made by `make` if missing; `make` must not ask for the same key nor return None.
 
-        Who asks while another thread makes it waits for that one; if that one fails, makes it itself.
+        Other threads wait for the one that makes it; if that one fails, the next one makes it.
         """
         while True:
             answer = self.get(key)
             if answer is not None:
                 return answer
             with self._lock:
-                made_elsewhere = self._making.get(key)
-                if made_elsewhere is None:
+                other_thread = self._making.get(key)
+                if other_thread is None:
                     self._making[key] = threading.Event()
                     break
-            made_elsewhere.wait()
+            other_thread.wait()
         try:
-            answer = self.get(key)  # it may have come between the two looks
+            answer = self.get(key)  # another thread may have stored it meanwhile
             if answer is None:
                 answer = make()
                 self.put(key, answer)
@@ -93,36 +93,36 @@ class Memo(Generic[K, V]):
                 self._making.pop(key).set()
 
     def keep_only(self, keys: Container[K]) -> None:
-        """Forget all others."""
+        """Drop all other keys."""
         with self._lock:
-            for key in [key for key in self._kept if key not in keys]:
-                self._n_bytes -= self._kept.pop(key)[1]
+            for key in [key for key in self._values if key not in keys]:
+                self._n_bytes -= self._values.pop(key)[1]
 
     def clear(self) -> None:
-        """Forget everything."""
+        """Drop all values."""
         with self._lock:
-            self._kept.clear()
+            self._values.clear()
             self._n_bytes = 0
 
 
 def memoise(most: int, *, most_bytes: int = MOST_BYTES) -> Callable[[Callable[P, V]], Callable[P, V]]:
-    """Decorator: a function of hashable arguments keeps its last answers in a `Memo`, which is its `memo`."""
+    """Decorate a function of hashable arguments to keep its last results in a `Memo`, its attribute `memo`."""
 
     def wrap(function: Callable[P, V]) -> Callable[P, V]:
         memo: Memo[Any, V] = Memo(most, most_bytes=most_bytes)
 
         @functools.wraps(function)
-        def asked(*args: P.args, **kwargs: P.kwargs) -> V:
+        def call(*args: P.args, **kwargs: P.kwargs) -> V:
             return memo.get_or_make((args, *kwargs.items()), lambda: function(*args, **kwargs))
 
-        cast("Any", asked).memo = memo
-        return asked
+        cast("Any", call).memo = memo
+        return call
 
     return wrap
 
 
 def measure_bytes(value: object, besides: object = None) -> int:
-    """How much memory the arrays of a value take, each counted once; those that are also in `besides` not at all."""
+    """Return the bytes of a value's arrays, each counted once; arrays that are also in `besides` are left out."""
     counted: set[int] = set()
     _weigh(besides, counted)
     return _weigh(value, counted)
@@ -142,5 +142,5 @@ def _weigh(value: object, counted: set[int]) -> int:
 
 @functools.lru_cache(maxsize=256)
 def field_names(kind: type) -> tuple[str, ...] | None:
-    """The fields of a dataclass; None for any other type."""
+    """Return the field names of a dataclass; None for any other type."""
     return tuple(f.name for f in fields(kind)) if is_dataclass(kind) else None

@@ -1,6 +1,6 @@
-"""Stage parameters: frozen dataclasses whose fields carry what a person needs to set them.
+"""Stage parameters: frozen dataclasses whose fields describe how they are set.
 
-The command line's `--set stage.field=value` and the app's labelled controls are both derived from here.
+The command line's `--set stage.field=value` and the app's controls are derived from them.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _YES, _NO = {"true", "on", "yes", "1"}, {"false", "off", "no", "0"}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Setting:
-    """How one parameter is shown and what it may be."""
+    """Label, limits and help of one parameter."""
 
     label: str
     unit: str = ""
@@ -31,22 +31,22 @@ class Setting:
     step: float = 0.0  # of a spin box; 0 = a tenth of the range
     choices: tuple[str, ...] = ()
     help: str = ""
-    source: str = ""  # where the equation comes from that it stands in
-    sensor_kind: str = ""  # the kind of sensor that it says anything of, "" = any
+    source: str = ""  # of the equation that uses it
+    sensor_kind: str = ""  # that the parameter applies to, "" = any
 
     def applies_to(self, kind: str) -> bool:
-        """Whether it says anything of a sensor of that kind; "" is one that is not known."""
+        """Return whether the parameter applies to a sensor of that kind; "" = unknown kind."""
         return not (self.sensor_kind and kind) or self.sensor_kind == kind
 
 
 def is_draft(params: object) -> bool:
-    """Whether these are cheaper than what was asked for, so that their answer is to be called a draft."""
+    """Return whether the parameters are those of a faster draft."""
     return bool(getattr(params, "draft", False))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NoParams:
-    """Of a method that has nothing to set."""
+    """Parameters of a method without settings."""
 
 
 def setting(
@@ -62,16 +62,16 @@ def setting(
     source: str = "",
     only: str = "",
 ) -> Any:
-    """A dataclass field with a default and its `Setting`; `choices` is the `Literal` that the field is declared as."""
+    """Return a dataclass field with a default and its `Setting`; `choices` is the field's `Literal` type."""
     words = get_args(choices) or tuple(choices)
-    told = Setting(
+    rule = Setting(
         label=label, unit=unit, low=low, high=high, step=step, choices=words, help=help, source=source, sensor_kind=only
     )  # fmt: skip
-    return field(default=default, metadata={"setting": told})
+    return field(default=default, metadata={"setting": rule})
 
 
 def list_settings(params: object) -> Mapping[str, tuple[Value, Setting]]:
-    """Name -> (value, how to show it) of every parameter, in the order of definition."""
+    """Return name -> (value, setting) of every parameter, in the order of definition."""
     return {
         f.name: (getattr(params, f.name), f.metadata["setting"])
         for f in fields(cast("Any", params))
@@ -80,26 +80,26 @@ def list_settings(params: object) -> Mapping[str, tuple[Value, Setting]]:
 
 
 def replace_value(params: P, name: str, value: Value) -> P:
-    """`params` with one value replaced, after checking its type and range; raises SettingProblem."""
+    """Return `params` with one value replaced, after checking its type and range; raises SettingProblem."""
     known = list_settings(params)
     if name not in known:
         raise SettingProblem(f"no parameter {name!r}; there are {', '.join(known)}")
-    old, told = known[name]
+    old, rule = known[name]
     try:
-        new = _converted(value, type(old))
+        new = _convert(value, type(old))
     except ValueError:
         raise SettingProblem(
             f"{name} must be {_KINDS[type(old)]}, got {value!r}{hint_decimal_comma(str(value))}"
         ) from None
-    if told.choices and new not in told.choices:
-        raise SettingProblem(f"{name} must be one of {', '.join(told.choices)}, got {value!r}")
-    if isinstance(new, (int, float)) and not isinstance(new, bool) and not told.low <= new <= told.high:
-        unit = f" {told.unit}" if told.unit else ""
-        raise SettingProblem(f"{name} must lie within {told.low:g} and {told.high:g}{unit}, got {new:g}")
+    if rule.choices and new not in rule.choices:
+        raise SettingProblem(f"{name} must be one of {', '.join(rule.choices)}, got {value!r}")
+    if isinstance(new, (int, float)) and not isinstance(new, bool) and not rule.low <= new <= rule.high:
+        unit = f" {rule.unit}" if rule.unit else ""
+        raise SettingProblem(f"{name} must lie within {rule.low:g} and {rule.high:g}{unit}, got {new:g}")
     return cast("P", replace(cast("Any", params), **{name: new}))
 
 
-def _converted(value: Value, kind: type) -> Value:
+def _convert(value: Value, kind: type) -> Value:
     if kind is bool:
         word = str(value).lower()
         if word not in _YES | _NO:

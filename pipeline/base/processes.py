@@ -1,4 +1,4 @@
-"""Worker processes: fresh ones of one thread each, that leave Ctrl-C to their parent and end with it."""
+"""Worker processes of one thread each, which ignore Ctrl-C and end with their parent."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from concurrent.futures import ProcessPoolExecutor
 
 
 def worker_pool(n: int, nice: int = 0) -> ProcessPoolExecutor:
-    """`n` workers, started with the first work; `nice` is how far they stand back behind other processes."""
+    """Return a pool of `n` workers, started with the first task; `nice` lowers their priority."""
     import multiprocessing
 
     context = multiprocessing.get_context("spawn")
-    return ProcessPoolExecutor(n, mp_context=context, initializer=_begin, initargs=(nice,))
+    return ProcessPoolExecutor(n, mp_context=context, initializer=_initialise, initargs=(nice,))
 
 
-def _begin(nice: int) -> None:
+def _initialise(nice: int) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if hasattr(os, "setpgrp"):
-        os.setpgrp()  # what asks the whole group to end is for the parent to answer
+        os.setpgrp()  # signals to the group are for the parent
     threading.Thread(target=_end_with_parent, daemon=True).start()
     if nice and hasattr(os, "nice"):
         with contextlib.suppress(OSError):
@@ -34,7 +34,7 @@ def _begin(nice: int) -> None:
 
 
 def _end_with_parent() -> None:
-    """A worker whose parent was killed would wait for its next work forever."""
+    """End this worker when its parent is killed; it would wait forever."""
     import multiprocessing
     from multiprocessing.connection import wait
 

@@ -1,4 +1,4 @@
-"""The name of the processor that figures come from."""
+"""Name of the processor, for measurements."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 
 
 def describe_processor() -> str:
-    """Its model as the system tells it."""
+    """Return the processor's model name."""
     try:
         for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
             if line.startswith("model name"):

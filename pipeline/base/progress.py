@@ -1,4 +1,4 @@
-"""How a long stage reports where it is, and how it is cancelled."""
+"""Progress of long stages, and their cancellation."""
 
 from __future__ import annotations
 
@@ -6,19 +6,19 @@ from typing import Protocol
 
 
 class Cancelled(Exception):
-    """Raised inside `Progress.step` once nobody wants the result any more."""
+    """Raised by `Progress.step` when the result is no longer needed."""
 
 
 class Progress(Protocol):
-    """Anything that can be told how far a stage has come."""
+    """Receiver of a stage's progress."""
 
     def step(self, fraction: float, text: str) -> None:
-        """Report `fraction` in 0..1 and what is being done; raises `Cancelled` to stop the work."""
+        """Report `fraction` in 0..1 and the current activity; raises `Cancelled` to stop the work."""
         ...
 
 
 class SilentProgress:
-    """A progress that nobody watches and nobody cancels."""
+    """A progress that is not shown and never cancelled."""
 
     def step(self, fraction: float, text: str) -> None:
         """Do nothing."""
@@ -28,12 +28,12 @@ SILENT = SilentProgress()
 
 
 class SubProgress:
-    """The part of a longer progress that begins at `start` and is `part` of the whole, under a title of its own."""
+    """Part of a longer progress: begins at `start`, is `part` of the whole, has its own title."""
 
     def __init__(self, whole: Progress, start: float, part: float, title: str = "") -> None:
         self._whole, self._start, self._part, self._title = whole, start, part, title
 
     def step(self, fraction: float, text: str) -> None:
-        """Pass on as a fraction of the whole."""
+        """Report as a fraction of the whole."""
         label = ": ".join(word for word in (self._title, text) if word)
         self._whole.step(self._start + self._part * min(max(fraction, 0.0), 1.0), label)

@@ -1,4 +1,4 @@
-"""The two levels of what a method says of its answer: a plain note, and one that speaks against the answer."""
+"""Notes on a stage's result: plain ones, and warnings."""
 
 from __future__ import annotations
 
@@ -6,17 +6,15 @@ from collections.abc import Iterable
 
 
 class StageWarning(str):
-    """A note for which the answer beside it may be wrong: shown, counted and reported apart from plain ones.
+    """A note that the result may be wrong; shown, counted and reported apart from plain notes.
 
-    It is the sentence itself, so that whatever takes notes takes doubts.
+    It is a string, so that it goes wherever notes go.
     """
 
-    __slots__ = ()
 
-
-AT_BORDER = StageWarning("the contact reaches the image border: what lies beyond is not seen")
+AT_BORDER = StageWarning("the contact reaches the image border: the part beyond is missing")
 
 
 def select_warnings(notes: Iterable[str]) -> tuple[StageWarning, ...]:
-    """Those of the notes that are doubts, in their order."""
+    """Return the warnings among the notes, in order."""
     return tuple(note for note in notes if isinstance(note, StageWarning))

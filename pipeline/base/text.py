@@ -1,4 +1,4 @@
-"""Text that comes from outside, made safe to show: no file name or attribute moves a cursor or hides a word."""
+"""Make foreign text safe to show: control characters in names and attributes are escaped."""
 
 from __future__ import annotations
 
@@ -7,22 +7,22 @@ import unicodedata
 
 
 def escape_text(text: str) -> str:
-    r"""`text` on one line: control and direction marks, and bytes that are no text, as escapes such as `\x1b`."""
+    r"""Return `text` on one line: control and direction marks and undecodable bytes become escapes such as `\x1b`."""
     if text.isprintable():
         return text
-    return "".join(c if c.isprintable() or unicodedata.category(c) == "Zs" else _escaped(c) for c in text)
+    return "".join(c if c.isprintable() or unicodedata.category(c) == "Zs" else _escape_character(c) for c in text)
 
 
 def hint_decimal_comma(text: str) -> str:
-    """What to write where the first decimal comma of `text` stands, as the end of a sentence; empty where none does."""
+    """Return a hint with the first decimal comma of `text` as a point, to end a sentence; empty without a comma."""
     found = re.search(r"-?\d*,\d+", text)
-    return f"; decimals stand behind a point: {found[0].replace(',', '.')}" if found else ""
+    return f"; use a decimal point: {found[0].replace(',', '.')}" if found else ""
 
 
 def is_utf8_encodable(name: str) -> bool:
-    """Whether a file's name can be given to a library that takes nothing but UTF-8."""
+    """Return whether a file name is valid UTF-8, as some libraries require."""
     return not any("\ud800" <= c <= "\udfff" for c in name)
 
 
-def _escaped(character: str) -> str:
+def _escape_character(character: str) -> str:
     return character.encode("unicode_escape").decode("ascii")

@@ -1,4 +1,4 @@
-"""The units that a file of a shape may be in, which no such file says."""
+"""Length units of mesh files, which do not state theirs."""
 
 from __future__ import annotations
 
@@ -8,4 +8,4 @@ from typing import Literal
 MeshUnit = Literal["auto", "mm", "cm", "m", "in", "inch"]
 
 UNIT_MM: Mapping[str, float] = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4, "inch": 25.4}
-"""Millimetres to one of each."""
+"""Millimetres per unit."""

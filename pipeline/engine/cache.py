@@ -1,4 +1,4 @@
-"""What stages have already worked out, bounded in bytes; the longest unused result goes first."""
+"""Stage results in memory, bounded in bytes; the least recently used goes first."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ class CacheEntry:
     output: object
     digest: str
     n_bytes: int
-    skip_reason: str = ""  # why there was nothing to work out
-    fallback: str = ""  # why another method answered
+    skip_reason: str = ""  # why nothing had to be computed; "" = it was
+    fallback: str = ""  # why another method gave the result; "" = it did not
 
 
 class Cache(Memo[str, CacheEntry]):
-    """Key -> Entry, safe to share between threads."""
+    """Key -> CacheEntry, safe to share between threads."""
 
     def __init__(self, max_bytes: int = DEFAULT_MAX_BYTES) -> None:
         super().__init__(most_bytes=max_bytes, weigh=lambda entry: entry.n_bytes)

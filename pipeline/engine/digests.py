@@ -1,6 +1,6 @@
-"""Content digests: equal values have equal digests, whoever made them and whenever.
+"""Content digests: equal values have equal digests, across processes and time.
 
-Arrays go through XXH3-128, microseconds a frame, so that everything can be hashed and nothing has to be guessed.
+Arrays use XXH3-128, microseconds per frame.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from numpy.typing import NDArray
 from pipeline.base.memo import Memo, field_names
 
 UNDIGESTED: Mapping[str, bool] = MappingProxyType({"digest": False})
-"""Metadata of a field that is kept to be looked at (states for scrubbing): it is no part of the value's digest."""
+"""Metadata of a dataclass field that the digest leaves out, such as steps kept for display."""
 
-_WORTH_KEEPING = 4096  # bytes; a smaller array is read sooner than looked up
-_MOST_BYTES = 4 * 1024 * 1024  # held by a memo of digests: what is asked for each frame, not the frames of a recording
-_arrays: Memo[int, tuple[NDArray[Any], bytes]] = Memo(256, most_bytes=_MOST_BYTES)
+_MIN_CACHED_BYTES = 4096  # bytes; a smaller array is hashed faster than looked up
+_MAX_BYTES = 4 * 1024 * 1024  # per digest cache: values used for each frame, not the frames of a recording
+_arrays: Memo[int, tuple[NDArray[Any], bytes]] = Memo(256, most_bytes=_MAX_BYTES)
 
 
 def compute_digest(value: object) -> str:
-    """Hexadecimal digest of plain values, bytes, arrays, paths (their name), tuples, mappings and dataclasses of those.
+    """Return the hexadecimal digest of plain values, bytes, arrays, paths, tuples, mappings or dataclasses.
 
-    Raises TypeError for anything else: a stage that reads a value without a digest could not be cached honestly.
+    Raises TypeError for anything else: a stage that reads a value without a digest cannot be cached.
     """
     state = xxhash.xxh3_128()
     _feed(state, value)
@@ -37,21 +37,21 @@ def compute_digest(value: object) -> str:
 
 
 class DigestCache:
-    """Digests remembered by identity: sensors, meshes and results of an untouched sensor stay the same for hours.
+    """Digests cached by identity, for values that stay the same for long, such as sensors and meshes.
 
-    Only for values that nobody can change; of any other the digest is worked out each time. The values are held, so
-    that no other can take their identity; the longest unused goes first. Safe to share between threads.
+    Only immutable values are cached; they are held, so that their identity is not reused. The least recently used goes
+    first. Safe to share between threads.
     """
 
     def __init__(self, most: int = 32) -> None:
-        self._kept: Memo[int, tuple[object, str]] = Memo(most, most_bytes=_MOST_BYTES)
+        self._kept: Memo[int, tuple[object, str]] = Memo(most, most_bytes=_MAX_BYTES)
 
     def __len__(self) -> int:
-        """How many digests are remembered."""
+        """Return the number of cached digests."""
         return len(self._kept)
 
     def compute_digest(self, value: object) -> str:
-        """The same as `digest(value)`, worked out once."""
+        """Return `compute_digest(value)`, computed once."""
         known = self._kept.get(id(value))
         if known is not None:
             return known[1]
@@ -61,11 +61,11 @@ class DigestCache:
         return made
 
 
-compute_cached_digest = DigestCache(most=128).compute_digest  # of all keys of memos
+compute_cached_digest = DigestCache(most=128).compute_digest  # for keys of all memos
 
 
 def is_frozen(value: object) -> bool:
-    """Whether nobody can change a value: no array in it, nor one that it is a view of, can be written to."""
+    """Return whether a value is immutable: no array in it, nor one that it is a view of, is writable."""
     if isinstance(value, np.ndarray):
         array = cast("NDArray[Any]", value)
         base: object = array.base
@@ -79,30 +79,30 @@ def is_frozen(value: object) -> bool:
     return bool(frozen) and all(is_frozen(getattr(value, name)) for name in names)
 
 
-def _bytes_digest(array: NDArray[Any]) -> bytes:
-    """Of the bytes alone, remembered by identity where nobody can change them: values are made of others' arrays."""
+def _digest_array(array: NDArray[Any]) -> bytes:
+    """Digest the array's bytes, cached by identity where it is immutable: values share arrays."""
     known = _arrays.get(id(array))
     if known is not None:
         return known[1]
     made = xxhash.xxh3_128_digest(np.ascontiguousarray(array).data.cast("B") if array.size else b"")
-    if array.nbytes >= _WORTH_KEEPING and is_frozen(array):
+    if array.nbytes >= _MIN_CACHED_BYTES and is_frozen(array):
         _arrays.put(id(array), (array, made))
     return made
 
 
 @lru_cache(maxsize=256)
-def _digested_names(kind: type) -> tuple[str, ...] | None:
+def _list_digested_fields(kind: type) -> tuple[str, ...] | None:
     return tuple(f.name for f in fields(kind) if f.metadata.get("digest", True)) if is_dataclass(kind) else None
 
 
 def _feed(state: xxhash.xxh3_128, value: object) -> None:
     if isinstance(value, np.ndarray):
         array = cast("NDArray[Any]", value)
-        if isinstance(array, np.ma.MaskedArray):  # what a mask hides is no content, the mask itself is
+        if isinstance(array, np.ma.MaskedArray):  # masked values are no content, the mask is
             _feed(state, ("masked", np.ma.getmaskarray(array)))
             array = array.filled(0)
         state.update(f"a{array.dtype.str}{array.shape}".encode())
-        state.update(_bytes_digest(array))
+        state.update(_digest_array(array))
     elif value is None or isinstance(value, (bool, int, float, str, Path)):
         # repr of a float is exact; the type's name keeps 1, 1.0, True and "1" apart.
         state.update(f"{type(value).__name__}:{value!r};".encode())
@@ -119,7 +119,7 @@ def _feed(state: xxhash.xxh3_128, value: object) -> None:
         for key in sorted(pairs):
             _feed(state, (key, pairs[key]))
     else:
-        names = _digested_names(type(value))
+        names = _list_digested_fields(type(value))
         if names is None:
             raise TypeError(f"a {type(value).__name__} has no content digest")
         state.update(f"c{type(value).__qualname__}(".encode())

@@ -1,7 +1,7 @@
-"""Values kept on disk for the next process: what takes long to work out and depends on little.
+"""Cache on disk for slow results of few inputs, in the user's cache folder.
 
-The folder is the platform's cache of this user. A file is named after what its value was made of, the code that made it
-included; one that is damaged is made again; where nothing can be read or written, everything works without.
+A file is named by the digest of its inputs and of the code that made it. Damaged files are made again; without a
+readable or writable folder everything works uncached.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ from pipeline.base.errors import FileProblem
 from pipeline.base.files import open_atomic, read_cached_arrays
 from pipeline.engine.digests import compute_digest
 
-_MOST_FILES = 40  # of one kind; a distance grid takes 16 MB
+_MAX_FILES = 40  # per folder; a distance grid takes 16 MB
 
 T = TypeVar("T")
 
 
 def load_or_make(kind: type[T], made_of: object, code: tuple[str, ...], make: Callable[[], T], folder: Path | str) -> T:
-    """The value that `make` makes of `made_of` by the modules `code`: read from disk, or made and written there.
+    """Read the value that `make` makes of `made_of` from disk, or make and write it.
 
-    A package in `code` stands for all of its own modules.
-    `kind` is a flat dataclass of arrays, numbers and tuples of words; a relative `folder` lies in this user's cache.
+    `code` names the modules that it depends on; a package stands for its own modules. `kind` is a flat dataclass of
+    arrays, numbers and tuples of words; a relative `folder` is within the user's cache.
     """
-    key = compute_digest((_source(code), made_of))
+    key = compute_digest((_digest_source(code), made_of))
     path = cache_folder() / folder / f"{key}.npz"
     value = _read(kind, path, key)
     if value is None:
@@ -43,20 +43,20 @@ def load_or_make(kind: type[T], made_of: object, code: tuple[str, ...], make: Ca
 
 
 def cache_folder() -> Path:
-    """Where this program keeps what it can make again."""
+    """Return the user's cache folder of this program."""
     import platformdirs
 
     return Path(platformdirs.user_cache_dir("tactoscope", appauthor=False))
 
 
 @lru_cache(maxsize=16)
-def _source(code: tuple[str, ...]) -> str:
-    """Digest of the source of modules: a changed line makes other files."""
+def _digest_source(code: tuple[str, ...]) -> str:
+    """Digest the source of modules, so that a changed line makes other files."""
     return compute_digest([file.read_text("utf-8") for name in code for file in _files(name)])
 
 
 def _files(name: str) -> list[Path]:
-    """The files of a module, or of a package's own modules."""
+    """Return the files of a module, or of a package's own modules."""
     spec = find_spec(name)
     if spec is None or not spec.origin:
         return []
@@ -67,10 +67,10 @@ def _read(kind: type[T], path: Path, key: str) -> T | None:
     found, names = read_cached_arrays(path), {f.name for f in fields(cast("Any", kind))}
     if found is None or str(found.pop("key", "")) != key or set(found) != names:
         return None
-    return kind(**{name: _plain(array) for name, array in found.items()})
+    return kind(**{name: _to_field_value(array) for name, array in found.items()})
 
 
-def _plain(array: NDArray[Any]) -> object:
+def _to_field_value(array: NDArray[Any]) -> object:
     if array.ndim == 0:
         return array.item()
     return tuple(str(word) for word in array) if array.dtype.kind == "U" else freeze(array)
@@ -82,5 +82,5 @@ def _write(value: object, path: Path, key: str) -> None:
         with open_atomic(path, "a file of the cache") as file:
             np.savez(file, key=np.array(key), **arrays)
         newest_last = sorted(path.parent.glob("*.npz"), key=lambda file: file.stat().st_mtime)
-        for old in newest_last[:-_MOST_FILES]:
+        for old in newest_last[:-_MAX_FILES]:
             old.unlink(missing_ok=True)

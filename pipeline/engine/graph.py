@@ -1,9 +1,9 @@
-"""Slots filled by methods, on demand.
+"""On-demand evaluation of stages by methods.
 
-A slot is a value that people look at (a depth map, a touch, a pose); a method is one way to fill it. A method runs
-only if somebody wants its slot, nobody has worked it out before, and the scene needs it. Its key is a digest of slot,
-method, version, parameters and the *contents* of what it reads, so a slot that comes out equal after a change stops the
-recomputation below it (early cutoff, Salsa's backdating), whichever method filled it.
+A stage produces a value that people look at (a depth map, a touch, a pose); a method is one implementation of it. A
+method runs only if its stage is requested, not cached, and needed by the scene. Its key is a digest of stage, method,
+version, parameters and the *contents* of its inputs, so an equal output after a change stops the recomputation below it
+(early cutoff, Salsa's backdating), whichever method produced it.
 """
 
 from __future__ import annotations
@@ -45,71 +45,71 @@ class Fallback:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Method:
-    """One way to fill a slot: a pure function, its parameters, and what it reads."""
+    """One implementation of a stage: a function without side effects, its parameters, and its inputs."""
 
     stage: str
-    name: str  # unique in its slot
+    name: str  # unique within its stage
     title: str
-    run: Callable[..., Any]  # (*reads, params, progress) -> the slot's value, or `Skipped`
+    run: Callable[..., Any]  # (*reads, params, progress) -> the stage's value, `Skipped` or `Fallback`
     params: type[Any]
-    reads: tuple[str, ...]  # slots above it or inputs, in the order of `run`'s arguments
-    version: int = 1  # raised whenever the same inputs give another output
+    reads: tuple[str, ...]  # stages above it or inputs, in the order of `run`'s arguments
+    version: int = 1  # raised when equal inputs give another output
     help: str = ""  # what it does, in half a sentence
-    weights: Callable[..., object] | None = None  # (source, target, file) -> input `weights_name`; None = it reads none
+    weights: Callable[..., object] | None = None  # (source, target, file) -> input `weights_name`; None = no weights
 
-    draft: Callable[[Any], Any] | None = None  # parameters -> cheaper ones, while one is dragged; None = as they are
+    draft: Callable[[Any], Any] | None = None  # parameters -> cheaper ones for dragging; None = no draft
 
     @property
     def weights_name(self) -> str:
-        """The input that its weights are read under."""
+        """Name of the input that holds its weights."""
         return f"{self.stage}_weights"
 
     @property
     def key(self) -> str:
-        """What its parameters are kept under."""
+        """Key under which its parameters are stored."""
         return f"{self.stage}/{self.name}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StageResult:
-    """What a slot holds this time, how long that took, and why it took no longer."""
+    """A stage's result, its time, and how it came about."""
 
-    name: str  # of the slot
-    method: Method | None  # None = the value was given in its place
+    name: str  # of the stage
+    method: Method | None  # None = the value was given as input
     output: Any
     state: State
     ms: float
     notes: tuple[str, ...]
     digest: str
-    fallback: str = ""  # why another method answered; "" = this one did
-    draft: bool = False  # it, or something that it rests on, was worked out by cheaper parameters than asked for
+    fallback: str = ""  # why another method gave the result; "" = it did not
+    draft: bool = False  # whether it or one of its inputs was computed with draft parameters
 
     @property
     def warnings(self) -> tuple[StageWarning, ...]:
-        """What speaks against the answer; none of one that needed no work."""
+        """Warnings about the result; none for a skipped stage."""
         return () if self.state == "skipped" else select_warnings(self.notes)
 
 
 def skip_if_exact(exact: Callable[..., Any], run: Callable[..., Any]) -> Callable[..., Any]:
-    """A method's function of two: `exact` (*reads, params) answers where there is nothing to do, `run` otherwise."""
+    """Return a method's function: the result of `exact` (*reads, params) if it has one, that of `run` otherwise."""
 
-    def filled(*args: Any) -> Any:
+    def run_if_needed(*args: Any) -> Any:
         output = exact(*args[:-1])
         return run(*args) if output is None else Skipped(output=output, reason=(*output.notes, "nothing to do")[0])
 
-    return filled
+    return run_if_needed
 
 
 @dataclass(slots=True)
 class Graph:
-    """Evaluates the methods of one route, one a slot; holds nothing but the cache, so threads may share it."""
+    """Evaluates the methods of one route, one per stage; its only state is the cache, so threads may share it."""
 
     methods: Sequence[Method]
     cache: Cache = field(default_factory=Cache)
-    _known: DigestCache = field(default_factory=DigestCache)
+    _digests: DigestCache = field(default_factory=DigestCache)
 
     def with_methods(self, methods: Sequence[Method]) -> Graph:
-        """A graph of other methods that remembers what this one has worked out."""
+        """Return a graph of other methods with the same cache."""
         return replace(self, methods=methods)
 
     def evaluate(
@@ -120,15 +120,15 @@ class Graph:
         progress: Progress = SILENT,
         on_stage: Callable[[StageResult], None] | None = None,
     ) -> dict[str, StageResult]:
-        """Results of the `wanted` slots and of those they rest on, in order.
+        """Return results of the `wanted` stages and of those they depend on, in order.
 
-        `inputs` are the values that no method makes; one under a slot's name stands for that slot, whose method then
-        does not run (truth in its place tells what the slot is to blame for). `params` maps slots to the parameters of
-        their methods; one that is left out, or that is another method's, runs on its defaults.
-        Raises SettingProblem for an unknown name, Cancelled when `progress` says so, and whatever a method raises.
+        `inputs` are the values that no method produces; one under a stage's name replaces that stage, whose method does
+        not run (ground truth there attributes the error). `params` maps stages to parameters of their methods; a
+        missing entry, or one of another method, means defaults. Raises SettingProblem for an unknown name, Cancelled
+        when `progress` says so, and whatever a method raises.
         """
         order = self.select_methods(wanted, given=inputs.keys())
-        digests = {name: self._known.compute_digest(value) for name, value in inputs.items()}
+        digests = {name: self._digests.compute_digest(value) for name, value in inputs.items()}
         values: dict[str, object] = dict(inputs)
         results: dict[str, StageResult] = {}
         fresh, drafts = set[str](), set[str]()
@@ -136,10 +136,10 @@ class Graph:
             part = SubProgress(progress, index / len(order), 1.0 / len(order), method.title)
             part.step(0.0, "")
             if method.stage in inputs:
-                result = _given(method.stage, values[method.stage], digests[method.stage])
+                result = _make_given_result(method.stage, values[method.stage], digests[method.stage])
             else:
-                own = _fitting(params, method)
-                result = self._one(method, values, digests, own, fresh, part)
+                own = _select_params(params, method)
+                result = self._evaluate_method(method, values, digests, own, fresh, part)
                 if is_draft(own) or drafts.intersection(method.reads):
                     drafts.add(method.stage)
                     result = replace(result, draft=True)
@@ -153,18 +153,18 @@ class Graph:
         return results
 
     def select_methods(self, wanted: Iterable[str], given: Iterable[str] = ()) -> tuple[Method, ...]:
-        """The methods of the wanted slots and of all that they read, in running order; a given slot reads nothing."""
+        """Return the methods of the wanted stages and of their inputs, in running order; given stages read nothing."""
         names, given = set(wanted), set(given)
         unknown = names - {m.stage for m in self.methods}
         if unknown:
             known = ", ".join(m.stage for m in self.methods)
-            raise SettingProblem(f"no slot {sorted(unknown)[0]!r} on this route; there are {known}")
+            raise SettingProblem(f"no stage {sorted(unknown)[0]!r} on this route; there are {known}")
         for method in reversed(self.methods):
             if method.stage in names and method.stage not in given:
                 names.update(method.reads)
         return tuple(m for m in self.methods if m.stage in names)
 
-    def _one(
+    def _evaluate_method(
         self,
         method: Method,
         values: Mapping[str, object],
@@ -182,7 +182,7 @@ class Graph:
         if entry is not None:
             state: State = "unchanged" if fresh.intersection(method.reads) else "cached"
         else:
-            entry = self._work(method, [values[name] for name in method.reads], params, progress)
+            entry = self._run_method(method, [values[name] for name in method.reads], params, progress)
             self.cache.put(key, entry)
             state = "computed"
         notes = tuple(getattr(entry.output, "notes", ()))
@@ -196,26 +196,26 @@ class Graph:
             fallback=entry.fallback,
         )  # fmt: skip
 
-    def _work(self, method: Method, reads: Sequence[object], params: object, progress: Progress) -> CacheEntry:
+    def _run_method(self, method: Method, reads: Sequence[object], params: object, progress: Progress) -> CacheEntry:
         answer = method.run(*reads, params, progress)
         instead = answer.reason if isinstance(answer, Fallback) else ""
         answer = answer.result if isinstance(answer, Fallback) else answer
         why = answer.reason if isinstance(answer, Skipped) else ""
         output = answer.output if isinstance(answer, Skipped) else answer
-        # An answer without work may well be the very object that was given before.
-        made = self._known.compute_digest(output) if why else compute_digest(output)
-        n_bytes = measure_bytes(output, reads)  # what is handed on was weighed where it was made
+        # a skipped result may be the object that was returned before
+        made = self._digests.compute_digest(output) if why else compute_digest(output)
+        n_bytes = measure_bytes(output, reads)  # shared arrays are counted where they were made
         return CacheEntry(output=output, digest=made, n_bytes=n_bytes, skip_reason=why, fallback=instead)
 
 
-def _fitting(params: Mapping[str, object], method: Method) -> object:
+def _select_params(params: Mapping[str, object], method: Method) -> object:
     given = params.get(method.stage)
     return given if isinstance(given, method.params) else method.params()
 
 
-def _given(slot: str, value: object, made: str) -> StageResult:
+def _make_given_result(stage: str, value: object, made: str) -> StageResult:
     notes = tuple(getattr(value, "notes", ()))
-    return StageResult(name=slot, method=None, output=value, state="given", ms=0.0, notes=notes, digest=made)
+    return StageResult(name=stage, method=None, output=value, state="given", ms=0.0, notes=notes, digest=made)
 
 
 def _key(method: Method, params: object, reads: Sequence[str]) -> str:

@@ -14,11 +14,11 @@ from numpy.typing import ArrayLike, NDArray
 from pipeline.base.arrays import Doubles, Mask
 from pipeline.base.errors import CalibrationError
 
-MIN_DEPTH_MM = 1e-3  # nearer than a micrometre to the lens plane nothing has an image
+MIN_DEPTH_MM = 1e-3  # points nearer to the lens plane have no image
 _SHORTEST_PX, _FARTHEST_PX = (
     1e-3,
     1e9,
-)  # of focal lengths, and of them and the principal point: float32 holds what follows
+)  # bounds of focal lengths, and of those and the principal point; float32 holds what follows
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,7 +33,7 @@ class Camera:
     cy_px: float
 
     def __post_init__(self) -> None:
-        """Refuse intrinsics that have no inverse."""
+        """Raise CalibrationError for intrinsics without an inverse."""
         values = (self.fx_px, self.fy_px, self.cx_px, self.cy_px)
         if not all(map(math.isfinite, values)):
             raise CalibrationError(f"camera intrinsics must be finite, got {values}")
@@ -50,28 +50,28 @@ class Camera:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """(rows, cols)."""
+        """Return (rows, cols)."""
         return self.rows, self.cols
 
     @property
     def matrix(self) -> Doubles:
-        """K (3, 3)."""
+        """Return K (3, 3)."""
         return np.array([[self.fx_px, 0.0, self.cx_px], [0.0, self.fy_px, self.cy_px], [0.0, 0.0, 1.0]])
 
     def rays(self) -> tuple[Doubles, Doubles]:
-        """x/z of every column (cols,) and y/z of every row (rows,): K^-1 (u, v, 1) without a matrix inverse."""
+        """Return x/z of every column (cols,) and y/z of every row (rows,): K^-1 (u, v, 1)."""
         x = (np.arange(self.cols, dtype=np.float64) - self.cx_px) / self.fx_px
         y = (np.arange(self.rows, dtype=np.float64) - self.cy_px) / self.fy_px
         return x, y
 
     def back_project(self, depth_mm: NDArray[np.floating]) -> Doubles:
-        """Points (rows, cols, 3) in the sensor frame of a depth image; NaN stays NaN."""
+        """Return the points (rows, cols, 3) of a depth image in the sensor frame; NaN stays NaN."""
         x, y = self.rays()
         z = np.asarray(depth_mm, dtype=np.float64)
         return np.stack([z * x[None, :], z * y[:, None], z], axis=-1)
 
     def project(self, points_mm: ArrayLike) -> tuple[Doubles, Doubles, Mask]:
-        """(x_px, y_px, visible) of points (n, 3); what is behind the lens or outside the image is not visible."""
+        """Return (x_px, y_px, visible) of points (n, 3); points behind the lens or outside the image are invisible."""
         p = np.asarray(points_mm, dtype=np.float64)
         in_front = p[..., 2] > MIN_DEPTH_MM
         z = np.where(in_front, p[..., 2], 1.0)
@@ -81,22 +81,22 @@ class Camera:
         return x_px, y_px, in_front & inside
 
     def scale(self, factor: float) -> Camera:
-        """The same view with `factor` times as many pixels along each side, pixel areas kept aligned."""
+        """Return the same view with `factor` times as many pixels along each side, pixel areas aligned."""
         return self.resize(max(1, round(self.rows * factor)), max(1, round(self.cols * factor)))
 
     def resize(self, rows: int, cols: int) -> Camera:
-        """The same view in `rows` x `cols` pixels, pixel areas kept aligned."""
+        """Return the same view in `rows` x `cols` pixels, pixel areas aligned."""
         sy, sx = rows / self.rows, cols / self.cols
         return Camera(rows=rows, cols=cols, fx_px=self.fx_px * sx, fy_px=self.fy_px * sy,
                       cx_px=(self.cx_px + 0.5) * sx - 0.5, cy_px=(self.cy_px + 0.5) * sy - 0.5)  # fmt: skip
 
     def crop(self, top: int, left: int, rows: int, cols: int) -> Camera:
-        """The window of `rows` x `cols` pixels whose first pixel is (top, left)."""
+        """Return the window of `rows` x `cols` pixels whose first pixel is (top, left)."""
         return replace(self, rows=rows, cols=cols, cx_px=self.cx_px - left, cy_px=self.cy_px - top)
 
 
 def make_camera(k: ArrayLike, rows: int, cols: int, what: str = "the camera matrix K") -> Camera:
-    """A camera from K (3, 3); raises CalibrationError when K is singular, skewed or not finite."""
+    """Return the camera of K (3, 3); raises CalibrationError when K is singular, skewed or not finite."""
     m = np.asarray(k, dtype=np.float64)
     if m.shape != (3, 3):
         raise CalibrationError(f"{what} must be 3x3, got shape {m.shape}")

@@ -1,7 +1,8 @@
 # pyright: basic
-"""Compiled loops that measure a mesh: which triangles a cell can see, exact distances near the surface, swept beyond.
+"""Compiled loops that build a distance grid: candidate triangles per cell, exact distances near the surface, sweeps
+beyond.
 
-Everything runs on one thread: the same bytes on every machine.
+Everything runs on one thread: results are reproducible.
 """
 
 from __future__ import annotations
@@ -15,19 +16,19 @@ from pipeline.geometry.distance_grid_kernels import CELLS, NODES
 
 _SUB = 3  # nodes along the edge of a part of a block that shares a list of triangles
 _PARTS = NODES // _SUB
-_STEPS = 3  # from one foot to the next
+_STEPS = 3  # from one foot point to the next
 
-# A face is a row of 19: corner, two edges, their three products, unit normal, middle, how far it reaches from there.
+# A face is a row of 19: corner, two edges, their three products, unit normal, centre, radius from there.
 
 
 @inner_kernel()
 def _share(along, whole):
-    """Where along an edge a point's foot lies, within the edge."""
+    """Position along an edge of a point's foot, clamped to the edge."""
     return min(max(along / whole, 0.0), 1.0) if whole > 0.0 else 0.0
 
 
 @inner_kernel()
-def _square(f, m, x, y, z):
+def _squared_distance(f, m, x, y, z):
     """Squared distance of a point to a face."""
     x, y, z = x - f[m, 0], y - f[m, 1], z - f[m, 2]
     d1, d2 = f[m, 3] * x + f[m, 4] * y + f[m, 5] * z, f[m, 6] * x + f[m, 7] * y + f[m, 8] * z
@@ -52,32 +53,32 @@ def _square(f, m, x, y, z):
 
 
 @inner_kernel()
-def _away(f, m, x, y, z):
-    """Distance of a point from a face's plane, on the side of its normal."""
+def _plane_distance(f, m, x, y, z):
+    """Signed distance of a point to a face's plane."""
     return f[m, 12] * (x - f[m, 0]) + f[m, 13] * (y - f[m, 1]) + f[m, 14] * (z - f[m, 2])
 
 
 @inner_kernel()
-def _beyond(f, m, x, y, z, distance):
-    """Whether all of a face is certainly farther from a point than `distance`: of its ball's middle, or its plane."""
-    away = _away(f, m, x, y, z)
+def _is_farther(f, m, x, y, z, distance):
+    """Whether all of a face is farther from a point than `distance`, by its bounding sphere or its plane."""
+    away = _plane_distance(f, m, x, y, z)
     x, y, z, most = x - f[m, 15], y - f[m, 16], z - f[m, 17], distance + f[m, 18]
     return x * x + y * y + z * z > most * most or abs(away) > distance
 
 
 @inner_kernel()
 def _range(a, b, c, reach, step, n):
-    """(first, beyond the last) cell along an axis whose middle is within `reach` of corners at a, a + b and a + c."""
+    """(first, end) cells along an axis whose centre is within `reach` of corners at a, a + b and a + c."""
     low, high = (a + min(0.0, b, c) - reach) / step - 0.5, (a + max(0.0, b, c) + reach) / step - 0.5
     return max(0, math.ceil(low)), min(n - 1, math.floor(high)) + 1
 
 
 @kernel()
 def visit_cells(all_faces, cells, step, reach, best, number, limit, count, first, faces_of):
-    """What each cell, flat in C order, sees of the faces within `reach` of its middle, in one of three passes.
+    """Visit the faces within `reach` of each cell's centre, flat in C order, in one of three passes.
 
-    Without any `limit`: the least squared distance, into `best`. Else of every cell with a `number` how many faces are
-    within its limit: into `count`; and where `faces_of` has room for them, which: after `first`.
+    Without any `limit`: the least squared distance, into `best`. Else for every cell with a `number` how many faces are
+    within its limit, into `count`; and where `faces_of` has room, their indices after `first`.
     """
     f = all_faces
     for m in range(f.shape[0]):
@@ -94,9 +95,9 @@ def visit_cells(all_faces, cells, step, reach, best, number, limit, count, first
                         if number[at] < 0:
                             continue
                         most = limit[number[at]]
-                    if abs(_away(f, m, x, y, z)) > most:
+                    if abs(_plane_distance(f, m, x, y, z)) > most:
                         continue
-                    square = _square(f, m, x, y, z)
+                    square = _squared_distance(f, m, x, y, z)
                     if not limit.size:
                         best[at] = min(best[at], square)
                     elif square <= most * most:
@@ -107,7 +108,8 @@ def visit_cells(all_faces, cells, step, reach, best, number, limit, count, first
 
 @inner_kernel()
 def _near_part(all_faces, candidates, x, y, z, twice_radius, near, squares):
-    """Those candidates that can be nearest to a node of a part of a block around (x, y, z): into `near`, their number.
+    """Collect into `near` the candidates that can be nearest to a node of a block's part around (x, y, z); returns
+    their number.
 
     A face is left out when another is nearer to every node of the part.
     """
@@ -115,7 +117,7 @@ def _near_part(all_faces, candidates, x, y, z, twice_radius, near, squares):
     least, most = math.inf, math.inf
     for c in range(begin, end):
         m = np.int64(faces_of[c])
-        square = math.inf if _beyond(all_faces, m, x, y, z, most) else _square(all_faces, m, x, y, z)
+        square = math.inf if _is_farther(all_faces, m, x, y, z, most) else _squared_distance(all_faces, m, x, y, z)
         squares[c - begin] = square
         if square < least:
             least = square
@@ -130,10 +132,10 @@ def _near_part(all_faces, candidates, x, y, z, twice_radius, near, squares):
 
 @kernel()
 def measure_blocks(all_faces, chosen, first, faces_of, fine_step, start, room, measured, coarse):
-    """Distances (blocks, 9, 9, 9) of the nodes of cells `chosen` (n, 3), and the faces that they are to: `measured`.
+    """Measure distances (blocks, 9, 9, 9) at the nodes of cells `chosen` (n, 3), and their faces, into `measured`.
 
-    The blocks' lists of faces begin at number `start`; `room` holds the longest of them twice. The blocks' corners are
-    handed over to the nodes of `coarse`: face and squared distance.
+    The blocks' lists of faces begin at number `start`; `room` holds twice the longest of them. The blocks' corners are
+    copied to the nodes of `coarse`: face and squared distance.
     """
     (near, squares), (out, nearest), (coarse_nearest, coarse_square) = room, measured, coarse
     middle, twice_radius = (_SUB - 1) / 2.0, math.sqrt(3.0) * (_SUB - 1) * fine_step * (1.0 + 1e-9)
@@ -144,7 +146,7 @@ def measure_blocks(all_faces, chosen, first, faces_of, fine_step, start, room, m
             i, j, k = _SUB * (part // (_PARTS * _PARTS)), _SUB * (part // _PARTS % _PARTS), _SUB * (part % _PARTS)
             x, y, z = (u + i + middle) * fine_step, (v + j + middle) * fine_step, (w + k + middle) * fine_step
             n_near = _near_part(all_faces, candidates, x, y, z, twice_radius, near, squares)
-            last = np.int64(near[0])  # what was nearest to the neighbour is a good first guess
+            last = np.int64(near[0])  # the neighbour's nearest face is a good first guess
             for a in range(i, i + _SUB):
                 for b in range(j, j + _SUB):
                     for c in range(k, k + _SUB):
@@ -162,31 +164,31 @@ def measure_blocks(all_faces, chosen, first, faces_of, fine_step, start, room, m
 
 @inner_kernel()
 def _nearest(all_faces, near, n_near, last, x, y, z):
-    """(squared distance, face) of the nearest of a list of faces, `last` being the first guess."""
-    best, face = _square(all_faces, last, x, y, z), last
+    """(squared distance, face) of the nearest of a list of faces; `last` is the first guess."""
+    best, face = _squared_distance(all_faces, last, x, y, z), last
     reach = math.sqrt(best)
     for c in range(n_near):
         m = np.int64(near[c])
-        if m == last or _beyond(all_faces, m, x, y, z, reach):
+        if m == last or _is_farther(all_faces, m, x, y, z, reach):
             continue
-        square = _square(all_faces, m, x, y, z)
+        square = _squared_distance(all_faces, m, x, y, z)
         if square < best:
             best, face, reach = square, m, math.sqrt(square)
     return best, face
 
 
 @inner_kernel()
-def _better(all_faces, step, nearest, square, i, j, k, face):
+def _adopt_nearer_face(all_faces, step, nearest, square, i, j, k, face):
     """Take over a neighbour's face if it is nearer."""
     if face >= 0 and face != nearest[i, j, k]:
-        found = _square(all_faces, face, i * step, j * step, k * step)
+        found = _squared_distance(all_faces, face, i * step, j * step, k * step)
         if found < square[i, j, k]:
             square[i, j, k], nearest[i, j, k] = found, face
 
 
 @kernel()
 def sweep_nearest_faces(all_faces, step, nearest, square):
-    """Squared distances of all coarse nodes (in place), each to the best of the faces that its neighbours know."""
+    """Propagate squared distances to all coarse nodes (in place), each to the best face of its neighbours."""
     nx, ny, nz = nearest.shape
     for turn in range(8):
         a, b, c = 1 - 2 * (turn & 1), 1 - (turn & 2), 1 - ((turn & 4) >> 1)
@@ -197,11 +199,11 @@ def sweep_nearest_faces(all_faces, step, nearest, square):
                 for r in range(nz):
                     k = r if c > 0 else nz - 1 - r
                     if p > 0:
-                        _better(all_faces, step, nearest, square, i, j, k, np.int64(nearest[i - a, j, k]))
+                        _adopt_nearer_face(all_faces, step, nearest, square, i, j, k, np.int64(nearest[i - a, j, k]))
                     if q > 0:
-                        _better(all_faces, step, nearest, square, i, j, k, np.int64(nearest[i, j - b, k]))
+                        _adopt_nearer_face(all_faces, step, nearest, square, i, j, k, np.int64(nearest[i, j - b, k]))
                     if r > 0:
-                        _better(all_faces, step, nearest, square, i, j, k, np.int64(nearest[i, j, k - c]))
+                        _adopt_nearer_face(all_faces, step, nearest, square, i, j, k, np.int64(nearest[i, j, k - c]))
 
 
 @inner_kernel()
@@ -235,7 +237,7 @@ def _cell_of(x, y, z, step, cells):
 
 @kernel()
 def refine_nearest_faces(all_faces, step, cells, number, first, faces_of, nearest, square):
-    """Each coarse node's face exchanged for a nearer one around its foot, if there is one, until there is none."""
+    """Exchange each coarse node's face for a nearer one around its foot point, until there is none."""
     nx, ny, nz = nearest.shape
     for i in range(nx):
         for j in range(ny):
@@ -248,7 +250,7 @@ def refine_nearest_faces(all_faces, step, cells, number, first, faces_of, neares
                     if cell >= 0:
                         for m in range(first[cell], first[cell + 1]):
                             face = np.int64(faces_of[m])
-                            if not _beyond(all_faces, face, x, y, z, math.sqrt(square[i, j, k])):
-                                _better(all_faces, step, nearest, square, i, j, k, face)
+                            if not _is_farther(all_faces, face, x, y, z, math.sqrt(square[i, j, k])):
+                                _adopt_nearer_face(all_faces, step, nearest, square, i, j, k, face)
                     if nearest[i, j, k] == before:
                         break

@@ -1,7 +1,7 @@
-"""Signed distance of a mesh on a lattice: a coarse one of the whole neighbourhood, blocks of a fine one at the surface.
+"""Signed distance of a mesh on a grid: coarse in the whole neighbourhood, fine blocks at the surface.
 
-Looking a point up takes some 30 ns and is as exact as the fine step allows: on planes to 1e-4 mm, beside an edge to a
-third of that step. This is what a registration asks thousands of times where a search tree would be asked for partners.
+A look-up takes about 30 ns and is as exact as the fine step allows: on planes to 1e-4 mm, at an edge to a third of that
+step. A registration looks up thousands of points, where a search tree would have to find correspondences.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from pipeline.base.errors import MeshProblem
 from pipeline.base.progress import SILENT, Progress
 from pipeline.geometry.meshes import Mesh
 
-OPEN_MESH_NOTE = "the mesh is not closed: inside and outside are told by the sides of its triangles"
+OPEN_MESH_NOTE = "the mesh is not closed: inside and outside follow the orientation of its triangles"
 _CELLS = 8  # fine cells along a block's edge, as in the kernels
-_SMALLEST_MM = 0.8  # coarse step: 0.1 mm at the surface, where a registration is within 1.2 of what is possible
-_MOST_CELLS, _MOST_BLOCKS = 600_000, 7_000  # 5 MB and 10 MB
-_MARGIN_MM = 3.0  # of lattice around the object
-_BAND = 0.25  # of the coarse step, on both sides of the surface, is fine
-_OPEN_SHARE = 0.01  # of the lattice's lines may miss a wall before the mesh counts as open
+_MIN_STEP_MM = 0.8  # coarse step: 0.1 mm at the surface, where a registration is within 1.2 of the possible accuracy
+_MAX_CELLS, _MAX_BLOCKS = 600_000, 7_000  # 5 MB and 10 MB
+_MARGIN_MM = 3.0  # of grid around the object
+_BAND = 0.25  # of the coarse step, fine on both sides of the surface
+_OPEN_SHARE = 0.01  # share of grid lines that may miss a wall before the mesh counts as open
 _BATCH = 400  # blocks between two reports of progress
-_SHIFT = (0.00137, 0.00219, 0.00311)  # of a fine step: lines beside the lattice pass the edges of aligned meshes
+_SHIFT = (0.00137, 0.00219, 0.00311)  # of a fine step: shifted lines do not hit the edges of axis-aligned meshes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,12 +43,12 @@ class DistanceGrid:
 
     @property
     def lattice(self) -> tuple[Any, ...]:
-        """The arguments of the kernels' look-up."""
+        """Return the arguments of the look-up kernels."""
         flat = (self.coarse_mm.reshape(-1), self.block.reshape(-1), self.fine.reshape(-1))
         return (self.origin_mm, self.step_mm, self.coarse_mm.shape, *flat, self.quantum_mm)
 
     def at(self, points_mm: Doubles) -> tuple[Doubles, Doubles]:
-        """(distances (n,) in mm, gradients (n, 3)) of points (n, 3); NaN where a point is not finite."""
+        """Return (distances (n,) in mm, gradients (n, 3)) at points (n, 3); NaN where a point is not finite."""
         from pipeline.geometry.distance_grid_kernels import look_up_all
 
         found = np.empty((len(points_mm), 4))
@@ -57,12 +57,13 @@ class DistanceGrid:
 
 
 def build_grid(mesh: Mesh, progress: Progress = SILENT) -> DistanceGrid:
-    """The grid of a mesh, computed anew (a part of a second); MeshProblem when it has no surface.
+    """Compute the grid of a mesh (a fraction of a second); raises MeshProblem when it has no surface.
 
-    Overlapping closed bodies count as their union. An open sheet is told apart by the sides of its triangles.
+    Overlapping closed bodies count as their union. The inside of an open sheet follows the orientation of its
+    triangles.
     """
     corners = _corners(mesh)
-    origin, step_mm, cells = _lattice(corners)
+    origin, step_mm, cells = _choose_lattice(corners)
     progress.step(0.0, "finding inside and outside of the object")
     surface = _Surface.from_triangles((corners - origin) / (step_mm / _CELLS), step_mm, cells)
     progress.step(0.2, "finding the surface's blocks")
@@ -100,13 +101,13 @@ def _area_mm2(corners: Doubles) -> float:
     return float(np.linalg.norm(across, axis=1).sum()) / 2.0
 
 
-def _lattice(corners: Doubles) -> tuple[Doubles, float, tuple[int, int, int]]:
-    """(origin, coarse step, cells): the smallest step that stays within the memory."""
+def _choose_lattice(corners: Doubles) -> tuple[Doubles, float, tuple[int, int, int]]:
+    """Return (origin, coarse step, cells): the smallest step within the memory limit."""
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
     size = high - low + 2 * _MARGIN_MM
-    by_cells = (float(size.prod()) / _MOST_CELLS) ** (1 / 3)
-    by_blocks = math.sqrt(2.2 * _area_mm2(corners) / _MOST_BLOCKS)  # a flat piece of a step squared touches about two
-    step_mm = max(_SMALLEST_MM, by_cells, by_blocks)
+    by_cells = (float(size.prod()) / _MAX_CELLS) ** (1 / 3)
+    by_blocks = math.sqrt(2.2 * _area_mm2(corners) / _MAX_BLOCKS)  # a flat piece of a step squared touches about two
+    step_mm = max(_MIN_STEP_MM, by_cells, by_blocks)
     cells = np.ceil(size / step_mm).astype(int)
     nx, ny, nz = (int(n) for n in cells)
     return (low + high - cells * step_mm) / 2, step_mm, (nx, ny, nz)
@@ -119,10 +120,10 @@ def _lattice_nodes(first: tuple[int, ...], shape: tuple[int, ...]) -> NDArray[np
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Surface:
-    """A mesh asked at nodes of the fine lattice, which are integers."""
+    """A mesh queried at nodes of the fine grid, which are integers."""
 
-    faces: Doubles  # (m, 19) as the kernels want them, in mm from the lattice's origin
-    lines: tuple[tuple[Any, Any, Any], ...]  # what lattice lines along x, y, z cross
+    faces: Doubles  # (m, 19) as the kernels define it, in mm from the grid's origin
+    lines: tuple[tuple[Any, Any, Any], ...]  # crossings of grid lines along x, y, z
     by_parity: bool
     step_mm: float  # of the coarse lattice
     cells: tuple[int, int, int]
@@ -130,10 +131,10 @@ class _Surface:
 
     @classmethod
     def from_triangles(cls, corners: Doubles, step_mm: float, cells: tuple[int, int, int]) -> _Surface:
-        """From triangles (m, 3, 3) in fine steps."""
+        """Build from triangles (m, 3, 3) in fine steps."""
         shape = np.array([_CELLS * n + 1 for n in cells])
-        lines = [_crossed(corners, axis, shape) for axis in range(3)]
-        crossed, unbalanced, odd = np.sum([_tallied(*line) for line in lines], axis=0)
+        lines = [_find_line_crossings(corners, axis, shape) for axis in range(3)]
+        crossed, unbalanced, odd = np.sum([_count_lines(*line) for line in lines], axis=0)
         is_open = bool(odd > _OPEN_SHARE * max(int(crossed), 1))
         return cls(
             faces=_faces(corners * (step_mm / _CELLS)), lines=() if is_open else tuple(lines),
@@ -142,7 +143,7 @@ class _Surface:
         )  # fmt: skip
 
     def list_blocks(self) -> tuple[NDArray[np.int64], tuple[Any, Any, Any]]:
-        """Coarse cells (n, 3) that the surface's band can reach, and (number of each cell, first, faces).
+        """Return coarse cells (n, 3) within reach of the surface's band, and (number of each cell, first, faces).
 
         The lists hold the faces that can be nearest to some node of a cell.
         """
@@ -166,14 +167,14 @@ class _Surface:
         return chosen, (number, first, faces_of)
 
     def begin_sweep(self) -> tuple[Indices, Doubles]:
-        """(nearest face, squared distance) of every coarse node: none yet."""
+        """Return (nearest face, squared distance) of every coarse node, unset."""
         shape = tuple(n + 1 for n in self.cells)
         return np.full(shape, -1, dtype=np.int32), np.full(shape, np.inf)
 
     def measure_block_distances(
         self, chosen: NDArray[np.int64], lists: tuple[Any, Any, Any], start: int, sweeping: tuple[Indices, Doubles]
     ) -> Doubles:
-        """Signed distances (n, 9, 9, 9) of the blocks `chosen`, the first of which has number `start`."""
+        """Return signed distances (n, 9, 9, 9) of the blocks `chosen`, the first of which has number `start`."""
         from pipeline.geometry.distance_build_kernels import measure_blocks
 
         size = (len(chosen), *(_CELLS + 1,) * 3)
@@ -186,7 +187,7 @@ class _Surface:
         return np.where(self._inside(nodes, nearest.reshape(-1)).reshape(size), -lengths, lengths)
 
     def sweep_coarse_nodes(self, lists: tuple[Any, Any, Any], sweeping: tuple[Indices, Doubles]) -> Doubles:
-        """Signed distances of all coarse nodes, from those that were measured on outwards."""
+        """Return signed distances of all coarse nodes, propagated from the measured ones."""
         from pipeline.geometry.distance_build_kernels import refine_nearest_faces, sweep_nearest_faces
 
         nearest, square = sweeping
@@ -209,7 +210,7 @@ class _Surface:
 
 
 def _faces(corners: Doubles) -> Doubles:
-    """(m, 19) of triangles (m, 3, 3): what their distances are worked out from, as the kernels name it."""
+    """Return (m, 19) of triangles (m, 3, 3), as the kernels define it."""
     a, b, c = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     across = np.cross(b, c)
     length = np.linalg.norm(across, axis=1, keepdims=True)
@@ -219,8 +220,10 @@ def _faces(corners: Doubles) -> Doubles:
     return np.hstack([a, b, c, *products, across / np.where(length > 0, length, 1.0), middle, reach])
 
 
-def _crossed(corners: Doubles, axis: int, shape: NDArray[np.int64]) -> tuple[Indices, Floats, NDArray[np.int8]]:
-    """(first (lines + 1,), where, sign) of what the lattice's lines along an axis cross of triangles in fine steps."""
+def _find_line_crossings(
+    corners: Doubles, axis: int, shape: NDArray[np.int64]
+) -> tuple[Indices, Floats, NDArray[np.int8]]:
+    """Return (first (lines + 1,), where, sign) of crossings of grid lines along an axis with triangles."""
     from pipeline.geometry.distance_grid_kernels import find_crossings
 
     count = np.zeros(int(shape[axis - 2] * shape[axis - 1]), np.int32)
@@ -233,8 +236,8 @@ def _crossed(corners: Doubles, axis: int, shape: NDArray[np.int64]) -> tuple[Ind
     return first, where, sign
 
 
-def _tallied(first: Indices, _where: Floats, sign: NDArray[np.int8]) -> tuple[int, int, int]:
-    """How many lines cross anything, end with another winding than they begin, cross an odd number of walls."""
+def _count_lines(first: Indices, _where: Floats, sign: NDArray[np.int8]) -> tuple[int, int, int]:
+    """Count lines that cross anything, end with another winding than they begin, or cross an odd number of walls."""
     count = np.diff(first)
     total = np.bincount(np.repeat(np.arange(count.size), count), sign, count.size)
     return int((count > 0).sum()), int((total != 0).sum()), int((count % 2).sum())

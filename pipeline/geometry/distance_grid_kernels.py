@@ -1,5 +1,5 @@
 # pyright: basic
-"""Compiled loops of the distance grid: looking distances up, and telling inside from outside by lattice lines."""
+"""Compiled loops of the distance grid: look-up of distances, and inside or outside by grid lines."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ NODES = CELLS + 1
 
 @inner_kernel()
 def _cell(v, at, over_y, over_x, a, b, c):
-    """Value and slopes per cell of a flat lattice at its node `at` plus (a, b, c), strides (over_x, over_y, 1)."""
-    # Unsigned places are not tested for counting from the end, which would cost as much as the reading.
+    """Value and slopes per cell of a flat grid at its node `at` plus (a, b, c), strides (over_x, over_y, 1)."""
+    # Unsigned indices need no test for negative ones, which would cost as much as the look-up.
     p00, p01 = np.uint64(at), np.uint64(at + over_y)
     p10, p11 = np.uint64(at + over_x), np.uint64(at + over_x + over_y)
     one = np.uint64(1)
@@ -32,12 +32,12 @@ def _cell(v, at, over_y, over_x, a, b, c):
 
 @inner_kernel()
 def look_up(x, y, z, grid):
-    """Signed distance (mm) and its gradient at one point of the object frame; lattices are flat, C order."""
+    """Signed distance (mm) and its gradient at one point of the object frame; grids are flat, C order."""
     origin, step, shape, coarse, block, fine, quantum = grid
     nx, ny, nz = shape
     per_mm = 1.0 / step
     u, v, w = (x - origin[0]) * per_mm, (y - origin[1]) * per_mm, (z - origin[2]) * per_mm
-    # Clamped as floats: what an integer cannot hold would come out as some other cell.
+    # Clamped as floats: a float too large for an integer would give a random cell.
     cu, cv, cw = min(max(u, 0.0), nx - 1.0), min(max(v, 0.0), ny - 1.0), min(max(w, 0.0), nz - 1.0)
     i, j, k = min(int(cu), nx - 2), min(int(cv), ny - 2), min(int(cw), nz - 2)
     a, b, c = cu - i, cv - j, cw - k
@@ -53,7 +53,7 @@ def look_up(x, y, z, grid):
         d, gx, gy, gz = _cell(coarse, (i * ny + j) * nz + k, nz, ny * nz, a, b, c)
         gx, gy, gz = gx * per_mm, gy * per_mm, gz * per_mm
     if cu != u or cv != v or cw != w:
-        # Beyond the lattice: from the surface point that belongs to its nearest place, straight on.
+        # Outside the grid: straight on from the surface point nearest to its border.
         gx, gy, gz = (u - cu) * step + d * gx, (v - cv) * step + d * gy, (w - cw) * step + d * gz
         d = math.sqrt(gx * gx + gy * gy + gz * gz)
         if d > 0.0:
@@ -88,9 +88,10 @@ def _crossing(corners, m, p, q, axis):
 
 @kernel()
 def find_crossings(corners, axis, shape, shift, count, first, where, sign):
-    """What triangles (m, 3, 3), in lattice units, cut of each line along an axis: into `count`, and after `first`.
+    """Find where each grid line along an axis crosses triangles (m, 3, 3), in grid units: into `count`, and after
+    `first`.
 
-    Without room in `where` they are only counted.
+    Without room in `where` crossings are only counted.
     """
     s, t = (axis + 1) % 3, (axis + 2) % 3
     for m in range(corners.shape[0]):
@@ -111,7 +112,7 @@ def find_crossings(corners, axis, shape, shift, count, first, where, sign):
 
 @kernel()
 def vote_inside(nodes, axis, shape, first, where, sign, by_parity, votes):
-    """Add 1 to `votes` (n,) of each lattice node (n, 3) that its line along `axis` holds to be inside."""
+    """Add 1 to `votes` (n,) of each grid node (n, 3) that is inside by its line along `axis`."""
     s, t = (axis + 1) % 3, (axis + 2) % 3
     for n in range(nodes.shape[0]):
         line = nodes[n, s] * shape[t] + nodes[n, t]

@@ -1,4 +1,4 @@
-"""Distance grids kept: in memory for as long as the program runs, on disk for the next time."""
+"""Cache of distance grids: in memory for the process, on disk for the next one."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from pipeline.geometry.distance_grid import DistanceGrid, build_grid
 from pipeline.geometry.meshes import Mesh
 
 _CODE = tuple(f"pipeline.geometry.distance_{part}" for part in ("grid", "grid_kernels", "build_kernels"))
-_MOST_BYTES = 24 * 1024 * 1024  # two or three objects; another is read from the user's cache
-_grids: Memo[str, DistanceGrid] = Memo(4, most_bytes=_MOST_BYTES)
+_MAX_BYTES = 24 * 1024 * 1024  # two or three objects; others are read from disk
+_grids: Memo[str, DistanceGrid] = Memo(4, most_bytes=_MAX_BYTES)
 
 
 def load_distance_grid(mesh: Mesh, progress: Progress = SILENT, folder: Path | None = None) -> DistanceGrid:
-    """The grid of a mesh: remembered, read from `folder` (the user's cache), or built and kept there.
+    """Return the grid of a mesh: cached, read from `folder` (the user's cache), or built and stored there.
 
     Raises MeshProblem when the mesh has no surface.
     """

@@ -1,8 +1,7 @@
-"""The rest surface of a sensor: where its gel or membrane is while nothing touches it.
+"""The rest surface of a sensor: its gel or membrane without contact.
 
-A membrane is a height field over the sensor's x-y plane, z_mm = h(x_mm, y_mm). That covers flat pads and domes alike,
-and makes the paper's test SDF(p, M_target) <= 0 exact in sign: a point nearer to the camera than the surface has
-pushed it in.
+A height field over the sensor's x-y plane, z_mm = h(x_mm, y_mm), covers flat pads and domes, and makes the paper's test
+SDF(p, M_target) <= 0 exact in sign: a point nearer to the camera than the surface has pushed it in.
 """
 
 from __future__ import annotations
@@ -18,24 +17,24 @@ from pipeline.geometry.camera import Camera
 
 REST_DEPTH_TOLERANCE_MM = 1e-9  # far below the float32 rounding of a depth image
 _MAX_ITERATIONS = 60
-_MANY = 6000  # numbers from which on the compiled loop is worth loading
+_MANY = 6000  # values from which the compiled loop is worth loading
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Membrane:
-    """z of the rest surface on a square lattice of `step_mm`, bilinear between and level beyond its border."""
+    """Height z of the rest surface on a square grid of `step_mm`, bilinear, level beyond its border."""
 
-    x0_mm: float  # lattice column 0
-    y0_mm: float  # lattice row 0
+    x0_mm: float  # grid column 0
+    y0_mm: float  # grid row 0
     step_mm: float
     z_mm: Doubles  # (ny, nx), sensor frame
 
     def depth_at(self, x_mm: ArrayLike, y_mm: ArrayLike) -> Doubles:
-        """Z of the rest surface at (x, y), same shape as the input."""
+        """Return z of the rest surface at (x, y), same shape as the input."""
         return self._sample(x_mm, y_mm)[0]
 
     def signed_distance_mm(self, points_mm: ArrayLike) -> Doubles:
-        """Distance of points (..., 3) to the rest surface, negative on the camera's side (pushed in).
+        """Return the distance of points (..., 3) to the rest surface, negative on the camera's side (pushed in).
 
         First-order distance (z - h) / sqrt(1 + |grad h|^2): the sign is exact, the size good near the surface.
         """
@@ -49,9 +48,9 @@ class Membrane:
 
     @property
     def level_mm(self) -> float | None:
-        """The height of a level surface, None for one that is not level."""
+        """Return the height of a level surface, else None."""
         height = float(self.z_mm[0, 0])
-        middle = self.z_mm[self.z_mm.shape[0] // 2, self.z_mm.shape[1] // 2]  # a dome is told apart by one look
+        middle = self.z_mm[self.z_mm.shape[0] // 2, self.z_mm.shape[1] // 2]  # one look identifies a dome
         return height if middle == height and bool((self.z_mm == height).all()) else None
 
     def _many_distances(self, points_mm: NDArray[np.floating]) -> Doubles:
@@ -71,7 +70,7 @@ class Membrane:
         return out.reshape(points_mm.shape[:-1])
 
     def rest_depth_mm(self, camera: Camera) -> Doubles:
-        """Z (rows, cols) where each pixel's ray meets the rest surface.
+        """Return z (rows, cols) where each pixel's ray meets the rest surface.
 
         Newton on f(z) = h(x z, y z) - z along the ray; raises CalibrationError if a ray never meets the surface.
         """
@@ -83,7 +82,7 @@ class Membrane:
             z = z - step
             if np.abs(step).max() < REST_DEPTH_TOLERANCE_MM:
                 return freeze(z)
-        # Newton can hop between two bilinear cells across a crease; what is left is far below a micrometre.
+        # Newton can hop between two bilinear cells across a crease; the error is far below a micrometre.
         if np.abs(self._sample(rx * z, ry * z)[0] - z).max() < 1e-6:
             return freeze(z)
         raise CalibrationError(
@@ -91,14 +90,14 @@ class Membrane:
         )
 
     def _sample(self, x_mm: ArrayLike, y_mm: ArrayLike) -> tuple[Doubles, Doubles, Doubles]:
-        """(h, dh/dx, dh/dy): bilinear, clamped to the lattice."""
+        """Return (h, dh/dx, dh/dy): bilinear, clamped to the grid."""
         ny, nx = self.z_mm.shape
         u = np.clip((np.asarray(x_mm, dtype=np.float64) - self.x0_mm) / self.step_mm, 0.0, nx - 1.0)
         v = np.clip((np.asarray(y_mm, dtype=np.float64) - self.y0_mm) / self.step_mm, 0.0, ny - 1.0)
         i = np.minimum(np.nan_to_num(u).astype(np.intp), nx - 2)
         j = np.minimum(np.nan_to_num(v).astype(np.intp), ny - 2)
         a, b = u - i, v - j
-        z, first = self.z_mm.ravel(), j * nx + i  # one flat index is gathered twice as fast as a pair
+        z, first = self.z_mm.ravel(), j * nx + i  # a flat index is twice as fast as a pair
         z00, z01, z10, z11 = z[first], z[first + 1], z[first + nx], z[first + nx + 1]
         h = (z00 * (1 - a) + z01 * a) * (1 - b) + (z10 * (1 - a) + z11 * a) * b
         hx = ((z01 - z00) * (1 - b) + (z11 - z10) * b) / self.step_mm
@@ -107,7 +106,7 @@ class Membrane:
 
 
 def make_flat_membrane(z_mm: float, half_width_mm: float, half_height_mm: float) -> Membrane:
-    """A level pad at distance `z_mm` from the camera."""
+    """Return a level pad at distance `z_mm` from the camera."""
     step = max(half_width_mm, half_height_mm) / 8.0
     nx, ny = int(np.ceil(2 * half_width_mm / step)) + 1, int(np.ceil(2 * half_height_mm / step)) + 1
     return Membrane(
@@ -118,7 +117,7 @@ def make_flat_membrane(z_mm: float, half_width_mm: float, half_height_mm: float)
 def make_dome_membrane(
     rim_z_mm: float, height_mm: float, half_width_mm: float, half_height_mm: float, step_mm: float = 0.5
 ) -> Membrane:
-    """An inflated membrane over an elliptic rim, its apex farthest from the camera.
+    """Return an inflated membrane over an elliptic rim, its apex farthest from the camera.
 
     h = rim + height (1 - (x/a)^2 - (y/b)^2) solves T lap h = -p exactly on the ellipse, so it is the rest shape of a
     pre-stretched membrane under pressure; outside the rim it is level.

@@ -1,5 +1,5 @@
 # pyright: basic
-"""Compiled loops over height fields: distances of points, and where camera rays meet the surface."""
+"""Compiled loops over height fields: distances of points, and intersections of camera rays."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from pipeline.base.cached_kernels import inline_kernel, kernel
 
 @inline_kernel()
 def sample_height(surface, nx, ny, u, v):
-    """(z, its change per node to the right, per node down) at lattice place (u, v): bilinear, level beyond the border.
+    """(z, its change per node to the right, per node down) at grid place (u, v): bilinear, level beyond the border.
 
-    `surface` holds z (ny, nx), flat. Without branches, so that it runs on vectors of points; NaN counts as node 0.
+    `surface` holds z (ny, nx), flat. Branch-free, so that it vectorises; NaN counts as node 0.
     """
     last_x, last_y = nx - 1.0, ny - 1.0
-    # Clamped as floats: what an integer cannot hold would come out as some other cell. NaN compares false.
+    # Clamped as floats: a float too large for an integer would give a random cell. NaN compares false.
     u, v = (u if u > 0.0 else 0.0), (v if v > 0.0 else 0.0)
     u, v = (u if u < last_x else last_x), (v if v < last_y else last_y)
     i, j = min(np.int32(u), np.int32(nx - 2)), min(np.int32(v), np.int32(ny - 2))
@@ -31,7 +31,8 @@ def sample_height(surface, nx, ny, u, v):
 
 @kernel()
 def measure_signed_distance(flat, x0, y0, step, surface, nx, ny, out):
-    """Write into `out` (n,) the distance of the points of `flat` (3 n) to the height field, negative camera's side.
+    """Write into `out` (n,) the distance of the points of `flat` (3 n) to the height field, negative on the camera's
+    side.
 
     `surface` holds z (ny, nx), flat. NaN stays NaN.
     """
@@ -46,7 +47,7 @@ def measure_signed_distance(flat, x0, y0, step, surface, nx, ny, out):
 
 @kernel()
 def measure_level_distance(flat, height, out):
-    """As `signed_distance`, of a level pad: z - height."""
+    """As `measure_signed_distance`, of a level pad: z - height."""
     for k in range(out.shape[0]):
         x, y, z = flat[3 * k], flat[3 * k + 1], flat[3 * k + 2]
         out[k] = np.float64(z) - height if (x == x) & (y == y) else np.nan
@@ -54,9 +55,9 @@ def measure_level_distance(flat, height, out):
 
 @kernel(fastmath={"contract", "arcp", "nsz", "reassoc"})
 def intersect_rays(surface, nx, ny, x0, y0, step, ray_x, ray_y, far, out):
-    """z at which each camera ray meets the height field, from the guesses in `out` (rows, cols).
+    """Write z at which each camera ray meets the height field, from the guesses in `out` (rows, cols).
 
-    Newton kept inside a bracket that shrinks from the lens and `far`.
+    Newton within a bracket that shrinks from the lens and `far`.
     """
     for r in range(ray_y.size):
         for c in range(ray_x.size):

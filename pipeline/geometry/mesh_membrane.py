@@ -1,8 +1,8 @@
-"""A sensor's rest surface given as a mesh: where it is a height field over x-y, it becomes a `Membrane`.
+"""Convert a rest surface given as a mesh, which is a height field over x-y, to a `Membrane`.
 
 The mesh is an open sheet, or a closed body whose nearest side faces the camera, in the sensor's frame. Its height is
-read off exactly at the nodes of a lattice; between them the lattice is bilinear, and how far that is from the mesh is
-checked. A sheet that folds over itself has no height field.
+sampled exactly at grid nodes; the error of the bilinear grid between them is checked. A sheet that folds over itself
+has no height field.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from pipeline.geometry.camera import MIN_DEPTH_MM
 from pipeline.geometry.membrane import Membrane
 from pipeline.geometry.meshes import Mesh, load_mesh
 
-MAX_ERROR_MM = 0.05  # of a lattice against its mesh: far below the noise of a bubble's depth reading
-_USUAL = 95  # percent of the cells that must be followed so well; creases, such as a rim, take the rest
+MAX_ERROR_MM = 0.05  # of the grid against its mesh: far below the noise of a bubble's depth
+_PERCENT = 95  # percent of the cells within that error; the rest are creases, such as a rim
 _MOST_NODES = 1_000_000
-_SAME = 1e-5  # of a step: vertices of a float32 file lie beside the lattice that made them
-_FOLD_MM = 1e-3  # two heights at one (x, y) this far apart are a fold
+_ROUNDING = 1e-5  # of a step: vertices of a float32 file are off the grid that made them
+_FOLD_MM = 1e-3  # difference of two heights at one (x, y) that counts as a fold
 
 
 def load_membrane(path: Path, unit: str = "auto", step_mm: float = 0.5) -> Membrane:
-    """The rest surface of an STL, PLY or OBJ file; raises FileProblem or MeshProblem in one sentence."""
+    """Load the rest surface of an STL, PLY or OBJ file; raises FileProblem or MeshProblem."""
     mesh = load_mesh(path, unit)
     try:
         return make_mesh_membrane(mesh, step_mm)
@@ -36,34 +36,34 @@ def load_membrane(path: Path, unit: str = "auto", step_mm: float = 0.5) -> Membr
 
 
 def make_mesh_membrane(mesh: Mesh, step_mm: float = 0.5) -> Membrane:
-    """The mesh's nearest surface, seen along z, on a lattice of `step_mm`; level beyond the mesh's outline.
+    """Return the mesh's nearest surface along z on a grid of `step_mm`; level beyond the mesh's outline.
 
-    Raises MeshProblem when the mesh reaches behind the camera, folds over itself, or is not followed to MOST_ERROR_MM
-    (creases such as a rim aside) by a lattice of that step.
+    Raises MeshProblem when the mesh reaches behind the camera, folds over itself, or differs from the grid by more than
+    MAX_ERROR_MM (except at creases such as a rim).
     """
     low, high = mesh.vertices_mm.min(axis=0), mesh.vertices_mm.max(axis=0)
     if not low[2] > MIN_DEPTH_MM:
         raise MeshProblem(f"the rest surface reaches to z = {low[2]:.3g} mm, behind the camera; move it to z > 0")
-    nx, ny = (max(2, math.ceil((high[k] - low[k]) / step_mm - _SAME) + 1) for k in (0, 1))
+    nx, ny = (max(2, math.ceil((high[k] - low[k]) / step_mm - _ROUNDING) + 1) for k in (0, 1))
     if nx * ny > _MOST_NODES:
-        raise MeshProblem(f"a lattice of {step_mm:g} mm has {nx * ny:,} nodes on this rest surface; use a larger step")
+        raise MeshProblem(f"a grid of {step_mm:g} mm has {nx * ny:,} nodes on this rest surface; use a larger step")
     x, y = low[0] + np.arange(nx) * step_mm, low[1] + np.arange(ny) * step_mm
-    # The last nodes may lie beside the mesh by a rounding, or by part of a step: there its border goes on.
+    # The last nodes may be outside the mesh by rounding or part of a step: its border continues there.
     x_mm, y_mm = np.meshgrid(np.minimum(x, high[0]), np.minimum(y, high[1]))
     heights = _heights(mesh, x_mm, y_mm, step_mm)
     if not np.isfinite(heights).any():
-        raise MeshProblem("the rest surface stands on edge: seen along z it covers nothing; check its axes")
-    surface = Membrane(x0_mm=float(x[0]), y0_mm=float(y[0]), step_mm=step_mm, z_mm=freeze(_continued(heights)))
+        raise MeshProblem("the rest surface is parallel to z and covers no area; check its axes")
+    surface = Membrane(x0_mm=float(x[0]), y0_mm=float(y[0]), step_mm=step_mm, z_mm=freeze(_extend_border(heights)))
     error_mm = compute_lattice_error_mm(mesh, surface)
     if error_mm > MAX_ERROR_MM:
         raise MeshProblem(
-            f"a lattice of {step_mm:g} mm follows the rest surface to {error_mm:.2g} mm only; use a smaller step"
+            f"a grid of {step_mm:g} mm differs from the rest surface by {error_mm:.2g} mm; use a smaller step"
         )
     return surface
 
 
 def _heights(mesh: Mesh, x_mm: Doubles, y_mm: Doubles, step_mm: float) -> Doubles:
-    """Z of the mesh's nearest surface at each (x, y), NaN where there is none; raises MeshProblem where it folds."""
+    """Return z of the mesh's nearest surface at each (x, y), else NaN; raises MeshProblem where it folds."""
     from pipeline.geometry.mesh_membrane_kernels import sample_mesh_heights
 
     nearest, farthest = np.full(x_mm.size, np.nan), np.full(x_mm.size, np.nan)
@@ -80,8 +80,8 @@ def _heights(mesh: Mesh, x_mm: Doubles, y_mm: Doubles, step_mm: float) -> Double
     return nearest.reshape(x_mm.shape)
 
 
-def _continued(heights: Doubles) -> Doubles:
-    """The height of the nearest known node where the mesh ends."""
+def _extend_border(heights: Doubles) -> Doubles:
+    """Fill missing nodes with the height of the nearest known node."""
     from scipy.ndimage import distance_transform_edt
 
     missing = ~np.isfinite(heights)
@@ -92,11 +92,11 @@ def _continued(heights: Doubles) -> Doubles:
 
 
 def compute_lattice_error_mm(mesh: Mesh, surface: Membrane) -> float:
-    """Difference along z between a mesh and its height field that 95 % of the cells stay within, at their middles."""
+    """Return the 95th percentile over cells of |z| difference between mesh and height field, at their centres."""
     ny, nx = surface.z_mm.shape
     x_mm, y_mm = np.meshgrid(
         surface.x0_mm + (np.arange(nx) + 0.5) * surface.step_mm, surface.y0_mm + (np.arange(ny) + 0.5) * surface.step_mm
     )
     off = np.abs(_heights(mesh, x_mm, y_mm, surface.step_mm) - surface.depth_at(x_mm, y_mm))
     known = off[np.isfinite(off)]
-    return float(np.percentile(known, _USUAL)) if known.size else 0.0
+    return float(np.percentile(known, _PERCENT)) if known.size else 0.0

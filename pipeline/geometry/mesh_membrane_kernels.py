@@ -1,5 +1,5 @@
 # pyright: basic
-"""Compiled loop that reads the height of a triangle mesh off at the nodes of a lattice."""
+"""Compiled loop that samples the height of a triangle mesh at grid nodes."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def sample_mesh_heights(vertices, triangles, x, y, first, step, shape, nearest, 
         area = (xb - xa) * (yc - ya) - (xc - xa) * (yb - ya)
         if area == 0.0:
             continue
-        # One node more on each side: those at the border may be drawn in by part of a step.
+        # One node more on each side: border nodes may be outside the mesh by part of a step.
         left = max(math.floor((min(xa, xb, xc) - first[0]) / step), 0)
         right = min(math.ceil((max(xa, xb, xc) - first[0]) / step), cols - 1)
         top = max(math.floor((min(ya, yb, yc) - first[1]) / step), 0)

@@ -1,4 +1,4 @@
-"""Object meshes: read, checked for their unit, and kept in millimetres."""
+"""Load object meshes, check their unit, and convert them to millimetres."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from pipeline.base.errors import FileProblem, MeshProblem, SettingProblem
 from pipeline.base.files import read_bytes
 from pipeline.base.units import UNIT_MM
 
-SMALLEST_MM, LARGEST_MM = 1.0, 400.0  # extents of what is felt with a fingertip: a screw to a long tool
-_SAME_VERTEX_MM = 1e-6  # STL repeats each vertex in float32; true neighbours lie micrometres apart
+SMALLEST_MM, LARGEST_MM = 1.0, 400.0  # extents of objects that a fingertip can touch: a screw to a long tool
+_MERGE_MM = 1e-6  # STL repeats each vertex in float32; true neighbours lie micrometres apart
 _HEADER, _TRIANGLE = 84, 50  # bytes of a binary STL
-_MOST_VERTICES = 1 << 30
+_MAX_VERTICES = 1 << 30
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mesh:
-    """A triangle mesh in its own (object) frame."""
+    """A triangle mesh in the object frame."""
 
     vertices_mm: Doubles  # (n, 3)
     triangles: Indices  # (m, 3)
@@ -32,20 +32,20 @@ class Mesh:
 
 
 class UnitProblem(MeshProblem):
-    """A mesh whose size cannot be right in one unit and can in others, `fits`; its sentence names the option."""
+    """A mesh whose size is impossible in its unit and possible in the units `fits`."""
 
     def __init__(self, size: str, fits: tuple[str, ...], path: Path) -> None:
-        """From what is wrong with its size, in words."""
+        """Build the sentence from a description of the size."""
         self.size, self.fits, self.path = size, fits, path
         super().__init__(f"{size}; try --mesh-unit {' or '.join(fits)}: '{path}'")
 
 
 def load_mesh(path: Path, unit: str = "auto") -> Mesh:
-    """The mesh of an STL, PLY or OBJ file in mm, duplicate vertices merged and triangles without area dropped.
+    """Load an STL, PLY or OBJ file in mm, duplicate vertices merged and triangles without area dropped.
 
-    `unit` is what the file is in: "mm", "cm", "m", "in", or "auto", which takes mm when the largest extent then lies
-    within 1 and 400 mm and refuses anything else, since no mesh file says its unit. Raises FileProblem when the file
-    cannot be read, MeshProblem when it is empty, damaged or in a unit that cannot be right.
+    `unit` is the file's: "mm", "cm", "m", "in", or "auto", which takes mm when the largest extent then lies within 1
+    and 400 mm and refuses anything else, since no mesh file states its unit. Raises FileProblem when the file cannot be
+    read, MeshProblem when it is empty, damaged or in a wrong unit.
     """
     path = Path(path)
     if unit != "auto" and unit not in UNIT_MM:
@@ -55,22 +55,22 @@ def load_mesh(path: Path, unit: str = "auto") -> Mesh:
         raise FileProblem(f"meshes are read from STL, PLY and OBJ files, not from {path.suffix or 'this'!r}", path)
     vertices, triangles = read(read_bytes(path, "the mesh"), path)
     validate_mesh(vertices, triangles, path)
-    scale = _scale(vertices[triangles.ravel()], unit, path)
-    return _tidied(vertices * scale, triangles, path)
+    scale = _find_scale(vertices[triangles.ravel()], unit, path)
+    return _clean_mesh(vertices * scale, triangles, path)
 
 
 def validate_mesh(vertices: Doubles, triangles: NDArray[np.integer], path: Path) -> None:
-    """Raise MeshProblem unless there are triangles, each between three vertices that are there and finite."""
+    """Raise MeshProblem unless there are triangles with valid indices and finite vertices."""
     if not triangles.size:
         raise MeshProblem(f"the mesh has no triangles: '{path}'")
     if triangles.min() < 0 or triangles.max() >= len(vertices):
-        raise MeshProblem(f"the mesh names vertices that it does not have: '{path}'")
+        raise MeshProblem(f"the mesh has triangles with invalid vertex indices: '{path}'")
     if not np.isfinite(vertices).all():
         raise MeshProblem(f"the mesh has vertices that are not finite: '{path}'")
 
 
 def sample_surface(mesh: Mesh, n: int, seed: int) -> tuple[Doubles, Doubles]:
-    """(points (n, 3) in mm, unit normals (n, 3)), uniform over the area; the same seed gives the same bytes."""
+    """Return (points (n, 3) in mm, unit normals (n, 3)), uniform over the area; equal seeds give equal bytes."""
     corners = mesh.vertices_mm[mesh.triangles]  # (m, 3, 3)
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     doubled = np.linalg.norm(normals, axis=1)
@@ -79,14 +79,14 @@ def sample_surface(mesh: Mesh, n: int, seed: int) -> tuple[Doubles, Doubles]:
     rng = np.random.default_rng(seed)
     chosen = rng.choice(len(corners), size=n, p=doubled / doubled.sum())
     u, v = rng.random((2, n))
-    folded = u + v > 1.0  # the far half of the parallelogram is turned back onto the triangle
+    folded = u + v > 1.0  # the far half of the parallelogram is folded back onto the triangle
     u, v = np.where(folded, 1.0 - u, u)[:, None], np.where(folded, 1.0 - v, v)[:, None]
     a, b, c = (corners[chosen, k] for k in range(3))
     return freeze(a + u * (b - a) + v * (c - a)), freeze(normals[chosen] / doubled[chosen, None])
 
 
-def _scale(corners: Doubles, unit: str, path: Path) -> float:
-    """Millimetres per unit of the file."""
+def _find_scale(corners: Doubles, unit: str, path: Path) -> float:
+    """Return millimetres per unit of the file."""
     extent = float((corners.max(axis=0) - corners.min(axis=0)).max())
     scale = UNIT_MM.get(unit, 1.0)
     if SMALLEST_MM <= extent * scale <= LARGEST_MM:
@@ -99,8 +99,8 @@ def _scale(corners: Doubles, unit: str, path: Path) -> float:
     raise MeshProblem(f"{size}; scale it to a touchable size of 1 to 400 mm: '{path}'")
 
 
-def _tidied(vertices: Doubles, triangles: Indices, path: Path) -> Mesh:
-    rounded = np.rint(vertices / _SAME_VERTEX_MM).astype(np.int64)
+def _clean_mesh(vertices: Doubles, triangles: Indices, path: Path) -> Mesh:
+    rounded = np.rint(vertices / _MERGE_MM).astype(np.int64)
     _, first, same = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
     kept, joined = vertices[first], same.reshape(-1)[triangles]
     a, b, c = (kept[joined[:, k]] for k in range(3))
@@ -113,23 +113,23 @@ def _tidied(vertices: Doubles, triangles: Indices, path: Path) -> Mesh:
                 name=path.stem)  # fmt: skip
 
 
-def _stl(data: bytes, path: Path) -> tuple[Doubles, Indices]:
-    """Corners of a binary or text STL; each triangle has its own three."""
+def _read_stl(data: bytes, path: Path) -> tuple[Doubles, Indices]:
+    """Return the corners of a binary or text STL; each triangle has its own three."""
     n = int.from_bytes(data[80:_HEADER], "little") if len(data) >= _HEADER else 0
-    # Some binary files begin with "solid" as text ones do, so the size decides; text never has it by chance.
+    # Some binary files begin with "solid" as text ones do, so the size decides.
     if len(data) == _HEADER + n * _TRIANGLE and len(data) >= _HEADER:
         facets = np.frombuffer(data, np.uint8, offset=_HEADER).reshape(n, _TRIANGLE)
         corners = np.ascontiguousarray(facets[:, 12:48]).view("<f4")  # after the normal, before the colour
         vertices = corners.reshape(-1, 3).astype(np.float64)
     elif data.lstrip()[:5].lower() == b"solid":
-        vertices = _text_corners(data, path)
+        vertices = _read_text_stl(data, path)
     else:
         raise FileProblem(f"the STL file is cut short or damaged: {n} triangles do not make {len(data)} bytes", path)
     return vertices, np.arange(len(vertices), dtype=np.int32).reshape(-1, 3)
 
 
-def _text_corners(data: bytes, path: Path) -> Doubles:
-    lines = _split(data)
+def _read_text_stl(data: bytes, path: Path) -> Doubles:
+    lines = _split_lines(data)
     try:
         vertices = np.array([[float(v) for v in w[1:4]] for w in lines if w[:1] == ["vertex"]], dtype=np.float64)
     except ValueError as error:
@@ -140,17 +140,19 @@ def _text_corners(data: bytes, path: Path) -> Doubles:
     return vertices.reshape(-1, 3)
 
 
-def _obj(data: bytes, path: Path) -> tuple[Doubles, Indices]:
-    """Vertices and faces of an OBJ, a face of more than three corners as a fan about its first."""
+def _read_obj(data: bytes, path: Path) -> tuple[Doubles, Indices]:
+    """Return vertices and faces of an OBJ; larger faces become fans about their first corner."""
     vertices: list[list[float]] = []
     triangles: list[tuple[int, int, int]] = []
-    for number, words in enumerate(_split(data.replace(b"\\\n", b" ").replace(b"\\\r\n", b" ")), start=1):
+    for number, words in enumerate(_split_lines(data.replace(b"\\\n", b" ").replace(b"\\\r\n", b" ")), start=1):
         try:
             if words[:1] == ["v"]:
-                x, y, z = map(float, words[1:4])  # behind them a weight or a colour may stand
+                x, y, z = map(float, words[1:4])  # a weight or a colour may follow
                 vertices.append([x, y, z])
             elif words[:1] == ["f"]:
-                first, *rest = (_corner(word, len(vertices)) for word in words[1:])  # "3", "3/1", "3//2", "3/1/2"
+                first, *rest = (
+                    _parse_vertex_index(word, len(vertices)) for word in words[1:]
+                )  # "3", "3/1", "3//2", "3/1/2"
                 if len(rest) < 2:
                     raise ValueError("a face of fewer than three corners")
                 triangles += [(first, a, b) for a, b in pairwise(rest)]
@@ -159,19 +161,19 @@ def _obj(data: bytes, path: Path) -> tuple[Doubles, Indices]:
     return np.array(vertices, np.float64).reshape(-1, 3), np.array(triangles, np.int32).reshape(-1, 3)
 
 
-def _corner(word: str, n_vertices: int) -> int:
-    """The vertex that a corner of a face names: counted from 1, or back from the latest when negative."""
+def _parse_vertex_index(word: str, n_vertices: int) -> int:
+    """Return a face's vertex index: counted from 1, or back from the latest when negative."""
     index = int(word.partition("/")[0])
-    if not (0 < index <= _MOST_VERTICES or -n_vertices <= index < 0):
+    if not (0 < index <= _MAX_VERTICES or -n_vertices <= index < 0):
         raise ValueError(f"there is no vertex {index}")
     return index - 1 if index > 0 else n_vertices + index
 
 
-def _split(data: bytes) -> list[list[str]]:
+def _split_lines(data: bytes) -> list[list[str]]:
     return [line.split() for line in data.decode("ascii", errors="replace").splitlines()]
 
 
-def _ply(_data: bytes, path: Path) -> tuple[Doubles, Indices]:
+def _read_ply(_data: bytes, path: Path) -> tuple[Doubles, Indices]:
     import open3d as o3d
 
     library: Any = o3d
@@ -185,4 +187,8 @@ def _ply(_data: bytes, path: Path) -> tuple[Doubles, Indices]:
     return vertices.reshape(-1, 3), triangles.reshape(-1, 3)
 
 
-_READERS: Mapping[str, Callable[[bytes, Path], tuple[Doubles, Indices]]] = {".stl": _stl, ".obj": _obj, ".ply": _ply}
+_READERS: Mapping[str, Callable[[bytes, Path], tuple[Doubles, Indices]]] = {
+    ".stl": _read_stl,
+    ".obj": _read_obj,
+    ".ply": _read_ply,
+}

@@ -1,7 +1,7 @@
 """Rigid transforms SE(3) as 4x4 matrices in millimetres, composed in float64.
 
-`target_from_source` maps points given in the source frame to the target frame, so that
-`target_from_source = target_from_alignment @ alignment_from_source` reads by itself.
+`target_from_source` maps points given in the source frame to the target frame: `target_from_source =
+target_from_alignment @ alignment_from_source`.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def rotation(rotation_vector_rad: ArrayLike) -> Doubles:
 def rotation_vector_rad(matrix: ArrayLike) -> Doubles:
     """The rotation vector (3,) of a transform: logarithm by way of the quaternion, exact at 0 and at pi."""
     r = np.asarray(matrix, dtype=np.float64)[:3, :3]
-    # The largest of the four squared quaternion parts is taken first, so that nothing is divided by ~0.
+    # The largest squared quaternion component comes first: no division by ~0.
     q_sq = np.array([1 + r[0, 0] + r[1, 1] + r[2, 2], 1 + r[0, 0] - r[1, 1] - r[2, 2],
                      1 - r[0, 0] + r[1, 1] - r[2, 2], 1 - r[0, 0] - r[1, 1] + r[2, 2]])  # fmt: skip
     wx, wy, wz = r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]
@@ -59,19 +59,19 @@ def rotation_vector_rad(matrix: ArrayLike) -> Doubles:
 
 
 def from_parts(translation_mm: ArrayLike, rotation_deg: ArrayLike = (0.0, 0.0, 0.0)) -> Doubles:
-    """A transform from a shift and a rotation vector in degrees, as alignments are written in files."""
+    """Return a transform from a translation and a rotation vector in degrees, as in alignment files."""
     matrix = rotation(np.deg2rad(np.asarray(rotation_deg, dtype=np.float64)))
     matrix[:3, 3] = np.asarray(translation_mm, dtype=np.float64)
     return matrix
 
 
 def from_quaternion(translation_mm: ArrayLike, xyzw: ArrayLike) -> Doubles:
-    """A transform from a shift and a quaternion in (x, y, z, w) order; raises when it has no length."""
+    """Return a transform from a translation and a quaternion (x, y, z, w); CalibrationError for length 0."""
     q = np.asarray(xyzw, dtype=np.float64)
     largest = float(np.abs(q).max())
     if not 0.0 < largest < math.inf:
         raise CalibrationError(f"a rotation quaternion must have a length, got {tuple(q.tolist())}")
-    x, y, z, w = q / largest  # only its direction counts, and squares of the rest neither overflow nor vanish
+    x, y, z, w = q / largest  # only its direction counts; squares neither overflow nor vanish
     s = 2.0 / (x * x + y * y + z * z + w * w)
     matrix = np.eye(4)
     matrix[:3, :3] = [[1 - s * (y * y + z * z), s * (x * y - z * w), s * (x * z + y * w)],
@@ -82,7 +82,7 @@ def from_quaternion(translation_mm: ArrayLike, xyzw: ArrayLike) -> Doubles:
 
 
 def invert(matrix: Doubles) -> Doubles:
-    """The way back, from the transposed rotation rather than a general inverse."""
+    """Return the inverse transform."""
     inverse = np.eye(4)
     inverse[:3, :3] = matrix[:3, :3].T
     inverse[:3, 3] = -matrix[:3, :3].T @ matrix[:3, 3]
@@ -90,27 +90,27 @@ def invert(matrix: Doubles) -> Doubles:
 
 
 def apply(target_from_source: Doubles, points_mm: ArrayLike) -> Doubles:
-    """Points (..., 3) given in the source frame, in the target frame (float64)."""
+    """Transform points (..., 3) from the source frame to the target frame (float64)."""
     points = np.asarray(points_mm, dtype=np.float64)
     return np.asarray(points @ target_from_source[:3, :3].T + target_from_source[:3, 3])
 
 
 def rotation_angle_deg(matrix: Doubles) -> float:
-    """How far a transform turns, in degrees."""
+    """Return the angle of a transform's rotation."""
     return math.degrees(float(np.linalg.norm(rotation_vector_rad(matrix))))
 
 
 def validate_within_reach(matrix: ArrayLike, what: str) -> Doubles:
-    """`checked`, and no farther than anything that is touched; for what files say. Raises CalibrationError."""
+    """Validate a rigid transform with a plausible translation, from a file; raises CalibrationError."""
     m = validate_rigid(matrix, what)
     far = float(np.abs(m[:3, 3]).max())
     if far > MAX_TRANSLATION_MM:
-        raise CalibrationError(f"{what} shifts by {far:.3g} mm, it must lie within {MAX_TRANSLATION_MM:g} mm")
+        raise CalibrationError(f"{what} translates by {far:.3g} mm, it must lie within {MAX_TRANSLATION_MM:g} mm")
     return m
 
 
 def validate_rigid(matrix: ArrayLike, what: str) -> Doubles:
-    """`matrix` as a proper rigid transform, its rotation made exactly orthonormal; `what` names it in errors.
+    """Return `matrix` as a proper rigid transform, its rotation exactly orthonormal; `what` names it in errors.
 
     Raises CalibrationError when it is not 4x4, not finite, mirrored, scaled or sheared.
     """

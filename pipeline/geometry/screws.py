@@ -1,4 +1,4 @@
-"""Motions that a contact does not show, named one by one: slides, turns about an axis, and what couples the two."""
+"""Describe unobservable motions one by one: translations, rotations about an axis, and screws."""
 
 from __future__ import annotations
 
@@ -8,26 +8,26 @@ import numpy as np
 
 from pipeline.base.arrays import Doubles
 
-SLIDE_ROTATION_LIMIT = 0.05  # share of turning in a motion of unit size below which it is a slide
-_HARDLY = 0.2  # share of turning in what is a slide as well where the slide alone is not shown either
-_EXACT = 0.9994  # cosine, 2 degrees, from which a slide does: farther off, the object leaves the sensor's plane
-_PURE = 0.995  # cosine, 6 degrees, from which a direction earns the name of an axis
-_OFF_AXIS = 0.15  # share of sliding in a turn that is not worth a word
-_PITCH = 0.05  # of sliding in a turn: as much as normals that are off by 3 degrees make up
-_MOVED = 0.05  # change of a motion, in radii per radius that its axis is shifted: as much as such normals make up
-_CENTRAL = 0.1  # an axis this near the middle of the contact, in radii of it, goes through the middle
+SLIDE_ROTATION_LIMIT = 0.05  # share of rotation in a unit motion below which it is a translation
+_LOOSE_ROTATION_LIMIT = 0.2  # share of rotation that also counts where the pure translation is not observable either
+_TRANSLATION_COSINE = 0.9994  # cosine of 2 degrees, for translations: farther off, the object leaves the sensor's plane
+_AXIS_COSINE = 0.995  # cosine of 6 degrees, within which a direction is named after an axis
+_MIN_TRANSLATION = 0.15  # share of translation in a rotation that is not described
+_PITCH = 0.05  # of translation in a rotation: error of normals that are off by 3 degrees
+_MIN_AXIS_SHIFT = 0.05  # change of a motion, in radii per radius that its axis moves: error of such normals
+_CENTRE_DISTANCE = 0.1  # an axis this near the contact's centre, in its radii, goes through it
 _AXES = ("x", "y", "z")
 
 
 def describe_motions(
     lost: Doubles, about_mm: Doubles, radius_mm: float, is_lost: Callable[[Doubles], bool]
 ) -> list[tuple[str, Doubles]]:
-    """Names of the motions that span the orthonormal columns (6, k), each with its motion (6,) of unit size.
+    """Describe the motions that span the orthonormal columns (6, k), each with its motion (6,) of unit size.
 
-    Columns are (rotation times `radius_mm`, translation at `about_mm`). Slides come first, then turns, about one
-    common centre where there is one. Axes of the sensor are preferred; any other direction is told by its components,
-    an axis that misses the middle of the contact by the point on it that is nearest to the middle, in mm. A turn whose
-    slide along its own axis cannot be left out, as `is_lost` of the rest tells, is told as the screw that it is.
+    Columns are (rotation times `radius_mm`, translation at `about_mm`). Translations come first, then rotations, about
+    one common centre where there is one. Axes of the sensor are preferred; other directions are given by components, an
+    axis that misses the contact's centre by its nearest point in mm. A rotation whose translation along its own axis
+    cannot be left out, by `is_lost` of the rest, is described as a screw.
     """
     if lost.shape[1] == 0:
         return []
@@ -35,21 +35,24 @@ def describe_motions(
     turning = np.concatenate([turning, np.zeros(mix.shape[0] - len(turning))])
     basis = lost @ mix.T
     straight = turning <= SLIDE_ROTATION_LIMIT
-    for k in np.flatnonzero(~straight & (turning <= _HARDLY)):
+    for k in np.flatnonzero(~straight & (turning <= _LOOSE_ROTATION_LIMIT)):
         alone = np.concatenate([np.zeros(3), basis[3:, k] / np.linalg.norm(basis[3:, k])])
         if is_lost(alone):
             basis[:, k], straight[k] = alone, True
     sliding, rest = basis[:, straight], basis[:, ~straight]
     slides, _ = np.linalg.qr(sliding[3:])
-    named = [(f"slides along {describe_direction(a, _EXACT)}", _closest(sliding, 3, a)) for a in _axes_in(slides)]
+    named = [
+        (f"slides along {describe_direction(a, _TRANSLATION_COSINE)}", _closest(sliding, 3, a))
+        for a in _axes_in(slides)
+    ]
     turns = _turns(rest, slides)
     centre_mm = _common_centre(turns, slides, radius_mm)
     kept = np.eye(3) - slides @ slides.T
-    return named + [(_turn_in_words(t, kept, centre_mm, about_mm, radius_mm, is_lost), t) for t in turns]
+    return named + [(_describe_rotation(t, kept, centre_mm, about_mm, radius_mm, is_lost), t) for t in turns]
 
 
-def describe_direction(vector: Doubles, pure: float = _PURE) -> str:
-    """A direction in words: an axis of the sensor from which it is less than a cosine of `pure` off, or components."""
+def describe_direction(vector: Doubles, pure: float = _AXIS_COSINE) -> str:
+    """Describe a direction: the sensor's axis within a cosine of `pure`, or components."""
     unit = vector / np.linalg.norm(vector)
     k = int(np.argmax(np.abs(unit)))
     if abs(unit[k]) > pure:
@@ -58,7 +61,7 @@ def describe_direction(vector: Doubles, pure: float = _PURE) -> str:
 
 
 def _axes_in(span: Doubles) -> Iterator[Doubles]:
-    """Orthonormal directions that span the columns (3, k), along the sensor's axes as far as possible."""
+    """Return orthonormal directions that span the columns (3, k), along the sensor's axes as far as possible."""
     while span.shape[1]:
         length = np.linalg.norm(span, axis=1)
         axis = int(np.argmax(np.round(length, 3)))
@@ -69,14 +72,14 @@ def _axes_in(span: Doubles) -> Iterator[Doubles]:
 
 
 def _closest(basis: Doubles, first: int, direction: Doubles) -> Doubles:
-    """The motion of unit size in `basis` whose rotation (`first` 0) or translation (3) is along `direction`."""
+    """Return the unit motion in `basis` whose rotation (`first` 0) or translation (3) is along `direction`."""
     weights = np.linalg.lstsq(basis[first : first + 3], direction, rcond=None)[0]
     motion = basis @ weights
     return np.asarray(motion / np.linalg.norm(motion), dtype=np.float64)
 
 
 def _turns(basis: Doubles, slides: Doubles) -> list[Doubles]:
-    """Motions whose rotations are along preferred axes, without what the slides can undo."""
+    """Return motions whose rotations are along preferred axes, less what the translations compensate."""
     axes, _ = np.linalg.qr(basis[:3])
     found: list[Doubles] = []
     for axis in _axes_in(axes):
@@ -87,18 +90,20 @@ def _turns(basis: Doubles, slides: Doubles) -> list[Doubles]:
 
 
 def _common_centre(turns: list[Doubles], slides: Doubles, radius_mm: float) -> Doubles:
-    """The point (3,) mm from the middle that the turns leave in place, as nearly as can be; the nearest of such."""
+    """Return the point (3,) mm from the contact's centre that the rotations move least; the nearest such point."""
     if not turns:
         return np.zeros(3)
     free = np.eye(3) - slides @ slides.T
     rows = np.concatenate([free @ _cross(turn[:3] / radius_mm) for turn in turns])
     wanted = np.concatenate([-free @ turn[3:] for turn in turns])
     u, size, vt = np.linalg.svd(rows, full_matrices=False)
-    told = size > _MOVED / radius_mm  # where the slides undo every shift of the axis, it goes through the middle
-    return vt[told].T @ ((u[:, told].T @ wanted) / size[told])
+    is_significant = (
+        size > _MIN_AXIS_SHIFT / radius_mm
+    )  # where translations undo every shift of the axis, it goes through the centre
+    return vt[is_significant].T @ ((u[:, is_significant].T @ wanted) / size[is_significant])
 
 
-def _turn_in_words(
+def _describe_rotation(
     turn: Doubles,
     kept: Doubles,
     centre_mm: Doubles,
@@ -107,15 +112,15 @@ def _turn_in_words(
     is_lost: Callable[[Doubles], bool],
 ) -> str:
     words = f"turns about {describe_direction(turn[:3])}"
-    left = kept @ (turn[3:] + np.cross(turn[:3] / radius_mm, centre_mm))  # without what the slides undo
-    if np.linalg.norm(left) > _OFF_AXIS:
+    left = kept @ (turn[3:] + np.cross(turn[:3] / radius_mm, centre_mm))  # less what the translations compensate
+    if np.linalg.norm(left) > _MIN_TRANSLATION:
         return f"{words} while sliding along {describe_direction(turn[3:])}"
     along = turn[:3] * float(left @ turn[:3]) / float(turn[:3] @ turn[:3])
     if np.linalg.norm(along) > _PITCH * np.linalg.norm(turn[:3]) and not is_lost(
         turn - np.concatenate([np.zeros(3), along])
     ):
         words += f" while sliding along {describe_direction(turn[:3])}"
-    if np.linalg.norm(centre_mm) <= _CENTRAL * radius_mm:
+    if np.linalg.norm(centre_mm) <= _CENTRE_DISTANCE * radius_mm:
         return words
     return words + " through ({:.1f}, {:.1f}, {:.1f}) mm".format(*(np.round(about_mm + centre_mm, 1) + 0.0))
 

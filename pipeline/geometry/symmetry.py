@@ -1,4 +1,4 @@
-"""Which turns map an object onto itself, so that a pose error does not punish what nobody could feel."""
+"""Rotations that map an object onto itself, which pose errors do not count."""
 
 from __future__ import annotations
 
@@ -14,50 +14,50 @@ from pipeline.geometry import rigid
 
 X, Z = (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)
 _ALONG_Z = 0.99
-_SAME = 1e-9  # entries of two rotation matrices that are one
+_ROUNDING = 1e-9  # difference of entries of two equal rotation matrices
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Symmetry:
-    """Rotations about the object's origin that leave its surface where it is."""
+    """Rotations about the object's origin that leave its surface in place."""
 
     rotations: Doubles  # (n, 3, 3), the identity first
-    axis: Doubles | None = None  # (3,) unit: any turn about it is a symmetry too; None = there is none
+    axis: Doubles | None = None  # (3,) unit: any rotation about it is a symmetry too; None = no such axis
 
     @property
     def fold(self) -> int:
-        """How many turns about z leave it as it is; 0 = all of them."""
+        """Return the number of rotations about z that leave it in place; 0 = all of them."""
         if self.axis is not None and abs(float(self.axis[2])) > _ALONG_Z:
             return 0
-        return sum(abs(float(turn[2, 2]) - 1.0) < _SAME for turn in self.rotations)
+        return sum(abs(float(turn[2, 2]) - 1.0) < _ROUNDING for turn in self.rotations)
 
     def sample_rotations(self, step: float = 0.01) -> Doubles:
-        """All rotations (m, 3, 3), the identity first, for the MSSD of the BOP challenge (Hodan et al. 2020).
+        """Return all rotations (m, 3, 3), the identity first, for the MSSD of the BOP challenge (Hodan et al. 2020).
 
-        Between neighbouring turns about the axis no point of the object moves more than `step` of its diameter.
+        Between neighbouring rotations about the axis no point of the object moves more than `step` of its diameter.
         Raises SettingProblem when the step is not positive.
         """
         if not step > 0:
             raise SettingProblem(f"the step of a symmetry must be above 0, got {step!r}")
         if self.axis is None:
             return self.rotations
-        # What an axis turns lies within half a diameter of it, so 2 step radians move it by step diameters at most.
+        # Points are within half a diameter of the axis, so 2 step radians move them by step diameters at most.
         turned = _about(tuple(self.axis), max(1, math.ceil(math.pi / step)))
         return freeze((self.rotations[:, None] @ turned[None]).reshape(-1, 3, 3))
 
 
 def asymmetric() -> Symmetry:
-    """Of an object that looks different from everywhere."""
+    """Return the symmetry of an object without one."""
     return Symmetry(rotations=freeze(np.eye(3)[None].copy()))
 
 
 def cyclic(n: int, axis: Sequence[float] = Z) -> Symmetry:
-    """Of an object that looks the same after each n-th of a turn."""
+    """Return the symmetry of an object with `n` equal rotations about an axis."""
     return Symmetry(rotations=freeze(_about(axis, n)))
 
 
 def revolution(axis: Sequence[float] = Z, flip: Sequence[float] | None = None) -> Symmetry:
-    """Of a body of revolution; with `flip`, of one whose ends are alike."""
+    """Return the symmetry of a body of revolution; with `flip`, of one with equal ends."""
     discrete = np.eye(3)[None].copy() if flip is None else _about(flip, 2)
     return Symmetry(rotations=freeze(discrete), axis=freeze(np.array(axis, dtype=np.float64)))
 
@@ -65,5 +65,5 @@ def revolution(axis: Sequence[float] = Z, flip: Sequence[float] | None = None) -
 def _about(axis: Sequence[float], n: int) -> Doubles:
     unit = np.asarray(axis, dtype=np.float64)
     turns = np.stack([rigid.rotation(2.0 * math.pi * k / n * unit)[:3, :3] for k in range(n)])
-    turns[np.abs(turns) < _SAME] = 0.0
+    turns[np.abs(turns) < _ROUNDING] = 0.0
     return turns

@@ -1,7 +1,7 @@
-"""How far apart two sets of touches lie as sets, from what an encoder sees in each (n, features).
+"""Distances of two sets of touches as distributions of an encoder's features (n, features).
 
-With few touches a Frechet distance is mostly the bias of its own estimate, so that it says something only beside what
-two halves of the same true set give. The kernel distance has no such bias; it may come out a little below 0.
+With few touches a Frechet distance is mostly its own bias, so it is only meaningful relative to that of two halves of
+the true set. The kernel distance is unbiased; it may be slightly negative.
 """
 
 from __future__ import annotations
@@ -13,15 +13,15 @@ import numpy as np
 
 from pipeline.base.arrays import Doubles
 
-MIN_TOUCHES = 4  # touches of a set: below, there is no spread to speak of
+MIN_TOUCHES = 4  # touches of a set needed for a covariance
 Distance = Callable[[Doubles, Doubles], float]
 
 
 def frechet_distance(a: Doubles, b: Doubles) -> float:
-    """Squared Frechet distance of two normal distributions fitted to the rows of `a` and `b` (n, features), >= 0.
+    """Return the squared Frechet distance (>= 0) of normal distributions fitted to rows (n, features).
 
-    tr((S T)^1/2) of two covariances is the nuclear norm of the product of their factors, exact also where there are
-    fewer touches than features; NaN for fewer than `FEWEST`.
+    tr((S T)^1/2) of two covariances is the nuclear norm of the product of their factors, exact also for fewer touches
+    than features; NaN for fewer than `MIN_TOUCHES`.
     """
     if min(len(a), len(b)) < MIN_TOUCHES:
         return math.nan
@@ -32,12 +32,12 @@ def frechet_distance(a: Doubles, b: Doubles) -> float:
 
 
 def _factor(x: Doubles) -> Doubles:
-    """R with R^T R the covariance of the rows of `x`: no larger than that."""
+    """Return R with R^T R the covariance of the rows of `x`, of minimal size."""
     return np.asarray(np.linalg.qr((x - x.mean(axis=0)) / math.sqrt(len(x) - 1), mode="r"), np.float64)
 
 
 def kernel_distance(a: Doubles, b: Doubles) -> float:
-    """Unbiased squared maximum mean discrepancy with the kernel (x.y / features + 1)^3 (Binkowski et al. 2018)."""
+    """Return the unbiased squared maximum mean discrepancy, kernel (x.y / features + 1)^3 (Binkowski et al. 2018)."""
     if min(len(a), len(b)) < MIN_TOUCHES:
         return math.nan
     d = a.shape[1]
@@ -52,15 +52,14 @@ def kernel_distance(a: Doubles, b: Doubles) -> float:
     return within(a) + within(b) - 2.0 * float(alike(a, b).mean())
 
 
-def compare_halves(distance: Distance, made: Doubles, true: Doubles) -> float:
-    """Mean distance of one half of what was made to the other half of what is true, both ways.
+def compare_halves(distance: Distance, generated: Doubles, true: Doubles) -> float:
+    """Return the mean distance of one half of the generated set to the other half of the true set, both ways.
 
-    Rows belong together in pairs; the two halves share no touch, as those of `floor` do not, so that both distances
-    have the same bias.
+    Rows are pairs; the two halves share no touch, as in `compute_floor`, so that both distances have the same bias.
     """
-    return 0.5 * (distance(made[0::2], true[1::2]) + distance(made[1::2], true[0::2]))
+    return 0.5 * (distance(generated[0::2], true[1::2]) + distance(generated[1::2], true[0::2]))
 
 
 def compute_floor(distance: Distance, true: Doubles) -> float:
-    """The distance of one half of what is true to its other half: nothing can do better."""
+    """Return the distance of one half of the true set to its other half: the best possible value."""
     return distance(true[0::2], true[1::2])

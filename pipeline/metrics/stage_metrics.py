@@ -1,4 +1,4 @@
-"""How far a result is from what is known to be true."""
+"""Metrics of stage results against ground truth."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from pipeline.values.results import ObjectPose
 if TYPE_CHECKING:
     from pipeline.geometry.symmetry import Symmetry
 
-_SAME_MM = 1.0  # answers this close are one
+_SAME_MM = 1.0  # poses this close are one
 PSNR_CAP_DB = 100.0  # identical images have no finite ratio; published tables cap it too
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Metric:
-    """What a figure says: its unit, which way is better, and its short name where the window shows it."""
+    """A metric's unit, direction and short title."""
 
     title: str = ""
     unit: str
@@ -47,50 +47,53 @@ METRICS: Mapping[str, Metric] = {
     "contact_iou": Metric(
         title="IoU of contact", unit="", better="higher", meaning="intersection over union of contact and true contact"
     ),
-    "psnr_db": Metric(title="PSNR", unit="dB", better="higher", meaning="peak signal-to-noise ratio of the picture"),
+    "psnr_db": Metric(
+        title="PSNR", unit="dB", better="higher", meaning="peak signal-to-noise ratio of the generated image"
+    ),
     "depth_mae_mm": Metric(
-        title="off the depth image",
+        title="depth image error",
         unit="mm",
         better="lower",
         meaning="mean absolute difference to the recorded depth image",
     ),
     "translation_mm": Metric(
-        title="translation error", unit="mm", better="lower", meaning="shift of the object at the contact"
+        title="translation error", unit="mm", better="lower", meaning="translation error of the object at the contact"
     ),
-    "rotation_deg": Metric(title="rotation error", unit="deg", better="lower", meaning="turn of the object"),
+    "rotation_deg": Metric(title="rotation error", unit="deg", better="lower", meaning="rotation error of the object"),
     "mssd_mm": Metric(
         title="MSSD",
         unit="mm",
         better="lower",
-        meaning="largest shift of the object's surface, after its symmetry",
+        meaning="maximum symmetry-aware surface distance of the object",
     ),
     "se2_mm": Metric(
-        title="shift in the plane", unit="mm", better="lower", meaning="shift in the sensor's plane, after its symmetry"
+        title="in-plane translation error", unit="mm", better="lower", meaning="in the sensor's plane, symmetry-aware"
     ),
     "se2_deg": Metric(
-        title="turn in the plane", unit="deg", better="lower", meaning="turn in the sensor's plane, after its symmetry"
+        title="in-plane rotation error", unit="deg", better="lower", meaning="in the sensor's plane, symmetry-aware"
     ),
     "observable_mm": Metric(
-        title="determined shift", unit="mm", better="lower", meaning="shift along what the contact determines"
+        title="observable translation error", unit="mm", better="lower", meaning="along determined directions"
     ),
     "observable_deg": Metric(
-        title="determined turn", unit="deg", better="lower", meaning="turn about what the contact determines"
+        title="observable rotation error", unit="deg", better="lower", meaning="about determined axes"
     ),
-    "n_poses": Metric(
-        title="n_poses", unit="", better="neither", meaning="poses that fit equally well, up to symmetry"
-    ),
+    "n_poses": Metric(title="poses", unit="", better="neither", meaning="poses that fit equally well, up to symmetry"),
     "pose_spread_mm": Metric(
-        title="pose ambiguity", unit="mm", better="neither", meaning="largest distance (MSSD) between two of them"
+        title="pose ambiguity",
+        unit="mm",
+        better="neither",
+        meaning="largest distance (MSSD) between two of these poses",
     ),
 }
-"""Name of a figure, as it stands behind the slot's (`pose.mssd_mm`) -> what it is."""
+"""Name of a metric within its stage (`mssd_mm` of `pose.mssd_mm`) -> its description."""
 
 
 def describe_metric(figure: str) -> str:
-    """`touch_depth.contact_mae_mm` as a person calls it: "felt: error in contact, mm"."""
-    slot, _, name = figure.partition(".")
+    """Return the title of `touch_depth.contact_mae_mm`: "touch_depth: error in contact, mm"."""
+    stage, _, name = figure.partition(".")
     metric = METRICS[name]
-    return f"{slot}: {metric.title}{', ' if metric.unit else ''}{metric.unit}"
+    return f"{stage}: {metric.title}{', ' if metric.unit else ''}{metric.unit}"
 
 
 def compute_mae_mm(estimate: NDArray[np.floating], truth: NDArray[np.floating], where: Mask) -> float:
@@ -114,7 +117,7 @@ def psnr_db(a: NDArray[np.generic], b: NDArray[np.generic], peak: float) -> floa
 
 
 def compute_surface_metrics(indentation_mm: NDArray[np.floating], contact: Mask, truth: Truth) -> dict[str, float]:
-    """How far a membrane (rows, cols) is from what is known of it; empty where that has another size."""
+    """Compare a membrane (rows, cols) to its ground truth; empty where that has another size."""
     figures: dict[str, float] = {}
     if truth.contact is not None and truth.contact.shape == contact.shape:
         figures["contact_iou"] = iou(contact, truth.contact)
@@ -127,7 +130,7 @@ def compute_surface_metrics(indentation_mm: NDArray[np.floating], contact: Mask,
 
 
 def compute_image_metrics(image: Image | Floats, frame: TactileFrame) -> dict[str, float]:
-    """How far a generated picture is from the one that was recorded; empty where that has another size."""
+    """Compare a generated image to the recorded one; empty where that has another size."""
     if image.shape != frame.image.shape:
         return {}
     if frame.is_depth:
@@ -143,24 +146,24 @@ def compute_image_metrics(image: Image | Floats, frame: TactileFrame) -> dict[st
 def compute_pose_metrics(
     pose: ObjectPose, truth: Truth, mesh: Mesh | None = None, symmetry: Symmetry | None = None
 ) -> dict[str, float]:
-    """How far a pose is from the true one; `mesh` and its `symmetry` (None = none) are those of the object.
+    """Compare a pose to the true one; `mesh` and its `symmetry` (None = none) are the object's.
 
-    `translation_mm` and `rotation_deg` are plain; `mssd_mm`, `se2_mm`, `se2_deg`, `observable_mm` and `observable_deg`
-    are those of `SymmetricError`.
+    `translation_mm` and `rotation_deg` ignore symmetry; `mssd_mm`, `se2_mm`, `se2_deg`, `observable_mm` and
+    `observable_deg` are those of `SymmetricPoseError`.
     """
     if pose.sensor_from_object is None or truth.sensor_from_object is None:
         return {}
     centre = pose.scene_mm.astype(np.float64).mean(axis=0)
-    # The error is stated at the contact: a far-away object origin would turn a small angle into a large shift.
+    # The error is stated at the contact: a distant object origin would turn a small angle into a large translation.
     in_object = rigid.apply(rigid.invert(truth.sensor_from_object), centre)
     off = rigid.apply(pose.sensor_from_object, in_object) - centre
     turn = rigid.invert(truth.sensor_from_object) @ pose.sensor_from_object
     figures = {"translation_mm": float(np.linalg.norm(off)), "rotation_deg": rigid.rotation_angle_deg(turn)}
     if mesh is not None:
-        felt = compute_symmetric_error(
+        error = compute_symmetric_error(
             pose.sensor_from_object, truth.sensor_from_object, mesh, symmetry, centre, pose.observable
         )  # fmt: skip
-        figures |= {f"{name}": value for name, value in asdict(felt).items() if math.isfinite(value)}
-        several = compute_ambiguity((pose.sensor_from_object, *pose.alternatives), mesh, symmetry, _SAME_MM)
-        figures |= {"n_poses": float(several.n_distinct), "pose_spread_mm": several.spread_mm}
+        figures |= {f"{name}": value for name, value in asdict(error).items() if math.isfinite(value)}
+        ambiguity = compute_ambiguity((pose.sensor_from_object, *pose.alternatives), mesh, symmetry, _SAME_MM)
+        figures |= {"n_poses": float(ambiguity.n_distinct), "pose_spread_mm": ambiguity.spread_mm}
     return figures

@@ -1,7 +1,7 @@
-"""Pose errors that do not punish what nobody could feel: turns that map an object onto itself, and unseen motions.
+"""Pose errors that ignore rotations mapping an object onto itself, and unobservable motions.
 
-An object's symmetry is that of the whole object. What one touch shows can be more symmetric still: a hex key's shaft is
-a rod as long as its elbow is outside the window (BOP-Distrib). `on_observable` covers that, touch by touch.
+A symmetry is that of the whole object. One touch can be more symmetric: a hex key's shaft is a rod while its elbow is
+out of view (BOP-Distrib). `compute_observable_error` covers that, touch by touch.
 """
 
 from __future__ import annotations
@@ -31,20 +31,20 @@ _SMALL_RAD = 1e-4
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SymmetricPoseError:
-    """How far an estimate is from the truth, as far as that can be felt."""
+    """Errors of an estimate against the true pose."""
 
     mssd_mm: float  # largest displacement of a vertex, least over the symmetries
-    se2_mm: float  # in the sensor plane, at the contact; for a body of revolution between the lines of the axes
+    se2_mm: float  # in the sensor plane, at the contact; for a body of revolution between the axes
     se2_deg: float  # about the sensor's optical axis; for a body of revolution between the axes
-    observable_mm: float  # shift of the contact's middle, of what the estimate calls determined; NaN = it does not say
+    observable_mm: float  # translation of the contact's centre along determined directions; NaN = unknown
     observable_deg: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ambiguity:
-    """Answers that fit equally well."""
+    """Poses that fit equally well."""
 
-    n_distinct: int  # of those that no symmetry maps onto each other
+    n_distinct: int  # not mapped onto each other by a symmetry
     spread_mm: float  # largest MSSD between two of them
 
 
@@ -56,9 +56,9 @@ def compute_symmetric_error(
     at_mm: Doubles,
     observable: Doubles | None = None,
 ) -> SymmetricPoseError:
-    """All errors of sensor_from_object (4, 4) at the contact's middle `at_mm` (3,) in the sensor frame.
+    """Compute all errors of sensor_from_object (4, 4) at the contact's centre `at_mm` (3,) in the sensor frame.
 
-    `symmetry` None = not known: the object is taken as asymmetric. `observable` is that of `ObjectPose`.
+    `symmetry` None = unknown: the object counts as asymmetric. `observable` is that of `ObjectPose`.
     """
     mssd, turn = _nearest(estimate, truth, compute_hull(mesh), symmetry)
     same = truth @ turn
@@ -76,10 +76,10 @@ def compute_symmetric_error(
 def compute_in_plane_error(
     estimate: Doubles, truth: Doubles, symmetry: Symmetry | None, at_mm: Doubles
 ) -> tuple[float, float]:
-    """(mm, deg) in the sensor's x-y plane, as the paper scores poses, for a truth already reduced by symmetry.
+    """Return (mm, deg) in the sensor's x-y plane, as in the paper, for a true pose already reduced by symmetry.
 
-    The shift is that of the object's point at `at_mm`. A body of revolution is compared by its axis alone: slides
-    along the axis are not counted here, they are in the MSSD.
+    The translation is that of the object's point at `at_mm`. A body of revolution is compared by its axis alone:
+    translations along the axis count in the MSSD only.
     """
     motion = estimate @ rigid.invert(truth)
     shift = rigid.apply(motion, at_mm) - at_mm
@@ -93,9 +93,9 @@ def compute_in_plane_error(
 def compute_observable_error(
     estimate: Doubles, truth: Doubles, observable: Doubles, at_mm: Doubles
 ) -> tuple[float, float]:
-    """(mm, deg) of the motion from truth to estimate that lies in the directions the estimate calls determined.
+    """Return (mm, deg) of the motion from true pose to estimate within the determined directions.
 
-    The motion is taken as a screw about `at_mm` (the logarithm in SE(3)), so that a long slide and a full roll along a
+    The motion is a screw about `at_mm` (the logarithm in SE(3)), so that a long translation and a full roll along a
     rod, about a ball or over a plate stay within their directions, which are closed under composition.
     """
     middle = rigid.translation(*at_mm)
@@ -105,7 +105,7 @@ def compute_observable_error(
 
 
 def compute_ambiguity(poses: Sequence[Doubles], mesh: Mesh, symmetry: Symmetry | None, same_mm: float) -> Ambiguity:
-    """Of the minima that a registration reports: those within `same_mm` of MSSD of an earlier one count once."""
+    """Count the distinct poses of a registration: those within `same_mm` of MSSD of an earlier one count once."""
     corners, kept, spread = compute_hull(mesh), list[Doubles](), 0.0
     for pose in poses:
         apart = [_nearest(pose, other, corners, symmetry)[0] for other in kept]
@@ -116,7 +116,7 @@ def compute_ambiguity(poses: Sequence[Doubles], mesh: Mesh, symmetry: Symmetry |
 
 
 def compute_hull(mesh: Mesh) -> Doubles:
-    """The vertices (n, 3) that can be displaced most: displacement is convex, so that none within them can."""
+    """Return the vertices (n, 3) of the convex hull: displacement is convex, so its maximum is there."""
     return mesh.vertices_mm if len(mesh.vertices_mm) <= _FEW else _hull_of(mesh.vertices_mm.tobytes())
 
 
@@ -132,7 +132,7 @@ def _hull_of(vertices_f64: bytes) -> Doubles:
 
 
 def _nearest(estimate: Doubles, truth: Doubles, points: Doubles, symmetry: Symmetry | None) -> tuple[float, Doubles]:
-    """(least MSSD in mm, the symmetry (4, 4) that gives it).
+    """Return (least MSSD in mm, its symmetry (4, 4)).
 
     Maximum symmetry-aware surface distance of BOP: min over S of max over vertices x of |estimate x - truth S x|. A
     continuous symmetry is searched at steps of one percent of the diameter, and then between the steps.
@@ -156,7 +156,7 @@ def _nearest(estimate: Doubles, truth: Doubles, points: Doubles, symmetry: Symme
 
 
 def _farthest(estimate: Doubles, truth: Doubles, turns: Doubles, points: Doubles) -> Doubles:
-    """(k,) largest displacement in mm of a point, for each of the turns (k, 3, 3) applied before the truth."""
+    """Return (k,) largest displacement (mm) of a point, for each rotation (k, 3, 3) applied before the true pose."""
     difference = estimate[:3, :3] - truth[:3, :3] @ turns
     shift = estimate[:3, 3] - truth[:3, 3]
     return np.sqrt(((difference @ points.T + shift[:, None]) ** 2).sum(axis=1).max(axis=1))
@@ -165,7 +165,7 @@ def _farthest(estimate: Doubles, truth: Doubles, turns: Doubles, points: Doubles
 def _between_steps(
     estimate: Doubles, truth: Doubles, points: Doubles, turn: Doubles, axis: Doubles, best: float
 ) -> tuple[float, Doubles]:
-    """The least MSSD near `turn` by golden sections over one step either way."""
+    """Return the least MSSD near `turn` by golden section over one step either way."""
 
     def at(angle: float) -> tuple[float, Doubles]:
         turned = turn @ rigid.rotation(angle * axis)[:3, :3]
@@ -184,11 +184,11 @@ def _between_steps(
 
 
 def remove_axis_rotation(estimate: Doubles, truth: Doubles, symmetry: Symmetry | None) -> Doubles:
-    """The truth after the turn about the axis of symmetry that leaves least to turn: the swing of swing and twist."""
+    """Return the true pose after the rotation about the symmetry axis that minimises the error (swing and twist)."""
     if symmetry is None or symmetry.axis is None:
         return truth
     between = truth[:3, :3].T @ estimate[:3, :3]
-    # cos and sin of the twist, both times the same positive number.
+    # cos and sin of the twist, both times one positive number.
     along = symmetry.axis @ np.array(
         [between[2, 1] - between[1, 2], between[0, 2] - between[2, 0], between[1, 0] - between[0, 1]]
     )
@@ -197,7 +197,7 @@ def remove_axis_rotation(estimate: Doubles, truth: Doubles, symmetry: Symmetry |
 
 
 def _screw(motion: Doubles) -> Doubles:
-    """The logarithm (6,) of a rigid motion: rotation vector and the translation per unit of the way along it."""
+    """Return the logarithm (6,) of a rigid motion: rotation vector, and translation per unit of the motion along it."""
     turn = rigid.rotation_vector_rad(motion)
     angle = float(np.linalg.norm(turn))
     skew = np.array([[0.0, -turn[2], turn[1]], [turn[2], 0.0, -turn[0]], [-turn[1], turn[0], 0.0]])

@@ -1,7 +1,8 @@
-"""Where a registration ends, from a grid of starts around a pose: turned about the contact's normal, and shifted.
+"""Map which starting poses lead a registration to which minimum.
 
-An answer whose basin is wide is found from nearly anywhere; one that stands among others is luck. Answers that the
-touch does not tell apart are a symmetry of the object, or of the part of it that was felt.
+Starts are a grid around a pose: rotated about the contact's normal and shifted in its plane. A wide basin means that
+the minimum is reached from nearly anywhere. Minima that fit equally well are a symmetry of the object, or of its part
+in contact.
 """
 
 from __future__ import annotations
@@ -19,37 +20,37 @@ from pipeline.registration.search import PoseMinimum, PoseSearch
 
 ShiftAxis = Literal["x", "y"]
 NO_MINIMUM = -1
-_LEAST_FITNESS = 0.05  # share of the contact on the object below which a start led nowhere
-_PREPARED = 0.1  # of the time until the starts are on their way
+_MIN_FITNESS = 0.05  # share of the contact on the object; below it a start counts as failed
+_PREPARATION_SHARE = 0.1  # share of the time for preparation, for progress
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BasinMinimum:
-    """One place where starts end."""
+    """One minimum that starts end in."""
 
-    sensor_from_object: Doubles  # (4, 4) mm, of the best of those that ended here
+    sensor_from_object: Doubles  # (4, 4) mm, best of those that ended here
     rmse_mm: float
     fitness: float
-    misfit_mm: float  # by what was felt and by what was not
-    n_starts: int  # of the starts
-    fits_equally: bool  # whether the touch does not tell it from the pose that the map is about
+    misfit_mm: float  # misfit over contact and free space
+    n_starts: int  # number of starts that ended here
+    fits_equally: bool  # whether the touch cannot distinguish it from the mapped pose
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StartBasins:
-    """A map of starts (rows: shifts, columns: turns) and of what became of each; the first answer is the pose's own."""
+    """A grid of starts and the minimum that each ended in; the first minimum is the mapped pose's own."""
 
     rotations_deg: Doubles  # (cols,) about the contact's normal
     translations_mm: Doubles  # (rows,) in the contact's plane,
     shift_axis: ShiftAxis  # toward this axis of the sensor
-    minimum_index: Indices  # (rows, cols) index of `answers`, NONE = the start led nowhere
-    rmse_mm: Doubles  # (rows, cols) NaN where it led nowhere
+    minimum_index: Indices  # (rows, cols) index into `minima`; NO_MINIMUM = the start failed
+    rmse_mm: Doubles  # (rows, cols) NaN where the start failed
     poses: Doubles  # (rows, cols, 4, 4)
     minima: tuple[BasinMinimum, ...]
 
     @property
     def safe_range(self) -> tuple[float, float]:
-        """(deg, mm) within which every start ends in the first answer or one that fits as well: the largest box."""
+        """Return (deg, mm): the largest box in which every start ends in the first minimum or an equal one."""
         own = np.isin(self.minimum_index, [k for k, answer in enumerate(self.minima) if answer.fits_equally])
         best, most = (0.0, 0.0), 0
         for turn in np.unique(np.abs(self.rotations_deg)):
@@ -61,16 +62,16 @@ class StartBasins:
 
     @property
     def summary(self) -> str:
-        """What the map says."""
+        """Return the map in one sentence."""
         share = float((self.minimum_index == 0).mean())
         equal = sum(answer.fits_equally for answer in self.minima)
         turn, shift = self.safe_range
         parts = [
-            f"{len(self.minima)} answers from {self.minimum_index.size} starts; {share:.0%} end in the pose itself",
+            f"{len(self.minima)} minima from {self.minimum_index.size} starts; {share:.0%} end in this pose",
             f"safe within {turn:.0f} deg and {shift:.1f} mm",
         ]
         if equal > 1:
-            parts.append(f"{equal} answers fit equally well: the touch does not tell them apart")
+            parts.append(f"{equal} minima fit equally well: the touch cannot distinguish them")
         return "; ".join(parts)
 
 
@@ -82,25 +83,26 @@ def map_basins(
     along: ShiftAxis,
     progress: Progress = SILENT,
 ) -> StartBasins:
-    """Every start of the grid around `pose` (4, 4) registered to its end; answers beside the first are best first."""
+    """Register every start of a grid around `pose` (4, 4) to convergence; minima after the first are best first."""
     begun = make_start_grid(search, pose, turns_deg, shifts_mm, along)
     flat = begun.reshape(-1, 4, 4)
     progress.step(0.0, "registering the starts roughly")
     rough = search.register_roughly(flat)
-    part = SubProgress(progress, _PREPARED, 1.0 - _PREPARED)
+    part = SubProgress(progress, _PREPARATION_SHARE, 1.0 - _PREPARATION_SHARE)
     minima: list[PoseMinimum | None] = []
     for k, start in enumerate(rough):
         part.step(k / len(rough), f"start {k + 1} of {len(rough)}")
         found = search.polish(start)
-        minima.append(found if found is not None and found.fit.fitness >= _LEAST_FITNESS else None)
+        minima.append(found if found is not None and found.fit.fitness >= _MIN_FITNESS else None)
     own = search.polish(pose)
     first = pose if own is None else own.fit.sensor_from_object
-    which, answers = _grouped(search, first, minima)
+    which, answers = _group_minima(search, first, minima)
     shape = begun.shape[:2]
     rmse = np.array([np.nan if m is None else m.fit.rmse_mm for m in minima])
     ends = np.array([start if m is None else m.fit.sensor_from_object for m, start in zip(minima, flat, strict=True)])
     return StartBasins(
-        rotations_deg=freeze(np.asarray(turns_deg, np.float64)), translations_mm=freeze(np.asarray(shifts_mm, np.float64)),
+        rotations_deg=freeze(np.asarray(turns_deg, np.float64)),
+        translations_mm=freeze(np.asarray(shifts_mm, np.float64)),
         shift_axis=along, minimum_index=freeze(which.reshape(shape)), rmse_mm=freeze(rmse.reshape(shape)),
         poses=freeze(ends.reshape(*shape, 4, 4)), minima=answers,
     )  # fmt: skip
@@ -109,7 +111,7 @@ def map_basins(
 def make_start_grid(
     search: PoseSearch, pose: Doubles, turns_deg: Doubles, shifts_mm: Doubles, along: ShiftAxis
 ) -> Doubles:
-    """(rows, cols, 4, 4): the pose turned about the contact's normal through its middle, and shifted in its plane."""
+    """Return start poses (rows, cols, 4, 4): `pose` rotated about the contact's normal and shifted in its plane."""
     normal = search.scene.normals.mean(axis=0)
     normal /= np.linalg.norm(normal)
     axis = np.eye(3)[0 if along == "x" else 1]
@@ -121,10 +123,10 @@ def make_start_grid(
     return np.array([[rigid.translation(*(mm * axis)) @ one for one in turned] for mm in shifts_mm])
 
 
-def _grouped(
+def _group_minima(
     search: PoseSearch, first: Doubles, minima: list[PoseMinimum | None]
 ) -> tuple[Indices, tuple[BasinMinimum, ...]]:
-    """Which answer each start ended in, and the answers: the first is the pose's own, the others best first."""
+    """Assign each start to a minimum; the first minimum is the mapped pose's own, the others are best first."""
     free = find_unobservable_motions(search, first)
     known = [minimum for minimum in minima if minimum is not None]
     places: list[tuple[Doubles, list[PoseMinimum]]] = [(first, [])]
@@ -141,13 +143,13 @@ def _grouped(
     kept = [i for i, (_, ended) in enumerate(places) if ended or i == 0]
     fine = search.make_fine_judge()
     answers = tuple(
-        _answer(places[i], equal=i == 0 or not fine.distinguishes(first, places[i][0]), own=search) for i in kept
+        _make_minimum(places[i], equal=i == 0 or not fine.distinguishes(first, places[i][0]), own=search) for i in kept
     )
     which = np.array([NO_MINIMUM if m is None else at[id(m)] for m in minima], np.int32)
     return which, answers
 
 
-def _answer(place: tuple[Doubles, list[PoseMinimum]], *, equal: bool, own: PoseSearch) -> BasinMinimum:
+def _make_minimum(place: tuple[Doubles, list[PoseMinimum]], *, equal: bool, own: PoseSearch) -> BasinMinimum:
     pose, ended = place
     best = ended[0] if ended else own.polish(pose)
     return BasinMinimum(

@@ -1,8 +1,8 @@
-"""Registration of felt points to an object's distance grid: robust Gauss-Newton with weak directions held.
+"""Register contact points to an object's distance grid by robust Gauss-Newton; weak directions are held.
 
 The residual of a point p is the signed distance d(R^T (p - t)), its normal the distance's gradient; there is no search
-for partners. Residuals are weighted after Geman and McClure at a scale that follows their spread down. Directions that
-the points do not determine (X-ICP, Tuna et al. 2023) keep their first guess.
+for correspondences. Residuals are weighted after Geman and McClure at a scale that shrinks with their spread.
+Directions that the points do not determine (X-ICP, Tuna et al. 2023) keep their initial value.
 """
 
 from __future__ import annotations
@@ -19,24 +19,27 @@ from pipeline.geometry.distance_grid import DistanceGrid
 from pipeline.registration.observability import NO_SYSTEMATIC_STD, TOLERANCES, SystematicStd, Tolerances
 from pipeline.values.results import PoseStep
 
-MIN_POINTS = 6  # as many as there are unknowns
+MIN_POINTS = 6  # as many as unknowns
 TOO_FEW = "fewer than 6 points are finite; a pose has six unknowns"
-COINCIDENT_POINTS = "all points lie in one place, or too far away to tell"
-_ONE_PLACE = 1e-12  # of the distance to the frame's origin: rounding
-_MANY, _FEW = 2000, 500  # from so many points on, as few find the neighbourhood of the pose first
-_ROUGHLY_MM = 5e-3  # how well they find it
-_WIDER = 1.5  # the scale that all points begin with, over the one that the few ended with
+COINCIDENT_POINTS = "all points coincide within rounding"
+_ROUNDING_SHARE = 1e-12  # share of the distance to the frame's origin: rounding
+_SUBSET_ABOVE, _SUBSET_POINTS = (
+    2000,
+    500,
+)  # number of points above which a subset finds the neighbourhood first; size of the subset
+_SUBSET_CONVERGENCE_MM = 5e-3  # convergence (mm) of that first pass
+_SCALE_FACTOR = 1.5  # factor on the subset's final scale at which all points start
 NOTHING_NEAR = "no point lies within the search distance of the object"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FitOptions:
-    """How one registration is done."""
+    """Options of one registration."""
 
-    max_distance_mm: float = 2.0  # points farther off do not count as on the object
-    noise_mm: float = 1e-3  # of the points at least; keeps a perfect fit from claiming certainty
-    systematic_error: SystematicStd = NO_SYSTEMATIC_STD  # that no number of points averages away
-    tolerances: Tolerances = TOLERANCES  # a direction that is known less well is held
+    max_distance_mm: float = 2.0  # points farther from the object are outliers
+    noise_mm: float = 1e-3  # smallest noise of the points; avoids a zero covariance
+    systematic_error: SystematicStd = NO_SYSTEMATIC_STD  # independent of the number of points
+    tolerances: Tolerances = TOLERANCES  # directions known less well are held
     convergence_mm: float = 1e-4  # a smaller motion ends the iterations
     n_iterations: int = 30
     keep_steps: bool = False
@@ -44,25 +47,25 @@ class FitOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PoseFit:
-    """Where a registration ended."""
+    """Result of a registration."""
 
     sensor_from_object: Doubles  # (4, 4) mm
     rmse_mm: float  # of the points within the search distance
-    fitness: float  # their share of all
-    stop_reason: str = ""  # why it ended there, in words
+    fitness: float  # share of the points within the search distance
+    stop_reason: str = ""  # in words
     steps: tuple[PoseStep, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NotDetermined:
-    """That, and why, no pose can be told."""
+    """The reason why no pose can be estimated."""
 
     reason: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CentredPoints:
-    """Felt points about their middle, with their size: what the kernels work on."""
+    """Contact points about their centroid, and their rms radius: what the kernels work on."""
 
     centred_mm: Doubles  # (n, 3)
     centre_mm: Doubles  # (3,)
@@ -70,24 +73,24 @@ class CentredPoints:
 
     @classmethod
     def from_points(cls, points_mm: NDArray[np.floating]) -> CentredPoints | NotDetermined:
-        """The finite ones of points (n, 3)."""
+        """Centre the finite ones of points (n, 3)."""
         given = np.asarray(points_mm, dtype=np.float64).reshape(-1, 3)
         given = given[np.isfinite(given).all(axis=1)]
         if len(given) < MIN_POINTS:
             return NotDetermined(reason=TOO_FEW)
-        # The sum of coordinates near the largest number is not finite; nothing is felt out there.
+        # The sum of coordinates near the largest float is not finite.
         with np.errstate(over="ignore", invalid="ignore"):
-            centred = given - given[0]  # from the first point on, so that a frame far away costs no digits
+            centred = given - given[0]  # relative to the first point: a distant frame costs no digits
             about = given[0] + centred.mean(axis=0)
             centred -= centred.mean(axis=0)
             radius = float(np.sqrt((centred**2).sum(axis=1).mean()))
-            together = not _ONE_PLACE * (1.0 + float(np.abs(about).max())) < radius < math.inf
+            together = not _ROUNDING_SHARE * (1.0 + float(np.abs(about).max())) < radius < math.inf
         if together:
             return NotDetermined(reason=COINCIDENT_POINTS)
         return cls(centred_mm=centred, centre_mm=about, radius_mm=radius)
 
     def thin(self, n: int) -> CentredPoints:
-        """About `n` of the points, every so many."""
+        """Return about `n` of the points, evenly taken."""
         step = max(1, len(self.centred_mm) // n)
         return replace(self, centred_mm=np.ascontiguousarray(self.centred_mm[::step]))
 
@@ -95,7 +98,7 @@ class CentredPoints:
 def register_points(
     points_mm: NDArray[np.floating], grid: DistanceGrid, start: Doubles, how: FitOptions | None = None
 ) -> PoseFit | NotDetermined:
-    """The pose near `start` (sensor_from_object) that lays points (n, 3) of the sensor frame on the object.
+    """Return the pose (sensor_from_object) near `start` that fits points (n, 3) of the sensor frame to the object.
 
     Raises CalibrationError when `start` is no rigid transform.
     """
@@ -106,20 +109,20 @@ def register_points(
 
 
 def fit_pose(points: CentredPoints, grid: DistanceGrid, start: Doubles, how: FitOptions) -> PoseFit | NotDetermined:
-    """`register` of points that are centred already."""
+    """Register points that are already centred, as `register_points` does."""
     rows = _rows(rigid.validate_rigid(start, "the start of the registration")[None], points)
     history, scale_mm = np.empty((0, 14)), how.max_distance_mm
-    if len(points.centred_mm) >= _MANY:
-        few = points.thin(_FEW)
-        history, found_mm = _fit(few, rows, grid, replace(how, convergence_mm=_ROUGHLY_MM), scale_mm)
-        scale_mm = min(_WIDER * found_mm, scale_mm)
+    if len(points.centred_mm) >= _SUBSET_ABOVE:
+        few = points.thin(_SUBSET_POINTS)
+        history, found_mm = _fit(few, rows, grid, replace(how, convergence_mm=_SUBSET_CONVERGENCE_MM), scale_mm)
+        scale_mm = min(_SCALE_FACTOR * found_mm, scale_mm)
     rest, _ = _fit(points, rows, grid, how, scale_mm)
     if rest[-1, 13] == 0:
         return NotDetermined(reason=NOTHING_NEAR)
     poses = np.concatenate([history[:-1], rest])
     return PoseFit(
         sensor_from_object=freeze(_pose(rest[-1], points.centre_mm)), rmse_mm=float(rest[-1, 12]),
-        fitness=float(rest[-1, 13]), stop_reason=_stopped(rest, points.radius_mm, how),
+        fitness=float(rest[-1, 13]), stop_reason=_describe_stop(rest, points.radius_mm, how),
         steps=_steps(poses, points, how) if how.keep_steps else (),
     )  # fmt: skip
 
@@ -127,13 +130,13 @@ def fit_pose(points: CentredPoints, grid: DistanceGrid, start: Doubles, how: Fit
 def trace_iterations(
     points: CentredPoints, grid: DistanceGrid, start: Doubles, how: FitOptions
 ) -> tuple[PoseStep, ...]:
-    """The iterations of one of those that `registered` makes at once."""
+    """Return the iterations from one start, as `register_from_starts` runs them."""
     rows, _ = _fit(points, _rows(start[None], points), grid, how, how.max_distance_mm)
     return _steps(rows, points, how)
 
 
 def register_from_starts(points: CentredPoints, grid: DistanceGrid, starts: Doubles, how: FitOptions) -> Doubles:
-    """Where each start (n, 4, 4) leads, (n, 4, 4)."""
+    """Return the pose (n, 4, 4) that each start (n, 4, 4) converges to."""
     rows = _rows(starts, points)
     _fit(points, rows, grid, how, how.max_distance_mm)
     return np.array([_pose(row, points.centre_mm) for row in rows]).reshape(-1, 4, 4)
@@ -142,7 +145,7 @@ def register_from_starts(points: CentredPoints, grid: DistanceGrid, starts: Doub
 def _fit(
     points: CentredPoints, rows: Doubles, grid: DistanceGrid, how: FitOptions, scale_mm: float
 ) -> tuple[Doubles, float]:
-    """The way (k, 14) of the last of the rows (n, 12), which move in place, and the scale that it ended with."""
+    """Move `rows` (n, 12) in place; return the history (k, 14) of the last row and its final scale (mm)."""
     from pipeline.registration.gauss_newton_kernels import N_BINS, N_SUMS, fit_poses
 
     history, ended = np.empty((how.n_iterations + 1, 14)), np.zeros((len(rows), 2))
@@ -153,10 +156,10 @@ def _fit(
         np.empty(6),
         (np.empty((6, 6)), np.empty((6, 6))),
     )
-    told, radius_mm = how.tolerances, points.radius_mm
+    text, radius_mm = how.tolerances, points.radius_mm
     rule = (
-        (how.systematic_error.rotation_mm**2, (math.radians(told.deg) * radius_mm) ** -2),
-        (how.systematic_error.translation_mm**2, told.mm**-2), math.radians(told.normal_error_deg) ** 2,
+        (how.systematic_error.rotation_mm**2, (math.radians(text.deg) * radius_mm) ** -2),
+        (how.systematic_error.translation_mm**2, text.mm**-2), math.radians(text.normal_error_deg) ** 2,
     )  # fmt: skip
     size, limits = (radius_mm, how.max_distance_mm, scale_mm), (how.noise_mm, how.convergence_mm)
     fit_poses(points.centred_mm, rows, grid.lattice, size, limits, rule, arrays, history, ended)
@@ -164,7 +167,7 @@ def _fit(
 
 
 def _rows(poses: Doubles, points: CentredPoints) -> Doubles:
-    """Rotations and shifts (n, 12) about the points' middle."""
+    """Return rotations and translations (n, 12) about the points' centroid."""
     return np.hstack([poses[:, :3, :3].reshape(-1, 9), poses[:, :3, 3] - points.centre_mm])
 
 
@@ -185,14 +188,14 @@ def _steps(rows: Doubles, points: CentredPoints, how: FitOptions) -> tuple[PoseS
     )  # fmt: skip
 
 
-def _stopped(rows: Doubles, radius_mm: float, how: FitOptions) -> str:
-    """Why a registration ended with the last of its `rows`."""
+def _describe_stop(rows: Doubles, radius_mm: float, how: FitOptions) -> str:
+    """Return why the iterations of `rows` ended."""
     if len(rows) < 2:
-        return f"nothing within {how.max_distance_mm:g} mm of the object pulls at it"
+        return f"nothing of the contact is within {how.max_distance_mm:g} mm of the object"
     turned = rows[-1, :9].reshape(3, 3).T @ rows[-2, :9].reshape(3, 3)
     angle = math.asin(min(1.0, float(np.linalg.norm(turned - turned.T)) / math.sqrt(8.0)))
     moved_mm = math.hypot(radius_mm * angle, float(np.linalg.norm(rows[-1, 9:12] - rows[-2, 9:12])))
     if len(rows) <= how.n_iterations or moved_mm <= how.convergence_mm:
-        return f"settled: the last iteration moved the contact by less than {how.convergence_mm:g} mm"
-    told = f"ended after {len(rows) - 1} iterations, as many as are allowed: the last one still moved the contact by"
-    return f"{told} {moved_mm:.2g} mm"
+        return f"converged: the last iteration moved the contact by less than {how.convergence_mm:g} mm"
+    text = f"ended after {len(rows) - 1} iterations, the limit: the last one still moved the contact by"
+    return f"{text} {moved_mm:.2g} mm"

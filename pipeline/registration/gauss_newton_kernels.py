@@ -1,7 +1,7 @@
 # pyright: basic
-"""Compiled loops of the registration: robust Gauss-Newton on signed distances, held where the data say nothing.
+"""Compiled loops of the registration: robust Gauss-Newton on signed distances; undetermined directions are held.
 
-Everything runs on one thread and adds up in the order of the points: the same bytes on any machine with the same one.
+Everything runs on one thread and adds up in the order of the points, so that results are reproducible.
 """
 
 from __future__ import annotations
@@ -14,14 +14,16 @@ from pipeline.registration.step_kernels import apply_motion, solve_step
 
 N_SUMS = 30  # 21 of H, 6 of g, weight, squares within reach, points within reach
 N_BINS = 1024
-_SPREAD = 1.4826  # standard deviation of a normal distribution over its median magnitude
-_BENDS_AT = 5.0  # spreads at which a residual counts a quarter: 1.5 % less efficient than least squares
-_SHRINK = 0.3  # smallest factor from one iteration's scale to the next
+_SPREAD = 1.4826  # standard deviation of a normal distribution over its median absolute value
+_BENDS_AT = (
+    5.0  # standard deviations at which a residual's weight is a quarter: 1.5 % less efficient than least squares
+)
+_SHRINK = 0.3  # smallest ratio of the scales of two iterations
 
 
 @inner_kernel()
 def accumulate_normal_equations(points, poses, n, grid, radius, scale, reach, bins, sums):
-    """Normal equations in the object's axes about the points' middle, rotations times `radius`: into `sums`."""
+    """Accumulate into `sums` the normal equations in the object's axes about the centroid, rotations times `radius`."""
     r00, r01, r02 = poses[n, 0], poses[n, 1], poses[n, 2]
     r10, r11, r12 = poses[n, 3], poses[n, 4], poses[n, 5]
     r20, r21, r22 = poses[n, 6], poses[n, 7], poses[n, 8]
@@ -77,7 +79,7 @@ def accumulate_normal_equations(points, poses, n, grid, radius, scale, reach, bi
 
 @inner_kernel()
 def estimate_robust_std(bins, n, reach):
-    """Robust standard deviation of the n residuals that were counted within `reach`; it where there are none."""
+    """Return the robust standard deviation of the n residuals within `reach`; `reach` where there are none."""
     passed = 0
     for k in range(bins.size):
         if n > 0.0 and passed + bins[k] >= 0.5 * n:
@@ -89,12 +91,12 @@ def estimate_robust_std(bins, n, reach):
 
 @kernel()
 def fit_poses(points, poses, grid, size, limits, rule, arrays, history, ended):
-    """Register points (n, 3) about their middle from each pose (k, 12) of rotation and shift, which moves in place.
+    """Register points (n, 3) about their centroid from each pose (k, 12) of rotation and translation, in place.
 
-    `size`: the points' radius, search distance, first scale. `limits`: noise at least, motion that ends the iterations.
-    `rule`: of turns and of shifts the variance that no number of points averages away and what is
-    asked for per mm^2 of variance, and what is asked for of both whatever the noise. `history` (most + 1, 14) keeps the
-    way of the last pose, with rmse and share; `ended` (k, 2) is how many places each way has, and its last scale.
+    `size`: the points' radius, search distance, first scale. `limits`: smallest noise, motion that ends the iterations.
+    `rule`: for rotations and for translations the variance that does not average out and the information required per
+    mm^2 of variance, and what is required of both for any noise. `history` (most + 1, 14) holds the iterations of the
+    last pose, with rmse and share; `ended` (k, 2) their number and the final scale.
     """
     sums, bins, asked, motion, work = arrays
     radius, reach, _ = size
@@ -107,14 +109,14 @@ def fit_poses(points, poses, grid, size, limits, rule, arrays, history, ended):
                 history[n, k] = poses[start, k]
             history[n, 12] = math.sqrt(sums[28] / max(sums[29], 1.0))
             history[n, 13] = sums[29] / points.shape[0]
-            # A start may lie off by more than the search distance: as long as the weights tell a way, it is gone.
+            # A start may be off by more than the search distance: continue while the weights give a direction.
             if n + 1 == history.shape[0] or not sums[27] > 0.0:
                 break
             noise = max(estimate_robust_std(bins, sums[29], reach), floor)
             bend = min(scale, max(_BENDS_AT * noise, _SHRINK * scale))
             if last <= settled and bend > 0.9 * scale:
                 break
-            # While the pose is still off, misfit is no noise: only what is known of the sensor holds directions.
+            # Misfit is not noise before convergence: only the sensor's known error holds directions.
             known = noise if last <= settled else floor
             variance = known * known / max(sums[27], 1.0)
             for k in range(6):

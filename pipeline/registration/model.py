@@ -1,4 +1,4 @@
-"""An object's surface as evenly spread points with normals that point out of it."""
+"""Sample an object's surface as evenly spread points with outward normals."""
 
 from __future__ import annotations
 
@@ -11,22 +11,24 @@ from pipeline.base.arrays import Doubles, Mask
 from pipeline.base.errors import MeshProblem
 from pipeline.geometry.meshes import Mesh
 
-_FACET_RAD = math.radians(20.0)  # 18 sides to the round; meshes of tools in `simulation/shapes` have 48 and more
-_ONE_CORNER = 6  # digits of a millimetre to which vertices of neighbours agree, as in an STL of single precision
-_GOLDEN = (0.7548776662466927, 0.5698402909980532)  # steps of the plane's most even additive sequence
+_FACET_RAD = math.radians(
+    20.0
+)  # largest angle between facets of a round surface (18 sides); `simulation/shapes` has 48 and more
+_VERTEX_DECIMALS = 6  # decimals (mm) to which shared vertices agree, as in a single-precision STL
+_SEQUENCE_STEPS = (0.7548776662466927, 0.5698402909980532)  # steps of the plane's most even additive sequence (R2)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ObjectModel:
-    """Points on the surface of an object, in its own frame."""
+    """Points on an object's surface, in the object frame."""
 
     points_mm: Doubles  # (n, 3)
     normals: Doubles  # (n, 3)
-    facet_error_sq: Doubles  # (n,) mean squares, in rad, of how far the facet's normal is off that of a round surface
-    area_mm2: float  # of the surface that they stand for
+    facet_error_sq: Doubles  # (n,) rad^2, mean square angle between a facet's normal and the round surface's
+    area_mm2: float  # area of the surface that the points represent
 
     def select(self, which: Mask) -> ObjectModel:
-        """The points that are marked, standing for their share of the area."""
+        """Return the marked points and their share of the area."""
         share = float(which.mean()) if which.size else 0.0
         return ObjectModel(
             points_mm=self.points_mm[which], normals=self.normals[which], facet_error_sq=self.facet_error_sq[which],
@@ -34,7 +36,7 @@ class ObjectModel:
         )  # fmt: skip
 
     def thin(self, n: int) -> ObjectModel:
-        """About `n` of the points, evenly taken, standing for the same area."""
+        """Return about `n` of the points, evenly taken, for the same area."""
         step = max(1, len(self.points_mm) // n)
         return ObjectModel(
             points_mm=np.ascontiguousarray(self.points_mm[::step]), normals=np.ascontiguousarray(self.normals[::step]),
@@ -43,7 +45,7 @@ class ObjectModel:
 
 
 def sample_model(mesh: Mesh, n_points: int, seed: int) -> ObjectModel:
-    """`n_points` spread by area over the triangles; raises MeshProblem for a mesh without surface."""
+    """Sample `n_points` uniformly by area; raises MeshProblem for a mesh without surface."""
     if len(mesh.vertices_mm) == 0 or len(mesh.triangles) == 0 or not np.isfinite(mesh.vertices_mm).all():
         raise MeshProblem("the object mesh has no triangles, or vertices that are not finite; export it again")
     if mesh.triangles.min() < 0 or mesh.triangles.max() >= len(mesh.vertices_mm):
@@ -59,25 +61,25 @@ def sample_model(mesh: Mesh, n_points: int, seed: int) -> ObjectModel:
     rng = np.random.default_rng(seed)
     rank = (np.arange(n_points) + rng.random()) / n_points * total
     triangle = np.minimum(np.searchsorted(np.cumsum(twice_area), rank), len(twice_area) - 1)
-    u, v = ((np.arange(n_points) * step + rng.random()) % 1.0 for step in _GOLDEN)
+    u, v = ((np.arange(n_points) * step + rng.random()) % 1.0 for step in _SEQUENCE_STEPS)
     fold = u + v > 1.0
     u, v = np.where(fold, 1.0 - u, u)[:, None], np.where(fold, 1.0 - v, v)[:, None]
     points = a[triangle] + u * (b - a)[triangle] + v * (c - a)[triangle]
-    mixed = rng.permutation(n_points)  # so that every n-th point is spread over the whole object
+    mixed = rng.permutation(n_points)  # so that every n-th point covers the whole object
     unit = across / np.maximum(twice_area, 1e-300)[:, None]
     return ObjectModel(
         points_mm=points[mixed], normals=(sign * unit[triangle])[mixed],
-        facet_error_sq=_crooked_sq(mesh, unit)[triangle[mixed]], area_mm2=total / 2.0,
+        facet_error_sq=_facet_error_sq(mesh, unit)[triangle[mixed]], area_mm2=total / 2.0,
     )  # fmt: skip
 
 
-def _crooked_sq(mesh: Mesh, normals: Doubles) -> Doubles:
-    """(m,) mean square angle between a triangle's normal (m, 3) and that of the round surface it is a facet of.
+def _facet_error_sq(mesh: Mesh, normals: Doubles) -> Doubles:
+    """Return (m,) mean square angle between triangle normals (m, 3) and the round surface they approximate.
 
-    Across a facet whose neighbour is turned by an angle, the true normal turns by as much: a twelfth of its square.
-    What is turned by more than a facet would be is an edge of the object.
+    Across a facet whose neighbour is rotated by an angle, the true normal rotates by the same angle: a twelfth of its
+    square. A larger angle than a facet's is an edge of the object.
     """
-    place = np.unique(np.round(mesh.vertices_mm, _ONE_CORNER), axis=0, return_inverse=True)[1].reshape(-1)
+    place = np.unique(np.round(mesh.vertices_mm, _VERTEX_DECIMALS), axis=0, return_inverse=True)[1].reshape(-1)
     corners = place[mesh.triangles]
     edges = np.sort(np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]]), axis=1)
     triangle = np.tile(np.arange(len(corners)), 3)

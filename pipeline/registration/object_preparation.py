@@ -1,4 +1,4 @@
-"""An object made ready to be registered to, kept for as long as the program runs: its distances and its points."""
+"""Prepare objects for registration: distance grid and surface points, cached for the life of the process."""
 
 from __future__ import annotations
 
@@ -16,25 +16,25 @@ from pipeline.geometry.meshes import Mesh
 from pipeline.registration.model import ObjectModel, sample_model
 
 N_MODEL = 30_000  # points on the whole object
-_MOST_BYTES = 24 * 1024 * 1024  # two or three objects, their grids counted
-_objects: Memo[str, PreparedObject] = Memo(4, most_bytes=_MOST_BYTES)
+_MAX_BYTES = 24 * 1024 * 1024  # of the cache: two or three objects with their grids
+_objects: Memo[str, PreparedObject] = Memo(4, most_bytes=_MAX_BYTES)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PreparedObject:
-    """What a registration asks of an object."""
+    """An object's distance grid and surface points."""
 
     grid: DistanceGrid
     model: ObjectModel
-    middle_mm: Doubles  # (3,) of its box
+    middle_mm: Doubles  # (3,) centre of its bounding box
 
 
 def prepare_object(mesh: Mesh, seed: int, progress: Progress = SILENT) -> PreparedObject:
-    """The object of a mesh, made or remembered; raises MeshProblem when it has no surface."""
+    """Return the prepared object of a mesh, cached; raises MeshProblem when it has no surface."""
     key = compute_digest((seed, np.asarray(mesh.vertices_mm, np.float64), np.asarray(mesh.triangles, np.int32)))
 
     def make() -> PreparedObject:
-        model = sample_model(mesh, N_MODEL, seed)  # first: it says so when there is no surface
+        model = sample_model(mesh, N_MODEL, seed)  # first: it raises when there is no surface
         middle_mm = (mesh.vertices_mm.min(axis=0) + mesh.vertices_mm.max(axis=0)).astype(np.float64) / 2
         return PreparedObject(grid=load_distance_grid(mesh, progress), model=model, middle_mm=middle_mm)
 

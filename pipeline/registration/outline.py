@@ -1,4 +1,4 @@
-"""Placing an object along directions that its surface does not show, by the outline of the contact."""
+"""Place an object along directions that its surface does not determine, by the contact's outline."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from pipeline.registration.ranking import PoseJudge
 
 _FIRST_STEP_MM, _LAST_STEP_MM = 0.8, 0.02
 _MAX_ROUNDS = 40
-_TRIAL_MM = 0.5  # a shift that an outline must notice to count as showing the place
-_STRAIGHT_RAD = 1e-9  # a smaller turn is a shift within rounding
-_NOTICED_SHARE, _NOTICED_MM = 0.05, 0.01  # growth of the misfit
+_TRIAL_MM = 0.5  # translation (mm) that must raise the misfit for the outline to determine the place
+_STRAIGHT_RAD = 1e-9  # a smaller rotation is a translation within rounding
+_NOTICED_SHARE, _NOTICED_MM = 0.05, 0.01  # rise of the misfit that counts: share, and mm
 
 
 def align_to_outline(pose: Doubles, weak_motions: Doubles, about_mm: Doubles, by: PoseJudge) -> Doubles:
-    """`pose` moved along the weak motions (k, 6) to the least misfit: pattern search, the step halved when stuck."""
+    """Return `pose` moved along the weak motions (k, 6) to the least misfit, by pattern search with step halving."""
     if len(weak_motions) == 0:
         return pose
     steps = np.concatenate([weak_motions, -weak_motions])
@@ -36,15 +36,15 @@ def align_to_outline(pose: Doubles, weak_motions: Doubles, about_mm: Doubles, by
 
 
 def outline_constrains(pose: Doubles, motion: Doubles, about_mm: Doubles, by: PoseJudge) -> bool:
-    """Whether the outline of the contact fixes the place along one motion (6,): shifts either way fit worse."""
+    """Return whether the outline determines the place along one motion (6,): moving either way fits worse."""
     here, one, other = by.misfit_mm([apply_screw(pose, motion * s, about_mm) for s in (0.0, _TRIAL_MM, -_TRIAL_MM)])
     return bool(min(one, other) > here * (1 + _NOTICED_SHARE) + _NOTICED_MM)
 
 
 def apply_screw(pose: Doubles, motion: Doubles, about_mm: Doubles) -> Doubles:
-    """`pose` after a screw (rotation rad, translation mm at a point) of the sensor frame, followed all the way round.
+    """Return `pose` after a screw motion (rotation rad, translation mm at a point) of the sensor frame.
 
-    A body of revolution that turns about its own axis thus stays where it is, however far the axis is from the point.
+    The full screw is followed, so a body of revolution rotated about its own axis stays in place at any distance.
     """
     angle = float(np.linalg.norm(motion[:3]))
     turned, shift = rigid.rotation(motion[:3]), motion[3:]
@@ -57,6 +57,6 @@ def apply_screw(pose: Doubles, motion: Doubles, about_mm: Doubles) -> Doubles:
 
 
 def _cross(a: Doubles, b: Doubles) -> Doubles:
-    """Of two vectors (3,): numpy's own takes ten times as long for so few numbers."""
+    """Cross product of two vectors (3,): ten times faster than numpy's for single vectors."""
     (ax, ay, az), (bx, by, bz) = a.tolist(), b.tolist()
     return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])

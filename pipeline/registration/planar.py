@@ -1,8 +1,8 @@
-"""The paper's released pose evaluation: point-to-point ICP of projections in the sensor plane, for comparison.
+"""Port of the paper's released pose evaluation: point-to-point ICP of projections in the sensor plane, for comparison.
 
-Its choices are kept as they are: every felt point takes the nearest model point however far it is, many to one; the
-number of iterations is fixed; nothing tells the side of the object that touches, nor what the contact leaves open.
-Starts are those of its sweep, from which it takes the one of least rmse.
+Its choices are kept: every contact point takes the nearest model point at any distance, many to one; the number of
+iterations is fixed; the side of the object and unobservable motions are not considered. Starts are those of its sweep;
+the one of least rmse is used.
 """
 
 from __future__ import annotations
@@ -19,23 +19,23 @@ from pipeline.base.progress import SILENT, Progress
 from pipeline.geometry import rigid
 from pipeline.values.results import PoseStep
 
-N_MODEL = 5000  # points that the model's surface is sampled at
-MIN_POINTS = 4  # felt points; with fewer the start is the answer
-INLIER_MM = 15.0  # distance within which fitness and rmse count a pair: wide enough to count nearly all
+N_MODEL = 5000  # points sampled on the model's surface
+MIN_POINTS = 4  # contact points; with fewer the start is returned
+INLIER_MM = 15.0  # distance up to which fitness and rmse count a pair: wide enough for nearly all
 SWEEP_DEG = tuple(-22.5 + 5.0 * k for k in range(10))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlanarFit:
-    """Where the planar registration ended."""
+    """Result of the planar registration."""
 
     scene_from_model: Doubles  # (4, 4) mm
-    fitness: float  # share of model points with a felt point within `INLIER_MM`, in 3D
-    inlier_rmse_mm: float  # of those; the chosen start has the least
-    stop_reason: str = ""  # why the chosen start's iterations ended, in words
+    fitness: float  # share of model points with a contact point within `INLIER_MM`, in 3D
+    inlier_rmse_mm: float  # over those; the chosen start has the least
+    stop_reason: str = ""  # of the chosen start, in words
     steps: tuple[
         PoseStep, ...
-    ] = ()  # of the chosen start; rmse over all felt points, to those that they were paired with
+    ] = ()  # of the chosen start; rmse over all contact_tree points, to those that they were paired with
     notes: tuple[str, ...] = ()
 
 
@@ -48,29 +48,27 @@ def register_planar(
     *,
     keep_steps: bool = False,
 ) -> PlanarFit:
-    """The turn about z and the shift across it that lay the projection of the model, `placed` (4, 4), on the scene's.
+    """Fit the projection of the model, `placed` (4, 4), to the scene's by rotation about z and in-plane translation.
 
-    Each of a fixed number of iterations pairs every felt point with the nearest model point in the plane and solves
-    for the motion in closed form (Kabsch in 2D). Of the starts the one of least inlier rmse in 3D is kept, as the
-    released code does.
-
-    Raises ShapeError for clouds that are not (n, 3) and finite or a model without points, SettingProblem for fewer
-    than one iteration.
+    Each of a fixed number of iterations pairs every contact point with the nearest model point in the plane and solves
+    for the motion in closed form (Kabsch in 2D). The start of least inlier rmse in 3D is used, as in the released code.
+    Raises ShapeError for clouds that are not (n, 3) and finite or a model without points, SettingProblem for fewer than
+    one iteration.
     """
     _check(model_points_mm, scene_points_mm, n_iterations)
     if len(scene_points_mm) < MIN_POINTS:
-        note = f"only {len(scene_points_mm)} felt points: the start is kept"
+        note = f"only {len(scene_points_mm)} contact points: the start is returned"
         return PlanarFit(scene_from_model=freeze(placed.copy()), fitness=0.0, inlier_rmse_mm=math.nan, notes=(note,))
     from scipy.spatial import KDTree
 
-    felt, model_mm = KDTree(scene_points_mm), rigid.apply(placed, model_points_mm)
+    contact_tree, model_mm = KDTree(scene_points_mm), rigid.apply(placed, model_points_mm)
     best: tuple[float, float, Doubles, list[tuple[Doubles, float]]] | None = None
     for k, start_deg in enumerate(SWEEP_DEG):
         progress.step(k / len(SWEEP_DEG), f"planar start {k + 1} of {len(SWEEP_DEG)}")
         start = _motion(math.radians(start_deg), np.zeros(2))
-        found, steps = _iterated(model_mm[:, :2], scene_points_mm[:, :2], start, n_iterations)
-        pose = _lifted(found)
-        fitness, rmse_mm = _evaluated(rigid.apply(pose, model_mm), felt)
+        found, steps = _iterate(model_mm[:, :2], scene_points_mm[:, :2], start, n_iterations)
+        pose = _lift_to_3d(found)
+        fitness, rmse_mm = _evaluate(rigid.apply(pose, model_mm), contact_tree)
         if best is None or rmse_mm < best[0]:
             best = (rmse_mm, fitness, pose, steps)
     assert best is not None
@@ -78,9 +76,9 @@ def register_planar(
     kept = steps if keep_steps else []
     return PlanarFit(
         scene_from_model=freeze(pose @ placed), fitness=fitness, inlier_rmse_mm=rmse_mm,
-        stop_reason=_stopped(len(steps), n_iterations),
+        stop_reason=_describe_stop(len(steps), n_iterations),
         steps=tuple(
-            PoseStep(sensor_from_object=freeze(_lifted(motion) @ placed), rmse_mm=off_mm, fitness=fitness)
+            PoseStep(sensor_from_object=freeze(_lift_to_3d(motion) @ placed), rmse_mm=off_mm, fitness=fitness)
             for motion, off_mm in kept
         ),
     )  # fmt: skip
@@ -96,13 +94,13 @@ def _check(model: Doubles, scene: Doubles, n_iterations: int) -> None:
         raise SettingProblem(f"a planar registration needs at least one iteration, got {n_iterations}")
 
 
-def _iterated(
+def _iterate(
     model: Doubles, scene: Doubles, start: Doubles, n_iterations: int
 ) -> tuple[Doubles, list[tuple[Doubles, float]]]:
-    """The motion (3, 3) of the model's plane after all iterations; and each of them with its rmse in mm."""
+    """Return the motion (3, 3) of the model's plane after all iterations; and each iteration with its rmse (mm)."""
     from scipy.spatial import KDTree
 
-    # Nearest neighbours are the same whichever cloud moves: the tree of the model is built once.
+    # Nearest neighbours do not depend on which cloud moves: the model's tree is built once.
     tree: Any = KDTree(model)
     motion, steps = start, list[tuple[Doubles, float]]()
     for _ in range(n_iterations):
@@ -112,18 +110,18 @@ def _iterated(
         off = model[index] @ motion[:2, :2].T + motion[:2, 2] - scene
         steps.append((motion, float(np.sqrt((off**2).sum(axis=1).mean()))))
         if np.array_equal(before, motion):
-            break  # equal pairs give equal motions: every further iteration would change nothing
+            break  # equal pairs give equal motions from here on
     return motion, steps
 
 
-def _stopped(n: int, most: int) -> str:
+def _describe_stop(n: int, most: int) -> str:
     if n < most:
-        return "settled: the last iteration paired the points as the one before it did"
-    return f"ended after {n} iterations, as many as are allowed: the released code makes them all"
+        return "converged: the last two iterations paired the points alike"
+    return f"ended after {n} iterations, the limit of the released code"
 
 
 def _kabsch(model: Doubles, scene: Doubles) -> Doubles:
-    """The motion (3, 3) that takes paired points (n, 2) of the model closest to those of the scene."""
+    """Return the motion (3, 3) that takes paired points (n, 2) of the model closest to those of the scene."""
     middle_m, middle_s = model.mean(axis=0), scene.mean(axis=0)
     w = (scene - middle_s).T @ (model - middle_m)
     turned = _motion(math.atan2(w[1, 0] - w[0, 1], w[0, 0] + w[1, 1]), np.zeros(2))
@@ -131,9 +129,9 @@ def _kabsch(model: Doubles, scene: Doubles) -> Doubles:
     return turned
 
 
-def _evaluated(model_mm: Doubles, felt: Any) -> tuple[float, float]:
-    """(share of the placed model's points within `INLIER_MM` of a felt point, their rms distance in mm)."""
-    distance, _ = felt.query(model_mm, distance_upper_bound=INLIER_MM)
+def _evaluate(model_mm: Doubles, contact_tree: Any) -> tuple[float, float]:
+    """Return (share of placed model points within `INLIER_MM` of a contact point, their rms distance in mm)."""
+    distance, _ = contact_tree.query(model_mm, distance_upper_bound=INLIER_MM)
     near = np.isfinite(distance)
     return float(near.mean()), float(np.sqrt((distance[near] ** 2).mean())) if near.any() else math.inf
 
@@ -150,8 +148,8 @@ def _inverse(motion: Doubles) -> Doubles:
     return inverse
 
 
-def _lifted(motion: Doubles) -> Doubles:
-    """The motion of the plane as one of space."""
+def _lift_to_3d(motion: Doubles) -> Doubles:
+    """Return the motion of the plane as a motion of space."""
     pose = np.eye(4)
     pose[:2, :2], pose[:2, 3] = motion[:2, :2], motion[:2, 2]
     return pose

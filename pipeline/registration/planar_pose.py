@@ -1,4 +1,4 @@
-"""The paper's released planar evaluation as an answer of the pose stage, for comparison."""
+"""The paper's released planar evaluation as a method of the pose stage, for comparison."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from pipeline.registration.scene import ContactScene
 from pipeline.registration.starts import list_starts
 from pipeline.values.results import ObjectPose
 
-NOTE = "paper 2D: in-plane turn and shift only; height and tilt are those of the first guess, nothing says what is open"
-_FACE = "+z"  # where none is chosen
+NOTE = "paper 2D: in-plane turn and shift only; height and tilt keep their initial values, no uncertainty is known"
+_FACE = "+z"  # default face
 
 
 def estimate_planar_pose(
     scene: ContactScene, mesh: Mesh, model: ObjectModel, face: str, n_iterations: int, *, keep_steps: bool,
     progress: Progress = SILENT,
 ) -> ObjectPose:  # fmt: skip
-    """Point-to-point registration of projections along the sensor's axis, from the middle of a face on the contact."""
+    """Register projections along the sensor's axis point to point; the centre of a face starts on the contact."""
     chosen = _FACE if face == "auto" else face
     placed = list_starts(scene, model, chosen, 1)[0].sensor_from_object
     model_mm = sample_surface(mesh, N_MODEL, 0)[0]
     fit = register_planar(model_mm, scene.points_mm, placed, n_iterations, progress, keep_steps=keep_steps)
-    notes = (NOTE, *fit.notes) if face != "auto" else (NOTE, f"face {_FACE} was taken; choose another one", *fit.notes)
+    notes = (NOTE, *fit.notes) if face != "auto" else (NOTE, f"face {_FACE} by default; choose the face", *fit.notes)
     return ObjectPose(
         sensor_from_object=freeze(fit.scene_from_model), covariance=None, observable=None, weak_directions=(),
         rmse_mm=fit.inlier_rmse_mm, fitness=fit.fitness, scene_mm=freeze(scene.points_mm.astype(np.float32)),

@@ -1,4 +1,4 @@
-"""Where a registration may begin: faces, edges or corners of the object's box to the sensor, at several angles."""
+"""Initial poses of a registration: faces, edges or corners of the object's box toward the sensor, at several angles."""
 
 from __future__ import annotations
 
@@ -21,35 +21,35 @@ EDGES: dict[str, tuple[float, float, float]] = {
     for x, y, z in product((1.0, 0.0, -1.0), repeat=3) if abs(x) + abs(y) + abs(z) > 1
 }  # fmt: skip
 """The 12 directions between two faces and the 8 between three: no other one is 46 degrees from all of a box's."""
-_ANCHORS = 5  # places of a face that are tried at the middle of the contact
-_MOST_ALONG = 24  # more of them on a face that is larger than the contact
-_N_MODEL = 4000  # points that tell where a face is
-_SAME_MM = 0.3  # places this close are one
-_MIN_LAYER_MM = 0.3  # how deep below the outermost point a face still counts as touched
+_ANCHORS = 5  # points of a face tried at the contact's centre
+_MAX_ANCHORS = 24  # the same on a face larger than the contact
+_N_MODEL = 4000  # points that locate a face
+_SAME_MM = 0.3  # points this close are one
+_MIN_LAYER_MM = 0.3  # depth below the outermost point that still touches
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class InitialPose:
-    """One first guess; guesses of one `group` differ only in the place of the face."""
+    """One initial pose; poses of one `group` differ only in the point of the face."""
 
     sensor_from_object: Doubles  # (4, 4) mm
-    group: tuple[str, int]  # face, edge or corner; number of the angle
+    group: tuple[str, int]  # face, edge or corner; index of the angle
 
 
 def list_starts(scene: ContactScene, model: ObjectModel, face: str, n_starts: int) -> list[InitialPose]:
-    """`n_starts` orientations spread over the faces and the angles in the contact plane, each at several places."""
-    ways = FACES if face == "auto" else {face: FACES[face]}
-    return _spread_over(scene, model, ways, max(1, n_starts // len(ways)))
+    """Return `n_starts` orientations over the faces and angles in the contact plane, each at several points."""
+    directions = FACES if face == "auto" else {face: FACES[face]}
+    return _spread_over(scene, model, directions, max(1, n_starts // len(directions)))
 
 
 def list_edge_starts(scene: ContactScene, model: ObjectModel, face: str, n_starts: int) -> list[InitialPose]:
-    """As many angles as `starts` gives each face, for the edges and corners (of the one face) toward the sensor."""
-    ways = {n: way for n, way in EDGES.items() if face == "auto" or np.dot(way, FACES[face]) > 0}
-    return _spread_over(scene, model, ways, max(1, n_starts // (len(FACES) if face == "auto" else 1)))
+    """Return as many angles as `list_starts` gives each face, for edges and corners (of the face) toward the sensor."""
+    directions = {n: way for n, way in EDGES.items() if face == "auto" or np.dot(way, FACES[face]) > 0}
+    return _spread_over(scene, model, directions, max(1, n_starts // (len(FACES) if face == "auto" else 1)))
 
 
 def _spread_over(
-    scene: ContactScene, model: ObjectModel, ways: Mapping[str, tuple[float, float, float]], n_angles: int
+    scene: ContactScene, model: ObjectModel, directions: Mapping[str, tuple[float, float, float]], n_angles: int
 ) -> list[InitialPose]:  # fmt: skip
     normal = scene.normals.mean(axis=0)
     normal /= np.linalg.norm(normal)
@@ -58,10 +58,10 @@ def _spread_over(
     extent_mm = float(np.sqrt(((scene.points_mm - middle) ** 2).sum(axis=1).mean()))
     few = model.thin(_N_MODEL)
     found: list[InitialPose] = []
-    for name, way in ways.items():
+    for name, way in directions.items():
         outward = np.array(way, dtype=np.float64) / np.linalg.norm(way)
         anchors = _anchors(few, outward, layer_mm, extent_mm)
-        onto = _turn_onto(outward, normal)
+        onto = _rotate_onto(outward, normal)
         for k in range(n_angles):
             turn = rigid.rotation(normal * (2 * np.pi * k / n_angles)) @ onto
             for anchor in anchors:
@@ -72,16 +72,16 @@ def _spread_over(
 
 
 def _anchors(model: ObjectModel, outward: Doubles, layer_mm: float, extent_mm: float) -> Doubles:
-    """Places (n, 3) of a face that may lie in the middle of a contact whose rms radius is `extent_mm`.
+    """Return points (n, 3) of a face that may lie at the centre of a contact of rms radius `extent_mm`.
 
-    The middle of the outermost layer; points half the way to its far ends; and, where the layer is larger than the
-    contact, the middles of pieces of the contact's size all over it.
+    The centre of the outermost layer; points half the way to its far ends; where the layer exceeds the contact, the
+    centres of contact-sized pieces.
     """
     height = model.points_mm @ outward
     layer = model.points_mm[height > height.max() - layer_mm]
     middle = layer.mean(axis=0)
-    far = _spread(layer, middle, max(_ANCHORS - 1, _MOST_ALONG), extent_mm, _ANCHORS - 1)
-    # Half the way out: a corner itself is rarely what lies in the middle of a contact.
+    far = _spread(layer, middle, max(_ANCHORS - 1, _MAX_ANCHORS), extent_mm, _ANCHORS - 1)
+    # Half the way: a corner itself is rarely at the centre of a contact.
     places = [middle, *((p + middle) / 2 for p in far[: _ANCHORS - 1])]
     for place in far:
         piece = layer[((layer - place) ** 2).sum(axis=1) < (2.0 * extent_mm) ** 2].mean(axis=0)
@@ -91,7 +91,7 @@ def _anchors(model: ObjectModel, outward: Doubles, layer_mm: float, extent_mm: f
 
 
 def _spread(layer: Doubles, middle: Doubles, most: int, apart_mm: float, least: int) -> list[Doubles]:
-    """Points far from the middle and from one another: `least` of them, then on while they are `apart_mm` apart."""
+    """Return points far from the centre and from one another: at least `least`, then while `apart_mm` apart."""
     chosen: list[Doubles] = []
     distance = np.linalg.norm(layer - middle, axis=1)
     while len(chosen) < most:
@@ -103,8 +103,8 @@ def _spread(layer: Doubles, middle: Doubles, most: int, apart_mm: float, least: 
     return chosen
 
 
-def _turn_onto(source: Doubles, target: Doubles) -> Doubles:
-    """The smallest rotation that takes one unit vector to another."""
+def _rotate_onto(source: Doubles, target: Doubles) -> Doubles:
+    """Return the smallest rotation that takes one unit vector to another."""
     axis = np.cross(source, target)
     sine, cosine = float(np.linalg.norm(axis)), float(source @ target)
     if sine < 1e-9:

@@ -1,8 +1,8 @@
 # pyright: basic
-"""Compiled steps of the registration: the motion that the normal equations ask for, and the pose after it.
+"""Compiled steps of the registration: the motion that solves the normal equations, and the pose after it.
 
-Nothing is allocated here: the arrays to work in are handed down. Decompositions are written out: six by six, they take
-a third of the time of `np.linalg`'s and a tenth of its compilation.
+Nothing is allocated here: work arrays are arguments. Decompositions are written out: six by six, they take a third of
+the time of `np.linalg`'s and a tenth of its compilation.
 """
 
 from __future__ import annotations
@@ -11,14 +11,14 @@ import math
 
 from pipeline.base.cached_kernels import inner_kernel, kernel
 
-_MOST_TURN_RAD = 0.3  # of one step: within it, a rotation vector is nearly what the normal equations mean by a turn
+_MOST_TURN_RAD = 0.3  # largest rotation of one step, within which the linearisation holds
 _DAMPING = 1e-9  # share of the trace (methods 5.3)
-_SWEEPS, _ROUNDING = 30, 1e-30  # Jacobi's end: rounding squared, after six or seven sweeps
+_SWEEPS, _ROUNDING = 30, 1e-30  # sweeps of Jacobi's method, and squared rounding that ends them, after six or seven
 
 
 @inner_kernel()
 def factorise(low):
-    """Cholesky's factor in the lower triangle (in place); whether the matrix is positive definite."""
+    """Cholesky factorisation of the lower triangle in place; returns whether the matrix is positive definite."""
     for i in range(low.shape[0]):
         for j in range(i + 1):
             left = low[i, j]
@@ -35,7 +35,9 @@ def factorise(low):
 
 @inner_kernel()
 def compute_eigenvectors(a, vectors):
-    """Eigenvectors in the columns of `vectors` and values on the diagonal of the symmetric `a`: Jacobi's rotations."""
+    """Compute eigenvectors (columns of `vectors`) and eigenvalues (diagonal) of the symmetric `a` by Jacobi
+    rotations.
+    """
     n = a.shape[0]
     for p in range(n):
         for q in range(n):
@@ -68,10 +70,10 @@ def compute_eigenvectors(a, vectors):
 
 @kernel()
 def solve_step(sums, asked, work, motion):
-    """How many directions are held; `motion` (6,) becomes the step along the others.
+    """Return how many directions are held; `motion` (6,) becomes the step along the others.
 
-    A motion v is held where v^T H v / weight < v^T diag(asked) v (`pipeline.registration.observability`), and the step
-    has no part in it in the sense of that form, so that turns need not be weighed against shifts.
+    A motion v is held where v^T H v / weight < v^T diag(asked) v (`pipeline.registration.observability`); the step is
+    orthogonal to it in that form, so that rotations need not be weighed against translations.
     """
     low, vectors = work
     weight, total, at = sums[27], 0.0, 0
@@ -128,7 +130,9 @@ def _held_step(h, vectors, asked, motion):
 
 @inner_kernel()
 def apply_motion(poses, n, motion, radius, most):
-    """Pose n of rows (rotation, shift) after a motion of the object's axes about the points' middle; its size in mm."""
+    """Apply a motion of the object's axes about the centroid to pose n of rows (rotation, translation); return its
+    size (mm).
+    """
     wx, wy, wz = motion[0] / radius, motion[1] / radius, motion[2] / radius
     angle = math.sqrt(wx * wx + wy * wy + wz * wz)
     slide = math.sqrt(motion[3] * motion[3] + motion[4] * motion[4] + motion[5] * motion[5])
@@ -136,7 +140,7 @@ def apply_motion(poses, n, motion, radius, most):
     wx, wy, wz, full = wx * factor, wy * factor, wz * factor, angle * factor
     a = math.sin(full) / full if full > 1e-4 else 1.0 - full * full / 6.0
     b = (1.0 - math.cos(full)) / (full * full) if full > 1e-4 else 0.5 - full * full / 24.0
-    # In the object's axes the middle is at -R^T t; the points' new place there is E^T (x - v), so R' = R E.
+    # In the object's axes the centroid is at -R^T t; the points move to E^T (x - v), so R' = R E.
     x = -factor * motion[3] - poses[n, 0] * poses[n, 9] - poses[n, 3] * poses[n, 10] - poses[n, 6] * poses[n, 11]
     y = -factor * motion[4] - poses[n, 1] * poses[n, 9] - poses[n, 4] * poses[n, 10] - poses[n, 7] * poses[n, 11]
     z = -factor * motion[5] - poses[n, 2] * poses[n, 9] - poses[n, 5] * poses[n, 10] - poses[n, 8] * poses[n, 11]

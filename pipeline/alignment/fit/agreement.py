@@ -1,4 +1,4 @@
-"""How well an expected imprint agrees with the real one, beyond what every imprint of the set has in common."""
+"""Correlation of expected and recorded imprints, beyond what all imprints of the set have in common."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from pipeline.base.arrays import Doubles
 
 
-def compute_residual(picture: NDArray[Any], common: NDArray[Any] | None) -> Doubles:
-    """What is left (n,) of a picture once its mean and its share of `common` are taken away, of unit length."""
-    values = np.asarray(picture, np.float64).ravel()
+def compute_residual(image: NDArray[Any], common: NDArray[Any] | None) -> Doubles:
+    """Return an image (n,) less its mean and its projection on `common`, of unit length."""
+    values = np.asarray(image, np.float64).ravel()
     values = values - values.mean()
     if common is not None:
         other = np.asarray(common, np.float64).ravel()
@@ -23,11 +23,11 @@ def compute_residual(picture: NDArray[Any], common: NDArray[Any] | None) -> Doub
 
 
 def compute_correlation(expected: NDArray[Any], real: NDArray[Any], common: NDArray[Any] | None = None) -> float:
-    """Correlation of two pictures of one size; with `common`, after that is regressed out of both (partial)."""
+    """Return the correlation of two images of one size; with `common`, that is regressed out of both (partial)."""
     return float(compute_residual(expected, common) @ compute_residual(real, common))
 
 
-def compute_mean_imprint(pictures: Sequence[NDArray[Any]]) -> Doubles:
-    """What imprints have in common: the mean of pictures that were each brought to mean 0 and length 1."""
-    each = [compute_residual(p, None) for p in pictures]
-    return np.mean(each, axis=0).reshape(pictures[0].shape)
+def compute_mean_imprint(images: Sequence[NDArray[Any]]) -> Doubles:
+    """Return the mean of images that were each normalised to mean 0 and length 1."""
+    each = [compute_residual(p, None) for p in images]
+    return np.mean(each, axis=0).reshape(images[0].shape)

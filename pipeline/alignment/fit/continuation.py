@@ -1,4 +1,4 @@
-"""What presses beyond a gel's view: ridges that leave the picture are taken to go on straight."""
+"""Extrapolate contact beyond a gel's view: ridges that reach the image border continue straight."""
 
 from __future__ import annotations
 
@@ -8,18 +8,21 @@ import numpy as np
 
 from pipeline.base.arrays import Doubles, Floats
 
-_INSET = 0.047  # share of the side by which the frame that is watched lies within the picture
-_LEAST = 0.28  # of full touching, for a ridge to count where it leaves
-_APART = 0.09  # shares of the side between two that leave
-_BASELINE, _SHORTEST = 0.35, 0.14  # shares of the side along which a ridge's direction is read, and must be seen
+_INSET = 0.047  # share of the side between the image border and the line on which ridges are detected
+_MIN_CONTACT = 0.28  # contact for a ridge to count there
+_MIN_DISTANCE = 0.09  # shares of the side between two ridges
+_BASELINE, _MIN_LENGTH = (
+    0.35,
+    0.14,
+)  # shares of the side over which a ridge's direction is measured, and must be visible
 _STEP_DEG = 1.5
-_STRONG = 0.75  # touching there, from which a ridge goes on in full
-_CLEAR = 0.3  # mean touching along it
+_FULL_CONTACT = 0.75  # contact from which a ridge continues at full strength
+_MIN_MEAN = 0.3  # mean contact along a ridge
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BoundaryRidges:
-    """Ridges that leave a picture: (n,) each, in pixels, directions outward."""
+    """Ridges that reach the image border: (n,) each, in pixels, directions outward."""
 
     x_px: Doubles
     y_px: Doubles
@@ -28,31 +31,31 @@ class BoundaryRidges:
     strength: Doubles  # 0..1
 
 
-def detect_boundary_ridges(touching: Floats) -> BoundaryRidges:
-    """The ridges that leave a picture (rows, cols) of what touches; directions are those with most of it behind."""
+def detect_boundary_ridges(contact: Floats) -> BoundaryRidges:
+    """Detect the ridges that leave a contact image (rows, cols); each direction has the most contact behind it."""
     import cv2
 
-    smooth = np.asarray(cv2.GaussianBlur(touching, (0, 0), max(1.0, 0.012 * max(touching.shape))), np.float32)
-    x, y = _frame(touching.shape)
-    profile = _sampled(smooth, x, y)
-    apart = round(_APART * float(np.mean(touching.shape)))
+    smooth = np.asarray(cv2.GaussianBlur(contact, (0, 0), max(1.0, 0.012 * max(contact.shape))), np.float32)
+    x, y = _frame(contact.shape)
+    profile = _sample(smooth, x, y)
+    apart = round(_MIN_DISTANCE * float(np.mean(contact.shape)))
     taken = np.zeros(len(profile), np.bool_)
     found: list[tuple[float, ...]] = []
     for k in np.argsort(-profile):
-        if profile[k] < _LEAST:
+        if profile[k] < _MIN_CONTACT:
             break
         if taken[k]:
             continue
         taken[np.arange(k - apart, k + apart + 1) % len(profile)] = True
         right, down, clear = _inward(smooth, float(x[k]), float(y[k]))
-        if clear > _CLEAR:
-            found.append((float(x[k]), float(y[k]), -right, -down, min(1.0, float(profile[k]) / _STRONG)))
+        if clear > _MIN_MEAN:
+            found.append((float(x[k]), float(y[k]), -right, -down, min(1.0, float(profile[k]) / _FULL_CONTACT)))
     table = np.array(found, np.float64).reshape(-1, 5).T
     return BoundaryRidges(x_px=table[0], y_px=table[1], right=table[2], down=table[3], strength=table[4])
 
 
 def _inward(smooth: Floats, x_px: float, y_px: float) -> tuple[float, float, float]:
-    """(right, down, mean touching along it) of the ridge that ends at a place of the frame, looking inward."""
+    """Return (right, down, mean contact along it) of the ridge that ends at a point of the frame, looking inward."""
     rows, cols = smooth.shape
     side, inset = float(np.mean(smooth.shape)), _INSET * float(np.mean(smooth.shape))
     angles = np.deg2rad(np.arange(0.0, 360.0, _STEP_DEG))
@@ -60,9 +63,9 @@ def _inward(smooth: Floats, x_px: float, y_px: float) -> tuple[float, float, flo
     xs = x_px + along * np.cos(angles)[:, None]
     ys = y_px + along * np.sin(angles)[:, None]
     inside = (xs >= inset - 1) & (xs <= cols - inset) & (ys >= inset - 1) & (ys <= rows - inset)
-    passed = _sampled(smooth, xs.ravel(), ys.ravel()).reshape(xs.shape) * inside
+    passed = _sample(smooth, xs.ravel(), ys.ravel()).reshape(xs.shape) * inside
     n = inside.sum(axis=1)
-    mean = np.where(n >= _SHORTEST * side, passed.sum(axis=1) / np.maximum(n, len(along)), -1.0)
+    mean = np.where(n >= _MIN_LENGTH * side, passed.sum(axis=1) / np.maximum(n, len(along)), -1.0)
     best = int(np.argmax(mean))
     near = np.arange(best - 4, best + 5) % len(angles)
     turn = complex((np.maximum(mean[near], 0.0) ** 8 * np.exp(1j * angles[near])).sum())
@@ -71,7 +74,7 @@ def _inward(smooth: Floats, x_px: float, y_px: float) -> tuple[float, float, flo
 
 
 def _frame(shape: tuple[int, ...]) -> tuple[Doubles, Doubles]:
-    """(x, y) of the pixels of a frame a little within the picture, once around."""
+    """Return (x, y) of the pixels of a frame a little within the image, once around."""
     rows, cols = shape
     inset = round(_INSET * float(np.mean(shape)))
     x = np.arange(inset, cols - inset, dtype=np.float64)
@@ -83,8 +86,8 @@ def _frame(shape: tuple[int, ...]) -> tuple[Doubles, Doubles]:
     )
 
 
-def _sampled(picture: Floats, x_px: Doubles, y_px: Doubles) -> Doubles:
+def _sample(image: Floats, x_px: Doubles, y_px: Doubles) -> Doubles:
     import cv2
 
     there = (x_px.astype(np.float32).reshape(1, -1), y_px.astype(np.float32).reshape(1, -1))
-    return np.asarray(cv2.remap(picture, *there, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT), np.float64).ravel()
+    return np.asarray(cv2.remap(image, *there, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT), np.float64).ravel()

@@ -1,8 +1,8 @@
-"""Difference tiles of a gel, as training sets keep them: stretched in grey levels, squeezed to squares, turned.
+"""Read difference tiles of a gel, as training sets store them: contrast-stretched, squeezed to squares, rotated.
 
-What is left of the touch is where its ridges are. The described lights say which slope a colour stands for, up to one
-factor; the slopes of a surface have no curl, and what is pressed in is sharper on its top than at its foot. So a tile
-alone tells how it was laid.
+What is left of the touch is where its ridges are. The described LEDs map colour to slope, up to one factor; the slopes
+of a surface have no curl, and an indentation is sharper at its top than at its foot. So a tile alone determines its
+orientation.
 """
 
 from __future__ import annotations
@@ -20,25 +20,25 @@ from pipeline.sensors.spec import SensorSpec
 
 _SMOOTHED_PX = 1.5
 _RIDGE_PX = 2.5  # half the width of a ridge's top in a tile of 128 px
-_BORDER_PX = 6  # differences of a tile's very edge are the camera's
-_STRONG = 99.5  # quantile of the ridges that counts as fully touching
-_FULL = 0.6  # share of that from which it does
+_BORDER_PX = 6  # differences at a tile's edge are the camera's
+_FULL_QUANTILE = 99.5  # quantile of the ridges that counts as full contact
+_FULL_SHARE = 0.6  # share of that from which contact is full
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ridges:
-    """What presses into a gel, as far as a tile tells."""
+    """Contact of a gel as far as a tile shows it."""
 
     contact: Floats  # (rows, cols) 0..1
-    orientation: int  # how the tile was laid before it lay as the sensor's camera sees: `turned(tile, way)`
+    orientation: int  # `orient_image(tile, orientation)` is as the sensor's camera sees it
     curl_free: float  # share of the slopes' energy that a surface explains
-    next_best: float  # the same of the best way that is not this or half a turn from it
+    next_best: float  # the same of the best orientation other than this or half a turn from it
 
 
 def compute_colour_to_slope(spec: SensorSpec) -> Doubles:
-    """(2, 3): what makes a change of colour a slope (right, down), up to one factor; from the described lights."""
+    """Return (2, 3): change of colour to slope (right, down), up to one factor, from the described LEDs."""
     if spec.optics is None:
-        raise SettingProblem(f"{spec.name} has no lights to read slopes from; it measures depth itself")
+        raise SettingProblem(f"{spec.name} has no LEDs to estimate slopes from; it measures depth itself")
     colours = np.zeros((3, 2))
     for led in spec.optics.leds:
         angle = math.radians(led.azimuth_deg)
@@ -47,17 +47,18 @@ def compute_colour_to_slope(spec: SensorSpec) -> Doubles:
     return inverse / np.abs(inverse).max()
 
 
-def detect_ridges(tile: Image, spec: SensorSpec, way: int | None = None) -> Ridges:
-    """The ridges of a tile (rows, cols, 3), laid as the sensor's camera sees them; `way` None = the tile tells it."""
+def detect_ridges(tile: Image, spec: SensorSpec, orientation: int | None = None) -> Ridges:
+    """Detect the ridges of a tile (rows, cols, 3) in the camera's orientation; estimated if None."""
     matrix = compute_colour_to_slope(spec)
     explained = [_curl_free(*_slopes(orient_image(tile, k), matrix)) for k in ORIENTATIONS]
-    best = int(np.argmax(explained)) if way is None else way
-    if way is None and _skewness(_peaks(orient_image(tile, best), matrix)) < 0:
+    best = int(np.argmax(explained)) if orientation is None else orientation
+    if orientation is None and _skewness(_peaks(orient_image(tile, best), matrix)) < 0:
         best = rotate_half_turn(best)
     peaks = np.maximum(_peaks(orient_image(tile, best), matrix), 0.0)
-    strongest = max(float(np.percentile(peaks, _STRONG)), 1e-9)
+    strongest = max(float(np.percentile(peaks, _FULL_QUANTILE)), 1e-9)
     others = [e for k, e in enumerate(explained) if k not in (best, rotate_half_turn(best))]
-    return Ridges(contact=freeze(np.minimum(peaks / (strongest * _FULL), 1.0).astype(np.float32)), orientation=best,
+    contact = np.minimum(peaks / (strongest * _FULL_SHARE), 1.0).astype(np.float32)
+    return Ridges(contact=freeze(contact), orientation=best,
                   curl_free=explained[best], next_best=max(others))  # fmt: skip
 
 
@@ -70,7 +71,7 @@ def _slopes(tile: NDArray[np.uint8], matrix: Doubles) -> tuple[Doubles, Doubles]
 
 
 def _peaks(tile: NDArray[np.uint8], matrix: Doubles) -> Doubles:
-    """How much the surface bends over, highest on the tops of what is pressed in; 0 in the tile's border."""
+    """Return the surface's curvature, highest on top of indentations; 0 at the tile's border."""
     import cv2
 
     gx, gy = (np.asarray(cv2.GaussianBlur(g, (0, 0), _RIDGE_PX - _SMOOTHED_PX + 1)) for g in _slopes(tile, matrix))
@@ -86,7 +87,7 @@ def _skewness(values: Doubles) -> float:
 
 
 def _curl_free(gx: Doubles, gy: Doubles) -> float:
-    """Share of the energy of slopes that is the gradient of some surface, mirrored at the borders."""
+    """Return the share of the slopes' energy that is the gradient of a surface, mirrored at the borders."""
     wide_x = np.block([[gx, -gx[:, ::-1]], [gx[::-1], -gx[::-1, ::-1]]])
     wide_y = np.block([[gy, gy[:, ::-1]], [-gy[::-1], -gy[::-1, ::-1]]])
     fx, fy = np.fft.fft2(wide_x), np.fft.fft2(wide_y)

@@ -1,4 +1,4 @@
-"""The eight ways to lay a square picture: four quarter turns, and the same mirrored."""
+"""The eight orientations of a square image: four quarter turns, and the same mirrored."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ T = TypeVar("T", bound=np.generic)
 ORIENTATIONS = range(8)  # 0-3: quarter turns to the left; 4-7: the same, then mirrored left to right
 
 
-def orient_image(picture: NDArray[T], way: int) -> NDArray[T]:
-    """The picture (rows, cols, ...) laid in one of the `WAYS`."""
-    quarter = np.rot90(picture, way % 4)
-    return quarter[:, ::-1] if way >= 4 else quarter
+def orient_image(image: NDArray[T], orientation: int) -> NDArray[T]:
+    """Return the image (rows, cols, ...) in one of the `ORIENTATIONS`."""
+    quarter = np.rot90(image, orientation % 4)
+    return quarter[:, ::-1] if orientation >= 4 else quarter
 
 
-def rotate_half_turn(way: int) -> int:
-    """The way that is half a turn from this one."""
-    return (way + 2) % 4 + (way // 4) * 4
+def rotate_half_turn(orientation: int) -> int:
+    """Return the orientation that is half a turn from this one."""
+    return (orientation + 2) % 4 + (orientation // 4) * 4
 
 
-def describe_orientation(way: int) -> str:
-    """What is done to a picture."""
-    quarters = ("not turned", "turned by 90 deg to the left", "turned by 180 deg", "turned by 90 deg to the right")
-    return quarters[way % 4] + (", then mirrored left to right" if way >= 4 else "")
+def describe_orientation(orientation: int) -> str:
+    """Describe an orientation in words."""
+    quarters = ("not rotated", "rotated by 90 deg to the left", "rotated by 180 deg", "rotated by 90 deg to the right")
+    return quarters[orientation % 4] + (", then mirrored left to right" if orientation >= 4 else "")

@@ -1,4 +1,4 @@
-"""Pairs of touches to fit an alignment to: tiles of a training set, or moments of a recording of both sensors."""
+"""Load imprint pairs to fit an alignment to: tiles of a training set, or moments recorded by both sensors."""
 
 from __future__ import annotations
 
@@ -21,74 +21,74 @@ from pipeline.recordings import image_files
 from pipeline.sensors.spec import SensorSpec
 from pipeline.values.results import DepthMap
 
-_ALL_ALIKE = 0.8  # share of tiles that lie one way, from which all are taken to
+_COMMON_SHARE = 0.8  # share of tiles with one orientation above which it is used for all
 _TILE = (1.0, 1.0)  # width and height: the unit of tiles is the tile
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImprintPairs:
-    """What was found, and what to say of it."""
+    """Imprint pairs, and notes about them."""
 
     pairs: tuple[ImprintPair, ...]
     notes: tuple[str, ...]
 
 
 def load_tile_pairs(folder: Path, source: SensorSpec, source_names: str, target_names: str) -> ImprintPairs:
-    """Pictures of `folder` whose names fit both patterns (one `*` each), which stands for the same word in a pair.
+    """Load images of `folder` whose names match both patterns (one `*` each, equal in a pair).
 
-    A source's tile is a difference picture, a target's an imprint in grey. Where tiles were turned, each tells how;
-    the target's of the same pair is turned back with it. Raises FileProblem where nothing is paired.
+    A source's tile is a difference image, a target's a grey imprint. Rotated tiles are oriented by their own colours;
+    the target's tile is rotated with its source's. Raises FileProblem where nothing is paired.
     """
-    found = _named(folder, source_names), _named(folder, target_names)
+    found = _match_names(folder, source_names), _match_names(folder, target_names)
     names = sorted(found[0].keys() & found[1].keys(), key=lambda n: image_files.natural_sort_key(Path(n)))
     if not names:
-        raise FileProblem(f"no two pictures are named {source_names} and {target_names}", folder)
+        raise FileProblem(f"no two images are named {source_names} and {target_names}", folder)
     read = {name: detect_ridges(image_files.read_rgb(found[0][name]), source) for name in names}
-    way, often = Counter(r.orientation for r in read.values()).most_common(1)[0]
-    alike = often >= _ALL_ALIKE * len(names)
+    way, count = Counter(r.orientation for r in read.values()).most_common(1)[0]
+    alike = count >= _COMMON_SHARE * len(names)
     if alike:
         read = {
             n: r if r.orientation == way else detect_ridges(image_files.read_rgb(found[0][n]), source, way)
             for n, r in read.items()
         }
-        note = f"the {source.name} tiles lie alike: {describe_orientation(way)}"
+        note = f"the {source.name} tiles have one orientation: {describe_orientation(way)}"
     else:
         ways = len({r.orientation for r in read.values()})
         note = (
-            f"the {source.name} tiles lie in {ways} ways, each told by its own colours; imprints are turned with them"
+            f"the {source.name} tiles have {ways} orientations, estimated from colours; imprints are rotated with them"
         )
     clear = (
         float(np.median([r.curl_free for r in read.values()])),
         float(np.median([r.next_best for r in read.values()])),
     )
-    said = (
-        f"their colours read as slopes are {clear[0]:.0%} a surface's (the next best way to lay them: {clear[1]:.0%})"
-    )
+    clarity = f"slopes from colours are {clear[0]:.0%} integrable (next best orientation: {clear[1]:.0%})"
     pairs = tuple(_tiles(n, read[n], found[1][n]) for n in names)
-    return ImprintPairs(pairs=pairs, notes=(note, said, *_doubts(pairs)))
+    return ImprintPairs(pairs=pairs, notes=(note, clarity, *_check_pairing(pairs)))
 
 
 def make_touch_pairs(touches: Sequence[AlignmentTouch]) -> ImprintPairs:
-    """Moments that both sensors felt, in millimetres on either one's rest surface."""
+    """Make pairs of the moments with contact on both sensors, in millimetres on either rest surface."""
     made = tuple(_touch(t) for t in touches if t.has_contact_on_both)
-    return ImprintPairs(pairs=made, notes=(f"{len(made)} of {len(touches)} moments are felt by both", *_doubts(made)))
+    return ImprintPairs(
+        pairs=made, notes=(f"{len(made)} of {len(touches)} moments have contact on both sensors", *_check_pairing(made))
+    )
 
 
 def compute_pixel_mm(depth: DepthMap) -> float:
-    """Width of a pixel where the sensor is touched, or at rest."""
+    """Return the width of a pixel at the median depth."""
     seen = depth.depth_mm[np.isfinite(depth.depth_mm)]
     return float(np.median(seen)) / depth.camera.fx_px
 
 
-def _doubts(pairs: Sequence[ImprintPair]) -> tuple[StageWarning, ...]:
-    """What speaks against these being pairs of one touch each."""
+def _check_pairing(pairs: Sequence[ImprintPair]) -> tuple[StageWarning, ...]:
+    """Return warnings where the pairs do not seem to be of one touch each."""
     order = compare_signatures(
         [compute_signature(pair.contact) for pair in pairs], [compute_signature(pair.imprint) for pair in pairs]
     )
     return () if order is None or order.warning is None else (order.warning,)
 
 
-def _named(folder: Path, pattern: str) -> dict[str, Path]:
+def _match_names(folder: Path, pattern: str) -> dict[str, Path]:
     if pattern.count("*") != 1:
         raise FileProblem(f"a pattern of names has one '*', got {pattern!r}", folder)
     before, after = pattern.split("*")

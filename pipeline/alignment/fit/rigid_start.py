@@ -1,4 +1,4 @@
-"""From a carrying in millimetres to a rigid alignment, which refining then polishes in all six directions."""
+"""Convert a transfer model in millimetres to a rigid alignment, to be refined in all six directions."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from pipeline.values.results import DepthMap
 
 
 def align_rigidly(touches: Sequence[AlignmentTouch], how: TransferModel, described: Alignment) -> Alignment:
-    """The alignment that lays contacts as `how` says and brings them to one depth, stored on the target's side.
+    """Return the alignment with the in-plane motion of `how` and matching contact depths, stored on the target's side.
 
-    Raises SettingProblem for a mirrored carrying, which no motion of two sensors makes.
+    Raises SettingProblem for a mirrored model, which is no rigid motion.
     """
     if how.is_mirrored:
         raise SettingProblem(
-            "the pictures of the two sensors agree only when one is mirrored; flip one sensor's pictures and try again"
+            "the images of the two sensors agree only when one is mirrored; flip one sensor's images and try again"
         )
     cos, sin = np.cos(how.rotation_rad), np.sin(how.rotation_rad)
     turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
@@ -39,7 +39,7 @@ def align_rigidly(touches: Sequence[AlignmentTouch], how: TransferModel, describ
 
 
 def _middle_mm(depth: DepthMap) -> Doubles:
-    """Where a picture's middle lies from its optical axis, (3,) with z = 0."""
+    """Return the image centre's offset (mm) from the optical axis, (3,) with z = 0."""
     camera = depth.camera
     off_px = np.array([(camera.cols - 1) / 2 - camera.cx_px, (camera.rows - 1) / 2 - camera.cy_px, 0.0])
     return off_px * compute_pixel_mm(depth)

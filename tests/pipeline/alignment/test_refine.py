@@ -96,7 +96,7 @@ def test_no_step_is_longer_than_the_longest(touches, monkeypatch):
         moved, _, length = solver._step(np.eye(4), here, None, None, np.eye(6), 0.0)
         assert length == pytest.approx(size * np.sqrt(6))
         taken = np.linalg.norm(solver._as_step(moved))
-        assert taken == pytest.approx(min(length, refining._LONGEST), rel=1e-6)
+        assert taken == pytest.approx(min(length, refining._MAX_STEP), rel=1e-6)
 
 
 @pytest.mark.parametrize("kind", [compute_surface_distances, compute_outline_distances])

@@ -62,10 +62,10 @@ def test_a_package_stands_for_all_of_its_modules(tmp_path, monkeypatch):
     for name in ("__init__", "a", "b"):
         (tmp_path / "room" / f"{name}.py").write_text("number = 1\n", "utf-8")
     monkeypatch.syspath_prepend(tmp_path)
-    disk_store._source.cache_clear()
+    disk_store._digest_source.cache_clear()
     asked(tmp_path / "kept", code=("room",))
     (tmp_path / "room" / "b.py").write_text("number = 2\n", "utf-8")
-    disk_store._source.cache_clear()
+    disk_store._digest_source.cache_clear()
     assert asked(tmp_path / "kept", code=("room",))[1]
 
 
@@ -97,7 +97,7 @@ def test_a_folder_that_cannot_be_written_is_no_error(tmp_path):
 
 
 def test_the_oldest_files_go_when_there_are_too_many(tmp_path, monkeypatch):
-    monkeypatch.setattr(disk_store, "_MOST_FILES", 3)
+    monkeypatch.setattr(disk_store, "_MAX_FILES", 3)
     for k in range(6):
         asked(tmp_path, made_of=k)
     assert len(list(tmp_path.iterdir())) == 3

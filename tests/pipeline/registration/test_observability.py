@@ -16,7 +16,7 @@ from pipeline.registration.observability import (
     Tolerances,
     assess_observability,
     compute_correlated_covariance,
-    systematic_error,
+    estimate_systematic_error,
 )
 from pipeline.values.results import DepthErrorModel
 
@@ -49,7 +49,7 @@ def test_every_motion_nobody_can_feel_is_named_and_no_other(kind, seed, noise_mm
         crooked(felt.normals, seed),
         middle,
         noise_mm,
-        lasting=SystematicStd(translation_mm=together, rotation_mm=together),
+        systematic_error=SystematicStd(translation_mm=together, rotation_mm=together),
     )
     truth = observability_score.compute_true_motions(
         patch(kind, seed, pose, 5 * N),
@@ -163,7 +163,11 @@ def test_a_bias_widens_the_covariance_as_it_should():
     middle = tool.points_mm.mean(axis=0)
     plain = assess_observability(tool.points_mm, tool.normals, middle, NOISE_MM)
     biased = assess_observability(
-        tool.points_mm, tool.normals, middle, NOISE_MM, lasting=SystematicStd(translation_mm=0.005, rotation_mm=0.005)
+        tool.points_mm,
+        tool.normals,
+        middle,
+        NOISE_MM,
+        systematic_error=SystematicStd(translation_mm=0.005, rotation_mm=0.005),
     )
     grown = 1 + 0.005**2 * N / NOISE_MM**2
     np.testing.assert_allclose(biased.covariance, grown * plain.covariance, rtol=1e-9)
@@ -178,7 +182,7 @@ def test_what_lasts_of_a_smooth_error_is_what_planes_through_drawn_ones_are_off(
     middle = points.mean(axis=0)
     x, y = (points - middle)[:, 0], (points - middle)[:, 1]
     shift, along_x, along_y = np.linalg.lstsq(np.column_stack([np.ones(120), x, y]), drawn_mm, rcond=None)[0]
-    told = systematic_error(points, np.tile([0.0, 0.0, 1.0], (120, 1)), middle, error)
+    told = estimate_systematic_error(points, np.tile([0.0, 0.0, 1.0], (120, 1)), middle, error)
     assert told.translation_mm == pytest.approx(float(np.sqrt((shift**2).mean())), rel=0.05)
     seen_mm2 = 0.5 * ((x**2).mean() + (y**2).mean())  # a turn of 1 rad moves the contact by its square root
     tilts = np.sqrt(0.5 * ((along_x**2).mean() + (along_y**2).mean()) * seen_mm2)
