@@ -11,7 +11,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar
 
 import xxhash
 
@@ -24,40 +24,47 @@ from pipeline.base.stage_warnings import StageWarning, select_warnings
 from pipeline.engine.cache import Cache, CacheEntry
 from pipeline.engine.digests import DigestCache, compute_digest
 
+if TYPE_CHECKING:
+    from typing_extensions import TypeVar as TypeVarWithDefault
+
+    Params = TypeVarWithDefault("Params", default=Any)
+    Output = TypeVarWithDefault("Output", default=Any)
+else:  # Python 3.11 has no defaults of type variables
+    Params, Output = TypeVar("Params"), TypeVar("Output")
+
 State = Literal["computed", "cached", "unchanged", "skipped", "given"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Skipped:
+class Skipped(Generic[Output]):
     """What a method returns when the scene needs no work: the exact answer, and why there was nothing to do."""
 
-    output: Any
+    output: Output
     reason: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Fallback:
+class Fallback(Generic[Output]):
     """What a method returns when it cannot answer and another did: that one's answer, and why."""
 
-    result: Any  # an output, or `Skipped`
+    result: Output | Skipped[Output]
     reason: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Method:
+class Method(Generic[Params, Output]):
     """One implementation of a stage: a function without side effects, its parameters, and its inputs."""
 
     stage: str
     name: str  # unique within its stage
     title: str
-    run: Callable[..., Any]  # (*reads, params, progress) -> the stage's value, `Skipped` or `Fallback`
-    params: type[Any]
+    run: Callable[..., Output | Skipped[Output] | Fallback[Output]]  # (*reads, params, progress) -> the stage's value
+    params: type[Params]
     reads: tuple[str, ...]  # stages above it or inputs, in the order of `run`'s arguments
     version: int = 1  # raised when equal inputs give another output
     help: str = ""  # what it does, in half a sentence
     weights: Callable[..., object] | None = None  # (source, target, file) -> input `weights_name`; None = no weights
-
-    draft: Callable[[Any], Any] | None = None  # parameters -> cheaper ones for dragging; None = no draft
+    draft: Callable[[Params], Params] | None = None  # parameters -> cheaper ones for dragging; None = no draft
 
     @property
     def weights_name(self) -> str:
@@ -90,12 +97,17 @@ class StageResult:
         return () if self.state == "skipped" else select_warnings(self.notes)
 
 
-def skip_if_exact(exact: Callable[..., Any], run: Callable[..., Any]) -> Callable[..., Any]:
+def skip_if_exact(
+    exact: Callable[..., Output | None], run: Callable[..., Output | Fallback[Output]]
+) -> Callable[..., Output | Skipped[Output] | Fallback[Output]]:
     """Return a method's function: the result of `exact` (*reads, params) if it has one, that of `run` otherwise."""
 
-    def run_if_needed(*args: Any) -> Any:
+    def run_if_needed(*args: Any) -> Output | Skipped[Output] | Fallback[Output]:
         output = exact(*args[:-1])
-        return run(*args) if output is None else Skipped(output=output, reason=(*output.notes, "nothing to do")[0])
+        if output is None:
+            return run(*args)
+        notes: tuple[str, ...] = getattr(output, "notes", ())
+        return Skipped(output=output, reason=(*notes, "nothing to do")[0])
 
     return run_if_needed
 

@@ -6,11 +6,13 @@ stages and leaves out the others.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+import logging
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
+from pipeline.base.entry_points import load_entry_points
 from pipeline.base.errors import SettingProblem
 from pipeline.base.params import replace_value
 from pipeline.engine.graph import Method
@@ -21,6 +23,8 @@ from pipeline.stages.stage import Stage
 from pipeline.stages.target_depth.stage import STAGE as TARGET_DEPTH
 from pipeline.stages.touch.stage import STAGE as TOUCH
 from pipeline.stages.touch_depth.stage import STAGE as TOUCH_DEPTH
+
+log = logging.getLogger("tactoscope")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -64,6 +68,28 @@ class Catalogue:
             self.method(stage, name)
         return tuple(self.method(stage, names.get(stage, name)) for stage, name in self.route(route).methods.items())
 
+    def add_methods(self, methods: Iterable[object]) -> Catalogue:
+        """Return the catalogue with more methods, after the stages' own; unusable ones are left out with a warning."""
+        stages = {stage.name: stage for stage in self.stages}
+        for method in methods:
+            problem = _check_method(method, stages)
+            if problem:
+                log.warning("tactoscope.methods: %s; it is left out", problem)
+            elif isinstance(method, Method):
+                stage = stages[method.stage]
+                stages[method.stage] = replace(stage, methods=(*stage.methods, method))
+        return replace(self, stages=tuple(stages.values()))
+
+
+def _check_method(method: object, stages: Mapping[str, Stage]) -> str:
+    if not isinstance(method, Method):
+        return f"{method!r:.80} is no Method"
+    if method.stage not in stages:
+        return f"the method {method.name!r} is for the unknown stage {method.stage!r}"
+    if any(method.name == known.name for known in stages[method.stage].methods):
+        return f"the stage {method.stage!r} already has a method {method.name!r}"
+    return ""
+
 
 def _find_by_name(entries: Sequence[NamedEntry], name: str, what: str) -> NamedEntry:
     for entry in entries:
@@ -93,7 +119,8 @@ BUILT_IN = Catalogue(
             methods={"touch": "t2t", "touch_depth": "membrane", "pose": "signed_distances"},
         ),
     ),
-)
+).add_methods(load_entry_points("tactoscope.methods"))
+"""The project's stages and routes, and the methods of other installed packages."""
 
 
 def default_params(methods: tuple[Method, ...]) -> dict[str, object]:

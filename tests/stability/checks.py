@@ -22,10 +22,10 @@ def outcome(stage, *inputs):
             result = stage(*inputs)
     except TouchError as error:
         count_answer(refused=True)
-        told = str(error)
-        assert told
-        assert "\n" not in told
-        return None, told
+        message = str(error)
+        assert message
+        assert "\n" not in message
+        return None, message
     count_answer(refused=False)
     return result, ""
 

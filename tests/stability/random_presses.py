@@ -93,7 +93,7 @@ def contradiction(pressed: SimulatedPress, spec: SensorSpec) -> str:
         "contact without any motion": hit and not moved.any(),  # it may be outward: a bulge meets the object too
         "indentation without force": pressed.force_n == 0 and bool(moved.any()),
     }
-    return next((told for told, found in findings.items() if found), "")
+    return next((name for name, found in findings.items() if found), "")
 
 
 def random_press(rng: np.random.Generator) -> tuple[Mesh, np.ndarray, str]:

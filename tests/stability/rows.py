@@ -103,7 +103,7 @@ def _counting(test, tally: Tally):
         except AssertionError:
             tally.failures += 1
             raise
-        except BaseException as error:  # a failure told by pytest is no Exception
+        except BaseException as error:  # pytest's failures are no Exception
             # Hypothesis leaves a case by exceptions of its own, which are no failures.
             tally.failures += not type(error).__module__.startswith("hypothesis")
             raise
@@ -138,5 +138,5 @@ def _share(t: Tally) -> str:
 def write(path: Path) -> None:
     """The table as JSON."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    told = {"cases_asked_for": SIZE.cases, "rows": [asdict(t) for t in TALLIES.values() if t.cases]}
-    path.write_text(json.dumps(told, indent=1) + "\n")
+    report = {"cases_asked_for": SIZE.cases, "rows": [asdict(t) for t in TALLIES.values() if t.cases]}
+    path.write_text(json.dumps(report, indent=1) + "\n")

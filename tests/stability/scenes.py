@@ -86,7 +86,7 @@ def view(spec: SensorSpec, pushed_mm: np.ndarray) -> TargetDepth:
 
 
 def touch(spec: SensorSpec, pushed_mm: np.ndarray) -> DepthMap:
-    """What is felt of a generated touch with this membrane."""
+    """The depth of a generated touch with this membrane."""
     return DepthMap(
         indentation_mm=pushed_mm.astype(np.float32),
         depth_mm=(spec.rest_depth_mm - pushed_mm).astype(np.float32),

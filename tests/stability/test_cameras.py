@@ -62,7 +62,7 @@ def test_same_camera(fx, fy, z_mm, mode):
     # At one pixel of focal length the picture's edge is seen at 86 degrees, and neighbours lie far apart.
     seen = project_cloud(points, target, projection(mode, grazing_deg=90.0, jump_mm=1e9 * (1 + z_mm)))
     sound(seen)
-    # float32 moves a corner of the grid by its last bit, so that the outermost pixel centres may lie beside the surface.
+    # float32 moves a corner of the grid by its last bit, so that the outermost pixel centres may lie off the surface.
     inner = seen.contact if mode == "paper" else seen.contact[1:-1, 1:-1]
     assert inner.all()
     assert seen.contact.mean() > 0.85

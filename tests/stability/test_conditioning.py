@@ -33,7 +33,7 @@ def test_weak_if_and_only_if_uncertain(powers, sigma_mm, seed):
     information, turn, values = information_of(powers, rng)
     n_held, step = held_by_the_kernel(information, np.full(6, sigma_mm**2 / N / TOLERANCE_MM**2))
     deviation_mm = sigma_mm / np.sqrt(N * values)
-    # What float64 can hold beside the largest eigenvalue is known no better than that.
+    # What float64 can hold relative to the largest eigenvalue.
     clear = np.abs(deviation_mm / TOLERANCE_MM - 1) > NEAR + 1e-13 * values.max() / values
     uncertain = deviation_mm > TOLERANCE_MM
     assert abs(n_held - int(uncertain.sum())) <= int((~clear).sum())
@@ -70,17 +70,17 @@ def ridge(flatness, rng, n=300):
 def test_flattening_patch(flatness, noise_mm, seed):
     rng = np.random.default_rng(seed)
     points, normals = ridge(flatness, rng)
-    told = assess_observability(points, normals, points.mean(axis=0), noise_mm)
-    assert np.isfinite(told.covariance).all()
-    values = np.linalg.eigvalsh(told.covariance)
+    result = assess_observability(points, normals, points.mean(axis=0), noise_mm)
+    assert np.isfinite(result.covariance).all()
+    values = np.linalg.eigvalsh(result.covariance)
     assert values.min() > 0
     slide = np.zeros((6, 2))
     slide[3, 0] = slide[4, 1] = 1.0
-    seen = np.linalg.norm(told.observable @ slide, axis=0)
+    seen = np.linalg.norm(result.observable @ slide, axis=0)
     # Normals that lean less than the model's own error show nothing of a slide; ten times that, with this noise, all.
     if flatness < np.deg2rad(TOLERANCES.normal_error_deg) / 3:
         assert seen.max() <= 0.2
-        assert len(told.weak_directions) >= 3
+        assert len(result.weak_directions) >= 3
     if flatness > 10 * np.deg2rad(TOLERANCES.normal_error_deg) and noise_mm < 0.05:
         assert seen.min() >= 0.9
 

@@ -89,7 +89,7 @@ def test_adapt_and_project(mask, surface, mode, stride, seed):
 @row(8, "project: from none to a few points, at one place, in one line, in one plane")
 @given(
     st.integers(0, 5),
-    st.sampled_from(["coincident", "line", "plane", "behind", "beside", "at the lens"]),
+    st.sampled_from(["coincident", "line", "plane", "behind", "outside", "at the lens"]),
     st.sampled_from(["surface", "paper"]),
     seeds,
 )
@@ -105,7 +105,7 @@ def test_few_points(n, place, mode, seed):
         points[:, 1] = points[:, 0]
     elif place == "behind":
         points[:, 2] *= -1
-    elif place == "beside":
+    elif place == "outside":
         points[:, 0] += 1e4
     elif place == "at the lens":
         points[:, 2] = 0.0
@@ -131,8 +131,8 @@ def test_generate(name, mask, surface, how, seed):
     seen = replace(
         seen, depth_mm=np.where(touched, spec.rest_depth_mm - seen.indentation_mm, np.nan).astype(np.float32)
     )
-    result, told = outcome(render_touch, seen, spec, PhysicalRenderParams(surface=how))
-    assert result is not None, told
+    result, message = outcome(render_touch, seen, spec, PhysicalRenderParams(surface=how))
+    assert result is not None, message
     sound(result)
     if not touched.any():
         assert not result.membrane.indentation_mm.any()
@@ -143,9 +143,9 @@ def test_generate(name, mask, surface, how, seed):
 def test_pose(mask, surface, seed):
     rng = np.random.default_rng(seed)
     spec = small("gelslim", 0.25)
-    felt = replace(touch(spec, pushed_mm(surface, spec, rng)), contact=mask_of(mask, spec.camera.shape, rng))
-    result, told = outcome(estimate_pose, felt, mesh("ball"), PoseParams(n_starts=6))
-    assert result is not None, told
+    touched = replace(touch(spec, pushed_mm(surface, spec, rng)), contact=mask_of(mask, spec.camera.shape, rng))
+    result, message = outcome(estimate_pose, touched, mesh("ball"), PoseParams(n_starts=6))
+    assert result is not None, message
     sound(result)
 
 
@@ -171,9 +171,9 @@ def test_mesh(kind, seed):
         "speck": (ball.vertices_mm * 1e-9, ball.triangles),
         "continent": (ball.vertices_mm * 1e9, ball.triangles),
     }[kind]  # fmt: skip
-    felt = touch(spec, np.where(mask_of("half", spec.camera.shape, rng), pushed_mm("sphere", spec, rng), 0.0))
+    touched = touch(spec, np.where(mask_of("half", spec.camera.shape, rng), pushed_mm("sphere", spec, rng), 0.0))
     bad = Mesh(vertices_mm=vertices, triangles=triangles.astype(np.int32), name=kind)
-    result, _ = outcome(estimate_pose, felt, bad, PoseParams(face="+z", n_starts=6))
+    result, _ = outcome(estimate_pose, touched, bad, PoseParams(face="+z", n_starts=6))
     if result is not None:
         sound(result)
 
@@ -192,10 +192,10 @@ def test_observability(n, place, seed):
         points[:, 2], normals[:] = 0.0, (0.0, 0.0, 1.0)
     elif place == "far":
         points += 1e6
-    told = assess_observability(points, normals, points.mean(axis=0), 0.01)
-    assert np.isfinite(told.covariance).all()
-    assert np.isfinite(told.observable).all()
-    scale = max(1.0, float(np.abs(told.observable).max())) ** 2
-    assert np.abs(told.observable @ told.observable - told.observable).max() <= DETERMINED_IDEMPOTENT * scale
-    assert len(told.weak_directions) == len(told.weak_motions) == 6 - round(float(np.trace(told.observable)))
-    assert len(told.weak_directions) >= max(1, 6 - n)
+    result = assess_observability(points, normals, points.mean(axis=0), 0.01)
+    assert np.isfinite(result.covariance).all()
+    assert np.isfinite(result.observable).all()
+    scale = max(1.0, float(np.abs(result.observable).max())) ** 2
+    assert np.abs(result.observable @ result.observable - result.observable).max() <= DETERMINED_IDEMPOTENT * scale
+    assert len(result.weak_directions) == len(result.weak_motions) == 6 - round(float(np.trace(result.observable)))
+    assert len(result.weak_directions) >= max(1, 6 - n)

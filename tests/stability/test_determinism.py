@@ -52,7 +52,7 @@ def test_pose_again(seed):
 
 def in_a_process(threads: int, *asked: str) -> str:
     names = ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-    told = subprocess.run(
+    done = subprocess.run(
         [sys.executable, "-m", "tests.stability.test_determinism", *asked],
         capture_output=True,
         text=True,
@@ -60,7 +60,7 @@ def in_a_process(threads: int, *asked: str) -> str:
         cwd=ROOT,
         env={**os.environ, **dict.fromkeys(names, str(threads))},
     )
-    return told.stdout.strip()
+    return done.stdout.strip()
 
 
 @pytest.mark.parametrize("pair", [("gelslim", "soft_bubble"), ("soft_bubble", "digit")])

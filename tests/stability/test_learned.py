@@ -42,7 +42,7 @@ def shipped(name):
 
 
 def reading(spec, kind: str, seed: int) -> TactileFrame:
-    """A frame that is all of one kind, beside the untouched sensor's."""
+    """A frame that is all of one kind, with the reference image."""
     rng, gel = np.random.default_rng(seed), spec.kind == "gel"
     still = optics.render_reference(spec) if gel else spec.rest_depth_mm.astype(np.float32)
     low, high = (0, 255) if gel else (np.float32(still.min() - spec.limits.indentation_max_mm), np.float32(still.max()))
@@ -192,18 +192,18 @@ def test_depth(which, picture, certainty, seed, strength):
         assert found.error.rms_mm >= 0
 
 
-@row("12,6", "pose by network: any touch of any object, one that it was taught and one that it was not", share=0.13)
+@row("12,6", "pose by network: any touch of any object, trained or not", share=0.13)
 @given(st.sampled_from([GEL, BUBBLE]), st.sampled_from(PICTURES), st.sampled_from(KINDS), st.booleans(), seeds)
 def test_pose(name, picture, kind, known, seed):
     spec, thing = small(name), shapes.make_shape("cross").mesh
     if not known:
         thing = replace(thing, vertices_mm=1e3 * thing.vertices_mm)
-    felt = touch(spec, indentation_mm(spec, kind, np.random.default_rng(seed)))
+    touched = touch(spec, indentation_mm(spec, kind, np.random.default_rng(seed)))
     made = replace(
-        t2d2.physical_render.make_reference_touch(spec), image=reading(spec, picture, seed).image, membrane=felt
+        t2d2.physical_render.make_reference_touch(spec), image=reading(spec, picture, seed).image, membrane=touched
     )
     result, _ = outcome(
-        pose_network.predict_pose, made, felt, spec, thing, shipped(f"pose_{name}"), PoseParams(max_points=50)
+        pose_network.predict_pose, made, touched, spec, thing, shipped(f"pose_{name}"), PoseParams(max_points=50)
     )  # fmt: skip
     if result is not None:
         sound(answered(result))
@@ -217,15 +217,15 @@ def test_pose(name, picture, kind, known, seed):
 )  # fmt: skip
 def test_the_papers_poses(method, thing, kind, n, far_mm, most, face, where, seed):
     spec = small("digit")
-    felt = touch(spec, indentation_mm(spec, kind, np.random.default_rng(seed)))
+    touched = touch(spec, indentation_mm(spec, kind, np.random.default_rng(seed)))
     if where == "three pixels":
-        few = np.zeros_like(felt.contact)
-        few.flat[np.flatnonzero(felt.contact)[:3]] = True
-        felt = replace(felt, contact=few)
+        few = np.zeros_like(touched.contact)
+        few.flat[np.flatnonzero(touched.contact)[:3]] = True
+        touched = replace(touched, contact=few)
     elif where == "far off":
-        felt = replace(felt, depth_mm=felt.depth_mm + np.float32(900.0))
+        touched = replace(touched, depth_mm=touched.depth_mm + np.float32(900.0))
     how = PoseParams(n_iterations=n, max_distance_mm=far_mm, max_points=most, face=face, n_starts=2, keep_steps=True)
-    result, _ = outcome(method, felt, mesh(thing), how)
+    result, _ = outcome(method, touched, mesh(thing), how)
     if result is not None:
         sound(result)
 

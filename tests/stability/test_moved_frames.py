@@ -24,7 +24,7 @@ from pipeline.simulation.press import simulate_press
 from pipeline.stages.cloud.back_projection import BackProjectionParams, back_project_depth
 from pipeline.stages.pose.signed_distances import PoseParams, estimate_pose
 from pipeline.stages.target_depth.surface_projection import project_cloud
-from tests.pipeline.registration.solids import REST_MM, felt, notched_wedge
+from tests.pipeline.registration.solids import REST_MM, notched_wedge, observe_depth
 from tests.stability.rows import row
 from tests.stability.scenes import (
     KINDS,
@@ -82,7 +82,7 @@ def test_view_under_a_carried_alignment_frame(kind, mode, motion, power, seed):
     )
     seen_a, seen_b = a.source_index >= 0, b.source_index >= 0
     same = seen_a & seen_b & (a.source_index == b.source_index)
-    # A point in the last bit beside a border falls on either side of it.
+    # A point in the last bit at a border falls on either side of it.
     assert (seen_a ^ seen_b).sum() <= 0.01 * seen_a.sum() + 2
     gap_mm = np.abs(a.depth_mm.astype(np.float64) - b.depth_mm)[same]
     assert (
@@ -165,7 +165,7 @@ def assert_found_from_another_origin(power, seed):
     rng = np.random.default_rng(seed)
     thing = notched_wedge().mesh
     truth = rigid.translation(0.3, -0.2, REST_MM + 1.2) @ rigid.rotation([0, 0, rng.uniform(-3, 3)])
-    touched = felt(notched_wedge(), truth @ rigid.rotation([np.pi, 0, 0]))
+    touched = observe_depth(notched_wedge(), truth @ rigid.rotation([np.pi, 0, 0]))
     shift = rng.uniform(-1, 1, 3) * 10.0**power
     moved = Mesh(vertices_mm=thing.vertices_mm + shift, triangles=thing.triangles, name=thing.name)
     a, b = (estimate_pose(touched, m, PoseParams(face="+z", n_starts=12)) for m in (thing, moved))

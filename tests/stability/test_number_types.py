@@ -139,7 +139,7 @@ def test_generate(name, kind, number, seed):
     assert other.dtype == np.float32
     off_mm = np.abs(made - other)
     tolerance_mm = 4 * ulp_mm(number, float(spec.rest_depth_mm.max())) + 2e-3
-    # Beside a ledge a node of the lattice lies on one of its sides or the other: hardly any, and none beyond the ledge.
+    # At a ledge a node of the lattice lies on one of its sides or the other: hardly any, and none beyond the ledge.
     assert np.count_nonzero(off_mm > tolerance_mm) <= 1 + np.count_nonzero(seen.contact) // 50
     assert off_mm.max() <= seen.indentation_mm.max() + tolerance_mm
 
@@ -148,12 +148,12 @@ def test_generate(name, kind, number, seed):
 @given(FLOATS, FLOATS, st.sampled_from([np.int32, np.int64, np.uint32]), seeds)
 def test_pose(number, of_mesh, of_index, seed):
     spec = small("gelslim", 0.25)
-    felt = touch(spec, indentation_mm(spec, "sphere", np.random.default_rng(seed)))
-    other = replace(felt, depth_mm=felt.depth_mm.astype(number))
+    touched = touch(spec, indentation_mm(spec, "sphere", np.random.default_rng(seed)))
+    other = replace(touched, depth_mm=touched.depth_mm.astype(number))
     ball = mesh("ball")
     ball = replace(ball, vertices_mm=ball.vertices_mm.astype(of_mesh), triangles=ball.triangles.astype(of_index))
-    result, told = outcome(estimate_pose, other, ball, PoseParams(face="+z", n_starts=6))
-    assert result is not None or np.float16 in (number, of_mesh), told
+    result, message = outcome(estimate_pose, other, ball, PoseParams(face="+z", n_starts=6))
+    assert result is not None or np.float16 in (number, of_mesh), message
     if result is not None:
         sound(result)
 
@@ -163,9 +163,9 @@ def test_pose(number, of_mesh, of_index, seed):
 def test_transform(number, seed):
     rng = np.random.default_rng(seed)
     moved = rigid.from_parts(rng.uniform(-30, 30, 3), rng.uniform(-180, 180, 3))
-    answer, told = outcome(rigid.validate_rigid, moved.astype(number), "it")
+    answer, message = outcome(rigid.validate_rigid, moved.astype(number), "it")
     if answer is None:
-        assert number is np.float16, told
+        assert number is np.float16, message
         return
     assert answer.dtype == np.float64
     # Exponential, singular value decomposition and product of three columns each round a few times: 16 in all.

@@ -50,7 +50,7 @@ POISONS = {
     "-huge": -3e38,
     "far": 1e9,
 }
-ENORMOUS = ("huge", "-huge", "far", "inf", "-inf", "nan")  # of a mesh: see the row beside
+ENORMOUS = ("huge", "-huge", "far", "inf", "-inf", "nan")  # of a mesh: see the other row
 poisons = st.sampled_from(sorted(POISONS))
 shares = st.sampled_from(["one", "some", "most", "all"])
 
@@ -237,8 +237,8 @@ def test_mesh_indices(index, seed):
     triangles = ball.triangles.copy()
     triangles.flat[rng.integers(triangles.size)] = index
     bad = Mesh(vertices_mm=ball.vertices_mm, triangles=triangles)
-    felt = touch(spec, indentation_mm(spec, "sphere", rng))
-    assert outcome(estimate_pose, felt, bad, PoseParams(face="+z", n_starts=6))[0] is None
+    touched = touch(spec, indentation_mm(spec, "sphere", rng))
+    assert outcome(estimate_pose, touched, bad, PoseParams(face="+z", n_starts=6))[0] is None
 
 
 @row(7, "camera: poisoned intrinsics, in a value and in a matrix", refused=0.3)

@@ -90,11 +90,11 @@ def test_inverse(a, b, power):
 def test_a_damaged_transform(matrix, entry, value, added):
     damaged = matrix.copy()
     damaged.flat[entry] = value + (damaged.flat[entry] if added else 0.0)
-    answer, told = outcome(rigid.validate_rigid, damaged, "it")
+    answer, message = outcome(rigid.validate_rigid, damaged, "it")
     if answer is None:
         # What moves a point of the unit sphere by less than the tolerance is no damage, and a shift is any number.
         rigid_enough = np.abs(damaged - matrix)[[0, 1, 2, 3], :3].max() <= 0.1 * rigid.ORTHONORMAL_TOLERANCE
-        assert not (rigid_enough and np.isfinite(damaged).all() and damaged[3, 3] == 1), told
+        assert not (rigid_enough and np.isfinite(damaged).all() and damaged[3, 3] == 1), message
         return
     assert np.isfinite(answer).all()
     assert np.abs(answer[:3, :3].T @ answer[:3, :3] - np.eye(3)).max() <= 16 * EPS

@@ -18,7 +18,7 @@ from tests.stability.checks import outcome, sound
 from tests.stability.rows import SIZE, row
 from tests.stability.scenes import aligned, frame, mesh, seeds, small
 
-GROWTH_MB = 200.0  # the cache of results has its own bound; what may come beside it are tables for new sizes
+GROWTH_MB = 200.0  # the cache of results has its own bound; in addition there are tables for new sizes
 CACHE_BYTES = 32 * 2**20
 SENSORS = ("digit", "gelslim", "soft_bubble")
 STAGES = ("depth", "cloud", "target_depth", "touch")

@@ -32,7 +32,7 @@ def test_the_steps_are_asked_for_and_each_of_them_is_shown_everywhere(posed, qtb
     assert part.result.digest == before.result.digest, "the answer is the same"
     n = len(part.result.output.steps)
     assert n == len(part.states) == len(part.state_layers) == tab.plot.count > 3
-    assert "settled: " in tab.message
+    assert "converged: " in tab.message
     assert window.tabs.currentWidget() is tab
     assert tab.slot == "pose"
     drawn = []

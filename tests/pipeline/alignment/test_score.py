@@ -63,23 +63,23 @@ def test_a_shift_shows_in_depth_edge_and_overlap_by_its_own_size(touch, factor):
     lower = score_preview(touch, nudge(ALIGNED, "z", 0.1, pivot_mm=pivot), side)[1]
     assert lower.bias_mm == pytest.approx(0.1, abs=SUB_PIXEL_MM)
     here = score_preview(touch, ALIGNED, side)[1]
-    beside = score_preview(touch, nudge(ALIGNED, "x", 1.0, pivot_mm=pivot), side)[1]
-    assert beside.iou < here.iou - 0.1
-    assert beside.edge_px > here.edge_px + 3.0  # 1 mm is 24 px, seen on the edges that stand across
+    shifted = score_preview(touch, nudge(ALIGNED, "x", 1.0, pivot_mm=pivot), side)[1]
+    assert shifted.iou < here.iou - 0.1
+    assert shifted.edge_px > here.edge_px + 3.0  # 1 mm is 24 px, seen on the edges that stand across
 
 
 def test_sensitivity_says_which_axis_matters_and_which_way_is_better(touch):
     side = observe_target(touch.target, TARGET, factor=4)
     off = nudge(ALIGNED, "z", -0.3, pivot_mm=find_pivot(touch, ALIGNED))
-    told = {s.axis: s for s in compute_sensitivities(touch, off, side)}
-    assert tuple(told) == AXES
-    assert told["z"].depth_mm.slope == pytest.approx(
+    by_axis = {s.axis: s for s in compute_sensitivities(touch, off, side)}
+    assert tuple(by_axis) == AXES
+    assert by_axis["z"].depth_mm.slope == pytest.approx(
         -UNIT_STEP, rel=0.2
     )  # too near: 0.1 mm farther is better by as much
-    assert told["z"].depth_mm.magnitude > 3.0 * told["x"].depth_mm.magnitude
+    assert by_axis["z"].depth_mm.magnitude > 3.0 * by_axis["x"].depth_mm.magnitude
     at_best = {s.axis: s for s in compute_sensitivities(touch, ALIGNED, side)}
     assert at_best["x"].iou.magnitude > 0.0
-    assert (told["rz"].unit, told["x"].unit) == ("deg", "mm")
+    assert (by_axis["rz"].unit, by_axis["x"].unit) == ("deg", "mm")
 
 
 def test_where_nothing_meets_there_is_no_distance_and_no_error(touch):

@@ -39,7 +39,7 @@ def cluster():
 
 
 def noted(piece):
-    """The square of a number, told in a file each time that it is worked out to the end."""
+    """The square of a number, written to a file each time that it is computed."""
     number, folder = piece
     time.sleep(0.3)
     with Path(folder, f"{number}_{os.getpid()}_{time.monotonic_ns()}").open("x"):

@@ -25,8 +25,8 @@ class Oven:
 
 def test_settings_come_in_order_with_their_values():
     assert list(list_settings(Oven())) == ["heat_deg", "trays", "fan", "mode"]
-    value, told = list_settings(Oven())["heat_deg"]
-    assert (value, told.unit, told.high) == (180.0, "°C", 250.0)
+    value, setting = list_settings(Oven())["heat_deg"]
+    assert (value, setting.unit, setting.high) == (180.0, "°C", 250.0)
 
 
 @given(st.floats(50.0, 250.0))
@@ -44,7 +44,7 @@ def test_switches_take_the_usual_words(text, value):
     [
         ("heat", "3", "no parameter 'heat'; there are heat_deg, trays, fan, mode"),
         ("heat_deg", "warm", "heat_deg must be a number, got 'warm'"),
-        ("heat_deg", "180,5", "heat_deg must be a number, got '180,5'; decimals stand behind a point: 180.5"),
+        ("heat_deg", "180,5", "heat_deg must be a number, got '180,5'; use a decimal point: 180.5"),
         ("heat_deg", "20", "heat_deg must lie within 50 and 250 °C, got 20"),
         ("heat_deg", "nan", "heat_deg must lie within 50 and 250 °C, got nan"),
         ("trays", 2.5, "trays must be a whole number, got 2.5"),
@@ -61,6 +61,8 @@ def test_a_wrong_setting_is_named_with_what_is_allowed(name, value, sentence):
 @pytest.mark.parametrize("params", [DepthParams(), PhysicalRenderParams()], ids=lambda p: type(p).__name__)
 def test_words_that_may_be_chosen_are_those_of_the_type(params):
     hints = get_type_hints(type(params))
-    words = {name: told.choices for name, (value, told) in list_settings(params).items() if isinstance(value, str)}
+    words = {
+        name: setting.choices for name, (value, setting) in list_settings(params).items() if isinstance(value, str)
+    }
     assert words
     assert words == {name: get_args(hints[name]) for name in words}

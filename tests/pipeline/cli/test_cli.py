@@ -225,7 +225,7 @@ def test_a_recording_of_no_frame_is_no_success(tmp_path, said, capsys):
 
 def test_a_decimal_comma_is_answered_with_the_point(touches, tmp_path, said):
     told = said("translate", touches, "--target=digit", "--out", tmp_path / "out", "--translation-mm", "1,5", "0", "0")
-    assert "decimals stand behind a point: 1.5" in told
+    assert "use a decimal point: 1.5" in told
 
 
 def test_messages_of_matplotlib_are_hidden(tmp_path, said):

@@ -179,8 +179,7 @@ def test_whatever_one_frame_raises_the_others_are_translated(typed, tmp_path, mo
     assert code == EXIT_UNEXPECTED
     assert "1 of 3 frames written" in out
     assert [line.partition(":")[2].strip() for line in err.splitlines()] == [
-        f"frame {i}: something unexpected went wrong (ZeroDivisionError: a frame); the details are in '{log}'"
-        for i in (1, 2)
+        f"frame {i}: unexpected error (ZeroDivisionError: a frame); the details are in '{log}'" for i in (1, 2)
     ]
     assert [("problem" in f) for f in frames(tmp_path / "out")] == [False, True, True]
     assert log.read_text().count("ZeroDivisionError: a frame") == 2
@@ -191,7 +190,7 @@ def test_an_error_outside_the_frames_is_one_sentence_with_its_details_in_a_file(
     monkeypatch.setattr(translate, "write_report", lambda *_args: {}["key"])
     code, _, err = typed()
     assert code == EXIT_UNEXPECTED
-    assert err == (f"tactoscope: something unexpected went wrong (KeyError: 'key'); the details are in '{log}'\n")
+    assert err == (f"tactoscope: unexpected error (KeyError: 'key'); the details are in '{log}'\n")
     assert "Traceback" in log.read_text()
 
 

@@ -13,7 +13,7 @@ from pipeline.simulation.shapes import prisms, solids
 from tests.pipeline.registration.solids import ball
 
 QUANTUM_MM = 2e-4  # float32 distances and 16-bit steps
-EDGE_SHARE = 0.75  # of a fine step: the most that a straight line between nodes misses beside an edge
+EDGE_SHARE = 0.75  # of a fine step: the most that a straight line between nodes misses at an edge
 
 
 @pytest.fixture(scope="module")

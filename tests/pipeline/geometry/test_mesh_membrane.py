@@ -53,7 +53,7 @@ def test_a_file_in_metres_is_read_in_its_unit(tmp_path):
     ("vertices", "words"),
     [
         ([(0, 0, -5), (9, 0, 20), (0, 9, 20)], "behind the camera"),
-        ([(0, 0, 20), (9, 0, 20), (4, 0, 30)], "stands on edge"),
+        ([(0, 0, 20), (9, 0, 20), (4, 0, 30)], "parallel to z"),
     ],
 )
 def test_a_mesh_that_cannot_rest_before_a_camera_is_refused(vertices, words):

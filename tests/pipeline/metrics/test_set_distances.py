@@ -19,8 +19,8 @@ def test_frechet_is_the_textbook_distance():
     a, b = sets(shift=0.3)
     gap = a.mean(0) - b.mean(0)
     s, t = np.cov(a.T), np.cov(b.T)
-    told = gap @ gap + np.trace(s + t - 2 * np.real(sqrtm(s @ t)))
-    assert frechet_distance(a, b) == pytest.approx(told, rel=1e-8)
+    expected = gap @ gap + np.trace(s + t - 2 * np.real(sqrtm(s @ t)))
+    assert frechet_distance(a, b) == pytest.approx(expected, rel=1e-8)
 
 
 def test_frechet_of_fewer_touches_than_features_is_a_number_and_0_for_the_same_set():

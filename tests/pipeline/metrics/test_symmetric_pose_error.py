@@ -153,16 +153,16 @@ def test_a_hex_keys_shaft_is_a_rod_while_its_elbow_is_out_of_sight(slide, roll, 
     normals = np.stack([np.zeros(800), np.sin(angle), -np.cos(angle)], axis=1)
     points = AT_MM + 2.0 * normals + rng.uniform(-4, 4, (800, 1)) * [1.0, 0, 0]
     at_mm = points.mean(axis=0)
-    told = assess_observability(points, normals, at_mm, 0.03)
+    result = assess_observability(points, normals, at_mm, 0.03)
     truth = rigid.translation(*AT_MM)
-    felt_as = truth @ rigid.rotation([roll, 0, 0]) @ rigid.translation(slide, 0, 0)
-    estimate = rigid.translation(0.0, 0.0, off_mm) @ felt_as
-    mm, deg = compute_observable_error(felt_as, truth, told.observable, at_mm)
+    estimate_along = truth @ rigid.rotation([roll, 0, 0]) @ rigid.translation(slide, 0, 0)
+    estimate = rigid.translation(0.0, 0.0, off_mm) @ estimate_along
+    mm, deg = compute_observable_error(estimate_along, truth, result.observable, at_mm)
     assert mm < 1e-6
     assert deg < 1e-5
-    assert mssd_mm(felt_as, truth, rod(), None) >= abs(slide) - ROUNDING_MM
+    assert mssd_mm(estimate_along, truth, rod(), None) >= abs(slide) - ROUNDING_MM
     if abs(roll) < 0.1:
-        assert compute_observable_error(estimate, truth, told.observable, at_mm)[0] == pytest.approx(
+        assert compute_observable_error(estimate, truth, result.observable, at_mm)[0] == pytest.approx(
             abs(off_mm), abs=0.01
         )
 
@@ -188,9 +188,9 @@ def test_minima_that_are_the_same_pose_count_once():
     truth = pose([0.0, 0.0, 0.3])
     half, aside = truth @ rigid.rotation([0, 0, math.pi]), rigid.translation(2.0, 0, 0) @ truth
     assert compute_ambiguity([truth, half, aside], BOX, cyclic(2), 0.1).n_distinct == 2
-    told = compute_ambiguity([truth, half, aside], BOX, None, 0.1)
-    assert told.n_distinct == 3
-    assert told.spread_mm == pytest.approx(2 * math.hypot(4.0, 2.0), rel=0.3)
+    result = compute_ambiguity([truth, half, aside], BOX, None, 0.1)
+    assert result.n_distinct == 3
+    assert result.spread_mm == pytest.approx(2 * math.hypot(4.0, 2.0), rel=0.3)
     assert compute_ambiguity([], BOX, None, 0.1).n_distinct == 0
 
 

@@ -67,7 +67,9 @@ def _planes(part, low_mm, high_mm, axes):
     return np.array(rows)
 
 
-def felt(solid: Solid, sensor_from_object: np.ndarray, camera: Camera = CAMERA, noise_mm: float = 0.0) -> DepthMap:
+def observe_depth(
+    solid: Solid, sensor_from_object: np.ndarray, camera: Camera = CAMERA, noise_mm: float = 0.0
+) -> DepthMap:
     """The touch of a gel that follows the solid wherever they overlap; exact but for float32 and `noise_mm`."""
     x, y = camera.rays()
     ray = np.stack([*np.broadcast_arrays(x[None, :], y[:, None]), np.ones(camera.shape)], axis=-1)
@@ -89,7 +91,7 @@ def felt(solid: Solid, sensor_from_object: np.ndarray, camera: Camera = CAMERA, 
 
 
 def touch_of(surface_mm: np.ndarray, contact: np.ndarray, camera: Camera = CAMERA) -> DepthMap:
-    """What is felt of this membrane and contact."""
+    """The depth map of this membrane and contact."""
     return DepthMap(
         indentation_mm=np.float32(REST_MM - surface_mm),
         depth_mm=surface_mm.astype(np.float32),

@@ -41,12 +41,12 @@ def crooked(normals, seed: int, deg: float = NORMAL_NOISE_DEG):
 def test_every_motion_nobody_can_feel_is_named_and_no_other(kind, seed, noise_mm, turn):
     pose = rigid.rotation(turn)
     pose[:3, 3] = (5.0, -8.0, 20.0)
-    felt = patch(kind, seed, pose)
+    contact = patch(kind, seed, pose)
     together = 0.1 * noise_mm  # of a smooth error, as of pixels that hang together over 0.15 mm
-    middle = felt.points_mm.mean(axis=0)
-    told = assess_observability(
-        felt.points_mm,
-        crooked(felt.normals, seed),
+    middle = contact.points_mm.mean(axis=0)
+    result = assess_observability(
+        contact.points_mm,
+        crooked(contact.normals, seed),
         middle,
         noise_mm,
         systematic_error=SystematicStd(translation_mm=together, rotation_mm=together),
@@ -57,17 +57,17 @@ def test_every_motion_nobody_can_feel_is_named_and_no_other(kind, seed, noise_mm
         math.hypot(max(noise_mm, MIN_NOISE_MM) / math.sqrt(N), together),
         Tolerances(),
     )
-    score = observability_score.score_named_motions(told.weak_motions, middle, truth)
-    assert score.n_named == score.n_weak >= len(felt.free)
+    score = observability_score.score_named_motions(result.weak_motions, middle, truth)
+    assert score.n_named == score.n_weak >= len(contact.free)
     assert score.n_false == 0
-    assert len(told.weak_directions) == len(told.weak_motions)
-    np.testing.assert_allclose(told.observable @ told.observable, told.observable, atol=1e-8)
+    assert len(result.weak_directions) == len(result.weak_motions)
+    np.testing.assert_allclose(result.observable @ result.observable, result.observable, atol=1e-8)
 
 
 def test_the_score_notices_what_is_missed_and_what_is_made_up():
-    felt = patch("rod", 1)
-    truth = observability_score.compute_true_motions(felt, N, NOISE_MM, Tolerances())
-    middle = felt.points_mm.mean(axis=0)
+    contact = patch("rod", 1)
+    truth = observability_score.compute_true_motions(contact, N, NOISE_MM, Tolerances())
+    middle = contact.points_mm.mean(axis=0)
     slide, across = np.eye(6)[3:4], np.eye(6)[4:5]
     missed = observability_score.score_named_motions(slide, middle, truth)
     assert (missed.recall, missed.precision) == (0.5, 1.0)
@@ -77,18 +77,18 @@ def test_the_score_notices_what_is_missed_and_what_is_made_up():
 
 def test_words_tell_the_axis_and_a_point_on_it():
     rod = patch("rod", 2).transform(rigid.translation(1.0, 2.0, 20.0))
-    told = assess_observability(rod.points_mm, rod.normals, rod.points_mm.mean(axis=0), NOISE_MM)
+    result = assess_observability(rod.points_mm, rod.normals, rod.points_mm.mean(axis=0), NOISE_MM)
     x_mm = rod.points_mm[:, 0].mean()  # the point of the axis that is nearest to the contact
-    assert told.weak_directions == ("slides along x", f"turns about x through ({x_mm:.1f}, 2.0, 20.0) mm")
+    assert result.weak_directions == ("slides along x", f"turns about x through ({x_mm:.1f}, 2.0, 20.0) mm")
     ball = patch("sphere", 2).transform(rigid.translation(0.0, 0.0, 30.0))
-    told = assess_observability(ball.points_mm, ball.normals, ball.points_mm.mean(axis=0), NOISE_MM)
-    assert told.weak_directions == tuple(f"turns about {axis} through (0.0, 0.0, 30.0) mm" for axis in "xyz")
+    result = assess_observability(ball.points_mm, ball.normals, ball.points_mm.mean(axis=0), NOISE_MM)
+    assert result.weak_directions == tuple(f"turns about {axis} through (0.0, 0.0, 30.0) mm" for axis in "xyz")
     plate = patch("plane", 2)
-    told = assess_observability(plate.points_mm, plate.normals, plate.points_mm.mean(axis=0), NOISE_MM)
-    assert told.weak_directions == ("slides along x", "slides along y", "turns about z")
+    result = assess_observability(plate.points_mm, plate.normals, plate.points_mm.mean(axis=0), NOISE_MM)
+    assert result.weak_directions == ("slides along x", "slides along y", "turns about z")
     skew = rod.transform(rigid.rotation([0.0, 0.0, math.radians(30.0)]))
-    told = assess_observability(skew.points_mm, skew.normals, skew.points_mm.mean(axis=0), NOISE_MM)
-    assert told.weak_directions[0] == "slides along (0.87, 0.50, 0.00)"
+    result = assess_observability(skew.points_mm, skew.normals, skew.points_mm.mean(axis=0), NOISE_MM)
+    assert result.weak_directions[0] == "slides along (0.87, 0.50, 0.00)"
 
 
 def test_a_helix_is_a_turn_with_a_slide():
@@ -100,8 +100,8 @@ def test_a_helix_is_a_turn_with_a_slide():
     normals = -pitch_mm * around + away[:, None] * np.eye(3)[2]
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     points = away[:, None] * out + pitch_mm * angle[:, None] * np.eye(3)[2]
-    told = assess_observability(points, normals, points.mean(axis=0), 1e-3)
-    assert told.weak_directions == ("turns about z while sliding along z",)
+    result = assess_observability(points, normals, points.mean(axis=0), 1e-3)
+    assert result.weak_directions == ("turns about z while sliding along z",)
 
 
 def test_a_fine_screw_keeps_the_slide_that_goes_with_its_turn():
@@ -113,8 +113,8 @@ def test_a_fine_screw_keeps_the_slide_that_goes_with_its_turn():
     normals = -pitch_mm * around + away[:, None] * np.eye(3)[2]
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     points = away[:, None] * out + pitch_mm * angle[:, None] * np.eye(3)[2]
-    told = assess_observability(points, normals, points.mean(axis=0), 1e-3)
-    assert "turns about z while sliding along z" in told.weak_directions[-1]
+    result = assess_observability(points, normals, points.mean(axis=0), 1e-3)
+    assert "turns about z while sliding along z" in result.weak_directions[-1]
 
 
 @pytest.mark.parametrize("sides", [64, 96, 200])
@@ -123,21 +123,21 @@ def test_facets_of_a_round_rod_do_not_pass_for_knowledge_of_its_roll(sides):
     step = 2 * math.pi / sides
     angle = (np.floor(np.arctan2(made.normals[:, 1], made.normals[:, 2]) / step) + 0.5) * step
     facets = np.stack([np.zeros_like(angle), np.sin(angle), np.cos(angle)], axis=1)
-    told = assess_observability(made.points_mm, facets, made.points_mm.mean(axis=0), 0.0)
-    assert len(told.weak_directions) == 2
+    result = assess_observability(made.points_mm, facets, made.points_mm.mean(axis=0), 0.0)
+    assert len(result.weak_directions) == 2
     roll = np.concatenate([[1.0, 0.0, 0.0], np.cross([1.0, 0.0, 0.0], made.points_mm.mean(axis=0))])
-    assert np.linalg.norm(told.observable @ roll) < 0.05 * np.linalg.norm(roll)
+    assert np.linalg.norm(result.observable @ roll) < 0.05 * np.linalg.norm(roll)
 
 
 @pytest.mark.parametrize("kind", ["rod", "plane", "sphere", "edge"])
 def test_gradients_that_are_wrong_cell_by_cell_do_not_pass_for_knowledge_either(kind):
-    felt = patch(kind, 12)
-    cell = np.unique(np.floor(felt.points_mm / 0.5), axis=0, return_inverse=True)[1].ravel()
+    contact = patch(kind, 12)
+    cell = np.unique(np.floor(contact.points_mm / 0.5), axis=0, return_inverse=True)[1].ravel()
     off = math.radians(NORMAL_NOISE_DEG) * np.random.default_rng(1).standard_normal((cell.max() + 1, 3))
-    normals = felt.normals + off[cell]
+    normals = contact.normals + off[cell]
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    told = assess_observability(felt.points_mm, normals, felt.points_mm.mean(axis=0), 0.0)
-    assert len(told.weak_directions) == len(felt.free)
+    result = assess_observability(contact.points_mm, normals, contact.points_mm.mean(axis=0), 0.0)
+    assert len(result.weak_directions) == len(contact.free)
 
 
 def test_a_hexagonal_rod_knows_its_roll():
@@ -146,15 +146,15 @@ def test_a_hexagonal_rod_knows_its_roll():
     angle = side * math.pi / 3
     normals = np.stack([np.zeros(N), np.sin(angle), np.cos(angle)], axis=1)
     points = 3.0 * (normals + across[:, None] * np.cross(normals, [1.0, 0.0, 0.0])) + along[:, None] * np.eye(3)[0]
-    told = assess_observability(points, normals, points.mean(axis=0), NOISE_MM)
-    assert told.weak_directions == ("slides along x",)
+    result = assess_observability(points, normals, points.mean(axis=0), NOISE_MM)
+    assert result.weak_directions == ("slides along x",)
 
 
 def test_no_variance_is_claimed_where_only_crooked_normals_see_something():
     rod = patch("rod", 4)
-    told = assess_observability(rod.points_mm, crooked(rod.normals, 4), rod.points_mm.mean(axis=0), NOISE_MM)
-    assert math.sqrt(told.covariance[3, 3]) > 10.0, "mm along the rod"
-    known = told.observable @ told.covariance @ told.observable.T
+    result = assess_observability(rod.points_mm, crooked(rod.normals, 4), rod.points_mm.mean(axis=0), NOISE_MM)
+    assert math.sqrt(result.covariance[3, 3]) > 10.0, "mm along the rod"
+    known = result.observable @ result.covariance @ result.observable.T
     assert np.sqrt(np.diag(known)).max() < 0.05, "rad and mm of what is determined"
 
 
@@ -182,12 +182,12 @@ def test_what_lasts_of_a_smooth_error_is_what_planes_through_drawn_ones_are_off(
     middle = points.mean(axis=0)
     x, y = (points - middle)[:, 0], (points - middle)[:, 1]
     shift, along_x, along_y = np.linalg.lstsq(np.column_stack([np.ones(120), x, y]), drawn_mm, rcond=None)[0]
-    told = estimate_systematic_error(points, np.tile([0.0, 0.0, 1.0], (120, 1)), middle, error)
-    assert told.translation_mm == pytest.approx(float(np.sqrt((shift**2).mean())), rel=0.05)
+    result = estimate_systematic_error(points, np.tile([0.0, 0.0, 1.0], (120, 1)), middle, error)
+    assert result.translation_mm == pytest.approx(float(np.sqrt((shift**2).mean())), rel=0.05)
     seen_mm2 = 0.5 * ((x**2).mean() + (y**2).mean())  # a turn of 1 rad moves the contact by its square root
     tilts = np.sqrt(0.5 * ((along_x**2).mean() + (along_y**2).mean()) * seen_mm2)
-    assert told.rotation_mm == pytest.approx(float(tilts), rel=0.08)
-    assert told.rotation_mm < 0.5 * told.translation_mm
+    assert result.rotation_mm == pytest.approx(float(tilts), rel=0.08)
+    assert result.rotation_mm < 0.5 * result.translation_mm
 
 
 def test_the_answer_does_not_depend_on_the_frame():
@@ -203,10 +203,10 @@ def test_the_answer_does_not_depend_on_the_frame():
 
 def test_too_little_of_anything_leaves_everything_open():
     point = np.array([[1.0, 2.0, 3.0]] * 3)
-    told = assess_observability(point, np.tile([0.0, 0.0, 1.0], (3, 1)), point.mean(axis=0), 0.05)
-    assert np.isfinite(told.covariance).all()
-    assert np.isfinite(told.weak_motions).all()
-    assert len(told.weak_directions) == 5
+    result = assess_observability(point, np.tile([0.0, 0.0, 1.0], (3, 1)), point.mean(axis=0), 0.05)
+    assert np.isfinite(result.covariance).all()
+    assert np.isfinite(result.weak_motions).all()
+    assert len(result.weak_directions) == 5
 
 
 @pytest.mark.parametrize("correlation_mm", [0.2, 1.5, 8.0])
@@ -215,9 +215,9 @@ def test_errors_that_go_together_widen_each_motion_as_draws_of_them_do(correlati
     middle = tool.points_mm.mean(axis=0)
     error = DepthErrorModel(rms_mm=0.03, correlation_mm=correlation_mm)
     known = assess_observability(tool.points_mm, tool.normals, middle, 0.01).observable
-    told = compute_correlated_covariance(tool.points_mm, tool.normals, middle, known, noise_mm=0.01, error=error)
+    result = compute_correlated_covariance(tool.points_mm, tool.normals, middle, known, noise_mm=0.01, error=error)
     apart = np.linalg.norm(tool.points_mm[:, None] - tool.points_mm[None], axis=-1)
     drawn = error.rms_mm**2 * np.exp(-0.5 * (apart / correlation_mm) ** 2) + 0.01**2 * np.eye(300)
     jacobian = np.concatenate([np.cross(tool.points_mm - middle, tool.normals), tool.normals], axis=1)
     moved = np.linalg.pinv(jacobian) @ np.linalg.cholesky(drawn) @ np.random.default_rng(0).standard_normal((300, 4000))
-    np.testing.assert_allclose(np.sqrt(np.diag(told)), moved.std(axis=1), rtol=0.05)
+    np.testing.assert_allclose(np.sqrt(np.diag(result)), moved.std(axis=1), rtol=0.05)

@@ -77,7 +77,7 @@ def test_the_models_cloud_and_the_sweep_are_those_of_the_release():
 def test_three_points_are_no_touch():
     fit = register_planar(cloud_of(l_bar()), l_face()[:3], HERE, N_ITERATIONS)
     np.testing.assert_array_equal(fit.scene_from_model, np.eye(4))
-    assert "only 3 felt points" in fit.notes[0]
+    assert "only 3 contact points" in fit.notes[0]
 
 
 @given(deg=st.floats(-179.0, 179.0), x=st.floats(-9.0, 9.0), y=st.floats(-9.0, 9.0))

@@ -49,11 +49,11 @@ def test_any_pose_is_recovered_from_nearby(wedge, turn, place, off_turn, off_shi
     grid, points = wedge
     truth = rigid.rotation(3.0 * turn)
     truth[:3, 3] = 100.0 * place
-    felt = rigid.apply(truth, points)
-    found = register_points(felt, grid, off_by(truth, felt, 0.06 * off_turn, 0.3 * off_shift))
+    points_in_sensor = rigid.apply(truth, points)
+    found = register_points(points_in_sensor, grid, off_by(truth, points_in_sensor, 0.06 * off_turn, 0.3 * off_shift))
     assert isinstance(found, PoseFit)
     assert found.fitness == 1.0
-    mm, deg = error(found.sensor_from_object, truth, felt)
+    mm, deg = error(found.sensor_from_object, truth, points_in_sensor)
     assert mm < POSITION_TOLERANCE_MM
     assert deg < TURN_TOLERANCE_DEG
 

@@ -11,7 +11,7 @@ from pipeline.geometry import rigid
 from pipeline.registration.basin_map import NO_MINIMUM, make_start_grid, map_basins
 from pipeline.stages.pose.basin_map import compute_basin_map
 from pipeline.stages.pose.signed_distances import PoseParams, estimate_pose, prepare_search, skip_without_contact
-from tests.pipeline.registration.solids import extruded, felt, l_bar
+from tests.pipeline.registration.solids import extruded, l_bar, observe_depth
 from tests.pipeline.stages.test_pose import lying
 
 SQUARE = [(-2.5, -2.5), (2.5, -2.5), (2.5, 2.5), (-2.5, 2.5)]
@@ -19,14 +19,14 @@ TURNS, SHIFTS = np.array([-90.0, -15.0, 0.0, 15.0, 90.0]), np.array([-0.5, 0.0, 
 
 
 def mapped(solid, truth):
-    touch, params = felt(solid, truth), PoseParams()
+    touch, params = observe_depth(solid, truth), PoseParams()
     found = estimate_pose(touch, solid.mesh, params)
     search, _ = prepare_search(touch, solid.mesh, params)
     return map_basins(search, found.sensor_from_object, TURNS, SHIFTS, "x")
 
 
 def test_starts_are_rotated_about_the_normal_and_translated_in_the_plane():
-    touch = felt(l_bar(), lying(0.5, 0.5, 0.6, 4.0, 30.0, origin_mm=(5.0, 3.5)))
+    touch = observe_depth(l_bar(), lying(0.5, 0.5, 0.6, 4.0, 30.0, origin_mm=(5.0, 3.5)))
     search, _ = prepare_search(touch, l_bar().mesh, PoseParams())
     own = lying(0.5, 0.5, 0.6, 4.0, 30.0, origin_mm=(5.0, 3.5))
     starts = make_start_grid(search, own, TURNS, SHIFTS, "y")
@@ -63,7 +63,7 @@ def test_starts_near_the_pose_of_an_l_bar_reach_it():
 
 def test_no_pose_raises_the_reason_and_the_map_can_be_cancelled():
     truth = lying(0.0, 0.0, 0.6, 4.0, 0.0)
-    touch = felt(l_bar(), truth)
+    touch = observe_depth(l_bar(), truth)
     with pytest.raises(SettingProblem, match="no object mesh"):
         compute_basin_map(touch, None, skip_without_contact(touch, None, PoseParams()), PoseParams())
 

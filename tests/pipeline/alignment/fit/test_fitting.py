@@ -1,4 +1,4 @@
-"""What is put in comes out: orientation, flip, scale, shift and tilt of simulated pairs, within the spread told."""
+"""What is put in comes out: orientation, flip, scale, shift and tilt of simulated pairs, within the predicted standard deviation."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_metric_pairs_keep_their_scale():
 
 
 def test_too_few_pairs_are_refused():
-    with pytest.raises(SettingProblem, match="at least two touches felt by both, got 1"):
+    with pytest.raises(SettingProblem, match="at least two touches.*got 1"):
         fit_pairs(pairs(TRUE, 1))
 
 
@@ -75,9 +75,9 @@ def test_a_stroke_goes_on_where_it_pointed():
     picture = np.zeros((SIDE_PX, SIDE_PX), np.float32)
     y, x = np.indices(picture.shape)
     angle = math.radians(25.0)
-    along, beside = ((x - 32) * math.cos(angle) + (y - 32) * math.sin(angle),
+    along, across = ((x - 32) * math.cos(angle) + (y - 32) * math.sin(angle),
                      (x - 32) * math.sin(angle) - (y - 32) * math.cos(angle))  # fmt: skip
-    picture[(np.abs(beside) < 3) & (along > -5)] = 1.0
+    picture[(np.abs(across) < 3) & (along > -5)] = 1.0
     rays = detect_boundary_ridges(picture)
     assert len(rays.x_px) == 1
     assert math.degrees(math.atan2(rays.down[0], rays.right[0])) == pytest.approx(25.0, abs=2.0)

@@ -58,7 +58,7 @@ def test_a_tile_tells_how_it_was_laid_and_where_it_is_touched(way: int):
 
 
 def test_a_sensor_without_lights_has_no_tiles():
-    with pytest.raises(SettingProblem, match="has no lights"):
+    with pytest.raises(SettingProblem, match="has no LEDs"):
         detect_ridges(tile(0)[1], load_sensor("soft_bubble"))
 
 
@@ -79,12 +79,12 @@ def test_tiles_are_paired_by_name_and_laid_alike(tmp_path: Path, turns: bool):
     assert [p.name for p in found.pairs] == ["0", "1", "2", "3"]
     for k, pair in enumerate(found.pairs):
         np.testing.assert_allclose(pair.imprint, (200 * tile(k)[0]).astype("u1"))
-    assert ("in 4 ways" in found.notes[0]) == turns
+    assert ("4 orientations" in found.notes[0]) == turns
 
 
 def test_tiles_that_do_not_pair_are_refused(tmp_path: Path):
     write(tmp_path, turns=False)
-    with pytest.raises(FileProblem, match=r"no two pictures are named \*_gelslim\.png and \*_other\.png"):
+    with pytest.raises(FileProblem, match=r"no two images are named \*_gelslim\.png and \*_other\.png"):
         load_tile_pairs(tmp_path, SPEC, "*_gelslim.png", "*_other.png")
     with pytest.raises(FileProblem, match=r"one '\*'"):
         load_tile_pairs(tmp_path, SPEC, "gelslim.png", "*_other.png")
@@ -99,5 +99,5 @@ def test_tiles_that_are_paired_with_those_of_other_touches_are_doubted(tmp_path,
         other = (number + late) % len(spots)
         cv2.imwrite(str(tmp_path / f"{number:02d}_gel.png"), change_of(touching, number)[..., ::-1])
         cv2.imwrite(str(tmp_path / f"{other:02d}_imprint.png"), 255 * cv2.GaussianBlur(touching, (0, 0), 4))
-    told = " ".join(load_tile_pairs(tmp_path, SPEC, "*_gel.png", "*_imprint.png").notes)
-    assert ("agree only by chance" in told) is bool(late)
+    notes = " ".join(load_tile_pairs(tmp_path, SPEC, "*_gel.png", "*_imprint.png").notes)
+    assert ("agree only by chance" in notes) is bool(late)
