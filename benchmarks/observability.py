@@ -1,4 +1,4 @@
-"""Does registration report the motions that a contact does not determine? Ours against Open3D's ICP, which reports none.
+"""Does registration report motions that a contact does not determine? Ours against Open3D's ICP.
 
     python -m benchmarks.observability
 

@@ -228,7 +228,8 @@ def measure(part: str = "", way: str = "", presses: int | str = PRESSES) -> Benc
             low, high = np.percentile(found.normalized_chi_square, (25, 75))
             told = (
                 f"{spec.name}, {how}: chi-square {found.ratio:.2f} of a right one's, give or take "
-                f"{found.ratio_error:.2f} ({low:.2f} to {high:.2f}: half of {len(found.normalized_chi_square)} touches), "
+                f"{found.ratio_error:.2f} ({low:.2f} to {high:.2f}: half of "
+                f"{len(found.normalized_chi_square)} touches), "
                 f"{np.median(found.naive):.2f} without the measured error; middle off "
                 f"{np.median(found.shift_um):.0f} um; {np.mean(found.rank):.1f} of 6 directions determined"
             )

@@ -61,8 +61,10 @@ def main(files: list[str]) -> str:
             key = "" if own else row["source"], row["target"], row["candidate"]
             before = rows.get(key, {})
             rows[key] = {
-                **row, "pose_errors": {**before.get("pose_errors", {}), **row["pose_errors"]}, "set_distances": row["set_distances"] or before.get("set_distances")
-            }  # fmt: skip
+                **row,
+                "pose_errors": {**before.get("pose_errors", {}), **row["pose_errors"]},
+                "set_distances": row["set_distances"] or before.get("set_distances"),
+            }
     parts = [HEAD]
     for split, rows in tables.items():
         touches = max(row["n_touches"] for row in rows.values())
@@ -97,10 +99,20 @@ def _cells(source: str, target: str, contender: str, row: Mapping[str, Any]) -> 
     others = (_both(row["pose_errors"].get(name)) for name in ("signed_distances", "icp"))
     way = SHORT[target] if not source else f"{SHORT[source]} > {SHORT[target]}"
     return [
-        way, row["title"] if not source else contender, format_with_paper(value("psnr_db"), "psnr_db"),
-        format_with_paper(value("ssim"), "ssim"), frechet, value("error_mm"), value("error_mm", "contact"), value("iou"),
-        value("correlation"), shift, turn, *others, f"{row['ms']:.0f}" if row["ms"] else "-",
-    ]  # fmt: skip
+        way,
+        row["title"] if not source else contender,
+        format_with_paper(value("psnr_db"), "psnr_db"),
+        format_with_paper(value("ssim"), "ssim"),
+        frechet,
+        value("error_mm"),
+        value("error_mm", "contact"),
+        value("iou"),
+        value("correlation"),
+        shift,
+        turn,
+        *others,
+        f"{row['ms']:.0f}" if row["ms"] else "-",
+    ]
 
 
 def _both(pose: Mapping[str, Any] | None) -> str:

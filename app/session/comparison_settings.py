@@ -1,4 +1,4 @@
-"""What was chosen in *Compare*: a value that a session keeps."""
+"""Settings of *Compare*, stored in the session."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ LAST_STAGE, ALL_STAGES = "last", ""
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ComparisonSettings:
-    """The tab in front and what its controls say."""
+    """The current tab and its controls."""
 
     tab: ComparisonTabName = "methods"
     order: str = "worst first"
-    stage: str = LAST_STAGE  # of two at once, or all of them
+    stage: str = LAST_STAGE  # of two settings, or all stages
     seeds: int = 8
 
     @property
     def plain(self) -> dict[str, object]:
-        """As a session file keeps it."""
+        """Return the settings for a session file."""
         return asdict(self)
 
 
 def from_plain(data: object) -> ComparisonSettings:
-    """Of what a session file holds, the usual one where it holds none; raises ValueError that says what is wrong."""
+    """Return the settings of a session file, defaults where it has none; raises ValueError that says what is wrong."""
     if data is None:
         return ComparisonSettings()
     said = cast("Mapping[str, Any]", data) if isinstance(data, dict) else {"": data}

@@ -111,22 +111,50 @@ VIEW_COMMANDS = (
         "link_cameras", "Link cameras", "3D views of one frame turn together", icon="link", key="L", checkable=True
     ),
     Command("reset_view", "Reset view", "Fit every picture and 3D view", icon="reset", key="R"),
-    Command("fit_contact", "Fit contact", "Zoom every picture to the contact, or back to the sensor", icon="fit",
-            key="Z", checkable=True),
-    Command("link_previews", "Link pictures", "Pan and zoom all pictures together, in millimetres", icon="link",
-            key="Shift+L", checkable=True),
     Command(
-        "pin_probe", "Freeze trace", "Keep the traced pixel where it is", icon="target", key="F", checkable=True
+        "fit_contact",
+        "Fit contact",
+        "Zoom every picture to the contact, or back to the sensor",
+        icon="fit",
+        key="Z",
+        checkable=True,
     ),
-    Command("magnify", "Magnify", "The values of the pixels around the pointer, large in a corner of the picture",
-            icon="fit", key="M", checkable=True),
-    Command("full_screen", "Full screen", "Fill the screen, for a demonstration, or come back", key="F11",
-            checkable=True),
-    Command("probe_by_keys", "Point by keys", "Arrow keys move the traced pixel, or the section line; Enter pins, Tab goes "
-            "to the next picture, Esc ends", icon="target", key="P"),
-    Command("section_line", "Section line", "A line through all pictures, and what each has for a height along it",
-            icon="section", key="X", checkable=True),
-)  # fmt: skip
+    Command(
+        "link_previews",
+        "Link pictures",
+        "Pan and zoom all pictures together, in millimetres",
+        icon="link",
+        key="Shift+L",
+        checkable=True,
+    ),
+    Command("pin_probe", "Freeze trace", "Keep the traced pixel where it is", icon="target", key="F", checkable=True),
+    Command(
+        "magnify",
+        "Magnify",
+        "The values of the pixels around the pointer, large in a corner of the picture",
+        icon="fit",
+        key="M",
+        checkable=True,
+    ),
+    Command(
+        "full_screen", "Full screen", "Fill the screen, for a demonstration, or come back", key="F11", checkable=True
+    ),
+    Command(
+        "probe_by_keys",
+        "Point by keys",
+        "Arrow keys move the traced pixel, or the section line; Enter pins, Tab goes to the next picture, Esc ends",
+        icon="target",
+        key="P",
+    ),
+    Command(
+        "section_line",
+        "Section line",
+        "A line through all pictures, and what each has for a height along it",
+        icon="section",
+        key="X",
+        checkable=True,
+    ),
+)
 COMPARISON_MODE_COMMANDS = (
     Command("show_truth", "Show truth", "The truth in place of what was worked out", icon="tick", key="T",
             checkable=True),

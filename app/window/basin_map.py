@@ -110,7 +110,8 @@ class BasinMapController(QObject):
     def _cell(self, found: BasinMapResult, row: int, col: int) -> BasinCell:
         of = found.basins
         answer, rmse = int(of.minimum_index[row, col]), float(of.rmse_mm[row, col])
-        start = f"turned by {of.rotations_deg[col]:+.0f} deg, shifted by {of.translations_mm[row]:+.1f} mm along {of.shift_axis}"
+        shift = f"{of.translations_mm[row]:+.1f} mm along {of.shift_axis}"
+        start = f"rotated by {of.rotations_deg[col]:+.0f} deg, translated by {shift}"
         if answer < 0:
             return BasinCell(pose_index=answer, rmse_mm=math.nan, tooltip=f"{start}: led nowhere")
         known = of.minima[answer]

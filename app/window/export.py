@@ -64,9 +64,14 @@ class ExportController(QObject):
         assert opened is not None
         params = {method.stage: session.get_params(method) for method in opened.methods}
         return ExportRequest(
-            request=replace(make_request(session), offsets=session.offsets), pane=pane, content=cast("PaneContent", shown),
-            settings=format_settings({**params, "display": session.display}), frame=session.frame, frames=frames, path=path,
-        )  # fmt: skip
+            request=replace(make_request(session), offsets=session.offsets),
+            pane=pane,
+            content=cast("PaneContent", shown),
+            settings=format_settings({**params, "display": session.display}),
+            frame=session.frame,
+            frames=frames,
+            path=path,
+        )
 
     def start_export(self, asked: ExportRequest) -> None:
         """Write it in the background."""

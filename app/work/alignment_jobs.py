@@ -108,9 +108,11 @@ def preview_drag(evaluator: Evaluator, session: Session, report: JobReporter) ->
         else build_observation_view(whole, frame.paired_touch.target, opened.target, session.display)
     )
     return DragPreview(
-        preview=add_observed_outline(whole, frame.observed_outline_px), observation_view=own, layers=view_slot.make_layers(view, seen, picture),
+        preview=add_observed_outline(whole, frame.observed_outline_px),
+        observation_view=own,
+        layers=view_slot.make_layers(view, seen, picture),
         score=agreement,
-    )  # fmt: skip
+    )
 
 
 def assess_alignment(evaluator: Evaluator, session: Session, report: JobReporter) -> AlignmentAssessment:
@@ -118,9 +120,13 @@ def assess_alignment(evaluator: Evaluator, session: Session, report: JobReporter
     opened, frame = evaluator.compare_with_target(session, report)
     alignment, params = session.offsets.apply_to(opened.alignment), get_projection_params(session)
     first = AlignmentAssessment(
-        index=frame.index, score=frame.compute_score(alignment, params), sensitivities=(), no_score_reason=frame.unavailable_reason,
-        origin=_origin(opened), pivot_mm=frame.compute_pivot_mm(opened.alignment),
-    )  # fmt: skip
+        index=frame.index,
+        score=frame.compute_score(alignment, params),
+        sensitivities=(),
+        no_score_reason=frame.unavailable_reason,
+        origin=_origin(opened),
+        pivot_mm=frame.compute_pivot_mm(opened.alignment),
+    )
     report.deliver(first)
     return replace(
         first, sensitivities=frame.compute_sensitivities(alignment, params, frame.compute_pivot_mm(alignment), report)

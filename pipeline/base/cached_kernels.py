@@ -13,7 +13,7 @@ from numba.core.caching import FunctionCache
 
 from pipeline.base import compiling
 
-config.CACHE_DIR = os.fspath(compiling.kernel_folder())
+config.CACHE_DIR = os.fspath(compiling.kernel_folder())  # pyright: ignore[reportAttributeAccessIssue]
 
 FAST = {"contract", "arcp", "nsz", "reassoc"}  # not nnan: a NaN has to stay a NaN
 

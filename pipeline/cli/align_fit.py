@@ -31,10 +31,14 @@ from pipeline.translation.translate import open_translation
 _MIN_CORRELATION = 0.2  # real pairs have 0.63, the same pairs shuffled -0.12 (touch2touch tiles)
 _MIN_HELD_OUT_SHARE = 0.5  # correlation of the pairs held out as a share of that of the pairs fitted to
 _PARAMETER_TITLES = {  # parameter of the map -> (title, unit; "" = that of the tiles or mm)
-    "rotation_rad": ("rotation", "deg"), "log_scale": ("scale", "share"), "right": ("shift right", ""), "down": ("shift down", ""),
-    "tilt_right": ("tilt to the right", "of the press"), "tilt_down": ("tilt downward", "of the press"),
+    "rotation_rad": ("rotation", "deg"),
+    "log_scale": ("scale", "share"),
+    "right": ("shift right", ""),
+    "down": ("shift down", ""),
+    "tilt_right": ("tilt to the right", "of the press"),
+    "tilt_down": ("tilt downward", "of the press"),
     "rest_curvature": ("rest curvature", "of the press"),
-}  # fmt: skip
+}
 
 
 def fit(
@@ -142,7 +146,8 @@ def _print_fit(answer: PairsFit, unit: str) -> None:
     mirror = "mirrored left to right, then " if how.is_mirrored else ""
     best, second = answer.initial_guesses[0], answer.initial_guesses[1]
     print_line(
-        f"orientation: {mirror}rotated by {math.degrees(how.rotation_rad):.1f} deg; correlation before fitting: {best[0]} "
+        f"orientation: {mirror}rotated by {math.degrees(how.rotation_rad):.1f} deg; "
+        f"correlation before fitting: {best[0]} "
         f"{best[1]:.2f}, next best {second[0]} {second[1]:.2f}"
     )
     table = Table("parameter", "value", "standard deviation", "unit")

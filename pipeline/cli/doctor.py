@@ -92,7 +92,7 @@ def _check_project() -> Iterator[tuple[bool, str]]:
             spec = load_sensor(name)
             yield (
                 True,
-                f"sensor {name}: {spec.camera.cols} x {spec.camera.rows} px, {len(spec.assumed_keys)} assumed parameters",
+                f"sensor {name}: {spec.camera.cols} x {spec.camera.rows} px, {len(spec.assumed_keys)} assumed values",
             )
         except TouchError as error:
             yield False, str(error)

@@ -142,10 +142,18 @@ def _print_tables(table: EvaluationTable) -> None:
     console, judges = Console(width=200), list(dict.fromkeys(name for row in table.rows for name in row.pose_errors))
     split = table.split.replace("_", " ")
     first = Table(
-        "transfer", "model", "PSNR, dB", "SSIM", "Frechet (floor; FID)",
-        *(f"{what} by {_POSE_TITLES.get(name, name)}" for name in judges for what in ("translation, mm", "rotation, deg")),
+        "transfer",
+        "model",
+        "PSNR, dB",
+        "SSIM",
+        "Frechet (floor; FID)",
+        *(
+            f"{what} by {_POSE_TITLES.get(name, name)}"
+            for name in judges
+            for what in ("translation, mm", "rotation, deg")
+        ),
         title=f"{split}: ours, simulated (the paper's, real)",
-    )  # fmt: skip
+    )
     second = Table(
         "transfer", "model", *_REGION_METRICS.values(), "kernel (floor)", "ms a touch",
         title=f"{split}: {' / '.join(REGIONS.values())}",

@@ -55,7 +55,7 @@ class BiasVariance:
         )
 
     def compute_reliability_curve(self) -> Doubles:
-        """(k, 2): mean standard deviation and rms error of the mean per group of pixels with similar standard deviation.
+        """(k, 2): mean standard deviation and rms error of the mean per group of pixels of similar spread.
 
         Empty if ground truth is unknown.
         """

@@ -43,7 +43,7 @@ class PressRecordings:
 
 
 def select_sensors(source: str, target: str) -> tuple[str, ...]:
-    """Sensors that record the touches of a direction: `SENSORS`, or the usual targets and both sensors of the direction."""
+    """Return the sensors that record a direction: `SENSORS`, or the default targets and both sensors of it."""
     return SENSORS if {source, target} <= set(SENSORS) else tuple(dict.fromkeys((*_TARGETS, source, target)))
 
 

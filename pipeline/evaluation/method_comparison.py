@@ -86,9 +86,13 @@ def _make_tile(
     words = [text.format(f"{metrics[name]:.3g}") for name, text in _METRIC_FORMATS.items() if name in metrics]
     preview = _make_touch_preview(touch, result.variant.translation, display)
     return Tile(
-        title=label, subtitle=" · ".join([*words, f"{result.ms:.0f} ms"]), metrics=metrics, preview=preview, truth=truth,
+        title=label,
+        subtitle=" · ".join([*words, f"{result.ms:.0f} ms"]),
+        metrics=metrics,
+        preview=preview,
+        truth=truth,
         difference=None if truth is None else compute_difference(preview, truth),
-    )  # fmt: skip
+    )
 
 
 def _compute_metrics(

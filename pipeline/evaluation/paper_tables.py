@@ -84,12 +84,17 @@ def evaluate_tables(
         notes += [*candidate_set.excluded, *missing]
         jobs = [
             ScoringJob(
-                recordings=one, source=source, target=target, candidates=candidate_set.candidates,
-                training_recordings=tuple(u.target for u in training), methods=request.methods, settings=request.settings,
+                recordings=one,
+                source=source,
+                target=target,
+                candidates=candidate_set.candidates,
+                training_recordings=tuple(u.target for u in training),
+                methods=request.methods,
+                settings=request.settings,
                 pose_methods=pose_methods,
             )
             for one in recordings[select_sensors(source, target)]
-        ]  # fmt: skip
+        ]
         scored = _run_jobs(jobs, part) if work is None else work(score_recording, jobs, part)
         rows += build_rows(
             request.split, source, target, candidate_set.candidates, [touch for job in scored for touch in job]

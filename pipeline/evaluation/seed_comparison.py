@@ -102,9 +102,11 @@ def _build_comparison(
     ]  # fmt: skip
     if statistics.bias_mm is not None and truth is not None:
         error = Tile(
-            title="error", subtitle=f"{bias_mm:.3g} mm, of the mean in contact (rms)", metrics={"rms_error_mm": bias_mm},
+            title="error",
+            subtitle=f"{bias_mm:.3g} mm, of the mean in contact (rms)",
+            metrics={"rms_error_mm": bias_mm},
             preview=_make_error_preview(mean, np.abs(statistics.bias_mm), "absolute error of the mean"),
-        )  # fmt: skip
+        )
         recorded = make_preview(truth.indentation_mm, truth)
         tiles = [
             *tiles[:2],

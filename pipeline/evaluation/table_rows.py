@@ -28,7 +28,7 @@ class PoseErrors:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SetDistances:
-    """Distances of the set of generated touches to the recorded ones; floors are those of two halves of the recorded."""
+    """Distances of the generated touches to the recorded ones; floors are between halves of the recorded."""
 
     frechet: float
     frechet_floor: float

@@ -1,6 +1,6 @@
-"""One file of a translation, as the window shows it: a picture, points, arrays, a table or a video, by its suffix.
+"""Export one file of a translation, as the window shows it: image, points, arrays, table or video, by suffix.
 
-The window and the command line both come through `export`, so that they leave the same bytes.
+The window and the command line both call `export_file`, so that they write the same bytes.
 """
 
 from __future__ import annotations
@@ -33,16 +33,16 @@ from pipeline.values.frames import TactileFrame
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-DEFAULT_VIDEO_RATE_HZ = 10.0  # of a video, where the recording keeps no times
+DEFAULT_VIDEO_RATE_HZ = 10.0  # of a video, where the recording has no timestamps
 _CACHE_BYTES = 32 * 1024 * 1024
 _CODECS = {".mp4": "mp4v", ".avi": "MJPG"}
-_UNDATED: Mapping[str, Mapping[str, None]] = {  # the same content gives the same bytes, today and tomorrow
+_UNDATED: Mapping[str, Mapping[str, None]] = {  # no dates in the files: the same content gives the same bytes
     "png": {"Software": None}, "pdf": {"CreationDate": None, "Creator": None, "Producer": None},
 }  # fmt: skip
 
 
 def export_file(asked: ExportRequest, progress: Progress = SILENT) -> tuple[str, ...]:
-    """Write what is asked for, whole or not at all; why slots were not filled by the method asked for, if any were.
+    """Write the requested file, complete or not at all; return why other methods answered, if any did.
 
     Raises TouchError.
     """
@@ -65,7 +65,7 @@ def export_file(asked: ExportRequest, progress: Progress = SILENT) -> tuple[str,
 
 
 class _Work:
-    """What is open for one export."""
+    """Open resources of one export."""
 
     def __init__(self, asked: ExportRequest, translation: Translation, progress: Progress) -> None:
         self.asked, self.translation, self.progress = asked, translation, progress
@@ -75,25 +75,25 @@ class _Work:
 
     @property
     def frame_indices(self) -> list[int]:
-        """The frames of a table or a video."""
+        """Frames of a table or a video."""
         return parse_frames(self.asked.frames, self.translation.n_frames)
 
     def evaluate_frame(self, index: int, *, every: bool = False) -> tuple[TactileFrame, dict[str, StageResult]]:
-        """A frame and its slots up to the asked one, or `every` one of them."""
-        slots = self.translation.stages
-        if self.asked.pane in slots and not every:
-            slots = slots[: slots.index(self.asked.pane) + 1]
+        """Return a frame and its stages up to the requested one, or `every` one."""
+        stages = self.translation.stages
+        if self.asked.pane in stages and not every:
+            stages = stages[: stages.index(self.asked.pane) + 1]
         elif self.asked.pane == SOURCE and not every:
-            slots = ()
+            stages = ()
         inputs = self.translation.read_inputs(index)
         frame = inputs["frame"]
         assert isinstance(frame, TactileFrame)
-        results = self._graph.evaluate(slots, inputs, self.params, self.progress) if slots else {}
+        results = self._graph.evaluate(stages, inputs, self.params, self.progress) if stages else {}
         self.replaced |= {f"{name}: {result.fallback}" for name, result in results.items() if result.fallback}
         return frame, results
 
     def draw_figure(self, index: int) -> Figure:
-        """The sheet or the pane of a frame."""
+        """Return the sheet or the pane of a frame."""
         frame, results = self.evaluate_frame(index)
         if self.asked.pane == SHEET:
             from pipeline.reporting.sheet import draw_sheet
@@ -105,7 +105,7 @@ class _Work:
         return pane_figures.draw_pane_figure(self._pane(frame, results), f"frame {index}{time}")
 
     def render_pane(self, index: int) -> pane_figures.RenderedPane:
-        """The asked pane of a frame."""
+        """Return the requested pane of a frame."""
         if self.asked.pane == SHEET:
             raise SettingProblem("a sheet is no cloud of points; name one pane of it with --pane")
         return self._pane(*self.evaluate_frame(index))
@@ -148,7 +148,7 @@ def _arrays(work: _Work) -> None:
 
 
 def _table(work: _Work) -> None:
-    """Every figure that the truth of a frame allows, a row a frame."""
+    """Write all metrics against truth, one row per frame."""
     rows: list[tuple[int, float, Mapping[str, float]]] = []
     indices = work.frame_indices
     for done, index in enumerate(indices):
@@ -166,7 +166,7 @@ def _table(work: _Work) -> None:
 
 
 def _section(work: _Work) -> None:
-    """The heights of every pane along a line, as the window's tab copies them."""
+    """Write the heights of all panes along a line, as the window's tab copies them."""
     x0, y0, x1, y1 = work.asked.section
     line, translation = cross_section.SectionLine(begin_mm=(x0, y0), end_mm=(x1, y1)), work.translation
     if not (np.isfinite(work.asked.section).all() and line.length_mm > 0):
@@ -187,7 +187,7 @@ def _section(work: _Work) -> None:
 
 
 def _video(work: _Work) -> None:
-    """Frame after frame at the recording's own pace."""
+    """Write the frames at the recording's own rate."""
     import cv2
 
     codec: Any = cv2.VideoWriter.fourcc(*_CODECS[work.asked.path.suffix.lower()])
@@ -205,14 +205,14 @@ def _video(work: _Work) -> None:
         if writer is None or not writer.isOpened():
             raise FileProblem("this machine's OpenCV cannot write such a video; try .avi or .mp4", work.asked.path)
         writer.release()
-        if _n_frames(made) < len(indices):  # it says nothing of a full disk
+        if _n_frames(made) < len(indices):  # the encoder does not report a full disk
             raise FileProblem(f"cannot write the video (no room for it in {folder!r}?)", work.asked.path)
         with made.open("rb") as video, open_atomic(work.asked.path, "the video") as file:
             shutil.copyfileobj(video, file)
 
 
 def _n_frames(video: Path) -> int:
-    """How many frames can be read back."""
+    """Return the number of frames that can be read back."""
     import cv2
 
     reader, n = cv2.VideoCapture(str(video)), 0
@@ -223,7 +223,7 @@ def _n_frames(video: Path) -> int:
 
 
 def _rgb(drawn: Figure) -> Any:
-    """(rows, cols, 3) uint8, both even, as most codecs want them."""
+    """Return (rows, cols, 3) uint8 with even sizes, which most codecs need."""
     canvas: Any = drawn.canvas
     canvas.draw()
     pixels = np.asarray(canvas.buffer_rgba())

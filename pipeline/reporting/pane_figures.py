@@ -1,4 +1,4 @@
-"""What one pane of the window shows, as a drawing: its picture with scale bar, colour bar and caption."""
+"""One pane of the window as a figure: image with scale bar, colour bar and caption."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ _AXES = (0.04, 0.13, 0.8, 0.77)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RenderedPane:
-    """One pane on one frame."""
+    """One pane of one frame."""
 
     title: str
     preview: Preview
-    points_mm: Floats  # (n, 3) what it shows as points, in the frame of its place
+    points_mm: Floats  # (n, 3) its points, in the frame of its sensor
     rgb: Image  # (n, 3) their colours
 
 
@@ -45,28 +45,28 @@ def render_pane(
     display: DisplayParams,
     shown: PaneContent = "computed",
 ) -> RenderedPane:
-    """A slot's pane, or the reading's; raises SettingProblem where the truth that is to be shown is not known."""
+    """Return the pane of a stage or of the source; raises SettingProblem where the requested truth is unknown."""
     if name == SOURCE:
         return _reading(frame, translation, display)
-    slot = translation.catalogue.stage(name)
+    stage = translation.catalogue.stage(name)
     outputs = {key: result.output for key, result in results.items()}
     seen = PreviewContext(
         outputs=outputs, source=translation.source, target=translation.target, mesh=translation.mesh, display=display
     )
-    picture, value, title = slot.make_preview(outputs[name], seen), outputs[name], slot.title
+    picture, value, title = stage.make_preview(outputs[name], seen), outputs[name], stage.title
     if shown != "computed":
         truths = translation.read_true_outputs(frame.index)
         if name not in truths:
             raise SettingProblem(f"the truth of {name} is not known of frame {frame.index} of this recording")
         value, title = truths[name], f"{title}, {shown}"
-        true = slot.make_preview(value, replace(seen, outputs={**outputs, **truths}))
+        true = stage.make_preview(value, replace(seen, outputs={**outputs, **truths}))
         picture = true if shown == "truth" else _less(picture, true, name)
     points_mm, rgb = _points(value, picture)
     return RenderedPane(title=title, preview=picture, points_mm=points_mm, rgb=rgb)
 
 
 def draw_pane_figure(shown: RenderedPane, about: str) -> Figure:
-    """A drawing of a pane, with a line `about` what it is of."""
+    """Return a figure of a pane, with a line `about` its origin."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -96,7 +96,7 @@ def _less(made: Preview, true: Preview, name: str) -> Preview:
 
 
 def _points(value: Any, picture: Preview) -> tuple[Floats, Image]:
-    """All that the value has of points, coloured as its picture is."""
+    """Return all points of the value, coloured as in its preview."""
     if isinstance(value, Cloud):
         grey = np.full((len(value.points_mm), 3), 128, np.uint8)
         if picture.element_index is not None:

@@ -1,4 +1,4 @@
-"""What a translated frame leaves behind: arrays, a sheet, and its lines in the report."""
+"""Files of a translated frame: arrays, a sheet, and its lines in the report."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from pipeline.values.frames import TactileFrame
 
 
 def collect_stage_arrays(frame: TactileFrame, results: Mapping[str, StageResult]) -> dict[str, NDArray[Any]]:
-    """Every array of every slot under `slot.field`; a camera becomes its K (3, 3)."""
+    """Return every array of every stage as `stage.field`; a camera becomes its K (3, 3)."""
     arrays: dict[str, NDArray[Any]] = {"source.image": frame.image}
     if frame.reference is not None:
         arrays["source.reference"] = frame.reference
@@ -41,23 +41,23 @@ def collect_stage_arrays(frame: TactileFrame, results: Mapping[str, StageResult]
 
 
 def frame_folder(out: Path, index: int) -> Path:
-    """Where frame `index` is written under `out`."""
+    """Return the folder of frame `index` under `out`."""
     return out / f"frame_{index:04d}"
 
 
 def write_frame(out: Path, frame: TactileFrame, report: FrameReport, translation: Translation, key: str = "") -> Path:
     """Write `frame_NNNN/` with stages.npz, sheet.png and frame.json under `out`; returns that folder.
 
-    By its `key` a later run knows that the frame is finished; without one it is made again.
+    A later run recognises the finished frame by its `key`; without one it is made again.
     """
-    from pipeline.reporting.sheet import write_sheet  # matplotlib only where a sheet is drawn
+    from pipeline.reporting.sheet import write_sheet  # imports matplotlib
 
     folder = frame_folder(out, report.index)
 
     def fill(part: Path) -> None:
         write_arrays(part / "stages.npz", collect_stage_arrays(frame, report.results))
         write_sheet(part / "sheet.png", frame, report, translation)
-        write_json(part / "frame.json", {"key": key or None, **_told(report)})
+        write_json(part / "frame.json", {"key": key or None, **_to_json(report)})
 
     write_folder(folder, fill)
     return folder
@@ -77,7 +77,7 @@ def write_report(out: Path, translation: Translation, frames: Sequence[FrameRepo
             "target": translation.target.name,
             "notes": translation.notes,
             "metrics": {name: asdict(METRICS[name.partition(".")[2]]) for name in _figure_names(frames)},
-            "frames": [_told(f) for f in frames],
+            "frames": [_to_json(f) for f in frames],
         },
     )
     return path
@@ -88,7 +88,7 @@ def _figure_names(frames: Sequence[FrameReport]) -> list[str]:
     return sorted(name for name in names if name.partition(".")[2] in METRICS)
 
 
-def _told(frame: FrameReport) -> dict[str, object]:
+def _to_json(frame: FrameReport) -> dict[str, object]:
     stages = [
         {"name": r.name, "ms": round(r.ms, 3), "skipped": r.state == "skipped", "state": r.state, "notes": r.notes,
          "warnings": r.warnings, "fallback": r.fallback}

@@ -39,14 +39,14 @@ from pipeline.translation.frame_selection import select_context_frames
 from pipeline.translation.translate import Request, Translation, open_translation
 from pipeline.values.frames import TactileFrame
 
-REPLAY_TOLERANCE = 1e-4  # of an array's own range: what another processor's rounding may make of it
+REPLAY_TOLERANCE = 1e-4  # share of an array's own range: rounding of another processor
 _VERSION = 1
 _VERSION_KEY = "tactoscope bundle"
 _WORDS = ("source", "target", "stream", "route", "mesh_unit", "depth_unit")
 _FILES = ("recording", "mesh", "calibration", "alignment")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, stages=True, kw_only=True)
 class StageAgreement:
     """Agreement of one stage of a replayed bundle with the recorded result."""
 
@@ -58,7 +58,7 @@ class StageAgreement:
     worst_array: str  # that differs most
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, stages=True, kw_only=True)
 class ReplayResult:
     """Result of a replayed bundle."""
 
@@ -69,7 +69,7 @@ class ReplayResult:
 
     @property
     def is_same(self) -> bool:
-        """Whether everything came out as it did then, but for rounding."""
+        """Whether all results are the same but for rounding."""
         return all(agreement.largest_difference <= REPLAY_TOLERANCE for agreement in self.agreements)
 
 
@@ -91,9 +91,9 @@ def write_bundle(
         def fill(part: Path) -> None:
             inside = _copy_inputs(translation, part)
             _record(translation, index, part / "frame.h5")
-            told = {name: getattr(inside, name) for name in _WORDS}
-            told |= {name: _name(getattr(inside, name)) for name in _FILES}
-            told |= {"methods": dict(inside.methods), "weights": {slot: file.name for slot, file in inside.weights}}
+            values = {name: getattr(inside, name) for name in _WORDS}
+            values |= {name: _name(getattr(inside, name)) for name in _FILES}
+            values |= {"methods": dict(inside.methods), "weights": {stage: file.name for stage, file in inside.weights}}
             frame_now, results, metrics = _translate(inside, settings, part, progress)
             write_arrays(part / "expected.npz", collect_stage_arrays(frame_now, results))
             write_json(
@@ -102,7 +102,7 @@ def write_bundle(
                     _VERSION_KEY: _VERSION, "made with": __version__, "note": note, "frame": index,
                     "of": str(request.recording),
                     "command": shlex.join(["tactoscope", "replay", str(folder.absolute())]),
-                    "translate": _translating(inside, settings), "request": told, "settings": list(settings),
+                    "translate": _translating(inside, settings), "request": values, "settings": list(settings),
                     "metrics": metrics,
                 },
                 "the repro bundle",
@@ -117,11 +117,11 @@ def replay_bundle(folder: Path, progress: Progress = SILENT) -> ReplayResult:
     request = _request(said, folder)
     frame, results, metrics = _translate(request, tuple(map(str, said["settings"])), None, progress)
     now, kept = collect_stage_arrays(frame, results), read_arrays(folder / "expected.npz", "the expected results")
-    slots = dict.fromkeys(name.partition(".")[0] for name in (*kept, *now))
+    stages = dict.fromkeys(name.partition(".")[0] for name in (*kept, *now))
     return ReplayResult(
         note=str(said.get("note", "")), metrics=metrics,
         expected_metrics={k: float("nan") if v is None else float(v) for k, v in said.get("metrics", {}).items()},
-        agreements=tuple(_agreement(slot, now, kept) for slot in slots),
+        agreements=tuple(_agreement(stage, now, kept) for stage in stages),
     )  # fmt: skip
 
 
@@ -149,7 +149,7 @@ def _copy_inputs(translation: Translation, part: Path) -> Request:
         origin=f"in use on {request.recording.name} when the bundle was written",
     )  # fmt: skip
     save_alignment(part / "alignment.toml", aligned)
-    weights = tuple((slot, _copy(file, part / f"weights_{slot}{file.suffix}")) for slot, file in request.weights)
+    weights = tuple((stage, _copy(file, part / f"weights_{stage}{file.suffix}")) for stage, file in request.weights)
     return replace(
         request, recording=part / "frame.h5", reference=None, alignment=part / "alignment.toml", offsets=Offsets(),
         source=_sensor(request.source or source, part / "source.toml"),
@@ -161,7 +161,7 @@ def _copy_inputs(translation: Translation, part: Path) -> Request:
 
 
 def _sensor(said: str, place: Path) -> str:
-    """A sensor's name, or the copy of its description."""
+    """Return a sensor's name, or the copy of its description."""
     return said if not said.endswith(".toml") else str(_copy(Path(said), place))
 
 
@@ -171,7 +171,7 @@ def _copy(file: Path, place: Path) -> Path:
 
 
 def _record(translation: Translation, index: int, path: Path) -> None:
-    """Write the frame of both sensors with ground truth, and its context frames, without which it gives other results."""
+    """Write the frame of both sensors with ground truth, and its context frames."""
     recording, stream = translation.recording, translation.stream
     other = recording.stream_of_sensor(translation.target.name)
     names = {stream.name, *(() if other is None else (other.name,))}
@@ -189,7 +189,7 @@ def _record(translation: Translation, index: int, path: Path) -> None:
 
 
 def _translating(request: Request, settings: tuple[str, ...]) -> str:
-    """The same by `tactoscope translate`, typed within the folder."""
+    """Return the command that translates the frame within the folder."""
     words = [word.removeprefix(str(request.recording.parent.absolute()) + "/") for word in format_options(request)]
     sets = [word for line in settings if not line.startswith("display.") for word in ("--set", line)]
     return shlex.join(["tactoscope", "translate", *words, *sets, "--frame", "0", "--out", "out"])
@@ -203,7 +203,7 @@ def _agreement(stage: str, now: Mapping[str, NDArray[Any]], kept: Mapping[str, N
 
 
 def _gap(now: NDArray[Any] | None, kept: NDArray[Any] | None) -> float:
-    """Largest difference as a share of the kept array's range; of masks and indices the share that changed."""
+    """Return the largest difference as a share of the recorded range; of masks and indices the share that changed."""
     if now is None or kept is None or now.shape != kept.shape or now.dtype != kept.dtype:
         return float("inf")
     if now.dtype.kind != "f" or not kept.size:
@@ -236,8 +236,8 @@ def _request(said: Mapping[str, Any], folder: Path) -> Request:
         if words[side].endswith(".toml"):
             words[side] = str(folder / Path(words[side]).name)
     files = {name: None if asked.get(name) is None else folder / Path(str(asked[name])).name for name in _FILES}
-    methods = tuple((str(slot), str(name)) for slot, name in dict(asked.get("methods", {})).items())
-    weights = tuple((str(slot), folder / Path(str(f)).name) for slot, f in dict(asked.get("weights", {})).items())
+    methods = tuple((str(stage), str(name)) for stage, name in dict(asked.get("methods", {})).items())
+    weights = tuple((str(stage), folder / Path(str(f)).name) for stage, f in dict(asked.get("weights", {})).items())
     return Request(**cast("Any", files), **cast("Any", words), methods=methods, weights=weights)
 
 

@@ -1,4 +1,4 @@
-"""Frames that an earlier run left whole: what they came out of is kept beside them, so that nothing is done twice."""
+"""Frames that an earlier run completed, recognised by a key of everything they depend on."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ from pipeline.values.results import ObjectPose
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FinishedFrame:
-    """A frame that is whole on disk."""
+    """A frame that is complete on disk."""
 
     report: FrameReport  # without its arrays
     key: str
-    pose: ObjectPose | None = None  # what the next touch of a sequence begins with; None = it has none
+    pose: ObjectPose | None = None  # initial pose of the next frame of a sequence; None = none
 
 
 def compute_frame_key(
     translation: Translation, params: Mapping[str, object], index: int, before: FinishedFrame | None
 ) -> str:
-    """Digest of all that a frame's results come from: its contents, truth, settings, versions, and the frame followed.
+    """Return the digest of everything a frame's results depend on: contents, truth, settings, versions, previous frame.
 
     Raises FileProblem if the frame is damaged.
     """
@@ -53,12 +53,12 @@ def compute_frame_key(
 
 
 def load_finished_frame(out: Path, index: int, key: str) -> FinishedFrame | None:
-    """What an earlier run left of frame `index` under `out`; None if it is not whole or came from something else."""
+    """Return frame `index` of an earlier run under `out`; None if it is incomplete or was made from other inputs."""
     folder = frame_folder(out, index)
-    with contextlib.suppress(Exception):  # whatever is wrong with a frame that can be made again is no news to anybody
-        told = json.loads((folder / "frame.json").read_text(encoding="utf-8"))
-        if told["key"] == key and (folder / "sheet.png").stat().st_size:
-            return FinishedFrame(report=_report(told), key=key, pose=_pose(folder / "stages.npz"))
+    with contextlib.suppress(Exception):  # a frame that cannot be read is made again
+        record = json.loads((folder / "frame.json").read_text(encoding="utf-8"))
+        if record["key"] == key and (folder / "sheet.png").stat().st_size:
+            return FinishedFrame(report=_report(record), key=key, pose=_pose(folder / "stages.npz"))
     return None
 
 
@@ -74,14 +74,19 @@ def _report(record: Mapping[str, Any]) -> FrameReport:
 
 
 def _pose(path: Path) -> ObjectPose | None:
-    """The pose among a frame's arrays; raises what a damaged file does."""
+    """Return the pose among a frame's arrays; raises for a damaged file."""
     with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
         if "pose.sensor_from_object" not in arrays:
             return None
         others = arrays.get("pose.alternatives", ())
         return ObjectPose(
-            sensor_from_object=freeze(arrays["pose.sensor_from_object"]), covariance=None, observable=None, weak_directions=(),
-            rmse_mm=float(arrays["pose.rmse_mm"]), fitness=float(arrays["pose.fitness"]),
-            scene_mm=freeze(arrays["pose.scene_mm"]), source_index=freeze(arrays["pose.source_index"]),
+            sensor_from_object=freeze(arrays["pose.sensor_from_object"]),
+            covariance=None,
+            observable=None,
+            weak_directions=(),
+            rmse_mm=float(arrays["pose.rmse_mm"]),
+            fitness=float(arrays["pose.fitness"]),
+            scene_mm=freeze(arrays["pose.scene_mm"]),
+            source_index=freeze(arrays["pose.source_index"]),
             alternatives=tuple(freeze(np.array(other)) for other in others),
-        )  # fmt: skip
+        )

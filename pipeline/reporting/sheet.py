@@ -1,4 +1,4 @@
-"""All slots of one frame side by side on one picture, as the window shows them, with units and scale bars."""
+"""All stages of one frame side by side on one sheet, with units and scale bars."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _CONTACT, _FELT = "#E6550D", "#FFFFFF"
 
 
 def write_sheet(path: Path, frame: TactileFrame, report: FrameReport, translation: Translation) -> None:
-    """Draw the columns of the window as one PNG."""
+    """Write the columns of the window as one PNG."""
     drawn = draw_sheet(frame, report, translation)
     with open_atomic(path, "the sheet") as file:
         drawn.savefig(file, format="png")
@@ -42,14 +42,14 @@ def draw_sheet(
     display: DisplayParams = DEFAULT_DISPLAY,
     timed: bool = True,
 ) -> Figure:
-    """The columns of the window as one drawing; `timed` also says what each took and whether it was known already."""
+    """Return the columns of the window as one figure; `timed` adds times and cache states."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     source, n = translation.source, 1 + len(translation.stages)
     figure = Figure(figsize=(_PANEL_IN * n, 4.3), dpi=90)
     FigureCanvasAgg(figure)
-    # Fixed places: an automatic layout costs more time than all the drawing.
+    # Fixed positions: an automatic layout costs more time than all the drawing.
     axes = [figure.add_axes(((0.07 + i) / n, 0.2, 0.76 / n, 0.6)) for i in range(n)]
     camera = match_camera(frame.camera or source.camera, frame.image.shape)
     reading = make_frame_preview(frame.image, camera, source, display, reference=frame.reference)
@@ -72,7 +72,7 @@ def draw_sheet(
 
 
 def draw_panel(figure: Figure, ax: Axes, picture: Preview, title: str) -> None:
-    """Draw a picture with its outlines, scale bar, caption and colour bar."""
+    """Draw a preview with outlines, scale bar, caption and colour bar."""
     ax.imshow(picture.pixels, interpolation="nearest")
     ax.set_title(title, fontsize=10)
     for border, colour in ((picture.outline_px, _CONTACT), (picture.observed_outline_px, _FELT)):
@@ -88,17 +88,17 @@ def draw_panel(figure: Figure, ax: Axes, picture: Preview, title: str) -> None:
 
 def _colour_bar(figure: Figure, ax: Axes, scale: ColourScale) -> None:
     box = ax.get_position()
-    beside = figure.add_axes((box.x1 + 0.004, box.y0 + 0.1, 0.005, box.height - 0.2))
+    bar = figure.add_axes((box.x1 + 0.004, box.y0 + 0.1, 0.005, box.height - 0.2))
     colours = get_colour_table(scale.colour_map)[:, None, :]
-    beside.imshow(colours, origin="lower", aspect="auto", extent=(0.0, 1.0, scale.low, scale.high))
-    beside.set_xticks([])
-    beside.yaxis.tick_right()
-    beside.set_title(f"({scale.unit})", fontsize=7, loc="left")
-    beside.tick_params(labelsize=7)
+    bar.imshow(colours, origin="lower", aspect="auto", extent=(0.0, 1.0, scale.low, scale.high))
+    bar.set_xticks([])
+    bar.yaxis.tick_right()
+    bar.set_title(f"({scale.unit})", fontsize=7, loc="left")
+    bar.tick_params(labelsize=7)
 
 
 def _scale_bar(ax: Axes, picture: Preview) -> None:
-    """A bar of a round length, about a fifth of the image wide, under the image."""
+    """Draw a bar of a round length, about a fifth of the image wide, under the image."""
     ax.set_xticks([])
     ax.set_yticks([])
     width_mm = picture.pixels.shape[1] * picture.pixel_mm
@@ -111,15 +111,15 @@ def _scale_bar(ax: Axes, picture: Preview) -> None:
 
 
 def _footer(ax: Axes, result: StageResult, *, timed: bool) -> None:
-    """Time, state and the first doubt, or else note, below a panel."""
+    """Write time, state and the first warning, or else note, below a panel."""
     notes = result.warnings or result.notes
-    lines = [f"{result.ms:.2f} ms · {'doubtful' if result.warnings else result.state}"] if timed else []
+    lines = [f"{result.ms:.2f} ms · {'warning' if result.warnings else result.state}"] if timed else []
     lines += [notes[0][:62]] if notes else []
     ax.text(0.0, -0.13, "\n".join(lines), transform=ax.transAxes, fontsize=7.5, va="top")
 
 
 def _figures(report: FrameReport) -> str:
-    """The figures of the frame, those of the pose on a line of their own."""
+    """Return the metrics of the frame as text, those of the pose on a line of their own."""
     lines = (
         "   ".join(f"{k} {v:.3g}" for k, v in report.metrics.items() if k.startswith("pose.") == of_pose)
         for of_pose in (False, True)

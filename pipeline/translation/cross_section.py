@@ -1,7 +1,7 @@
-"""One line cut through every slot: what each has for a height along it, in millimetres on the source's gel.
+"""Section: the heights of every stage along one line, in millimetres on the source's gel.
 
-The line lies on the source's untouched surface, taken as flat: there it is straight and as long as it says. It is
-carried over to the target as the touch is, and a camera sees a straight line as a straight line.
+The line lies on the source's rest surface, taken as flat. It is transferred to the target as the touch is, and a camera
+sees a straight line as a straight line.
 """
 
 from __future__ import annotations
@@ -26,29 +26,29 @@ from pipeline.values.frames import Truth
 from pipeline.values.results import DepthMap
 
 NO_OFFSETS = Offsets()
-N_SAMPLES = 257  # along a line: finer than the pixels of any sensor that is described
-_HEIGHTS = "+ toward camera"  # how the quantities end that are heights over the untouched surface
+N_SAMPLES = 257  # along a line: finer than the pixels of all described sensors
+_HEIGHTS = "+ toward camera"  # suffix of quantities that are heights over the rest surface
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SectionLine:
-    """From where to where, (x, y) mm from the source camera's axis on the gel's plane."""
+    """A line from (x, y) to (x, y), mm from the source camera's axis in the gel's plane."""
 
     begin_mm: tuple[float, float]
     end_mm: tuple[float, float]
 
     @property
     def length_mm(self) -> float:
-        """How long it is."""
+        """Length of the line."""
         return math.dist(self.begin_mm, self.end_mm)
 
     @property
     def plain(self) -> list[float]:
-        """As a session file keeps it: x, y of the beginning, then of the end."""
+        """Return x, y of start and end for a session file."""
         return [*self.begin_mm, *self.end_mm]
 
     def points_mm(self, count: int = N_SAMPLES) -> Doubles:
-        """Points (count, 2) at equal distances, both ends among them."""
+        """Return points (count, 2) at equal distances, both ends included."""
         return np.linspace(self.begin_mm, self.end_mm, count)
 
 
@@ -57,13 +57,11 @@ class SectionPlane:
     """The plane of the line as one camera sees it; pixel centres are integers."""
 
     camera: Camera
-    plane_z_mm: float  # z of the plane in the source's frame
-    camera_from_source: Doubles | None = (
-        None  # (4, 4) the camera's frame from the source's; None = it is the source's own
-    )
+    plane_z_mm: float  # z of the plane in the source frame
+    camera_from_source: Doubles | None = None  # (4, 4) camera frame from source frame; None = the source's own camera
 
     def project_to_px(self, points_mm: ArrayLike) -> Doubles:
-        """Where the camera sees points (n, 2) of the plane, (n, 2) x, y; NaN behind the lens."""
+        """Return the pixels (n, 2) x, y of points (n, 2) of the plane; NaN behind the lens."""
         flat = np.asarray(points_mm, dtype=np.float64)
         points = np.column_stack([flat, np.full(len(flat), self.plane_z_mm)])
         if self.camera_from_source is not None:
@@ -74,7 +72,7 @@ class SectionPlane:
         return found
 
     def backproject_to_mm(self, x_px: float, y_px: float) -> tuple[float, float]:
-        """The point of the plane that is seen at a place of the picture; NaN where the plane is seen edge on."""
+        """Return the point of the plane at an image position; NaN where the plane is seen edge on."""
         camera = self.camera
         ray = np.array([(x_px - camera.cx_px) / camera.fx_px, (y_px - camera.cy_px) / camera.fy_px, 1.0])
         eye = np.zeros(3)
@@ -89,11 +87,11 @@ class SectionPlane:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HeightMap:
-    """What is cut: a height for each pixel of a picture."""
+    """A height for each pixel of an image."""
 
-    name: str  # a slot, "source", "true_source" or "true_target"
+    name: str  # a stage, "source", "true_source" or "true_target"
     title: str
-    place: SensorRole  # whose untouched surface the heights are over
+    place: SensorRole  # sensor whose rest surface the heights are over
     heights_mm: NDArray[np.floating]  # (rows, cols) + toward the camera, NaN = no value
     plane: SectionPlane
     contact: Mask | None = None  # (rows, cols)
@@ -101,32 +99,32 @@ class HeightMap:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HeightProfile:
-    """The heights of one field along the line."""
+    """The heights of one height map along the line."""
 
     name: str
     title: str
     place: SensorRole
-    heights_mm: Doubles  # (n,), NaN = no value, or outside the picture
+    heights_mm: Doubles  # (n,), NaN = no value, or outside the image
     contact_edges_mm: tuple[float, ...] = ()  # along the line, where its contact begins or ends
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CrossSection:
-    """All fields along one line."""
+    """All height profiles along one line."""
 
     line: SectionLine
-    along_mm: Doubles  # (n,) from the line's beginning
+    along_mm: Doubles  # (n,) from the start of the line
     profiles: tuple[HeightProfile, ...]
 
 
 def sample_bilinear(values: NDArray[np.floating], px: Doubles) -> Doubles:
-    """Values (rows, cols) between their pixels at x, y (n, 2), bilinear (n,).
+    """Return bilinear samples (n,) of values (rows, cols) at x, y (n, 2).
 
-    NaN outside the picture, and wherever one of the four pixels that count has no value.
+    NaN outside the image, and where one of the four neighbours has no value.
     """
     rows, cols = values.shape
     x, y = px[:, 0], px[:, 1]
-    inside = (x >= 0) & (x <= cols - 1) & (y >= 0) & (y <= rows - 1)  # never where a coordinate is NaN
+    inside = (x >= 0) & (x <= cols - 1) & (y >= 0) & (y <= rows - 1)  # False for NaN coordinates
     x, y = np.where(inside, x, 0.0), np.where(inside, y, 0.0)
     left, top = np.floor(x).astype(np.intp), np.floor(y).astype(np.intp)
     over, down = x - left, y - top
@@ -139,7 +137,7 @@ def sample_bilinear(values: NDArray[np.floating], px: Doubles) -> Doubles:
 
 
 def cut_section(line: SectionLine, fields: Sequence[HeightMap], count: int = N_SAMPLES) -> CrossSection:
-    """Every field along the line, at `count` places."""
+    """Return every height map along the line, at `count` points."""
     points = line.points_mm(count)
     along = np.linspace(0.0, line.length_mm, count)
     return CrossSection(line=line, along_mm=freeze(along), profiles=tuple(_profile(f, points, along) for f in fields))
@@ -160,7 +158,7 @@ def _profile(field: HeightMap, points_mm: Doubles, along_mm: Doubles) -> HeightP
 def build_plane(
     translation: Translation, place: SensorRole, camera: Camera, moved: Offsets = NO_OFFSETS
 ) -> SectionPlane:
-    """The plane of the line as a camera of the source or of the target sees it, the alignment `moved` since."""
+    """Return the plane of the line as the source's or target's camera sees it, the alignment offset by `moved`."""
     rest = translation.source.rest_depth_mm
     return SectionPlane(
         camera=camera, plane_z_mm=float(rest[rest.shape[0] // 2, rest.shape[1] // 2]),
@@ -169,7 +167,7 @@ def build_plane(
 
 
 def find_image_camera(picture: Preview, sensor: SensorSpec) -> Camera:
-    """The camera whose pixels are the picture's."""
+    """Return the camera whose pixels are the preview's."""
     shape = picture.pixels.shape[0], picture.pixels.shape[1]
     laid = picture.positions_mm
     known = laid.camera if isinstance(laid, PixelPositions) else picture.camera
@@ -179,7 +177,7 @@ def find_image_camera(picture: Preview, sensor: SensorSpec) -> Camera:
 def build_height_map(
     name: str, title: str, place: SensorRole, value: object, picture: Preview, sheet: SectionPlane
 ) -> HeightMap | None:
-    """A slot's heights: of the membrane that its value has, else those that its picture shows; None without any."""
+    """Return the heights of a stage's membrane, else of its preview; None without any."""
     membrane = getattr(value, "membrane", None)
     if isinstance(membrane, DepthMap):
         beneath = SectionPlane(
@@ -205,13 +203,13 @@ def collect_height_maps(
     shown: Iterable[tuple[str, Preview, object]],
     moved: Offsets = NO_OFFSETS,
 ) -> tuple[HeightMap, ...]:
-    """What is known to be true, then whatever has heights of (a slot or "source", its picture, its value)."""
+    """Return true heights, then the heights of (stage or "source", preview, value)."""
     found = [] if facts is None else list(build_true_height_maps(facts, translation, moved))
     for name, picture, value in shown:
-        slot = None if name == SOURCE else translation.catalogue.stage(name)
-        place: SensorRole = "source" if slot is None else slot.sensor_role
+        stage = None if name == SOURCE else translation.catalogue.stage(name)
+        place: SensorRole = "source" if stage is None else stage.sensor_role
         camera = find_image_camera(picture, translation.source if place == "source" else translation.target)
-        title = "Source" if slot is None else slot.title
+        title = "Source" if stage is None else stage.title
         field = build_height_map(name, title, place, value, picture, build_plane(translation, place, camera, moved))
         found += [] if field is None else [field]
     return tuple(found)
@@ -220,7 +218,7 @@ def collect_height_maps(
 def build_true_height_maps(
     facts: GroundTruth, translation: Translation, moved: Offsets = NO_OFFSETS
 ) -> tuple[HeightMap, ...]:
-    """What is known to be true on either side, where it is."""
+    """Return the true heights on either side, where known."""
     found: list[HeightMap] = []
     sides: tuple[tuple[SensorRole, Truth | None, SensorSpec], ...] = (
         ("source", facts.source_truth, translation.source), ("target", facts.target_truth, translation.target),
@@ -230,13 +228,21 @@ def build_true_height_maps(
             continue
         rows, cols = truth.indentation_mm.shape
         sheet = build_plane(translation, place, sensor.camera.resize(rows, cols), moved)
-        found.append(HeightMap(name=f"true_{place}", title=f"Truth, {place}", place=place, heights_mm=truth.indentation_mm,
-                           plane=sheet, contact=truth.contact))  # fmt: skip
+        found.append(
+            HeightMap(
+                name=f"true_{place}",
+                title=f"Truth, {place}",
+                place=place,
+                heights_mm=truth.indentation_mm,
+                plane=sheet,
+                contact=truth.contact,
+            )
+        )
     return tuple(found)
 
 
 def format_csv(section: CrossSection) -> str:
-    """The section as a table: a row for each place, a column for each profile, nothing where there is no value."""
+    """Return the section as CSV: a row per point, a column per profile, empty where there is no value."""
     titles = ",".join(f"{profile.name}_mm" for profile in section.profiles)
     rows = [f"along_mm,{titles}".rstrip(",")]
     for k, along in enumerate(section.along_mm):

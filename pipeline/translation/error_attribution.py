@@ -20,7 +20,7 @@ from pipeline.metrics.stage_metrics import METRICS
 from pipeline.translation.translate import Translation
 from pipeline.values.results import TargetDepth
 
-DEFAULT_METRIC = "touch_depth.contact_mae_mm"  # how far off the target's membrane is where the object really touches it
+DEFAULT_METRIC = "touch_depth.contact_mae_mm"  # error of the target's membrane in contact
 OUTSIDE_VIEW = "outside the source's view"
 _VISIBLE_TITLE = "reprojected"
 
@@ -31,8 +31,8 @@ class ErrorShare:
 
     stage: str
     title: str
-    share: float  # in the figure's unit
-    remaining: float  # the error that is left with the truth in place so far
+    share: float  # in the metric's unit
+    remaining: float  # the error that remains with the truth so far
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,11 +40,11 @@ class ErrorAttribution:
     """An error of one frame as a sum: `total` = all shares + `remainder`."""
 
     frame: int
-    metric: str  # as in a frame's metrics, "slot.name"
+    metric: str  # as in a frame's metrics, "stage.metric"
     unit: str
     total: float
     shares: tuple[ErrorShare, ...]
-    remainder: float  # with the truth in every slot before the figure's own: that one's doing, and the figure's
+    remainder: float  # with truth in every stage before the metric's own
 
     @property
     def summary(self) -> str:
@@ -64,9 +64,9 @@ def attribute_error(
     figure: str = DEFAULT_METRIC,
     progress: Progress = SILENT,
 ) -> ErrorAttribution | None:
-    """The parts of a frame's error by `figure`; None where that figure is not known of this frame.
+    """Return the shares of a frame's error by `figure`; None where that metric is unknown for this frame.
 
-    Raises SettingProblem for a figure that there is not, or for which more is not better or worse.
+    Raises SettingProblem for an unknown metric, or one without a better direction.
     """
     stage, _, name = figure.partition(".")
     if name not in METRICS or stage not in translation.stages:
@@ -104,7 +104,7 @@ def attribute_error(
 def _steps(
     translation: Translation, truths: Mapping[str, object], results: Mapping[str, StageResult]
 ) -> Iterator[tuple[str, str, object]]:
-    """(slot, title, truth) in running order."""
+    """Yield (stage, title, truth) in running order."""
     for name, value in truths.items():
         made = results[name].output if name in results else None
         if isinstance(value, TargetDepth) and isinstance(made, TargetDepth):

@@ -1,4 +1,4 @@
-"""Which frames of a recording to look at first: one on which something touches, and those that tell of its light."""
+"""Frames of a recording to look at first: one with contact, and those that determine its illumination."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from pipeline.engine.digests import compute_cached_digest
 from pipeline.values.frames import Stream, TactileFrame
 
 _MOST_FRAMES = 24
-_MOST_PIXELS = 40_000_000  # in all: reading more takes longer than a person waits for a recording to open
-_MOST_TELLING = 4  # touches of one unit: each takes as long as reading a frame
-_BLOCKS_ALONG = 24  # the longer side: wide enough that noise averages out
+_MOST_PIXELS = 40_000_000  # in all: reading more delays opening a recording
+_MOST_TELLING = 4  # touches of one sensor instance: each takes as long as reading a frame
+_BLOCKS_ALONG = 24  # along the longer side: large enough to average noise out
 
 
 def find_contact_frame(stream: Stream) -> int:
-    """The frame that has changed most from its untouched reading, of some spread evenly over the recording.
+    """Return the frame that differs most from its reference, among some spread evenly over the recording.
 
-    0 where none has, or where no frame brings an untouched reading. Frames that cannot be read are passed over.
+    0 where none differs, or where no frame has a reference. Unreadable frames are skipped.
     """
     best, most = 0, 0.0
-    for frame, change_of in _compared(stream):
+    for frame, change_of in _compare_with_reference(stream):
         change = float(change_of.max())
         if change > most:
             best, most = frame.index, change
@@ -33,18 +33,18 @@ def find_contact_frame(stream: Stream) -> int:
 
 
 def select_context_images(stream: Stream) -> tuple[Image, ...]:
-    """The pictures (rows, cols, 3) of `telling_frames`."""
+    """Return the images (rows, cols, 3) of `select_context_frames`."""
     return tuple(cast("Image", frame.image) for frame in select_context_frames(stream))
 
 
 def select_context_frames(stream: Stream) -> tuple[TactileFrame, ...]:
-    """Frames of one unit that tell most of its light, the most telling first; none of a bubble.
+    """Return the frames of one sensor instance that determine its illumination best, the best first; none of a bubble.
 
-    Of some frames spread evenly over the recording, those that change most of the picture where the ones before them
-    do not: strongly, and in other places. They share one untouched picture, so that all are of one unit and one day.
+    Of some frames spread evenly over the recording, those that change most of the image strongly and in other places
+    than the frames before. They share one reference image, so that all are of one sensor instance and session.
     """
     found: list[tuple[TactileFrame, Floats]] = []
-    for frame, change in _compared(stream):
+    for frame, change in _compare_with_reference(stream):
         if frame.is_depth or frame.image.dtype != np.uint8:
             return ()
         if not found or compute_cached_digest(frame.reference) == compute_cached_digest(found[0][0].reference):
@@ -61,10 +61,10 @@ def select_context_frames(stream: Stream) -> tuple[TactileFrame, ...]:
     return tuple(chosen)
 
 
-def _compared(stream: Stream) -> Iterator[tuple[TactileFrame, Floats]]:
-    """Frames spread over the recording that bring an untouched reading of their shape, and by how much they changed.
+def _compare_with_reference(stream: Stream) -> Iterator[tuple[TactileFrame, Floats]]:
+    """Yield frames spread over the recording that have a reference of their shape, and how much they differ from it.
 
-    That is of blocks' means, in the reading's own unit; what is no reading has not changed.
+    The difference is of block means, in the frame's own unit; missing values count as unchanged.
     """
     reference, at_rest = None, None
     for index in _spread(stream):

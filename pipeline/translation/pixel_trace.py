@@ -1,4 +1,4 @@
-"""One pixel followed through every slot, forward and back, by the index maps that the methods hand on."""
+"""Trace of one pixel through all stages, forward and back, by the index maps of the methods."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ SOURCE = "source"
 def trace_forward(
     results: Mapping[str, StageResult], row: int, col: int, cols: int, catalogue: Catalogue = BUILT_IN
 ) -> tuple[ProbePoint, ...]:
-    """Marks of source pixel (row, col), of an image `cols` wide, in every slot that was evaluated, to where it ends."""
+    """Return the points of source pixel (row, col) of an image `cols` wide, in every evaluated stage."""
     marks = {SOURCE: ProbePoint(stage=SOURCE, index=row * cols + col, row=row, col=col, text=f"({col}, {row})")}
     for name, result in results.items():
-        slot = catalogue.stage(name)
-        before = marks.get(_made_from(result, slot))
+        stage = catalogue.stage(name)
+        before = marks.get(_made_from(result, stage))
         if before is not None and before.index >= 0:
-            marks[name] = slot.trace_point(result.output, before)
+            marks[name] = stage.trace_point(result.output, before)
     return tuple(marks.values())
 
 
 def trace_to_source(results: Mapping[str, StageResult], name: str, index: int, catalogue: Catalogue = BUILT_IN) -> int:
-    """The source pixel (flat) that element `index` of a slot was made from; -1 where none was."""
+    """Return the source pixel (flat index) that element `index` of a stage was made from; -1 if none."""
     while index >= 0 and name != SOURCE:
         result = results.get(name)
         if result is None:
@@ -37,7 +37,7 @@ def trace_to_source(results: Mapping[str, StageResult], name: str, index: int, c
 
 
 def describe_truth(column: str, row: int, col: int, facts: GroundTruth, catalogue: Catalogue = BUILT_IN) -> str:
-    """What is known to be true at a pixel of a column, in words; "" where nothing is."""
+    """Return the truth at a pixel of a column as text; "" where unknown."""
     at_source = column == SOURCE or catalogue.stage(column).sensor_role == "source"
     truth = facts.source_truth if at_source else facts.target_truth
     if truth is None or truth.indentation_mm is None:
@@ -50,6 +50,6 @@ def describe_truth(column: str, row: int, col: int, facts: GroundTruth, catalogu
 
 
 def _made_from(result: StageResult, stage: Stage) -> str:
-    """The slot, or the source, whose elements the value's `source_index` names."""
+    """Return the stage, or the source, whose elements `source_index` refers to."""
     first = (result.method or stage.methods[0]).reads[0]
     return SOURCE if first == "frame" else first

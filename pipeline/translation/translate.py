@@ -1,4 +1,4 @@
-"""One translation as a user asks for it: a recording, two sensors, and what goes with them, opened and checked once."""
+"""One translation as a user requests it: a recording, two sensors, and what goes with them, opened and checked once."""
 
 from __future__ import annotations
 
@@ -34,27 +34,27 @@ if TYPE_CHECKING:
     from pipeline.geometry.symmetry import Symmetry
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, stages=True, kw_only=True)
 class Request:
-    """What to translate into what; the empty string and None mean "as the recording says"."""
+    """What to translate into what; the empty string and None mean the recording's own."""
 
     recording: Path
     target: str
     source: str = ""
     stream: str = ""
     route: str = "t2d2"
-    methods: tuple[tuple[str, str], ...] = ()  # (slot, method) in place of the route's own
+    methods: tuple[tuple[str, str], ...] = ()  # (stage, method) in place of the route's own
     reference: Path | None = None
     calibration: Path | None = None
     mesh: Path | None = None
     mesh_unit: str = "auto"
     depth_unit: DepthUnit = "auto"
     alignment: Path | None = None  # TOML with T_S->A and T_A->T
-    weights: tuple[tuple[str, Path], ...] = ()  # (slot, file); slot "" = the first whose method takes weights
-    offsets: Offsets = field(default_factory=Offsets)  # how far that alignment is moved
+    weights: tuple[tuple[str, Path], ...] = ()  # (stage, file); stage "" = the first whose method takes weights
+    offsets: Offsets = field(default_factory=Offsets)  # offsets from that alignment
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, stages=True, kw_only=True, eq=False)
 class Translation:
     """Everything that the methods read, for every frame of one stream."""
 
@@ -70,33 +70,33 @@ class Translation:
     symmetry: Symmetry | None = None  # of `mesh`; None = not known
     catalogue: Catalogue = BUILT_IN
     load_context_images: Callable[[], tuple[Image, ...]] = (
-        tuple  # touches of the source's unit by which its light is told
+        tuple  # loader of context images of the source's sensor instance
     )
 
     @property
     def n_frames(self) -> int:
-        """How many touches there are."""
+        """Number of frames."""
         return self.stream.n_frames
 
     @property
     def methods(self) -> tuple[Method, ...]:
-        """The methods of the route, one a slot, in running order."""
+        """The methods of the route, one per stage, in running order."""
         return self.catalogue.methods(self.request.route, dict(self.request.methods))
 
     @property
     def stages(self) -> tuple[str, ...]:
-        """The slots of the route, in order."""
+        """The stages of the route, in order."""
         return tuple(method.stage for method in self.methods)
 
     def reload_frames(self) -> Translation:
-        """The same with the frames that have come since, of a recording that grows."""
+        """Return the translation with the frames that a growing recording has gained."""
         if self.recording.refresh is None:
             return self
         recording = self.recording.refresh()
         return replace(self, recording=recording, stream=recording.stream(self.stream.name))
 
     def with_target_as_source(self) -> Translation:
-        """What the target itself recorded, read as a source; the recording must hold it."""
+        """Return the translation that reads the target's own recording as a source."""
         own = self.recording.stream_of_sensor(self.target.name)
         assert own is not None
         load_context_images = _context_image_loader(self.request, self.recording, own, self.target)
@@ -105,18 +105,18 @@ class Translation:
         )
 
     def build_graph(self, like: Graph | None = None) -> Graph:
-        """What evaluates the route; one that remembers what `like` has worked out, where that is given."""
+        """Return the graph of the route, with the cache of `like` if given."""
         return Graph(self.methods) if like is None else like.with_methods(self.methods)
 
     def read_inputs(self, index: int, previous: ObjectPose | None = None) -> Mapping[str, object]:
-        """What the graph reads for frame `index`; raises FileProblem if that frame is damaged.
+        """Return the graph's inputs for frame `index`; raises FileProblem if that frame is damaged.
 
-        `previous` is the pose of the touch before, where a sequence is to be followed.
+        `previous` is the pose of the frame before, where a sequence is followed.
         """
         return self.build_inputs(self.stream.frame(self.check_index(index)), previous)
 
     def build_inputs(self, frame: TactileFrame, previous: ObjectPose | None = None) -> Mapping[str, object]:
-        """What the graph reads for a frame at hand."""
+        """Return the graph's inputs for a frame at hand."""
         return {
             "frame": replace(frame, context_frames=self.load_context_images()),
             "source": self.source,
@@ -132,11 +132,11 @@ class Translation:
 
     @property
     def weights(self) -> tuple[object, ...]:
-        """Of all methods by network, each `Weights`, or why there are none."""
+        """The weights of all network methods, each `Weights` or why there are none."""
         return tuple(self._weights().values())
 
     def _weights(self) -> dict[str, object]:
-        """What the methods by network read: the weights of the request's files, or else those that come along."""
+        """Return the weights that network methods read: the request's files, or else the shipped ones."""
         learned, given = [m for m in self.methods if m.weights is not None], dict(self.request.weights)
         read: dict[str, object] = {}
         for method in learned:
@@ -146,18 +146,18 @@ class Translation:
         return read
 
     def read_source_truth(self, index: int) -> Truth | None:
-        """What is known of frame `index` on the source's side."""
+        """Return the truth of frame `index` on the source's side."""
         return self.stream.truth(index)
 
     def read_target_observation(self, index: int) -> tuple[TactileFrame, Truth | None] | None:
-        """What the target sensor really recorded of the same touch, None if it took no part."""
+        """Return what the target sensor recorded of the same touch; None if it took no part."""
         other = self.recording.stream_of_sensor(self.target.name)
         if other is None or other.name == self.stream.name or index >= other.n_frames:
             return None
         return other.frame(index), other.truth(index)
 
     def read_ground_truth(self, index: int) -> GroundTruth:
-        """All that is exactly known of frame `index`."""
+        """Return all ground truth of frame `index`."""
         other = self.read_target_observation(index)
         return GroundTruth(
             source_truth=self.read_source_truth(index), mesh=self.mesh, symmetry=self.symmetry,
@@ -165,20 +165,21 @@ class Translation:
         )  # fmt: skip
 
     def read_true_outputs(self, index: int) -> dict[str, object]:
-        """Slot -> the value that it should hold on frame `index`; slots of which that is not known are absent."""
+        """Return stage -> true value on frame `index`; stages without known truth are absent."""
         facts = self.read_ground_truth(index)
-        slots = [self.catalogue.stage(name) for name in self.stages]
+        stages = [self.catalogue.stage(name) for name in self.stages]
         values = {
-            s.name: s.make_ground_truth(facts, self.source if s.sensor_role == "source" else self.target) for s in slots
+            s.name: s.make_ground_truth(facts, self.source if s.sensor_role == "source" else self.target)
+            for s in stages
         }
         return {name: value for name, value in values.items() if value is not None}
 
     def compute_metrics(self, results: Mapping[str, StageResult], index: int) -> dict[str, float]:
-        """Every figure that the known truth of frame `index` allows, as slot.name; see `METRICS` for units."""
+        """Return all metrics against the truth of frame `index`, as stage.metric; see `METRICS` for units."""
         return self.compute_metrics_against(results, self.read_ground_truth(index))
 
     def compute_metrics_against(self, results: Mapping[str, StageResult], facts: GroundTruth) -> dict[str, float]:
-        """The same of a frame of which all that is known is at hand."""
+        """Return all metrics against the given ground truth."""
         return {
             f"{name}.{figure}": value
             for name, result in results.items()
@@ -186,17 +187,17 @@ class Translation:
         }
 
     def close(self) -> None:
-        """Let go of the recording's file."""
+        """Close the recording's file."""
         self.recording.close()
 
     def check_index(self, index: int) -> int:
-        """`index` if there is such a frame; raises SettingProblem otherwise."""
+        """Return `index` if there is such a frame; raises SettingProblem otherwise."""
         return check_frame_index(index, self.n_frames)
 
 
 def open_translation(request: Request, catalogue: Catalogue = BUILT_IN) -> Translation:
     """Open and check all that `request` names; raises TouchError with what is wrong and where."""
-    methods = catalogue.methods(request.route, dict(request.methods))  # a wrong name is told before anything is read
+    methods = catalogue.methods(request.route, dict(request.methods))  # report a wrong name before anything is read
     target = load_sensor(request.target)
     recording = open_recording(
         request.recording, sensor=request.source, reference=request.reference, depth_unit=request.depth_unit
@@ -228,9 +229,9 @@ def open_translation(request: Request, catalogue: Catalogue = BUILT_IN) -> Trans
 def _context_image_loader(
     request: Request, recording: Recording, stream: Stream, source: SensorSpec
 ) -> Callable[[], tuple[Image, ...]]:
-    """The touches that tell of the unit's light, chosen when a frame is first read.
+    """Return a loader of the context images that determine the illumination, chosen when a frame is first read.
 
-    A calibration has the light in it. What grows has none that stay the same.
+    A calibration contains the illumination. A growing recording has no fixed context.
     """
     if source.optics is None or request.calibration is not None or recording.refresh is not None:
         return tuple
@@ -238,14 +239,14 @@ def _context_image_loader(
 
 
 def _about_symmetry(recording: Recording, stream: Stream, mesh: Mesh | None) -> tuple[str, ...]:
-    """What to know about pose errors where nobody says which poses of the object are the same."""
+    """Return a note on pose errors where the object's symmetry is unknown."""
     if mesh is None or not stream.has_truth or (mesh is recording.object_mesh and recording.symmetry is not None):
         return ()
     return ("the object's symmetry is not known; pose errors count every turn as one",)
 
 
 def _about_weights(request: Request, methods: tuple[Method, ...]) -> tuple[str, ...]:
-    """What is to be said of weights that nobody reads."""
+    """Return a warning about weights that no method reads."""
     learned = {method.stage for method in methods if method.weights is not None}
     return tuple(
         f"the weights {file.name!r} count for nothing: "
@@ -259,7 +260,7 @@ def _about_weights(request: Request, methods: tuple[Method, ...]) -> tuple[str, 
 def _alignment(
     request: Request, recording: Recording, stream: Stream, source: SensorSpec, target: SensorSpec
 ) -> Alignment:
-    """The file's; else what the recording knows of how its two streams stand; else what the descriptions say."""
+    """Return the alignment of the file; else of the recording; else of the sensor descriptions."""
     if request.alignment is not None:
         return load_alignment(request.alignment, source=source.name, target=target.name).alignment
     other = recording.stream_of_sensor(target.name)
@@ -268,10 +269,10 @@ def _alignment(
 
 
 def estimate_camera_shift_mm(frame: TactileFrame, spec: SensorSpec) -> float:
-    """How much smaller z reads in this frame's own camera than in the description's; 0 where there is no telling.
+    """Return how much smaller z is in this frame's own camera than in the description's; 0 if that is unknown.
 
-    A depth recording may come from a unit whose camera sits nearer or farther than the description says; what the
-    alignment is about is the membrane, so the two untouched membranes are brought together along the optical axis.
+    The camera of a depth recording may be nearer or farther than described; the alignment is about the membrane, so the
+    two rest membranes are brought together along the optical axis.
     """
     if not frame.is_depth or frame.reference is None or frame.camera is None:
         return 0.0
@@ -282,5 +283,5 @@ def estimate_camera_shift_mm(frame: TactileFrame, spec: SensorSpec) -> float:
     if not seen.size:
         return 0.0
     r, c = spec.rest_depth_mm.shape
-    told = spec.rest_depth_mm[r * 2 // 5 : r * 3 // 5 + 1, c * 2 // 5 : c * 3 // 5 + 1]
-    return float(np.median(told) - np.median(seen))
+    described = spec.rest_depth_mm[r * 2 // 5 : r * 3 // 5 + 1, c * 2 // 5 : c * 3 // 5 + 1]
+    return float(np.median(described) - np.median(seen))

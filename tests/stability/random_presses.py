@@ -68,7 +68,7 @@ def outcome_of(thing: Mesh, pose: np.ndarray, spec: SensorSpec, seed: int) -> st
         pressed = simulate_press(thing, pose, spec, seed=seed)
     except TouchError as error:
         return f"refused: {type(error).__name__}"
-    except Exception as error:
+    except Exception as error:  # noqa: BLE001 - any other exception is a failure
         return f"FAILED: {type(error).__name__}: {error}"[:90]
     wrong = contradiction(pressed, spec)
     if wrong:

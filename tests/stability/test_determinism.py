@@ -73,4 +73,4 @@ def test_on_another_number_of_threads(pair):
 
 
 if __name__ == "__main__":
-    print(chain(*sys.argv[1:3], 3))
+    sys.stdout.write(f"{chain(*sys.argv[1:3], 3)}\n")

@@ -73,7 +73,7 @@ def random_inputs(rng: np.random.Generator) -> dict[str, object]:
 
 
 def resident_mb() -> float:
-    with open("/proc/self/statm") as numbers:
+    with Path("/proc/self/statm").open() as numbers:
         return int(numbers.read().split()[1]) * resource.getpagesize() / 2**20
 
 

@@ -128,7 +128,7 @@ def test_progress_never_goes_back(graph):
 
 
 def test_an_unknown_stage_and_a_missing_input_are_named(graph):
-    with pytest.raises(SettingProblem, match="'colour'.*double, sign, last"):
+    with pytest.raises(SettingProblem, match=r"'colour'.*double, sign, last"):
         graph.evaluate(["colour"], {}, {})
     with pytest.raises(SettingProblem, match="'last' needs 'y'"):
         graph.evaluate(["last"], {"x": X}, {})

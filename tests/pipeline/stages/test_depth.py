@@ -350,7 +350,9 @@ def test_a_recorded_frame_says_first_what_its_look_up_is_worth():
                                                (lambda p: p[::-1, ::-1], "rotated by 180 degrees")])  # fmt: skip
 def test_a_recording_whose_colours_lie_elsewhere_is_doubted_unless_a_unit_was_calibrated_so(change, words):
     source, frame, _ = press("digit")
-    assert not any("reference image is not" in note for note in estimate_depth_with_notes(frame, source, None, PARAMS).notes)
+    assert not any(
+        "reference image is not" in note for note in estimate_depth_with_notes(frame, source, None, PARAMS).notes
+    )
     image, reference = (np.ascontiguousarray(change(a)) for a in (frame.image, frame.reference))
     changed = replace(frame, image=image, reference=reference)
     assert any(

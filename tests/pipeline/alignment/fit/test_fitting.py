@@ -57,7 +57,7 @@ def test_metric_pairs_keep_their_scale():
 
 
 def test_too_few_pairs_are_refused():
-    with pytest.raises(SettingProblem, match="at least two touches.*got 1"):
+    with pytest.raises(SettingProblem, match=r"at least two touches.*got 1"):
         fit_pairs(pairs(TRUE, 1))
 
 
