@@ -1,6 +1,6 @@
-"""The `tactoscope` command: sees to it that `app`, `widgets` and `pipeline` are this project's before they are run.
+"""The `tactoscope` command: checks that `app`, `widgets` and `pipeline` are this project's packages, then runs it.
 
-The three names are common ones, and another program's folder of that name may come first where Python looks.
+The three names are common, and another package of the same name may come first on the import path.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ PACKAGES = ("app", "widgets", "pipeline")
 
 
 def main() -> None:
-    """Entry of the `tactoscope` script; ends with 2 and one sentence where another package stands in the way."""
+    """Entry point of the script; exits with 2 and a message if another package shadows one of this project's."""
     here = Path(__file__).resolve().parent
     for name in PACKAGES:
-        found = _place(importlib.util.find_spec(name))
+        found = _find_location(importlib.util.find_spec(name))
         if found != here / name:
             sys.stderr.write(
-                f"tactoscope: another package named {name!r} comes before this project's; take it out of PYTHONPATH, "
-                f"or give Tactoscope an environment of its own: '{found}'\n"
+                f"tactoscope: another package named {name!r} shadows this project's; remove it from PYTHONPATH, or "
+                f"install Tactoscope in its own environment: '{found}'\n"
             )
             sys.exit(2)
     from app.command import main as run
@@ -29,8 +29,8 @@ def main() -> None:
     run()
 
 
-def _place(spec: ModuleSpec | None) -> Path | None:
-    """The folder of a package, or the file of a module."""
+def _find_location(spec: ModuleSpec | None) -> Path | None:
+    """Return the folder of a package, or the file of a module."""
     if spec is None:
         return None
     if spec.submodule_search_locations:

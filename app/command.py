@@ -1,4 +1,4 @@
-"""`tactoscope ...`: the headless commands, and the window."""
+"""The `tactoscope` command: the headless commands, and `view`, which opens the window."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pipeline.base.errors import SettingProblem
 from pipeline.cli.main import build_app, run_app
 from pipeline.cli.translation_options import DEFAULT_OPTIONS, RecordingPath, TargetName, TranslationOptions
 
-_SCREENS = ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM")
+_DISPLAY_VARIABLES = ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM")
 
 
 def main() -> None:
@@ -28,20 +28,20 @@ def view(
     frame: int | None = None,
     tour: Path | None = None,
 ) -> int:
-    """Open the window, on the sample recording if none is given.
+    """Open the window.
 
     Parameters
     ----------
     frame
-        Frame to begin with.
+        First frame to show.
     tour
-        Step through the recording by itself, write the window's picture and every slot into this folder, and close.
+        Show every frame, write a screenshot and every stage to this folder, and close.
     """
-    if sys.platform.startswith("linux") and not any(os.environ.get(name) for name in _SCREENS):
-        raise SettingProblem("there is no display to show a window on; run it under xvfb-run, or use translate")
+    if sys.platform.startswith("linux") and not any(os.environ.get(name) for name in _DISPLAY_VARIABLES):
+        raise SettingProblem("no display for the window; run it under xvfb-run, or use `tactoscope translate`")
     from app.main import open_window
     from app.session.sample import SAMPLE_RECORDING
 
-    nothing = recording is None and not target and opening == DEFAULT_OPTIONS
-    request = None if nothing else opening.build_request(recording or SAMPLE_RECORDING, target)
+    is_default = recording is None and not target and opening == DEFAULT_OPTIONS
+    request = None if is_default else opening.build_request(recording or SAMPLE_RECORDING, target)
     return open_window(request, frame=frame, tour=tour)

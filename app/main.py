@@ -1,4 +1,4 @@
-"""Starting the window: what must be set before Qt is loaded, and what may come after it is on screen."""
+"""Starts the window: environment before Qt loads, the window, then recording and OpenGL."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ if TYPE_CHECKING:
     from pipeline.translation.catalogue import Catalogue
     from pipeline.translation.translate import Request
 
-_PATIENCE_S = 1.0  # for the window to be on screen; one that is opened minimised never is
-# Objects made until the youngest, and rounds until the older ones are looked through. Loading Qt, VTK and numba makes
-# millions that stay: as Python has it, looking through them takes a tenth of the time to the first touch.
-_GARBAGE_AFTER = 50_000, 20, 50
-_THREADS_LEFT_ALONE = "PASSIVE"  # waiting OpenMP threads that spin would take the processor from the window
+_SHOW_TIMEOUT_S = 1.0  # for the window to be on screen; a minimised one never is
+# Thresholds of the garbage collector. Loading Qt, VTK and numba creates millions of lasting objects; with Python's
+# defaults, collecting takes a tenth of the time to the first touch.
+_GC_THRESHOLDS = 50_000, 20, 50
+_OMP_WAIT_POLICY = "PASSIVE"  # spinning OpenMP threads would take the processor from the window
 
 
 def open_window(request: Request | None, *, frame: int | None = None, tour: Path | None = None) -> int:
-    """Show the window until it is closed, or give the `tour` and close; returns the exit code of the process.
+    """Show the window until it is closed, or run the `tour` and close; returns the exit code of the process.
 
-    `request` None shows the welcome page, or opens the sample where a frame or a tour is asked for. See
-    `app.window.tour` for what a tour leaves behind.
+    Without a request it shows the welcome page, or the sample if a frame or a tour is requested. `app.window.tour`
+    says what a tour writes.
     """
     prepare_environment()
     from app.session.state import AUTO_FRAME, REQUEST_FIELDS, Session
@@ -43,14 +43,14 @@ def open_window(request: Request | None, *, frame: int | None = None, tour: Path
     application = make_application()
     first = AUTO_FRAME if frame is None else frame
     if request is None:
-        asked_for = SAMPLE_RECORDING.exists() and (frame is not None or tour is not None)
-        session = Session(recording=SAMPLE_RECORDING if asked_for else None, frame=first)
+        opens_sample = SAMPLE_RECORDING.exists() and (frame is not None or tour is not None)
+        session = Session(recording=SAMPLE_RECORDING if opens_sample else None, frame=first)
     else:
-        asked = {name: getattr(request, name) for name in REQUEST_FIELDS}
+        fields = {name: getattr(request, name) for name in REQUEST_FIELDS}
         methods, weights = dict(request.methods), dict(request.weights)
-        session = Session(**asked, offsets=request.offsets, methods=methods, weights=weights, frame=first)
-    controller = show_window(session, remembers=tour is None)
-    ending = ShutdownHandler(controller)
+        session = Session(**fields, offsets=request.offsets, methods=methods, weights=weights, frame=first)
+    controller = show_window(session, restore=tour is None)
+    shutdown = ShutdownHandler(controller)
     if tour is None:
         PreloadController(controller)
     try:
@@ -60,14 +60,14 @@ def open_window(request: Request | None, *, frame: int | None = None, tour: Path
             from app.window.tour import run_tour
 
             code = run_tour(controller, tour, show_frame=frame)
-        return ending.code or code
+        return shutdown.code or code
     finally:
-        ending.restore_signal_handlers()
+        shutdown.restore_signal_handlers()
         close_window(controller)
 
 
 def close_window(controller: SessionController) -> None:
-    """Close the window and destroy it: one that outlives its application ends the process with a crash."""
+    """Close and destroy the window: one that outlives the application crashes the process."""
     from PyQt6 import sip
 
     controller.close()
@@ -76,35 +76,35 @@ def close_window(controller: SessionController) -> None:
 
 
 def prepare_environment() -> None:
-    """Before anything loads: idle threads do not spin, garbage is not looked for all along, threads share heaps."""
+    """Set thread, garbage collector and allocator options; must run before heavy imports."""
     limit_arenas()
-    os.environ.setdefault("OMP_WAIT_POLICY", _THREADS_LEFT_ALONE)
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # its threads spin, and no product here is large enough for two
-    gc.set_threshold(*_GARBAGE_AFTER)
+    os.environ.setdefault("OMP_WAIT_POLICY", _OMP_WAIT_POLICY)
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # its threads spin, and no matrix product here gains from two
+    gc.set_threshold(*_GC_THRESHOLDS)
 
 
 def make_application() -> QApplication:
-    """The one application, in our style."""
+    """Return the application; create it if there is none."""
     from PyQt6.QtWidgets import QApplication
 
     from app.shutdown import destroy_windows_at_exit
 
     destroy_windows_at_exit()
-    running = QApplication.instance()
-    if isinstance(running, QApplication):
-        return running
+    existing = QApplication.instance()
+    if isinstance(existing, QApplication):
+        return existing
     application = QApplication([sys.argv[0]])
     application.setApplicationName("Tactoscope")
     return application
 
 
 def show_window(
-    session: Session, *, with_scene: bool = True, catalogue: Catalogue | None = None, remembers: bool = False
+    session: Session, *, with_scene: bool = True, catalogue: Catalogue | None = None, restore: bool = False
 ) -> SessionController:
-    """A window on `session`, on screen before the recording is read and before OpenGL is loaded.
+    """Show a window on `session`; it is on screen before the recording is read and OpenGL is loaded.
 
-    `catalogue` None is what this program knows of slots, methods and routes. One that `remembers` stands where the
-    last one stood, and offers the session of one that was ended from outside.
+    `catalogue` defaults to the built-in stages, methods and routes. `restore` uses the saved theme and geometry, and
+    offers the session of a window that did not close normally.
     """
     from PyQt6.QtCore import QTimer
     from PyQt6.QtWidgets import QApplication
@@ -117,34 +117,34 @@ def show_window(
     from pipeline.translation.catalogue import BUILT_IN
 
     QApplication.setStyle("Fusion")
-    theme = Preferences().theme if remembers else "light"
+    theme = Preferences().theme if restore else "light"
     apply_theme(theme)
     catalogue = catalogue or BUILT_IN
-    scrubbed = frozenset(slot.name for slot in catalogue.stages if slot.has_steps)
-    window = MainWindow([("source", "Source"), *((slot.name, slot.title) for slot in catalogue.stages)], scrubbed)
+    with_steps = frozenset(stage.name for stage in catalogue.stages if stage.has_steps)
+    window = MainWindow([("source", "Source"), *((stage.name, stage.title) for stage in catalogue.stages)], with_steps)
     controller = SessionController(window, catalogue)
-    keeping = connect(controller, theme)
-    if remembers:
-        keeping.restore_geometry()
+    autosave = connect(controller, theme)
+    if restore:
+        autosave.restore_geometry()
     controller.relay.catch_uncaught()
     window.show()
-    _wait_until_seen(window)
+    _wait_until_exposed(window)
     if with_scene:
         QTimer.singleShot(0, lambda: _add_scene(controller))
     if session.recording is not None:
         controller.show_session(session)
         controller.saved_session = session
-    if remembers:
-        keeping.offer_recovery()
+    if restore:
+        autosave.offer_recovery()
     logging.getLogger("tactoscope").info("Tactoscope is ready")
     return controller
 
 
-def _wait_until_seen(window: MainWindow) -> None:
-    """Paint the window before recording, kernels and OpenGL are loaded, which share one interpreter's lock with it."""
+def _wait_until_exposed(window: MainWindow) -> None:
+    """Paint the window before recording, kernels and OpenGL load, which hold the interpreter lock."""
     from PyQt6.QtWidgets import QApplication
 
-    end_s, handle = time.monotonic() + _PATIENCE_S, window.windowHandle()
+    end_s, handle = time.monotonic() + _SHOW_TIMEOUT_S, window.windowHandle()
     while handle is not None and not handle.isExposed() and time.monotonic() < end_s:
         QApplication.processEvents()
         time.sleep(0.002)

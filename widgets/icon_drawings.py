@@ -44,7 +44,7 @@ COMMAND_DRAWINGS: Mapping[str, IconDrawing] = {
     "target": IconDrawing(
         arcs=((8, 8, 16, 16, 0, 360),), strokes=("16,3 16,12", "16,20 16,29", "3,16 12,16", "20,16 29,16")
     ),
-    "picture": IconDrawing(
+    "image": IconDrawing(
         boxes=((4, 7, 24, 18, 2),), strokes=("5,23 12,15 17,20 21,16 27,22",), arcs=((19, 10, 3, 3, 0, 360),)
     ),
     "table": IconDrawing(boxes=((5, 6, 22, 20, 2),), strokes=("5,13 27,13", "5,19 27,19", "13,6 13,26")),

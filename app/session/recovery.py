@@ -51,7 +51,7 @@ class RecoveryFile:
         save_session(session, self.path, fingerprint_files(session))
 
     def remove(self) -> None:
-        """Remove the file and its lock: there is nothing to recover."""
+        """Remove the file and its lock: nothing is left to recover."""
         for path in (self.path, self._folder / f"{self._name}{_LOCK_SUFFIX}"):
             path.unlink(missing_ok=True)
         if self._lock is not None:

@@ -1,4 +1,4 @@
-"""Nothing is lost: the session is kept while it is edited, offered again after a crash, and asked about on close."""
+"""Autosave, recovery after a crash, the question before closing, recent files and window geometry."""
 
 from __future__ import annotations
 
@@ -24,77 +24,76 @@ from pipeline.translation.translate import Translation
 from widgets.notification_bar import NotificationBar
 from widgets.styling import make_single_shot_timer
 
-AUTOSAVE_DELAY_MS = 15_000  # from the first change that is not on disk yet: a kill costs no more than that
+AUTOSAVE_DELAY_MS = 15_000  # from the first unsaved change: the most that a crash loses
 _Answer = QMessageBox.StandardButton
 _MINUTE_S = 60.0
 
 
 class AutosaveController(QObject):
-    """Between the controller and what outlives it: kept sessions, recent files, the window's place."""
+    """Connects the session with everything that outlives the window."""
 
     def __init__(self, controller: SessionController) -> None:
         super().__init__(controller)
         self._controller, self.window = controller, controller.window
         self.preferences = Preferences()
         self.recovery_file = RecoveryFile(recovery.get_recovery_folder())
-        self._job = LatestJob("keeping", self)
-        self._soon = make_single_shot_timer(self, AUTOSAVE_DELAY_MS, self.autosave_now)
-        self._left: Session | None = None  # what the next window is to offer
+        self._job = LatestJob("autosave", self)
+        self._timer = make_single_shot_timer(self, AUTOSAVE_DELAY_MS, self.autosave_now)
+        self._to_recover: Session | None = None  # that the next window offers
         self.notification = NotificationBar("recovery_notification")
         self.window.add_strip(self.notification)
         self.recent_menu = QMenu("Open recent", self.window)
-        self.recent_menu.aboutToShow.connect(self._list_recent)
+        self.recent_menu.aboutToShow.connect(self._fill_recent_menu)
         self.window.add_menu("File", self.recent_menu, before="open_mesh")
-        self._remembers_place = False
+        self._saves_geometry = False
         self.window.may_close = self.may_close
-        controller.session_shown.connect(self._session_shown)
-        controller.job.delivered.connect(self._opened)
+        controller.job.delivered.connect(self._add_recent)
         controller.closing.connect(self._close)
-        controller.termination_requested.connect(self._leave_behind)
-        self._job.failed.connect(self._not_kept)
+        controller.termination_requested.connect(self._prepare_recovery)
+        self._job.failed.connect(self._show_failure)
 
     @property
     def dialog_folder(self) -> str:
-        """Where a file dialog begins."""
+        """Folder that file dialogs start in."""
         return str(self.preferences.last_folder or "")
 
     @property
     def has_unsaved_changes(self) -> bool:
-        """Whether there is work in the session that no file holds: parameters, methods, notes, a moved alignment."""
-        now, saved = _work(self._controller.session), _work(self._controller.saved_session)
-        nothing = now == _work(Session()) and self._controller.session_file is None  # a file that is kept may differ
-        return now != saved and not nothing
+        """Whether parameters, methods, notes or offsets are not in the session file."""
+        current, saved = _get_work(self._controller.session), _get_work(self._controller.saved_session)
+        is_default = current == _get_work(Session()) and self._controller.session_file is None
+        return current != saved and not is_default
 
     def autosave_now(self) -> None:
-        """Have the session written beside, in the background."""
-        self._soon.stop()
-        session = self._to_keep()
+        """Write the recovery file in the background."""
+        self._timer.stop()
+        session = self._session_to_write()
         self._job.submit(lambda _report: self.recovery_file.write(session), interrupt=False)
 
-    def _to_keep(self) -> Session:
+    def _session_to_write(self) -> Session:
         session = self._controller.session_to_save
-        session = replace(session, frame=max(0, session.frame))  # one that is not open yet has no frame
+        session = replace(session, frame=max(0, session.frame))  # not AUTO_FRAME
         if session.recording is not None and is_mounted(session.recording):
-            session = replace(session, recording=None)  # a sensor that is watched is not there after a crash
+            session = replace(session, recording=None)  # a live source is gone after a crash
         return session
 
     def restore_geometry(self) -> None:
-        """Go where the last window was, on a screen that is there, and leave the place behind on close."""
-        self._remembers_place = True
-        place = self.preferences.window_geometry
-        if place is not None:
-            self.window.restoreGeometry(place[0])
-            self.window.restoreState(place[1])
+        """Restore the geometry of the last window, and save it on close."""
+        self._saves_geometry = True
+        geometry = self.preferences.window_geometry
+        if geometry is not None:
+            self.window.restoreGeometry(geometry[0])
+            self.window.restoreState(geometry[1])
         self.window.stay_on_screen()
 
     def offer_recovery(self) -> None:
-        """Offer the session of a window that was ended from outside, where there is one."""
-        left = recovery.find_recoverable_sessions(self.recovery_file.path.parent)
-        if left:
-            self._offer(left[0])
+        """Offer the newest session of a window that did not close normally, if any."""
+        sessions = recovery.find_recoverable_sessions(self.recovery_file.path.parent)
+        if sessions:
+            self._offer(sessions[0])
 
     def may_close(self) -> bool:
-        """Whether the window may go: asks where work would be lost."""
+        """Return whether the window may close; asks if changes are unsaved."""
         if self._controller.is_closed or not self.has_unsaved_changes:
             return True
         answer = self.ask_to_save()
@@ -104,47 +103,46 @@ class AutosaveController(QObject):
         return answer == _Answer.Discard
 
     def ask_to_save(self) -> QMessageBox.StandardButton:
-        """What the user says to losing changes."""
+        """Ask whether to save, discard or cancel."""
         return QMessageBox.question(
-            self.window, "Unsaved changes", "Save what was changed in this session?",
+            self.window, "Unsaved changes", "Save the changes of this session?",
             _Answer.Save | _Answer.Discard | _Answer.Cancel, _Answer.Save,
         )  # fmt: skip
 
     def save_session(self) -> None:
-        """Save where the session came from or was saved before, else ask where."""
+        """Save to the session's file; ask for one if it has none."""
         path = self._controller.session_file or dialogs.ask_save_path(self.window, "save_session", self.dialog_folder)
         if path is not None:
             self._controller.save_session(path)
 
-    def _offer(self, left: RecoverableSession) -> None:
+    def _offer(self, recoverable: RecoverableSession) -> None:
         def recover() -> None:
-            self._controller.push_session(left.session, "recover the session")
-            self._controller.set_cameras(left.session.cameras)
-            self._controller.set_section(left.session.section)
-            recovery.discard_session(left)
+            self._controller.restore_session(recoverable.session, "recover session")
+            recovery.discard_session(recoverable)
             self.autosave_now()
 
         def discard() -> None:
-            recovery.discard_session(left)
+            recovery.discard_session(recoverable)
             self.offer_recovery()
 
-        recording = left.session.recording
+        recording = recoverable.session.recording
         of = "" if recording is None else f" of '{escape_text(recording.name)}'"
         self.notification.show_notification(
-            f"a window was ended {_ago(left.age_s)} without being closed; its session{of} was kept",
+            f"A window did not close normally {_format_age(recoverable.age_s)}. Its session{of} can be recovered.",
             (("Recover", recover), ("Discard", discard)),
         )
 
-    def _session_shown(self, session: Session) -> None:
+    def show_session(self, session: Session) -> None:
+        """Mark unsaved changes in the title, and schedule an autosave."""
         self.window.setWindowModified(self.has_unsaved_changes)
-        if session.recording is not None and not self._soon.isActive():
-            self._soon.start()
+        if session.recording is not None and not self._timer.isActive():
+            self._timer.start()
 
-    def _opened(self, _: int, part: object) -> None:
+    def _add_recent(self, _: int, part: object) -> None:
         if isinstance(part, Translation) and part.request.recording.exists():
             self.preferences.add_recent(part.request.recording)
 
-    def _list_recent(self) -> None:
+    def _fill_recent_menu(self) -> None:
         self.recent_menu.clear()
         for path in self.preferences.recent_files:
             action = QAction(escape_text(path.name), self.recent_menu)
@@ -152,30 +150,30 @@ class AutosaveController(QObject):
             action.triggered.connect(lambda _checked=False, path=path: self._controller.open_path(path))
             self.recent_menu.addAction(action)
         if self.recent_menu.isEmpty():
-            nothing = self.recent_menu.addAction("nothing yet")
-            assert nothing is not None
-            nothing.setEnabled(False)
+            empty = self.recent_menu.addAction("none")
+            assert empty is not None
+            empty.setEnabled(False)
             return
         self.recent_menu.addSeparator()
-        forget = self.recent_menu.addAction("Forget these")
-        assert forget is not None
-        forget.triggered.connect(self.preferences.clear_recent)
+        clear = self.recent_menu.addAction("Clear list")
+        assert clear is not None
+        clear.triggered.connect(self.preferences.clear_recent)
 
-    def _not_kept(self, _: int, error: object) -> None:
-        log.error("the session could not be kept: %s", error)
+    def _show_failure(self, _: int, error: object) -> None:
+        log.error("autosave failed: %s", error)
 
-    def _leave_behind(self) -> None:
-        self._left = self._to_keep() if self.has_unsaved_changes else None
+    def _prepare_recovery(self) -> None:
+        self._to_recover = self._session_to_write() if self.has_unsaved_changes else None
 
     def _close(self) -> None:
-        self._soon.stop()
+        self._timer.stop()
         self._job.close()
-        if self._left is None:
+        if self._to_recover is None:
             self.recovery_file.remove()
         else:
-            with contextlib.suppress(TouchError, OSError):  # nobody is there to be told, and the process must end
-                self.recovery_file.write(self._left)
-        if self._remembers_place:
+            with contextlib.suppress(TouchError, OSError):  # the process is ending: no one can act on an error
+                self.recovery_file.write(self._to_recover)
+        if self._saves_geometry:
             self.preferences.window_geometry = (
                 QByteArray(self.window.saveGeometry()),
                 QByteArray(self.window.saveState()),
@@ -183,15 +181,15 @@ class AutosaveController(QObject):
         self.preferences.write()
 
 
-def _work(session: Session) -> Session:
-    """What of a session took somebody's time; opening files again does not."""
+def _get_work(session: Session) -> Session:
+    """Return only what counts as unsaved work; opened files do not."""
     params = {key: value for key, value in session.params.items() if key != DISPLAY_KEY}
     return replace(
         Session(), params=params, methods=session.methods, offsets=session.offsets, notes=session.notes
     )  # fmt: skip
 
 
-def _ago(age_s: float) -> str:
+def _format_age(age_s: float) -> str:
     for unit, seconds in (("day", 24 * 60 * _MINUTE_S), ("hour", 60 * _MINUTE_S), ("minute", _MINUTE_S)):
         count = round(age_s / seconds)
         if count >= 1:

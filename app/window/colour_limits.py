@@ -1,4 +1,4 @@
-"""Colour limits that are dragged in a picture are settings of the display, like those of the panel."""
+"""Colour limits dragged on an image set the display parameters."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from app.window.session_controller import SessionController
 from pipeline.base.params import list_settings, replace_value
 from pipeline.previews.display_params import DisplayParams
 
-_DIGITS = 2  # of a millimetre
+_DIGITS = 2  # decimals of a limit in mm
 
 
 class ColourLimitController(QObject):
-    """Between the colour bars and the session."""
+    """Connects the colour bars with the session."""
 
     def __init__(self, controller: SessionController) -> None:
         super().__init__(controller)
@@ -27,17 +27,17 @@ class ColourLimitController(QObject):
             source.limits_fitted.connect(self.set_limits)
 
     def set_limit(self, name: str, value: float) -> None:
-        """Set a limit, as far as it may go; a drag is one undo step."""
-        self._controller.choose_params(DISPLAY_KEY, _limited(self._controller.session.display, name, value))
+        """Set a limit within its range; a drag is one undo step."""
+        self._controller.choose_params(DISPLAY_KEY, _replace_limit(self._controller.session.display, name, value))
 
     def set_limits(self, limits: Mapping[str, float]) -> None:
-        """Set limits by what is shown, as one undo step."""
+        """Set limits fitted to the shown values, as one undo step."""
         display = self._controller.session.display
         for name, value in limits.items():
-            display = _limited(display, name, value)
+            display = _replace_limit(display, name, value)
         self._controller.change("fit colour limits", params={**self._controller.session.params, DISPLAY_KEY: display})
 
 
-def _limited(display: DisplayParams, name: str, value: float) -> DisplayParams:
-    _, told = list_settings(display)[name]
-    return replace_value(display, name, min(max(round(value, _DIGITS), told.low), told.high))
+def _replace_limit(display: DisplayParams, name: str, value: float) -> DisplayParams:
+    _, setting = list_settings(display)[name]
+    return replace_value(display, name, min(max(round(value, _DIGITS), setting.low), setting.high))

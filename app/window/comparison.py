@@ -67,7 +67,6 @@ class ComparisonController(QObject):
         job.cancelled.connect(self._show_cancelled)
         job.progressed.connect(self._show_progress)
         controller.frame_shown.connect(self._update)
-        controller.session_shown.connect(self._show_session)
         controller.closing.connect(self._close)
         window.connect_command("cancel", job.cancel)
         window.connect_command("reset_view", self._reset_view)
@@ -191,7 +190,7 @@ class ComparisonController(QObject):
         choices = {"methods": session.comparison.order, "two": (page.stage_box.currentData(), session.variant)}
         return (page.current_name, choices.get(page.current_name))
 
-    def _show_session(self, session: Session) -> None:
+    def show_session(self, session: Session) -> None:
         """Cancel what is no longer visible, and update what is."""
         was_visible, self._is_visible = self._is_visible, session.layout.name in _PAGE_LAYOUTS
         if self._is_visible:

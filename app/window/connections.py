@@ -1,4 +1,4 @@
-"""Who listens to whom, readable from top to bottom."""
+"""Creates the controllers of all features, and connects commands, widgets and session."""
 
 from __future__ import annotations
 
@@ -48,12 +48,9 @@ T = TypeVar("T")
 
 
 def connect(controller: SessionController, theme: Theme = "light") -> AutosaveController:
-    """Fill the window's choices and connect everything; returns what outlives the window.
-
-    `theme` is the one that is on.
-    """
-    window, job, tracer = controller.window, controller.job, controller.probe
-    _fill(window, controller.catalogue)
+    """Create the controllers of all features and connect everything; `theme` is the current one."""
+    window, job, probe = controller.window, controller.job, controller.probe
+    _fill_choices(window, controller.catalogue)
 
     job.delivered.connect(controller.handle_part)
     job.finished.connect(controller.handle_frame)
@@ -71,8 +68,8 @@ def connect(controller: SessionController, theme: Theme = "light") -> AutosaveCo
         slider.step_chosen.connect(controller.views.show_step)
     window.parameters.drag_ended.connect(controller.refresh)
     for column in window.columns.values():
-        column.pixel_hovered.connect(tracer.probe_pixel)
-        column.pixel_clicked.connect(tracer.toggle_pin)
+        column.pixel_hovered.connect(probe.probe_pixel)
+        column.pixel_clicked.connect(probe.toggle_pin)
         column.method_chosen.connect(controller.choose_method)
     window.paths_dropped.connect(controller.open_paths)
     window.cancel_button.clicked.connect(job.cancel)
@@ -82,33 +79,53 @@ def connect(controller: SessionController, theme: Theme = "light") -> AutosaveCo
     window.source.activated.connect(lambda: change("choose source", source=window.source.currentData(), stream=""))
     window.target.activated.connect(lambda: change("choose target", target=window.target.currentData()))
     window.route.activated.connect(lambda: change("choose route", route=window.route.currentData()))
+
     ErrorAttributionController(controller)
-    BasinMapController(controller)
-    StepScrubberController(controller)
+    basin_map, step_scrubber = BasinMapController(controller), StepScrubberController(controller)
     Probe3DController(controller)
     KeyboardController(controller)
     SectionLineController(controller)
     PresentationController(controller)
-    FrameRankingController(controller)
-    sweeping = SweepController(controller)
-    comparing = ComparisonController(controller)
-    keeping = AutosaveController(controller)
-    WelcomeController(controller, keeping)
-    ThemeController(controller, keeping, theme)
-    ArrangementController(controller, keeping)
-    ExportController(controller, keeping, sweeping)
-    LiveController(controller, keeping)
-    aligning = AlignmentController(controller)
-    AlignmentGizmoController(controller, aligning)
-    _connect_files(controller, aligning, keeping, comparing)
-    _connect_play(controller)
-    _connect_view(controller, LayoutController(controller))
+    PanZoomController(controller)
+    ColourLimitController(controller)
+    frame_ranking = FrameRankingController(controller)
+    sweep, comparison = SweepController(controller), ComparisonController(controller)
+    autosave = AutosaveController(controller)
+    welcome = WelcomeController(controller, autosave)
+    ThemeController(controller, autosave, theme)
+    arrangements = ArrangementController(controller, autosave)
+    ExportController(controller, autosave, sweep)
+    LiveController(controller, autosave)
+    alignment = AlignmentController(controller)
+    gizmo, layouts = AlignmentGizmoController(controller, alignment), LayoutController(controller)
+
+    # A session change (`change`, undo, redo, opening) becomes work here, and only here: the stages are requested by
+    # `SessionController.show_session`, then every feature follows in this order. The layout comes last, as it may
+    # request the stages again in another comparison mode.
+    for follow in (
+        basin_map.show_session,  # drops a map of another frame or other settings
+        step_scrubber.show_session,  # iterations of the chosen stage
+        frame_ranking.show_session,  # notes
+        sweep.show_session,  # drops a sweep of another frame or recording
+        comparison.show_session,  # computes the visible tab
+        autosave.show_session,  # schedules the recovery file
+        welcome.show_session,  # hides the page once something is open
+        arrangements.show_session,  # check marks
+        alignment.show_session,  # offsets; drops a proposal for another alignment
+        gizmo.show_session,  # its place
+        layouts.show_session,  # drawers and comparison mode of the layout
+    ):
+        controller.session_shown.connect(follow)
+
+    _connect_files(controller, alignment, autosave, comparison)
+    _connect_playback(controller)
+    _connect_view(controller, layouts)
     _connect_undo(controller)
-    _connect_hands(window)
-    return keeping
+    _connect_palette(window)
+    return autosave
 
 
-def _fill(window: MainWindow, catalogue: Catalogue) -> None:
+def _fill_choices(window: MainWindow, catalogue: Catalogue) -> None:
     window.source.addItem("as recorded", "")
     for name in list_sensor_names():
         window.source.addItem(name, name)
@@ -117,50 +134,50 @@ def _fill(window: MainWindow, catalogue: Catalogue) -> None:
         window.route.addItem(route.name, route.name)
         window.route.setItemData(window.route.count() - 1, route.title, Qt.ItemDataRole.ToolTipRole)
     window.route.setEnabled(len(catalogue.routes) > 1)
-    for slot in catalogue.stages:
-        window.columns[slot.name].offer_methods([(m.name, m.title, m.help) for m in slot.methods])
-        for method in slot.methods:
-            title = slot.title if len(slot.methods) == 1 else f"{slot.title} · {method.title}"
+    for stage in catalogue.stages:
+        window.columns[stage.name].offer_methods([(m.name, m.title, m.help) for m in stage.methods])
+        for method in stage.methods:
+            title = stage.title if len(stage.methods) == 1 else f"{stage.title} · {method.title}"
             window.parameters.add_group(method.key, title, method.params(), method.help)
     window.parameters.add_group(DISPLAY_KEY, "Display", DisplayParams())
 
 
 def _connect_files(
     controller: SessionController,
-    aligning: AlignmentController,
-    keeping: AutosaveController,
-    comparing: ComparisonController,
+    alignment: AlignmentController,
+    autosave: AutosaveController,
+    comparison: ComparisonController,
 ) -> None:
     window = controller.window
 
     def connect_dialog(command: str, ask: Callable[[QWidget, str, str], T | None], then: Callable[[T], object]) -> None:
         def ask_and_apply() -> None:
-            said = ask(window, command, keeping.dialog_folder)
-            if said is not None:
-                then(said)
+            answer = ask(window, command, autosave.dialog_folder)
+            if answer is not None:
+                then(answer)
 
         window.connect_command(command, ask_and_apply)
 
-    own = {
+    openers = {
         "open_reference": controller.open_reference, "open_weights": controller.open_weights,
-        "set_variant_recording": comparing.set_variant_recording,
+        "set_variant_recording": comparison.set_variant_recording,
     }  # fmt: skip
     for command in dialogs.OPEN_DIALOGS:
-        connect_dialog(command, dialogs.ask_open_path, own.get(command, controller.open_path))
-    connect_dialog("save_alignment", dialogs.ask_save_path, aligning.save_alignment)
+        connect_dialog(command, dialogs.ask_open_path, openers.get(command, controller.open_path))
+    connect_dialog("save_alignment", dialogs.ask_save_path, alignment.save_alignment)
     connect_dialog("save_session_as", dialogs.ask_save_path, controller.save_session)
-    window.connect_command("save_session", keeping.save_session)
+    window.connect_command("save_session", autosave.save_session)
     connect_dialog("save_screenshot", dialogs.ask_save_path, controller.save_screenshot)
-    connect_dialog("open_mesh", dialogs.ask_mesh, lambda asked: controller.open_mesh(*asked))
+    connect_dialog("open_mesh", dialogs.ask_mesh, lambda answer: controller.open_mesh(*answer))
     window.connect_command("close_mesh", lambda: controller.open_mesh(None))
     window.connect_command("close_weights", lambda: controller.open_weights(None))
     window.connect_command("quit", window.close)
     window.connect_command(
-        "keys", lambda: QMessageBox.information(window, "Keys", format_shortcut_table(window.actions_by_name))
+        "keys", lambda: QMessageBox.information(window, "Shortcuts", format_shortcut_table(window.actions_by_name))
     )
 
 
-def _connect_play(controller: SessionController) -> None:
+def _connect_playback(controller: SessionController) -> None:
     window, line = controller.window, controller.window.timeline
     play = window.actions_by_name["play"]
 
@@ -190,38 +207,36 @@ def _connect_play(controller: SessionController) -> None:
 
 
 def _connect_view(controller: SessionController, layouts: LayoutController) -> None:
-    window, tracer = controller.window, controller.probe
+    window, probe = controller.window, controller.probe
     freeze = window.actions_by_name["pin_probe"]
-    freeze.toggled.connect(tracer.set_frozen)
-    tracer.pin_changed.connect(freeze.setChecked)
+    freeze.toggled.connect(probe.set_frozen)
+    probe.pin_changed.connect(freeze.setChecked)
     link = window.actions_by_name["link_cameras"]
     link.setChecked(controller.session.cameras_linked)
     window.connect_command("link_cameras", lambda: controller.change("link cameras", cameras_linked=link.isChecked()))
-    PanZoomController(controller)
-    ColourLimitController(controller)
     window.connect_command("reset_view", controller.reset_view)
-    for versus in get_args(ComparisonMode)[1:]:
-        window.connect_command(f"show_{versus}", lambda versus=versus: _choose_versus(controller, versus))
+    for mode in get_args(ComparisonMode)[1:]:
+        window.connect_command(f"show_{mode}", lambda mode=mode: _toggle_comparison_mode(controller, mode))
     window.connect_command("cancel", controller.cancel)
     for i, name in enumerate(window.columns):
-        window.connect_command(f"only_{i + 1}", lambda name=name: _choose_column(controller, layouts, name))
+        window.connect_command(f"only_{i + 1}", lambda name=name: _show_column(controller, layouts, name))
 
 
-def _choose_column(controller: SessionController, layouts: LayoutController, name: str) -> None:
-    """Alone among the stages, else into the active pane."""
+def _show_column(controller: SessionController, layouts: LayoutController, name: str) -> None:
+    """Show a column in the active pane of Inspect, elsewhere alone."""
     if controller.session.layout.name == "inspect":
         layouts.show_stage(name)
     else:
         controller.show_only(name)
 
 
-def _choose_versus(controller: SessionController, versus: ComparisonMode) -> None:
-    """One of them at a time; a second time goes back to what was worked out."""
-    controller.set_comparison_mode("" if controller.views.comparison_mode == versus else versus)
+def _toggle_comparison_mode(controller: SessionController, mode: ComparisonMode) -> None:
+    """Choose a comparison mode; the current one is switched off."""
+    controller.set_comparison_mode("" if controller.views.comparison_mode == mode else mode)
 
 
-def _connect_hands(window: MainWindow) -> None:
-    """Every command by its name, and controls that leave wheel and keys to the window."""
+def _connect_palette(window: MainWindow) -> None:
+    """Connect the command palette and the keyboard focus filter."""
     palette, command = CommandPalette(window), window.actions_by_name["palette"]
     command.setShortcuts([command.shortcut(), QKeySequence("Ctrl+Shift+P")])
     window.connect_command(
@@ -236,13 +251,13 @@ def _connect_undo(controller: SessionController) -> None:
     def make_text_setter(action: QAction, word: str) -> Callable[[str], None]:
         return lambda text: action.setText(f"{word} {text}".strip())
 
-    for name, word, offered, told in (
+    for name, word, can_changed, text_changed in (
         ("undo", "Undo", stack.canUndoChanged, stack.undoTextChanged),
         ("redo", "Redo", stack.canRedoChanged, stack.redoTextChanged),
     ):
         actions[name].setEnabled(False)
-        offered.connect(actions[name].setEnabled)
-        told.connect(make_text_setter(actions[name], word))
+        can_changed.connect(actions[name].setEnabled)
+        text_changed.connect(make_text_setter(actions[name], word))
     controller.window.connect_command("undo", stack.undo)
     controller.window.connect_command("redo", stack.redo)
-    controller.window.connect_command("reset_all", lambda: controller.change("reset all parameters", params={}))
+    controller.window.connect_command("reset_all", lambda: controller.change("reset parameters", params={}))

@@ -1,4 +1,4 @@
-"""What the session's values are on the window's controls."""
+"""Shows the session's values on the window's controls."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from pipeline.translation.catalogue import Catalogue
 def show_controls(
     window: MainWindow, session: Session, methods: Sequence[Method], catalogue: Catalogue, kinds: Mapping[str, str]
 ) -> None:
-    """Show a session whose route is filled by these methods; no control says that anybody chose anything.
+    """Show a session with these methods on the controls, without change signals.
 
-    Of every method, by its key in `kinds`, only what speaks of that kind of sensor is shown.
+    `kinds` maps method keys to sensor kinds: only the parameters for that kind are shown.
     """
     window.timeline.show_frame(session.frame)
     window.frames.show_frame(session.frame)
-    for slot in catalogue.stages:
-        for method in slot.methods:
+    for stage in catalogue.stages:
+        for method in stage.methods:
             window.parameters.show_params(method.key, session.get_params(method))
     window.parameters.show_params(DISPLAY_KEY, session.display)
     window.parameters.show_groups({**{m.key: kinds.get(m.key, "") for m in methods}, DISPLAY_KEY: ""})

@@ -1,4 +1,4 @@
-"""File dialogs, and what a path is."""
+"""File dialogs."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ ALIGNMENT_SUFFIX = ".toml"
 WEIGHTS_SUFFIX = ".safetensors"
 MESH_SUFFIXES = (".stl", ".obj", ".ply")
 _UNITS = {
-    "auto": "Meshes, in mm if that can be",
+    "auto": "Meshes, unit from size",
     "mm": "Meshes in millimetres",
     "cm": "Meshes in centimetres",
     "m": "Meshes in metres",
@@ -34,17 +34,17 @@ OPEN_DIALOGS: Mapping[str, tuple[str, str]] = {  # command -> title and kinds of
     "open_alignment": ("Open alignment", f"Alignments (*{ALIGNMENT_SUFFIX});;All files (*)"),
     "open_session": ("Open session", f"Sessions (*{SESSION_SUFFIX});;All files (*)"),
 }
-_SAVERS = {  # command -> title, kind of file and its suffix
+_SAVERS = {  # command -> title, kind of file, suffix
     "save_alignment": ("Save alignment", "Alignments", ALIGNMENT_SUFFIX),
     "save_session": ("Save session", "Sessions", SESSION_SUFFIX),
     "save_session_as": ("Save session as", "Sessions", SESSION_SUFFIX),
-    "save_screenshot": ("Save picture", "Pictures", ".png"),
-    "export_bundle": ("Make a case", "Cases", ".bundle"),
+    "save_screenshot": ("Save screenshot", "Images", ".png"),
+    "export_bundle": ("Export repro bundle", "Repro bundles", ".bundle"),
 }
 
 
 def ask_open_path(parent: QWidget, command: str, folder: str = "") -> Path | None:
-    """Ask for what a command opens, beginning in `folder`."""
+    """Ask for the file or folder that a command opens, starting in `folder`; None if cancelled."""
     title, kinds = OPEN_DIALOGS[command]
     kinds = make_dialog_filter() if kinds == _RECORDINGS else kinds
     if kinds:
@@ -55,7 +55,7 @@ def ask_open_path(parent: QWidget, command: str, folder: str = "") -> Path | Non
 
 
 def ask_save_path(parent: QWidget, command: str, folder: str = "") -> Path | None:
-    """Ask where a command writes to; a name without a suffix gets one, and a session always its own."""
+    """Ask where a command writes to; a missing suffix is added, for sessions always. None if cancelled."""
     title, kind, suffix = _SAVERS[command]
     chosen, _ = QFileDialog.getSaveFileName(parent, title, folder, f"{kind} (*{suffix})")
     path = Path(chosen)
@@ -66,7 +66,7 @@ def ask_save_path(parent: QWidget, command: str, folder: str = "") -> Path | Non
 
 
 def ask_export_path(parent: QWidget, title: str, suffix: str, folder: str = "") -> Path | None:
-    """Ask for a file's name that ends in `suffix`."""
+    """Ask for a file name that ends in `suffix`; None if cancelled."""
     kind = suffix.removeprefix(".").upper()
     chosen, _ = QFileDialog.getSaveFileName(parent, title, folder, f"{kind} (*{suffix})")
     if not chosen:
@@ -76,24 +76,24 @@ def ask_export_path(parent: QWidget, title: str, suffix: str, folder: str = "") 
 
 
 def ask_name(parent: QWidget, title: str, now: str) -> str:
-    """Ask for a name; "" for none."""
-    name, said = QInputDialog.getText(parent, title, "name", text=now)
-    return name.strip() if said else ""
+    """Ask for a name; "" if cancelled."""
+    name, accepted = QInputDialog.getText(parent, title, "Name", text=now)
+    return name.strip() if accepted else ""
 
 
 def quote_path(path: Path) -> str:
-    """A path as a word of a command line."""
+    """Quote a path for a command line."""
     return shlex.quote(str(path.absolute()))
 
 
 def format_unit_problem(error: UnitProblem) -> str:
-    """The sentence of a mesh that was opened in the wrong unit, with the way out that this window has."""
+    """Return the message for a mesh opened in the wrong unit, with the remedy."""
     units = " or ".join(f"'{_UNITS[unit]}'" for unit in error.fits)
     return f"{error.size}; choose 'Open mesh…' and there {units}: '{error.path}'"
 
 
 def ask_mesh(parent: QWidget, _command: str, folder: str = "") -> tuple[Path, str] | None:
-    """Ask for an object mesh and the unit it is in, which no mesh file says."""
+    """Ask for an object mesh and its unit, which mesh files do not state; None if cancelled."""
     kinds = {f"{text} ({' '.join('*' + s for s in MESH_SUFFIXES)})": unit for unit, text in _UNITS.items()}
     chosen, kind = QFileDialog.getOpenFileName(parent, "Open mesh", folder, ";;".join(kinds))
     return (Path(chosen), kinds.get(kind, "auto")) if chosen else None

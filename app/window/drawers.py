@@ -1,6 +1,6 @@
-"""The drawers around the stages, and the rail of icons that opens and closes them; all are closed at first.
+"""The drawers around the stages, and the icon rail that opens and closes them.
 
-Pictures get the room. A drawer is a dock widget: it can be moved, stacked on another, or torn off the window.
+A drawer is a dock widget: it can be moved, stacked or undocked. All are closed at first, to leave the images room.
 """
 
 from __future__ import annotations
@@ -12,14 +12,14 @@ from widgets.icons import make_command_icon
 
 _AREA = Qt.DockWidgetArea
 _SIDE_PX = {_AREA.LeftDockWidgetArea: 226, _AREA.RightDockWidgetArea: 290}
-_LOW_PX, _MOST_LOW = 210, 0.25  # of the lower one; of the window: a small screen's pictures need the rest
+_BOTTOM_PX, _MAX_BOTTOM_SHARE = 210, 0.25  # height of the bottom drawer, and its largest share of the window
 
 
 class Drawers:
-    """Frames at the left, parameters and alignment at the right; blame, log and timings below."""
+    """Frames at the left, parameters and alignment at the right, diagnostics at the bottom."""
 
     def __init__(
-        self, window: QMainWindow, *, frames: QWidget, parameters: QWidget, alignment: QWidget, reading: QTabWidget
+        self, window: QMainWindow, *, frames: QWidget, parameters: QWidget, alignment: QWidget, diagnostics: QTabWidget
     ) -> None:
         self._window = window
         self.rail = QToolBar("Drawers", window)
@@ -27,10 +27,10 @@ class Drawers:
         self.rail.setMovable(False)
         self.rail.setIconSize(QSize(20, 20))
         window.addToolBar(Qt.ToolBarArea.LeftToolBarArea, self.rail)
-        self.frames = self._drawer("Frames", frames, _AREA.LeftDockWidgetArea, "table", "F2")
-        self.parameters = self._drawer("Parameters", parameters, _AREA.RightDockWidgetArea, "sliders", "F3")
-        self.alignment = self._drawer("Alignment", alignment, _AREA.RightDockWidgetArea, "axes", "F4")
-        self.diagnostics = self._drawer("Blame, log and timings", reading, _AREA.BottomDockWidgetArea, "lines", "F5")
+        self.frames = self._add_drawer("Frames", frames, _AREA.LeftDockWidgetArea, "table", "F2")
+        self.parameters = self._add_drawer("Parameters", parameters, _AREA.RightDockWidgetArea, "sliders", "F3")
+        self.alignment = self._add_drawer("Alignment", alignment, _AREA.RightDockWidgetArea, "axes", "F4")
+        self.diagnostics = self._add_drawer("Diagnostics", diagnostics, _AREA.BottomDockWidgetArea, "lines", "F5")
         window.tabifyDockWidget(self.parameters, self.alignment)
         window.setCorner(Qt.Corner.BottomLeftCorner, _AREA.LeftDockWidgetArea)
         window.setCorner(Qt.Corner.BottomRightCorner, _AREA.RightDockWidgetArea)
@@ -39,12 +39,12 @@ class Drawers:
 
     @property
     def all_drawers(self) -> tuple[QDockWidget, ...]:
-        """Every drawer, as the rail lists them."""
+        """Every drawer, in the order of the rail."""
         return self.frames, self.parameters, self.alignment, self.diagnostics
 
-    def _drawer(self, title: str, widget: QWidget, area: Qt.DockWidgetArea, icon: str, key: str) -> QDockWidget:
+    def _add_drawer(self, title: str, widget: QWidget, area: Qt.DockWidgetArea, icon: str, key: str) -> QDockWidget:
         drawer = QDockWidget(title, self._window)
-        drawer.setObjectName(f"dock_{title.split(maxsplit=1)[0].strip(',').lower()}")
+        drawer.setObjectName(f"dock_{title.lower()}")
         drawer.setWidget(widget)
         self._window.addDockWidget(area, drawer)
         action = drawer.toggleViewAction()
@@ -52,13 +52,13 @@ class Drawers:
         action.setIcon(make_command_icon(icon))
         action.setShortcut(key)
         action.setToolTip(f"{title} ({key})")
-        action.triggered.connect(lambda: self._opened(drawer))
+        action.triggered.connect(lambda: self._fit_drawer(drawer))
         self._window.addAction(action)
         self.rail.addAction(action)
         return drawer
 
-    def _opened(self, drawer: QDockWidget) -> None:
-        """In front of those it shares a place with, and no wider than it needs to be."""
+    def _fit_drawer(self, drawer: QDockWidget) -> None:
+        """Raise an opened drawer, and give it its default width or height."""
         if drawer.isHidden():
             return
         drawer.raise_()
@@ -66,5 +66,5 @@ class Drawers:
         if area in _SIDE_PX:
             self._window.resizeDocks([drawer], [_SIDE_PX[area]], Qt.Orientation.Horizontal)
         else:
-            high_px = min(_LOW_PX, round(_MOST_LOW * self._window.height()))
-            self._window.resizeDocks([drawer], [high_px], Qt.Orientation.Vertical)
+            height_px = min(_BOTTOM_PX, round(_MAX_BOTTOM_SHARE * self._window.height()))
+            self._window.resizeDocks([drawer], [height_px], Qt.Orientation.Vertical)

@@ -1,4 +1,4 @@
-"""The blame tab at work: a frame at rest has its error taken apart while somebody sees the tab."""
+"""The Attribution tab: the error of a frame at rest is attributed to the stages while the tab is visible."""
 
 from __future__ import annotations
 
@@ -10,46 +10,46 @@ from pipeline.translation.error_attribution import DEFAULT_METRIC, ErrorAttribut
 from pipeline.translation.translate import Translation
 from widgets.error_attribution_panel import make_bars
 
-_AT_REST_MS = 250  # truth in five slots costs several times a frame: not while one is searched for or played
-_NO_TRUTH = "no error is known of this frame: the recording does not hold what the target really felt"
+_DELAY_MS = 250  # attribution costs several frames of computation: not while playing or browsing
+_NO_TRUTH = "This frame has no known error: the recording has no touch of the target."
 
 
 class ErrorAttributionController(QObject):
-    """Between the tab and the controller."""
+    """Connects the tab with the session."""
 
     def __init__(self, controller: SessionController) -> None:
         super().__init__(controller)
         self._controller, self._panel = controller, controller.window.error_attribution
-        self._figure, self._ticket = DEFAULT_METRIC, 0
-        self._rest = QTimer(self)
-        self._rest.setSingleShot(True)
-        self._rest.setInterval(_AT_REST_MS)
-        self._rest.timeout.connect(self._ask)
+        self._metric, self._ticket = DEFAULT_METRIC, 0
+        self._timer = QTimer(self)
+        self._timer.setSingleShot(True)
+        self._timer.setInterval(_DELAY_MS)
+        self._timer.timeout.connect(self._attribute)
         self._panel.installEventFilter(self)
-        self._panel.metric_chosen.connect(self._choose)
+        self._panel.metric_chosen.connect(self._choose_metric)
         controller.frame_shown.connect(self._frame_shown)
-        controller.closing.connect(self._rest.stop)
-        controller.job.delivered.connect(self._opened)
-        controller.job.finished.connect(self._take)
+        controller.closing.connect(self._timer.stop)
+        controller.job.delivered.connect(self._clear_for_translation)
+        controller.job.finished.connect(self._show_attribution)
 
     def eventFilter(self, a0: QObject | None, a1: QEvent | None) -> bool:  # noqa: N802
-        """The tab comes to the front, or goes."""
+        """Attribute when the tab is shown; stop when it is hidden."""
         if a1 is not None and a1.type() == QEvent.Type.Show:
-            self._rest.start()
+            self._timer.start()
         elif a1 is not None and a1.type() == QEvent.Type.Hide:
-            self._rest.stop()
+            self._timer.stop()
         return super().eventFilter(a0, a1)
 
-    def _choose(self, figure: str) -> None:
-        self._figure = figure
-        self._ask()
+    def _choose_metric(self, metric: str) -> None:
+        self._metric = metric
+        self._attribute()
 
     def _frame_shown(self, _: int) -> None:
         if self._panel.isVisible():
             self._panel.show_empty("")
-            self._rest.start()
+            self._timer.start()
 
-    def _ask(self) -> None:
+    def _attribute(self) -> None:
         controller, latest = self._controller, self._controller.latest_frame
         if (
             latest is None
@@ -59,23 +59,23 @@ class ErrorAttributionController(QObject):
         ):
             return
         known = [name for name in latest.metrics if METRICS[name.partition(".")[2]].better == "lower"]
-        figure = self._figure if self._figure in known else next(iter(known), "")
-        self._panel.offer_metrics(known, figure)
-        if not figure:
+        metric = self._metric if self._metric in known else next(iter(known), "")
+        self._panel.offer_metrics(known, metric)
+        if not metric:
             self._panel.show_empty(_NO_TRUTH)
             return
         session, evaluator = controller.session, controller.evaluator
-        self._panel.show_empty("putting the truth in place of one slot after the other…")
+        self._panel.show_empty("replacing one stage after the other by its truth…")
         self._ticket = controller.submit_priority(
-            lambda report: evaluator.attribute_frame_error(session, figure, report)
+            lambda report: evaluator.attribute_frame_error(session, metric, report)
         )
 
-    def _opened(self, _: int, part: object) -> None:
+    def _clear_for_translation(self, _: int, part: object) -> None:
         if isinstance(part, Translation):
             self._panel.show_empty("")
 
-    def _take(self, ticket: int, found: object) -> None:
-        if ticket != self._ticket or not isinstance(found, ErrorAttribution):
+    def _show_attribution(self, ticket: int, result: object) -> None:
+        if ticket != self._ticket or not isinstance(result, ErrorAttribution):
             return
-        parts = [(part.title, part.share) for part in found.shares]
-        self._panel.show_attribution(found.summary, make_bars(found.total, parts, found.remainder), found.unit)
+        parts = [(part.title, part.share) for part in result.shares]
+        self._panel.show_attribution(result.summary, make_bars(result.total, parts, result.remainder), result.unit)

@@ -1,4 +1,4 @@
-"""A sensor on screen: read by a thread of its own, the newest frame shown when the stages are free, recorded beside."""
+"""Live source: read on its own thread; the newest frame is shown when the stages are idle, and can be recorded."""
 
 from __future__ import annotations
 
@@ -22,51 +22,51 @@ from pipeline.simulation import shapes
 from widgets.live_bar import LiveBar
 from widgets.live_dialog import LiveDialog
 
-_LOOK_EVERY_MS = 33
-_PATIENCE_S = 1.0  # for the reader's thread, when the window goes; a camera that hangs is left to itself
-_CLOSE_S = 5.0  # for a recording's last frames to be written when the window goes
+_UPDATE_MS = 33
+_STOP_TIMEOUT_S = 1.0  # for the reader's thread on close; a camera that hangs is abandoned
+_RECORDER_TIMEOUT_S = 5.0  # for the last frames of a recording to be written on close
 
 
 class LiveController(QObject):
-    """Between a reader and the controller; nothing here waits for a sensor or a disk."""
+    """Connects a live reader with the session; never waits for a sensor or a disk."""
 
-    def __init__(self, controller: SessionController, keeping: AutosaveController) -> None:
+    def __init__(self, controller: SessionController, autosave: AutosaveController) -> None:
         super().__init__(controller)
-        self._controller, self._keeping, self._window = controller, keeping, controller.window
+        self._controller, self._autosave, self._window = controller, autosave, controller.window
         self.live_bar, self.dialog = LiveBar(), LiveDialog(self._window)
         self._window.add_strip(self.live_bar)
         self.dialog.show_choices(list_sensor_names(), shapes.list_shapes())
         self.reader: LiveReader | None = None
         self.recorder: LiveRecorder | None = None
-        self.is_following, self._n_watched, self._said = False, 0, ""
-        self._path = self._opened = Path()  # the name of what is watched, and of what was opened of it last
-        self._clock = QTimer(self)
-        self._clock.setInterval(_LOOK_EVERY_MS)
-        self._clock.timeout.connect(self._look)
+        self.is_following, self._n_watched, self._shown_text = False, 0, ""
+        self._path = self._opened = Path()  # of the live source, and of the one opened last
+        self._timer = QTimer(self)
+        self._timer.setInterval(_UPDATE_MS)
+        self._timer.timeout.connect(self._update)
         self._window.connect_command("live", self.show_dialog)
-        self.dialog.watch_requested.connect(self._watch_words)
+        self.dialog.watch_requested.connect(self._watch_described)
         self.dialog.cameras_requested.connect(self._list_cameras)
         self.dialog.folder_requested.connect(self._ask_folder)
         self.live_bar.zero_requested.connect(self.set_zero)
         self.live_bar.record_toggled.connect(self._toggle_recording)
         self.live_bar.follow_toggled.connect(self.set_following)
         self.live_bar.stop_requested.connect(self.stop_watching)
-        self._window.timeline.frame_chosen.connect(self._looked_back)
+        self._window.timeline.frame_chosen.connect(self._stop_following)
         controller.closing.connect(self._close)
 
     @property
     def is_on_screen(self) -> bool:
-        """Whether what is watched is what is open."""
+        """Whether the live source is the open recording."""
         return self.reader is not None and self._controller.session.recording == self._path
 
     def show_dialog(self) -> None:
-        """Ask which sensor."""
+        """Ask for the source."""
         self._list_cameras()
         self.dialog.show()
         self.dialog.raise_()
 
     def watch_source(self, source: LiveSource) -> None:
-        """Begin with a sensor; it is opened once its first zero is set."""
+        """Start reading a source; it opens once its reference is captured."""
         self.stop_watching()
         self._n_watched += 1
         self._path = Path(f"live:/{self._n_watched}")
@@ -75,31 +75,31 @@ class LiveController(QObject):
         self.is_following = True
         self.live_bar.show_source(source.title)
         self.live_bar.show_state(following=True, recording=False)
-        self._clock.start()
+        self._timer.start()
 
     def stop_watching(self) -> None:
-        """Let go of the sensor; what is held of it can still be looked at."""
+        """Stop reading; the frames in memory stay open."""
         self.stop_recording()
         if self.reader is not None:
             self.reader.stop()
             self.is_following = False
-        self._clock.stop()
+        self._timer.stop()
         self.live_bar.hide()
 
     def set_following(self, on: bool) -> None:
-        """Show the newest frame from now on, or stay on the one on screen."""
+        """Follow the newest frame, or stay on the current one."""
         self.is_following = on
         if on and not self.is_on_screen and self.reader is not None and self.reader.has_reference:
             self._open(self.reader)
         self.live_bar.show_state(following=on, recording=self.recorder is not None)
 
     def set_zero(self) -> None:
-        """The last readings are the untouched sensor."""
+        """Capture the reference from the last frames."""
         if self.reader is not None:
             self.reader.capture_reference()
 
     def start_recording(self, path: Path) -> None:
-        """Write every frame from now on."""
+        """Record every frame from now on."""
         if self.reader is None:
             return
         try:
@@ -111,17 +111,17 @@ class LiveController(QObject):
         self.live_bar.show_state(following=self.is_following, recording=self.recorder is not None)
 
     def stop_recording(self) -> None:
-        """End the file; its last frames are written beside."""
+        """End the recording; its last frames are written in the background."""
         recorder, self.recorder = self.recorder, None
         if recorder is None:
             return
         if self.reader is not None:
             self.reader.set_listener(None)
         recorder.close(0.0)
-        self._keeping.preferences.add_recent(recorder.path)
+        self._autosave.preferences.add_recent(recorder.path)
         self.live_bar.show_state(following=self.is_following, recording=False)
 
-    def _watch_words(self, words: list[str], sensor: str, tool: str, rate_hz: float) -> None:
+    def _watch_described(self, words: list[str], sensor: str, tool: str, rate_hz: float) -> None:
         try:
             self.watch_source(parse_source(words, sensor=sensor, tool=tool, rate_hz=rate_hz))
         except TouchError as error:
@@ -134,41 +134,41 @@ class LiveController(QObject):
         self.dialog.show_cameras(cameras)
 
     def _ask_folder(self) -> None:
-        chosen = QFileDialog.getExistingDirectory(self.dialog, "Folder that grows", self._keeping.dialog_folder)
+        chosen = QFileDialog.getExistingDirectory(self.dialog, "Folder that grows", self._autosave.dialog_folder)
         if chosen:
             self.dialog.show_folder(chosen)
 
     def _toggle_recording(self, on: bool) -> None:
-        path = dialogs.ask_export_path(self._window, "Record", ".h5", self._keeping.dialog_folder) if on else None
+        path = dialogs.ask_export_path(self._window, "Record", ".h5", self._autosave.dialog_folder) if on else None
         if path is not None:
-            self._keeping.preferences.last_folder = path.parent
+            self._autosave.preferences.last_folder = path.parent
             self.start_recording(path)
         elif not on:
             self.stop_recording()
         self.live_bar.show_state(following=self.is_following, recording=self.recorder is not None)
 
-    def _look(self) -> None:
-        """What there is to say, and the newest frame where the stages are free for it."""
+    def _update(self) -> None:
+        """Show the status, and the newest frame if the stages are idle."""
         reader = self.reader
         if reader is None:
             return
-        self._say(reader.status())
+        self._show_status(reader.status())
         if self.is_on_screen:
-            self._grow(reader.n_frames)
+            self._show_new_frames(reader.n_frames)
         elif self.is_following and reader.has_reference and self._opened != self._path:
             self._open(reader)
-        elif self.is_following and self._opened == self._path:  # another recording was opened meanwhile
+        elif self.is_following and self._opened == self._path:  # another recording was opened
             self.set_following(on=False)
 
     def _open(self, reader: LiveReader) -> None:
         mount(self._path, lambda path=self._path: reader.make_recording(path))
         self._opened = self._path
         self._controller.change(
-            "watch a sensor", recording=self._path, frame=reader.n_frames - 1, source="", stream="", reference=None,
+            "open live source", recording=self._path, frame=reader.n_frames - 1, source="", stream="", reference=None,
             calibration=None, mesh=None, mesh_unit="auto", depth_unit="auto",
         )  # fmt: skip
 
-    def _grow(self, n_frames: int) -> None:
+    def _show_new_frames(self, n_frames: int) -> None:
         controller, opened = self._controller, self._controller.views.translation
         if opened is None or opened.request.recording != self._path or not controller.is_idle:
             return
@@ -178,28 +178,28 @@ class LiveController(QObject):
         if self.is_following and controller.session.frame != n_frames - 1:
             controller.choose_frame(n_frames - 1)
 
-    def _say(self, status: ReaderStatus) -> None:
+    def _show_status(self, status: ReaderStatus) -> None:
         rates = f"{status.state} · {status.rate_hz:.1f} Hz · {status.n_frames} frames · {status.n_lost} lost"
         recorder = self.recorder
         if recorder is not None:
             rates += f" · {recorder.n_written} recorded"
-            rates += f", {recorder.n_dropped} left out" if recorder.n_dropped else ""
-        wrong = status.message or (recorder.problem if recorder is not None else "")
-        if (rates + wrong) != self._said:
-            self._said = rates + wrong
-            self.live_bar.show_rates(rates, wrong)
+            rates += f", {recorder.n_dropped} dropped" if recorder.n_dropped else ""
+        problem = status.message or (recorder.problem if recorder is not None else "")
+        if (rates + problem) != self._shown_text:
+            self._shown_text = rates + problem
+            self.live_bar.show_rates(rates, problem)
 
-    def _looked_back(self, frame: int) -> None:
-        """The timeline was moved by hand: stay there while it goes on."""
+    def _stop_following(self, frame: int) -> None:
+        """Stop following when the user moves the timeline."""
         if self.is_on_screen and self.reader is not None and frame != self.reader.n_frames - 1:
             self.set_following(on=False)
 
     def _close(self) -> None:
-        self._clock.stop()
+        self._timer.stop()
         if self.reader is not None:
             self.reader.set_listener(None)
-            self.reader.stop(_PATIENCE_S)
+            self.reader.stop(_STOP_TIMEOUT_S)
         if self.recorder is not None:
-            self.recorder.close(_CLOSE_S)
+            self.recorder.close(_RECORDER_TIMEOUT_S)
         for number in range(1, self._n_watched + 1):
             unmount(Path(f"live:/{number}"))

@@ -1,4 +1,4 @@
-"""Log records as Qt signals, and uncaught errors as log records and banners."""
+"""Log records as Qt signals, and uncaught errors in log and banner."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ log = logging.getLogger("tactoscope")
 
 
 class LogRelay(QObject):
-    """Passes log lines and uncaught errors of any thread on to the window's thread."""
+    """Passes log lines and uncaught errors of any thread to the window's thread."""
 
     line_logged = pyqtSignal(int, str)
     error_uncaught = pyqtSignal(object)
@@ -30,27 +30,27 @@ class LogRelay(QObject):
         log.setLevel(logging.DEBUG)
 
     def catch_uncaught(self) -> None:
-        """Show errors that nobody caught: PyQt would end the process for one in a slot."""
-        sys.excepthook = self._uncaught
-        threading.excepthook = self._uncaught_in_thread
+        """Report uncaught errors; PyQt would abort the process for one in a callback."""
+        sys.excepthook = self._report_error
+        threading.excepthook = self._report_thread_error
 
     def close(self) -> None:
-        """Let go of the log and of the hooks."""
+        """Remove the log handler and the hooks."""
         log.removeHandler(self._handler)
-        if sys.excepthook == self._uncaught:
+        if sys.excepthook == self._report_error:
             sys.excepthook = sys.__excepthook__
             threading.excepthook = threading.__excepthook__
 
-    def _uncaught(self, kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+    def _report_error(self, kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
         if issubclass(kind, KeyboardInterrupt):
             sys.__excepthook__(kind, error, trace)
             return
         log.error("uncaught error", exc_info=(kind, error, trace))
         self.error_uncaught.emit(error)
 
-    def _uncaught_in_thread(self, args: threading.ExceptHookArgs) -> None:
+    def _report_thread_error(self, args: threading.ExceptHookArgs) -> None:
         if args.exc_value is not None:
-            self._uncaught(args.exc_type, args.exc_value, args.exc_traceback)
+            self._report_error(args.exc_type, args.exc_value, args.exc_traceback)
 
 
 class _Handler(logging.Handler):
@@ -64,7 +64,7 @@ class _Handler(logging.Handler):
 
 
 def describe_error(error: BaseException) -> tuple[str, str]:
-    """What the banner says: a TouchError's own sentence, else a short one with the traceback as details."""
+    """Return (sentence, details) for the banner; details hold the traceback of unexpected errors."""
     if isinstance(error, TouchError):
         return format_unit_problem(error) if isinstance(error, UnitProblem) else str(error), ""
     return error_log.format_sentence(error), error_log.format_details(error)

@@ -1,4 +1,4 @@
-"""The window: where everything stands. It lays widgets out and knows nothing of the pipeline's work."""
+"""The main window: lays out all widgets, without access to the pipeline."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from PyQt6.QtCore import QSize, Qt, pyqtSignal
 from PyQt6.QtGui import QAction, QCloseEvent, QDragEnterEvent, QDropEvent
 from PyQt6.QtWidgets import (
     QComboBox,
+    QDockWidget,
     QLabel,
     QMainWindow,
     QMenu,
@@ -60,27 +61,24 @@ from widgets.view_3d_panel import View3DPanel
 from widgets.warning_line import WarningLine
 
 DEFAULT_SIZE = QSize(1600, 950)
-_DOING_PX = 260  # for what the background does, in words
-MIN_STRIP_PX, INSPECT_STRIP_PX, MAX_STRIP_SHARE = (
-    24,
-    44,
-    0.125,
-)  # of the errors; of the window: higher bars tell no more
+_ACTIVITY_WIDTH_PX = 260
+MIN_STRIP_PX, INSPECT_STRIP_PX = 24, 44  # height of the error strip
+MAX_STRIP_SHARE = 0.125  # of the window height
 
 
 class MainWindow(QMainWindow):
-    """Stage columns over 3D views over the timeline and the trace, with drawers around them."""
+    """Stage columns above 3D views above the timeline and the probe trace, surrounded by drawers."""
 
     paths_dropped = pyqtSignal(list)  # of Path
     closing = pyqtSignal()
 
-    def __init__(self, columns: Sequence[tuple[str, str]], scrubbed: frozenset[str] = frozenset()) -> None:
+    def __init__(self, columns: Sequence[tuple[str, str]], stages_with_steps: frozenset[str] = frozenset()) -> None:
         super().__init__()
         self.setWindowTitle("Tactoscope")
-        self._take_room()
+        self._set_default_size()
         self.setAcceptDrops(True)
         self.setDockNestingEnabled(True)
-        self.may_close: Callable[[], bool] = lambda: True  # asked before the window goes
+        self.may_close: Callable[[], bool] = lambda: True  # called before the window closes
         titles = tuple(title for _, title in columns)
         self.actions_by_name: Mapping[str, QAction] = make_actions(
             self,
@@ -96,25 +94,20 @@ class MainWindow(QMainWindow):
         )
         self.columns = {name: StageColumn(name, f"{i + 1} · {title}") for i, (name, title) in enumerate(columns)}
         self.banner, self.timeline = Banner(), Timeline()
-        self.steps = {name: StepsSlider(name) for name in sorted(scrubbed)}  # under the 3D views of these columns
+        self.steps = {
+            name: StepsSlider(name) for name in sorted(stages_with_steps)
+        }  # under the 3D views of these columns
         self.frames, self.parameters, self.alignment = FramesPanel(), ParametersPanel(), AlignmentPanel()
-        self.trace, self.log, self.timings, self.error_attribution = (
-            TracePanel(),
-            LogPanel(),
-            TimingsPanel(),
-            ErrorAttributionPanel(),
-        )
+        self.trace, self.log, self.timings = TracePanel(), LogPanel(), TimingsPanel()
+        self.error_attribution = ErrorAttributionPanel()
         self.basins, self.steps_panel, self.section_panel = BasinPanel(), StepsPanel(), SectionPanel()
-        self._alone, self._off_route, self.current_layout = "", frozenset[str](), Layout()
+        self._only_stage, self._hidden_stages, self.current_layout = "", frozenset[str](), Layout()
         self.view_panels = {name: View3DPanel(self.steps.get(name)) for name, _ in columns}
-        self.truth_column, self.truth_view_panel = (
-            StageColumn("truth", "Truth"),
-            View3DPanel(),
-        )  # of the touch, for demonstrations
+        self.truth_column, self.truth_view_panel = StageColumn("truth", "Truth"), View3DPanel()  # of the Demo layout
         self.warning_line = WarningLine()
         self.pages, self.rows, self.comparison = QStackedWidget(), StageRows(), ComparisonPage()
         self.panes = PanesPage({name: f"{i + 1} · {title}" for i, (name, title) in enumerate(columns)})
-        self.source, self.target, self.route = (self._chooser(n) for n in ("source", "target", "route"))
+        self.source, self.target, self.route = (self._make_chooser(n) for n in ("source", "target", "route"))
         self._build_centre()
         self._build_drawers()
         self.menus = build_menus(self, self.actions_by_name, len(self.columns), self.drawers.all_drawers)
@@ -122,13 +115,13 @@ class MainWindow(QMainWindow):
         build_tool_bar(self, self.actions_by_name, choosers, self.timeline)
         self._build_status()
 
-    def _take_room(self) -> None:
-        """As large as wanted, but no larger than the screen."""
+    def _set_default_size(self) -> None:
+        """Set the default size, at most the screen's."""
         screen = self.screen()
         self.resize(DEFAULT_SIZE if screen is None else DEFAULT_SIZE.boundedTo(screen.availableSize()))
 
     def stay_on_screen(self) -> None:
-        """Come back from a screen that is gone or has become smaller."""
+        """Move and resize the window into the available screen."""
         screen = self.screen()
         if screen is None or self.isMaximized() or self.isFullScreen():
             return
@@ -140,14 +133,24 @@ class MainWindow(QMainWindow):
         top = min(max(frame.top(), room.top()), room.bottom() + 1 - frame.height())
         self.move(max(left, room.left()), max(top, room.top()))
 
+    def show_drawer(self, drawer: QDockWidget) -> None:
+        """Open a drawer in front of the others."""
+        drawer.show()
+        drawer.raise_()
+
+    def show_diagnostics(self, tab: QWidget) -> None:
+        """Open the diagnostics drawer at a tab."""
+        self.show_drawer(self.drawers.diagnostics)
+        self.tabs.setCurrentWidget(tab)
+
     def add_strip(self, strip: QWidget) -> None:
-        """Give a strip its place over the stages."""
+        """Add a notification strip above the stages."""
         self._strips.addWidget(strip)
 
     def _build_centre(self) -> None:
         for page in (self.rows, self.panes, self.comparison):
             self.pages.addWidget(page)
-        self.rows.spare_height_changed.connect(self._share_spare)
+        self.rows.spare_height_changed.connect(self._use_spare_height)
         centre = QWidget()
         layout = set_spacing(QVBoxLayout(centre), 2, (2, 2, 2, 0))
         self._strips = set_spacing(QVBoxLayout(), 2)
@@ -159,12 +162,12 @@ class MainWindow(QMainWindow):
         layout.addWidget(self.trace)
         self.setCentralWidget(centre)
 
-    def _share_spare(self, spare_px: int) -> None:
-        """What pictures and 3D views do not need is the errors'."""
-        strip = self.timeline.errors  # counted from its height now: what was asked for may not be laid out yet
+    def _use_spare_height(self, spare_px: int) -> None:
+        """Give the height that images and 3D views do not need to the error strip."""
+        strip = self.timeline.errors
         if abs(spare_px) > 1:
-            most_px = round(MAX_STRIP_SHARE * self.height())
-            strip.set_height_px(min(max(strip.height() + spare_px, MIN_STRIP_PX), most_px))
+            max_px = round(MAX_STRIP_SHARE * self.height())
+            strip.set_height_px(min(max(strip.height() + spare_px, MIN_STRIP_PX), max_px))
 
     def _build_drawers(self) -> None:
         for name in ("open_alignment", "save_alignment"):
@@ -173,7 +176,7 @@ class MainWindow(QMainWindow):
         self.tabs.setObjectName("diagnostic_tabs")
         self.tabs.setDocumentMode(True)
         tabs = (
-            (self.error_attribution, "Blame"),
+            (self.error_attribution, "Attribution"),
             (self.section_panel, "Section"),
             (self.steps_panel, "Steps"),
             (self.basins, "Basins"),
@@ -185,14 +188,14 @@ class MainWindow(QMainWindow):
         for name in ("set_variant_settings", "set_variant_recording", "clear_variant"):
             self.comparison.add_command(self.actions_by_name[name])
         self.drawers = Drawers(
-            self, frames=self.frames, parameters=self.parameters, alignment=self.alignment, reading=self.tabs
+            self, frames=self.frames, parameters=self.parameters, alignment=self.alignment, diagnostics=self.tabs
         )
 
-    def add_menu(self, menu: str, below: QMenu, *, before: str) -> None:
-        """Give a menu of its own a place in one of the bar's, before a command."""
-        self.menus[menu].insertMenu(self.actions_by_name[before], below)
+    def add_menu(self, menu: str, submenu: QMenu, *, before: str) -> None:
+        """Insert a submenu into a menu of the menu bar, before a command."""
+        self.menus[menu].insertMenu(self.actions_by_name[before], submenu)
 
-    def _chooser(self, name: str) -> QComboBox:
+    def _make_chooser(self, name: str) -> QComboBox:
         box = QComboBox()
         box.setObjectName(f"choose_{name}")
         box.setAccessibleName(f"{name} sensor" if name != "route" else "route")
@@ -200,21 +203,17 @@ class MainWindow(QMainWindow):
         return box
 
     def _build_status(self) -> None:
-        self.readout, self.activity_label, self.progress_bar, self.cancel_button = (
-            FixedSizeLabel(),
-            QLabel(),
-            QProgressBar(),
-            QPushButton("Cancel"),
-        )
+        self.readout, self.activity_label = FixedSizeLabel(), QLabel()
+        self.progress_bar, self.cancel_button = QProgressBar(), QPushButton("Cancel")
         self.readout.setObjectName("probe")
         self.progress_bar.setRange(0, 1000)
         self.progress_bar.setFixedWidth(140)
-        self.activity_label.setFixedWidth(_DOING_PX)
+        self.activity_label.setFixedWidth(_ACTIVITY_WIDTH_PX)
         self.activity_label.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
-        for widget in (self.progress_bar, self.cancel_button):  # nothing moves when work begins and ends
-            room = widget.sizePolicy()
-            room.setRetainSizeWhenHidden(True)
-            widget.setSizePolicy(room)
+        for widget in (self.progress_bar, self.cancel_button):  # the layout does not move when work starts and ends
+            policy = widget.sizePolicy()
+            policy.setRetainSizeWhenHidden(True)
+            widget.setSizePolicy(policy)
         self.progress_bar.setTextVisible(False)
         self.cancel_button.setObjectName("cancel_button")
         status = self.statusBar()
@@ -225,7 +224,7 @@ class MainWindow(QMainWindow):
         self.show_progress(None)
 
     def show_progress(self, fraction: float | None, text: str = "") -> None:
-        """What the background does, None when it rests."""
+        """Show what is being computed; None shows that nothing is."""
         for widget in (self.progress_bar, self.cancel_button):
             widget.setVisible(fraction is not None)
         self.activity_label.setText(text if fraction is not None else "ready")
@@ -234,7 +233,7 @@ class MainWindow(QMainWindow):
 
     @property
     def views_3d(self) -> tuple[View3D, ...]:
-        """The 3D views: one a column, then the truth's, then those of two sessions at once."""
+        """The 3D views: one per column, then the truth's, then the two of the comparison."""
         return (
             *(cell.view for cell in self.view_panels.values()),
             self.truth_view_panel.view,
@@ -242,27 +241,29 @@ class MainWindow(QMainWindow):
         )
 
     def show_only(self, name: str | None) -> None:
-        """Show one column alone, or all of the route for None."""
-        self._alone = name or ""
+        """Show one column alone; None shows all columns of the route."""
+        self._only_stage = name or ""
         self.show_layout(self.current_layout)
 
     def hide_stages(self, names: frozenset[str]) -> None:
-        """Hide the columns that the route does not have."""
-        self._off_route = names
-        self._alone = "" if self._alone in names else self._alone
+        """Hide the columns that the route does not compute."""
+        self._hidden_stages = names
+        self._only_stage = "" if self._only_stage in names else self._only_stage
         self.panes.hide_stages(names)
         self.show_layout(self.current_layout)
 
     def capture_arrangement(self, name: str) -> Arrangement:
-        """How the window stands, under a name."""
-        return capture_arrangement(self, name, self._alone)
+        """Return the current arrangement of the window under a name."""
+        return capture_arrangement(self, name, self._only_stage)
 
-    def show_layout(self, layout: Layout, *, anew: bool = False) -> None:
-        """Arrange the columns; a user's own arrangement also what it came with, where it is another or wanted anew."""
-        begins = layout.arrangement is not None and (anew or layout.arrangement != self.current_layout.arrangement)
+    def show_layout(self, layout: Layout, *, force: bool = False) -> None:
+        """Arrange the columns; a user's arrangement is restored if it is another one or if `force`."""
+        restores = layout.arrangement is not None and (force or layout.arrangement != self.current_layout.arrangement)
         self.current_layout = layout
-        if begins and layout.arrangement is not None:
-            self._alone = layout.arrangement.only_stage if layout.arrangement.only_stage in self.route_columns else ""
+        if restores and layout.arrangement is not None:
+            self._only_stage = (
+                layout.arrangement.only_stage if layout.arrangement.only_stage in self.route_columns else ""
+            )
         pairs = {name: (column, self.view_panels[name]) for name, column in self.columns.items()}
         if layout.name == "inspect":
             panes = layout.resolve_panes(self.route_columns)
@@ -270,9 +271,9 @@ class MainWindow(QMainWindow):
             shown = [name for name, _ in panes]
         else:
             self.panes.release_contents()
-            few = layout.name in ("align", "demo")
-            self.rows.set_columns((*pairs.values(), (self.truth_column, self.truth_view_panel)), wide=few)
-            shown = layout.list_columns(self.route_columns, self._alone)
+            wide = layout.name in ("align", "demo")
+            self.rows.set_columns((*pairs.values(), (self.truth_column, self.truth_view_panel)), wide=wide)
+            shown = layout.list_columns(self.route_columns, self._only_stage)
         for name, widgets in pairs.items():
             for widget in widgets:
                 if layout.name != "inspect" or name not in shown:
@@ -282,42 +283,44 @@ class MainWindow(QMainWindow):
         self.rows.lower_row.setVisible(layout.name != "align")
         pages = {"inspect": self.panes, "sweep": self.comparison, "compare": self.comparison}
         self.pages.setCurrentWidget(pages.get(layout.name, self.rows))
-        if layout.name not in ("stages", "demo"):  # in these, as high as the rows leave it
+        if layout.name not in ("stages", "demo"):  # these two use the spare height
             self.timeline.errors.set_height_px(INSPECT_STRIP_PX if layout.name == "inspect" else MIN_STRIP_PX)
         for i, key in enumerate(self.columns):
             action = self.actions_by_name[f"only_{i + 1}"]
-            action.setChecked(layout.name == "stages" and key == self._alone)
+            action.setChecked(layout.name == "stages" and key == self._only_stage)
             action.setEnabled(key in self.route_columns)
         for name in LAYOUT_NAMES:
             self.actions_by_name[f"layout_{name}"].setChecked(name == layout.name)
-        if begins and layout.arrangement is not None and not restore_arrangement(self, layout.arrangement):
+        if restores and layout.arrangement is not None and not restore_arrangement(self, layout.arrangement):
             self.banner.show_problem(
-                f"the drawers of {layout.arrangement.name!r} were kept by another version and stay closed"
+                f"the drawers of {layout.arrangement.name!r} are of another version and stay closed"
             )
 
     @property
     def route_columns(self) -> list[str]:
-        """The columns that the route has."""
-        return [name for name in self.columns if name not in self._off_route]
+        """The columns that the route computes."""
+        return [name for name in self.columns if name not in self._hidden_stages]
 
     def visible_columns(self) -> tuple[str, ...]:
-        """The stages that somebody can see, in large or in small."""
-        inspected = self.current_layout.name == "inspect"
+        """The stages that are visible, large or as thumbnails."""
+        is_inspecting = self.current_layout.name == "inspect"
         return tuple(
-            self.route_columns if inspected else self.current_layout.list_columns(self.route_columns, self._alone)
+            self.route_columns
+            if is_inspecting
+            else self.current_layout.list_columns(self.route_columns, self._only_stage)
         )
 
-    def connect_command(self, name: str, what: Callable[[], object]) -> None:
-        """Connect a command."""
-        self.actions_by_name[name].triggered.connect(lambda _checked=False: what())
+    def connect_command(self, name: str, function: Callable[[], object]) -> None:
+        """Call `function` when a command is triggered."""
+        self.actions_by_name[name].triggered.connect(lambda _checked=False: function())
 
     def dragEnterEvent(self, a0: QDragEnterEvent | None) -> None:  # noqa: N802
-        """Take files and folders."""
+        """Accept files and folders."""
         if a0 is not None and (mime := a0.mimeData()) is not None and mime.hasUrls():
             a0.acceptProposedAction()
 
     def dropEvent(self, a0: QDropEvent | None) -> None:  # noqa: N802
-        """Say what was dropped."""
+        """Emit the dropped paths."""
         if a0 is None or (mime := a0.mimeData()) is None:
             return
         paths = [Path(url.toLocalFile()) for url in mime.urls() if url.isLocalFile()]
@@ -326,7 +329,7 @@ class MainWindow(QMainWindow):
             self.paths_dropped.emit(paths)
 
     def closeEvent(self, a0: QCloseEvent | None) -> None:  # noqa: N802
-        """Ask where something would be lost, and let the background come to rest first."""
+        """Ask about unsaved changes, then close."""
         if a0 is not None and not self.may_close():
             a0.ignore()
             return

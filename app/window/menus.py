@@ -1,4 +1,4 @@
-"""The window's commands where one finds them: menus, tool bar, and the buttons of the timeline."""
+"""Menus, tool bar, and the buttons of the timeline."""
 
 from __future__ import annotations
 
@@ -39,16 +39,16 @@ _TOOLS = (
     "show_wipe",
     "show_blink",
 )
-_FIRST_OF_THEIR_KIND = frozenset(
+_AFTER_SEPARATOR = frozenset(
     ("open_mesh", "save_session", "export", "quit", "reset_all", "back_10", "show_truth", "only_1")
 )
-_NAMED = ("open_recording", "open_mesh", "pin_probe")
+_WITH_TEXT = ("open_recording", "open_mesh", "pin_probe")
 
 
 def build_menus(
     window: QMainWindow, actions: Mapping[str, QAction], n_columns: int, drawers: Iterable[QDockWidget]
 ) -> dict[str, QMenu]:
-    """Every command once, by what it is about; the menus by their names."""
+    """Create the menus, with every command once; title -> menu."""
     bar, menus = window.menuBar(), dict[str, QMenu]()
     assert bar is not None
     for title, names in (
@@ -66,7 +66,7 @@ def build_menus(
         assert menu is not None
         menus[title.replace("&", "")] = menu
         for name in names:
-            if name in _FIRST_OF_THEIR_KIND:
+            if name in _AFTER_SEPARATOR:
                 menu.addSeparator()
             menu.addAction(actions[name])
         if title == "&View":
@@ -81,7 +81,7 @@ def build_menus(
 def build_tool_bar(
     window: QMainWindow, actions: Mapping[str, QAction], choosers: Sequence[tuple[str, QWidget]], timeline: Timeline
 ) -> None:
-    """What is used most, `choosers` with their labels, and the buttons of the timeline."""
+    """Create the tool bar with `choosers` (label, widget), and the buttons of the timeline."""
     bar = QToolBar("Commands", window)
     bar.setObjectName("tool_bar")
     bar.setMovable(False)
@@ -98,7 +98,7 @@ def build_tool_bar(
         word.setBuddy(box)
         bar.addWidget(word)
         bar.addWidget(box)
-    for name in _NAMED:  # the others' names are in their tips and in the menus
+    for name in _WITH_TEXT:
         button = bar.widgetForAction(actions[name])
         if isinstance(button, QToolButton):
             button.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextBesideIcon)

@@ -1,4 +1,4 @@
-"""An empty window makes itself ready for a first recording while nobody has chosen one."""
+"""Preloads packages and kernels while no recording is open."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from app.work.jobs import LatestJob
 from app.work.preload import preload_depth
 from widgets.styling import make_single_shot_timer
 
-_AFTER_MS = 700  # the window, its 3D views among it, comes first
+_DELAY_MS = 700  # the window and its 3D views come first
 
 
 class PreloadController(QObject):
-    """Works once, on a thread of its own; what is opened meanwhile loads the same, and goes first."""
+    """Preloads once, on its own thread; stops when a recording opens, which loads the same."""
 
     def __init__(self, controller: SessionController) -> None:
         super().__init__(controller)
-        self.job = LatestJob("warming", self)
-        self.start_timer = make_single_shot_timer(self, _AFTER_MS, lambda: self.job.submit(preload_depth))
+        self.job = LatestJob("preload", self)
+        self.start_timer = make_single_shot_timer(self, _DELAY_MS, lambda: self.job.submit(preload_depth))
         controller.session_shown.connect(self._stop)
         controller.closing.connect(self._close)
         if controller.session.recording is None:

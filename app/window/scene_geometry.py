@@ -1,4 +1,4 @@
-"""Where things are in the 3D views: what each looks at, and the dots of a traced pixel."""
+"""View bounds and probe points of the 3D views."""
 
 from __future__ import annotations
 
@@ -16,44 +16,44 @@ from pipeline.stages.stage import ProbePoint
 from pipeline.translation.pixel_trace import SOURCE
 from pipeline.translation.translate import Translation
 
-_ROOM = 1.4  # around what a gel can have touched, in radii of its own view
+_MARGIN = 1.4  # radius of the target's view, in radii of the source's, if the source is a gel
 
 
 def compute_view_bounds(translation: Translation) -> dict[str, ViewBounds]:
-    """Where each column's view looks from: at the source, or at that part of the target which can be touched."""
+    """Return column -> bounds of its 3D view: the source, or the part of the target that the source can touch."""
     source, target = translation.source, translation.target
     z, radius = float(np.median(source.rest_depth_mm)), _radius_mm(source)
     at_source = ViewBounds(centre_mm=(0.0, 0.0, z), radius_mm=radius, frame=source.name)
     centre = to_xyz(rigid.apply(translation.alignment.target_from_source, (0.0, 0.0, z)))
-    reach = min(_radius_mm(target), _ROOM * radius) if source.gel is not None else _radius_mm(target)
+    reach = min(_radius_mm(target), _MARGIN * radius) if source.gel is not None else _radius_mm(target)
     at_target = ViewBounds(centre_mm=centre, radius_mm=reach, frame=f"target {target.name}")
     places = {
-        slot.name: at_source if slot.sensor_role == "source" else at_target for slot in translation.catalogue.stages
+        stage.name: at_source if stage.sensor_role == "source" else at_target for stage in translation.catalogue.stages
     }
     return {SOURCE: at_source, **places}
 
 
 def compute_trace_points(
-    marks: Iterable[ProbePoint], translation: Translation, display: DisplayParams
+    points: Iterable[ProbePoint], translation: Translation, display: DisplayParams
 ) -> dict[str, tuple[float, float, float]]:
-    """Where the traced pixel is in each 3D view, on the surfaces as drawn (stretched); columns it misses are absent."""
-    found: dict[str, tuple[float, float, float]] = {}
-    for mark in marks:
-        if mark.point_mm is None or mark.stage == SOURCE:
+    """Return column -> x, y, z in mm of the probed pixel on the drawn (stretched) surface; missing if not there."""
+    positions: dict[str, tuple[float, float, float]] = {}
+    for point in points:
+        if point.point_mm is None or point.stage == SOURCE:
             continue
-        slot = translation.catalogue.stage(mark.stage)
-        sensor = translation.source if slot.sensor_role == "source" else translation.target
-        times = display.get_depth_stretch(sensor) if slot.exaggerates_indentation else 1.0
-        found[mark.stage] = _stretched(mark.point_mm, sensor, times)
-        if (
-            slot.sensor_role == "source"
-        ):  # a gel's picture is drawn on its rest surface, a bubble's where it was measured
-            found[SOURCE] = _stretched(mark.point_mm, sensor, 1.0 if sensor.sensor_kind.is_depth else 0.0)
-    return found
+        stage = translation.catalogue.stage(point.stage)
+        sensor = translation.source if stage.sensor_role == "source" else translation.target
+        stretch = display.get_depth_stretch(sensor) if stage.exaggerates_indentation else 1.0
+        positions[point.stage] = _stretch_point(point.point_mm, sensor, stretch)
+        if stage.sensor_role == "source":  # gel images lie on the rest surface, bubble images on the measured one
+            positions[SOURCE] = _stretch_point(point.point_mm, sensor, 1.0 if sensor.sensor_kind.is_depth else 0.0)
+    return positions
 
 
-def _stretched(point_mm: tuple[float, float, float], sensor: SensorSpec, times: float) -> tuple[float, float, float]:
-    return to_xyz(stretch_depth(np.array([point_mm], dtype=np.float32), sensor, times)[0])
+def _stretch_point(
+    point_mm: tuple[float, float, float], sensor: SensorSpec, stretch: float
+) -> tuple[float, float, float]:
+    return to_xyz(stretch_depth(np.array([point_mm], dtype=np.float32), sensor, stretch)[0])
 
 
 def _radius_mm(sensor: SensorSpec) -> float:

@@ -1,4 +1,4 @@
-"""Pictures of the window on disk."""
+"""Screenshots of widgets."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from pipeline.base.files import open_atomic
 
 
 def write_screenshot(widget: QWidget, path: Path) -> None:
-    """What `widget` shows, in the format that the file's name ends in, PNG otherwise; raises FileProblem."""
-    held = QBuffer()
-    held.open(QIODevice.OpenModeFlag.WriteOnly)
+    """Write an image of `widget` in the format of the file's suffix, else PNG; raises FileProblem."""
+    buffer = QBuffer()
+    buffer.open(QIODevice.OpenModeFlag.WriteOnly)
     kind = path.suffix.removeprefix(".") or "png"
-    if not widget.grab().save(held, kind):
-        raise FileProblem(f"cannot write the picture (there is no way to write {kind!r}, use png)", path)
-    with open_atomic(path, "the picture") as file:
-        file.write(held.data().data())
+    if not widget.grab().save(buffer, kind):
+        raise FileProblem(f"cannot write the image ({kind!r} is not supported, use png)", path)
+    with open_atomic(path, "the image") as file:
+        file.write(buffer.data().data())

@@ -1,4 +1,4 @@
-"""The session and the background work for it: what was asked last is what is shown."""
+"""The session and its background computation: the newest request is the one on screen."""
 
 from __future__ import annotations
 
@@ -27,17 +27,18 @@ from pipeline.translation.catalogue import BUILT_IN, Catalogue
 from pipeline.translation.translate import Request, Translation
 from widgets.styling import make_single_shot_timer
 
-_STALE_AFTER_MS = 150  # a picture that is replaced sooner need not say that it is old
-_PATIENCE_MS = 500  # younger work is let through, so that a drag shows something on its way; older work is stopped
+_STALE_DELAY_MS = 150  # columns not replaced within this time are marked stale
+# A running request younger than this finishes, so that a drag shows intermediate results; an older one is cancelled.
+_INTERRUPT_DELAY_MS = 500
 
 
 class SessionController(SessionDocument):
-    """Holds the session, asks the background for it, and passes on what comes back."""
+    """Turns session changes into background requests, and passes the results to the views."""
 
     frame_shown = pyqtSignal(int)
-    session_shown = pyqtSignal(object)  # Session
+    session_shown = pyqtSignal(object)  # Session; `app.window.connections` lists all that follows
     closing = pyqtSignal()
-    termination_requested = pyqtSignal()  # before it is closed, and nobody can be asked
+    termination_requested = pyqtSignal()  # by a signal, before closing without questions
 
     def __init__(self, window: MainWindow, catalogue: Catalogue = BUILT_IN) -> None:
         super().__init__(window, Session())
@@ -46,34 +47,36 @@ class SessionController(SessionDocument):
         self.job, self.evaluator = LatestJob("stages", self), Evaluator(catalogue)
         self.probe = PixelProbe(window)
         self.views = StageViews(window, self.probe)
-        self._ticket = self._wanted_since = self._opening = self._background = 0
-        self._closed = self._waits = self._beside = self._owed = False  # owed: stages that were dropped on their way
-        self._open: set[Request | None] = {None}  # what is open, as it was asked for and as it is named since
-        self._failing: set[Request | None] = set()  # what could not be opened since
-        self._passing = False  # over steps of the undo stack that lie on the way
+        self._ticket = self._oldest_shown = self._opening_ticket = self._background_ticket = 0
+        self._closed = self._is_pending = self._with_observation = self._must_refresh = (
+            False  # must_refresh: stages were dropped
+        )
+        self._open_requests: set[Request | None] = {None}  # that are open: as requested, and with names resolved
+        self._failed_requests: set[Request | None] = set()
+        self._is_skipping = False  # over undo steps that need no computation
         self.latest_frame: EvaluatedFrame | None = None  # the frame on screen
-        self._stale, self._young = (
-            make_single_shot_timer(self, _STALE_AFTER_MS, self.views.mark_stale),
-            make_single_shot_timer(self, _PATIENCE_MS, lambda: None),
+        self._stale_timer, self._interrupt_timer = (
+            make_single_shot_timer(self, _STALE_DELAY_MS, self.views.mark_stale),
+            make_single_shot_timer(self, _INTERRUPT_DELAY_MS, lambda: None),
         )
 
     def choose_frame(self, frame: int) -> None:
         """Go to a frame."""
-        self.change("go to another frame", key="frame", frame=frame)
+        self.change("go to frame", key="frame", frame=frame)
 
     def choose_params(self, key: str, params: object) -> None:
         """Set the parameters of a method or of the display; a drag is one undo step."""
         self.change(f"change {key}", key=f"params {key}", params={**self.session.params, key: params})
 
     def choose_method(self, stage: str, name: str) -> None:
-        """Fill a slot by another method; the route's own is no choice to be kept."""
+        """Compute a stage by another method; the route's own method clears the choice."""
         others = {s: m for s, m in self.session.methods.items() if s != stage}
-        own = self.catalogue.route(self.session.route).methods.get(stage) == name
-        self.change(f"choose {name} for {stage}", methods=others if own else {**others, stage: name})
+        is_default = self.catalogue.route(self.session.route).methods.get(stage) == name
+        self.change(f"choose {name} for {stage}", methods=others if is_default else {**others, stage: name})
 
     def show_session(self, session: Session) -> None:
-        """Show a session: controls at once, stages when the background has them."""
-        if self._passing:
+        """Turn a session change into work: controls at once, stages when they are computed, then `session_shown`."""
+        if self._is_skipping:
             return
         old, self.session = self.session, session
         if session.layout != self.window.current_layout:
@@ -84,79 +87,82 @@ class SessionController(SessionDocument):
         if session.cameras_linked != old.cameras_linked or session.display != old.display:
             self.views.reset_cameras(session)
         if session.recording is not None:
-            self._ask(other_request=old.recording is None or make_request(old) != make_request(session))
+            self._request_stages(other_request=old.recording is None or make_request(old) != make_request(session))
         self.session_shown.emit(session)
 
     @property
     def session_to_save(self) -> Session:
-        """The session with where the 3D views look, and the section's line."""
+        """The session with the current 3D cameras and section line."""
         return replace(self.session, cameras=self.views.cameras.get_cameras(self.views.scene), section=self.section)
 
     def set_cameras(self, cameras: Mapping[str, tuple[float, ...]]) -> None:
-        """Have the 3D views look so, once what the session opens is there."""
-        self.views.cameras.request_cameras(cameras, self.views.scene if self._is_open() and not self._opening else None)
+        """Set the cameras of the 3D views, once the session's recording is open."""
+        self.views.cameras.request_cameras(
+            cameras, self.views.scene if self._is_open() and not self._opening_ticket else None
+        )
 
     def set_observation_outline(self, visible: bool) -> None:
-        """Whether to outline what the target really felt."""
-        if visible != self._beside:
-            self._beside = visible
+        """Show or hide the outline of the target's own touch."""
+        if visible != self._with_observation:
+            self._with_observation = visible
             self.refresh()
 
-    def set_comparison_mode(self, versus: ComparisonMode) -> None:
-        """What every column shows beside, or in place of, what was worked out."""
-        self.views.comparison_mode = versus
+    def set_comparison_mode(self, mode: ComparisonMode) -> None:
+        """Choose how every column shows the truth."""
+        self.views.comparison_mode = mode
         for name in get_args(ComparisonMode)[1:]:
-            self.window.actions_by_name[f"show_{name}"].setChecked(name == versus)
+            self.window.actions_by_name[f"show_{name}"].setChecked(name == mode)
         self.refresh()
 
     def refresh(self) -> None:
-        """Ask for the session's frame again."""
+        """Compute the session's frame again."""
         if self.session.recording is not None and not self._closed:
-            self._ask(other_request=False)
+            self._request_stages(other_request=False)
 
     def submit_priority(self, work: JobFunction) -> int:
-        """Run something brief on the frame at hand in place of its stages; returns its ticket, 0 if none is open.
+        """Run a short job on the open recording instead of the stages; returns its ticket, 0 if nothing is open.
 
-        Stages that were on their way are dropped: `refresh` asks for them again, and until then it is not idle.
+        Running stages are dropped; `refresh` requests them again, and until then the controller is not idle.
         """
-        if self._opening or self._closed or self.views.translation is None:
+        if self._opening_ticket or self._closed or self.views.translation is None:
             return 0
-        owed, interrupt = self._waits or self._owed, self._waits or self.job.newest_ticket == self._background
-        self._rest()
-        self._owed = owed
+        dropped = self._is_pending or self._must_refresh
+        interrupt = self._is_pending or self.job.newest_ticket == self._background_ticket
+        self._end_request()
+        self._must_refresh = dropped
         self.views.mark_dropped()
-        self._ticket = 0  # what is dropped now is not missed
+        self._ticket = 0  # cancellations of older tickets are ignored
         self._ticket = self.job.submit(work, interrupt=interrupt)
         return self._ticket
 
     def submit_background(self, work: JobFunction) -> int:
-        """As `ahead`, for what anything else goes before: the controller counts as idle meanwhile."""
-        self._background = self.submit_priority(work)
-        return self._background
+        """Run a job as `submit_priority` does, at lowest priority: the controller counts as idle meanwhile."""
+        self._background_ticket = self.submit_priority(work)
+        return self._background_ticket
 
     def show_only(self, name: str) -> None:
-        """One stage alone, or all again; what is hidden is not worked out."""
-        alone = self.window.visible_columns() == (name,)
-        self.views.show_only(None if alone else name)
+        """Show one stage alone, or all again; hidden stages are not computed."""
+        is_alone = self.window.visible_columns() == (name,)
+        self.window.show_only(None if is_alone else name)
         self.refresh()
 
     def reset_view(self) -> None:
-        """Look at every 3D view as at first."""
+        """Reset the cameras of the 3D views."""
         self.views.reset_cameras(self.session)
 
     def cancel(self) -> None:
-        """Stop the work, and take the crosshairs away."""
+        """Cancel the computation, and clear the probe."""
         self.job.cancel()
         self.probe.clear_trace()
 
     def close(self) -> None:
-        """Stop the background, then everything OpenGL."""
+        """End the background threads, then release OpenGL."""
         if self._closed:
             return
         self._closed = True
-        self.undo_stack.blockSignals(True)  # it outlives the actions that listen to it
+        self.undo_stack.blockSignals(True)  # it outlives the actions connected to it
         self.window.timeline.play(on=False)
-        self._stale.stop()
+        self._stale_timer.stop()
         self.closing.emit()
         self.job.close()
         self.evaluator.close()
@@ -165,99 +171,99 @@ class SessionController(SessionDocument):
 
     @property
     def is_closed(self) -> bool:
-        """Whether nothing is worked out any more."""
+        """Whether the window was closed."""
         return self._closed
 
     @property
     def is_idle(self) -> bool:
-        """Whether everything asked for is on screen, or has failed."""
-        busy = self.job.is_busy and self.job.newest_ticket != self._background
-        return not (busy or self._stale.isActive() or self._waits or self._owed)
+        """Whether everything requested is on screen or has failed."""
+        is_busy = self.job.is_busy and self.job.newest_ticket != self._background_ticket
+        return not (is_busy or self._stale_timer.isActive() or self._is_pending or self._must_refresh)
 
     def handle_part(self, ticket: int, part: object) -> None:
-        """Show a part of the result; parts for another recording come too late."""
-        if ticket < self._wanted_since or self._closed:
+        """Show a part of the result; parts of an older recording are dropped."""
+        if ticket < self._oldest_shown or self._closed:
             return
-        self._opening = 0
+        self._opening_ticket = 0
         if isinstance(part, InitialFrame):
             self.session = replace(self.session, frame=part.index)
             self._show_controls()
         elif isinstance(part, Translation) and part is not self.views.translation:
-            named = replace(self.session, target=part.target.name, frame=min(self.session.frame, part.n_frames - 1))
-            seen = set(self.window.visible_columns())
-            self._open, self._failing = {make_request(self.session), make_request(named)}, set()
-            self.session = named
-            self.views.show_translation(part, named)
+            resolved = replace(self.session, target=part.target.name, frame=min(self.session.frame, part.n_frames - 1))
+            visible = set(self.window.visible_columns())
+            self._open_requests, self._failed_requests = {make_request(self.session), make_request(resolved)}, set()
+            self.session = resolved
+            self.views.show_translation(part, resolved)
             self._show_controls()
-            if not seen.issuperset(self.window.visible_columns()):
-                self.refresh()  # the route has columns that were not seen when it, or a frame since, was asked for
+            if not visible.issuperset(self.window.visible_columns()):
+                self.refresh()  # the route has columns that the request did not include
         elif isinstance(part, SourcePreview | StagePreview):
-            self.views.show_stage(part, newest=ticket == self._ticket)
+            self.views.show_stage(part, is_newest=ticket == self._ticket)
             if isinstance(part, SourcePreview):
                 self.window.timeline.show_frame(self.session.frame, part.frame.time_s)
         if ticket == self._ticket:
             self.views.mark_running()
 
     def handle_frame(self, ticket: int, shown: object) -> None:
-        """Show what belongs to a whole frame."""
-        if ticket < self._wanted_since or self._closed or not isinstance(shown, EvaluatedFrame):
+        """Show the summary of a finished frame."""
+        if ticket < self._oldest_shown or self._closed or not isinstance(shown, EvaluatedFrame):
             return
         self.latest_frame = shown
-        self.views.show_frame_summary(shown, comparable=shown.settings == self.session.settings)
+        self.views.show_frame_summary(shown, is_comparable=shown.settings == self.session.settings)
         if ticket == self._ticket:
-            self._rest()
+            self._end_request()
             self.frame_shown.emit(shown.index)
 
     def handle_failure(self, ticket: int, error: object) -> None:
-        """Say what went wrong; what could not be opened is undone, so that what was open stays usable."""
-        if ticket < self._wanted_since or self._closed or not isinstance(error, BaseException):
+        """Show an error; if a recording could not be opened, undo to one that is open."""
+        if ticket < self._oldest_shown or self._closed or not isinstance(error, BaseException):
             return
         if ticket == self._ticket:
-            not_opened = self._opening == ticket and not self._is_open()  # a frame of what is open may be damaged
-            self._rest()
-            if not_opened:
-                self._take_back()
+            cannot_open = self._opening_ticket == ticket and not self._is_open()  # else one frame is damaged
+            self._end_request()
+            if cannot_open:
+                self._undo_opening()
             else:
                 self.views.mark_failed(error)
         self.show_problem(error)
 
     def handle_cancellation(self, ticket: int) -> None:
-        """Nothing more will come for this ticket."""
+        """Show that the request was cancelled."""
         if ticket == self._ticket and not self._closed:
             self.views.mark_cancelled()
-            self._rest()
+            self._end_request()
 
     def handle_progress(self, ticket: int, fraction: float, text: str) -> None:
-        """Show how far the newest work is."""
-        if ticket == self._ticket and self._waits:
+        """Show the progress of the newest request."""
+        if ticket == self._ticket and self._is_pending:
             self.window.show_progress(fraction, text)
 
-    def _take_back(self) -> None:
-        """Go back to a session that is open, or may be, but stay on the frame that was chosen meanwhile."""
-        failed, known = self.session, list_sessions(self.undo_stack)
-        self._failing.add(make_request_if_open(failed))
-        place = find_undo_target(known, self.undo_stack.index(), self._open, self._failing)
-        if place is None:
+    def _undo_opening(self) -> None:
+        """Undo to the nearest session that is open, but stay on the frame chosen meanwhile."""
+        failed, sessions = self.session, list_sessions(self.undo_stack)
+        self._failed_requests.add(make_request_if_open(failed))
+        index = find_undo_target(sessions, self.undo_stack.index(), self._open_requests, self._failed_requests)
+        if index is None:
             self.views.mark_cancelled()
             return
-        self._passing = True  # what lies between is not asked for
-        self.undo_stack.setIndex(place)
-        self._passing = False
-        self.show_session(known[place])
+        self._is_skipping = True
+        self.undo_stack.setIndex(index)
+        self._is_skipping = False
+        self.show_session(sessions[index])
         if self.session.recording == failed.recording:
             self.choose_frame(failed.frame)
 
     def _is_open(self) -> bool:
-        return make_request_if_open(self.session) in self._open
+        return make_request_if_open(self.session) in self._open_requests
 
     @property
     def methods(self) -> tuple[Method, ...]:
-        """Those of the session's route, one a slot."""
+        """Methods of the session's route, one per stage."""
         return self.catalogue.methods(self.session.route, self.session.methods)
 
     @property
     def sensor_kinds(self) -> Mapping[str, str]:
-        """Key of a method -> the kind of sensor that it looks at; nothing where nothing is open."""
+        """Method key -> kind of sensor it reads; {} if nothing is open."""
         opened = self.views.translation
         if opened is None:
             return {}
@@ -267,37 +273,38 @@ class SessionController(SessionDocument):
     def _show_controls(self) -> None:
         show_controls(self.window, self.session, self.methods, self.catalogue, self.sensor_kinds)
 
-    def _ask(self, *, other_request: bool) -> None:
-        session, wanted = self._drafted(), self.window.visible_columns()
-        show = partial(
-            self.evaluator.evaluate_frame, compared=self._beside, seen=lambda: self.views.translation,
+    def _request_stages(self, *, other_request: bool) -> None:
+        session, stages = self._session_to_compute(), self.window.visible_columns()
+        evaluate = partial(
+            self.evaluator.evaluate_frame, with_observation=self._with_observation,
+            get_current=lambda: self.views.translation,
             with_truth=bool(self.views.comparison_mode) or session.layout.name == "demo",
         )  # fmt: skip
-        interrupt = other_request or not self._young.isActive()
-        self._waits, self._owed = True, False
-        self._ticket = 0  # what is dropped now is not missed
-        self._ticket = self.job.submit(lambda report: show(session, wanted, report), interrupt=interrupt)
+        interrupt = other_request or not self._interrupt_timer.isActive()
+        self._is_pending, self._must_refresh = True, False
+        self._ticket = 0  # cancellations of older tickets are ignored
+        self._ticket = self.job.submit(lambda report: evaluate(session, stages, report), interrupt=interrupt)
         if other_request:
-            self._wanted_since = self._ticket
-        if other_request or self._opening:
-            self._opening = self._ticket
+            self._oldest_shown = self._ticket
+        if other_request or self._opening_ticket:
+            self._opening_ticket = self._ticket
         if interrupt:
-            self._young.start()
+            self._interrupt_timer.start()
         self.views.mark_all_pending()
         self.window.timeline.show_ready(ready=False)
-        if not self._stale.isActive():
-            self._stale.start()
+        if not self._stale_timer.isActive():
+            self._stale_timer.start()
 
-    def _drafted(self) -> Session:
-        """The session, or while a parameter is dragged one that is quick to show from there on."""
+    def _session_to_compute(self) -> Session:
+        """Return the session; while a parameter is dragged, with draft parameters from its stage on."""
         methods, dragged = self.methods, self.window.parameters.dragged_key
         first = next((i for i, method in enumerate(methods) if method.key == dragged), len(methods))
         return self.session.with_draft_params(methods[first:])
 
-    def _rest(self, *, owed: bool = False) -> None:
-        self._waits, self._owed = False, owed
-        self._opening = 0
-        self._stale.stop()
-        self._young.stop()
+    def _end_request(self) -> None:
+        self._is_pending = self._must_refresh = False
+        self._opening_ticket = 0
+        self._stale_timer.stop()
+        self._interrupt_timer.stop()
         self.window.show_progress(None)
         self.window.timeline.show_ready(ready=True)

@@ -1,4 +1,4 @@
-"""Hands that stay on the keyboard: pictures pointed at by arrow keys, and the alignment typed."""
+"""Keyboard use: the probe by arrow keys, and alignment numbers."""
 
 from __future__ import annotations
 
@@ -9,78 +9,76 @@ from PyQt6.QtCore import QEvent, QObject, Qt
 from app.window.session_controller import SessionController
 from widgets.preview_key_filter import PreviewKeyFilter
 
-_HOW = (
-    "arrow keys move the pixel, or the section line (with Ctrl its end A, with Alt B), Shift ten times as far; "
-    "Enter pins; + and \N{MINUS SIGN} zoom; , and . move the wipe; Tab goes to the next picture; P ends"
+_HINT = (
+    "arrow keys move the pixel or the section line (Ctrl: end A, Alt: end B), Shift: 10 times as far; "
+    "Enter pins; + and \N{MINUS SIGN} zoom; , and . move the wipe; Tab: next image; P ends"
 )
 
 
 class KeyboardController(QObject):
-    """Gives pictures the keyboard and takes it back."""
+    """Gives the keyboard focus to images and to the alignment's first number."""
 
     def __init__(self, controller: SessionController) -> None:
         super().__init__(controller)
-        self._window, self._tracer = controller.window, controller.probe
-        self._opened = lambda: controller.views.translation is not None
+        self._window, self._probe = controller.window, controller.probe
+        self._is_open = lambda: controller.views.translation is not None
         for name, column in self._window.columns.items():
             keys = PreviewKeyFilter(column.view)
-            keys.pixel_pointed.connect(partial(self._tracer.move_to_pixel, name))
-            keys.pixel_pinned.connect(partial(self._tracer.toggle_pin, name))
-            keys.focus_passed.connect(partial(self._pass, name))
-        self._window.connect_command("probe_by_keys", self._change)
+            keys.pixel_pointed.connect(partial(self._probe.move_to_pixel, name))
+            keys.pixel_pinned.connect(partial(self._probe.toggle_pin, name))
+            keys.focus_passed.connect(partial(self._focus_next, name))
+        self._window.connect_command("probe_by_keys", self._toggle)
         self._window.connect_command("cancel", self._end)
-        self._window.connect_command("edit_alignment", self._type_alignment)
-        self._box, self._waits = self._window.alignment.rows["x"].box, False
+        self._window.connect_command("edit_alignment", self._edit_alignment)
+        self._box, self._wants_focus = self._window.alignment.rows["x"].box, False
         self._box.installEventFilter(self)
 
     @property
     def focused_column(self) -> str:
-        """The column whose picture has the keyboard; "" where none has."""
+        """The column whose image has the keyboard focus; "" if none."""
         return next((name for name, column in self._window.columns.items() if column.view.canvas.hasFocus()), "")
 
     @property
-    def _shown(self) -> list[str]:
+    def _visible_columns(self) -> list[str]:
         return [name for name, column in self._window.columns.items() if column.isVisible() and column.view.preview]
 
-    def _change(self) -> None:
+    def _toggle(self) -> None:
         if self.focused_column:
             self._end()
             return
-        panes, shown = self._window.panes, self._shown
-        wanted = panes.active_stage if panes.isVisible() else ""
+        panes, shown = self._window.panes, self._visible_columns
+        active = panes.active_stage if panes.isVisible() else ""
         if shown:
-            self._give(wanted if wanted in shown else shown[0])
+            self._focus(active if active in shown else shown[0])
 
-    def _give(self, name: str) -> None:
+    def _focus(self, name: str) -> None:
         self._window.columns[name].view.canvas.setFocus(Qt.FocusReason.OtherFocusReason)
-        self._window.readout.setText(_HOW)
-        self._window.readout.setToolTip(_HOW)
+        self._window.readout.setText(_HINT)
+        self._window.readout.setToolTip(_HINT)
 
-    def _pass(self, name: str, by: int) -> None:
-        shown = self._shown
+    def _focus_next(self, name: str, by: int) -> None:
+        shown = self._visible_columns
         if name in shown:
-            self._give(shown[(shown.index(name) + by) % len(shown)])
+            self._focus(shown[(shown.index(name) + by) % len(shown)])
 
     def _end(self) -> None:
         if self.focused_column:
             self._window.setFocus()
             self._window.readout.setText("")
 
-    def _type_alignment(self) -> None:
-        drawer = self._window.drawers.alignment
-        drawer.show()
-        drawer.raise_()
-        self._waits = self._opened()  # for the numbers to be there
-        self._enter_box()
+    def _edit_alignment(self) -> None:
+        self._window.show_drawer(self._window.drawers.alignment)
+        self._wants_focus = self._is_open()  # once the box is enabled
+        self._focus_box()
 
-    def _enter_box(self) -> None:
-        if self._waits and self._box.isEnabled() and self._box.isVisible():
-            self._waits = False
+    def _focus_box(self) -> None:
+        if self._wants_focus and self._box.isEnabled() and self._box.isVisible():
+            self._wants_focus = False
             self._box.setFocus(Qt.FocusReason.ShortcutFocusReason)
             self._box.selectAll()
 
     def eventFilter(self, a0: QObject | None, a1: QEvent | None) -> bool:  # noqa: N802
-        """The alignment takes numbers only once it knows what was felt."""
+        """Focus the box once it is enabled, which needs an assessed frame."""
         if a1 is not None and a1.type() == QEvent.Type.EnabledChange:
-            self._enter_box()
+            self._focus_box()
         return super().eventFilter(a0, a1)

@@ -59,7 +59,6 @@ class SweepController(QObject):
         job.finished.connect(self._show_finished)
         job.failed.connect(self._show_failed)
         job.cancelled.connect(self._show_cancelled)
-        controller.session_shown.connect(self._show_session)
         controller.frame_shown.connect(self._update_metrics)
         controller.closing.connect(self._close)
 
@@ -73,7 +72,7 @@ class SweepController(QObject):
         """Whether cells are still to come."""
         return not self._job.is_settled
 
-    def _show_session(self, session: Session) -> None:
+    def show_session(self, session: Session) -> None:
         """Offer the parameters of the methods in use, and cancel a sweep of something else."""
         swept = self._swept
         if swept is not None and (make_request(swept) != make_request(session) or swept.frame != session.frame):
@@ -105,7 +104,7 @@ class SweepController(QObject):
 
     def _update_metrics(self, _: int) -> None:
         if self._controller.session.layout.name == "sweep":
-            self._show_session(self._controller.session)
+            self.show_session(self._controller.session)
 
     def _suggest_values(self, which: int) -> None:
         index = self._tab.axes[which].currentIndex()

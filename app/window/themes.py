@@ -1,4 +1,4 @@
-"""Light, dark, or as the desktop says: chosen by a command, remembered, followed at once."""
+"""Colour themes: light, dark, or the desktop's."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from widgets.theme import make_palette
 
 
 def apply_theme(theme: Theme) -> None:
-    """Colour every window so; widgets draw themselves anew."""
+    """Set the palette of the application."""
     hints = QGuiApplication.styleHints()
-    system = theme == "system" and hints is not None and hints.colorScheme() == Qt.ColorScheme.Dark
-    palette = make_palette(dark=theme == "dark" or system)
+    is_system_dark = theme == "system" and hints is not None and hints.colorScheme() == Qt.ColorScheme.Dark
+    palette = make_palette(dark=theme == "dark" or is_system_dark)
     if palette != QApplication.palette():
         QApplication.setPalette(palette)
         QToolTip.setPalette(palette)
 
 
 class ThemeController(QObject):
-    """Between the commands and the palette."""
+    """Connects the theme commands with the palette and the preferences."""
 
-    def __init__(self, controller: SessionController, keeping: AutosaveController, theme: Theme) -> None:
+    def __init__(self, controller: SessionController, autosave: AutosaveController, theme: Theme) -> None:
         super().__init__(controller)
-        self._controller, self._keeping = controller, keeping
+        self._controller, self._autosave = controller, autosave
         self.theme: Theme = theme
         group = QActionGroup(self)
         for name in get_args(Theme):
@@ -40,14 +40,14 @@ class ThemeController(QObject):
             action.triggered.connect(partial(self.choose_theme, name))
         hints = QGuiApplication.styleHints()
         if hints is not None:
-            hints.colorSchemeChanged.connect(self._follow)
+            hints.colorSchemeChanged.connect(self._apply)
 
     def choose_theme(self, theme: Theme, _checked: bool = False) -> None:
-        """Colour the window so from now on, and at the next start."""
+        """Apply a theme, also at the next start."""
         self.theme = theme
-        self._keeping.preferences.theme = theme
-        self._follow()
+        self._autosave.preferences.theme = theme
+        self._apply()
 
-    def _follow(self) -> None:
+    def _apply(self) -> None:
         apply_theme(self.theme)
         self._controller.views.update_captions(self._controller.session)

@@ -1,4 +1,4 @@
-"""The tour: steps through the recording by itself and leaves the window's picture and every stage behind."""
+"""The tour: shows every frame, and writes a screenshot and every stage."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ from pipeline.cli.translate import print_stage_table
 from pipeline.reporting.frame_report import FrameReport
 from pipeline.reporting.report import write_frame, write_report
 
-FRAME_TIMEOUT_S = 120.0  # a frame that takes longer has hung
-_BREATH_MS = 20
+FRAME_TIMEOUT_S = 120.0  # per frame
+_EVENTS_MS = 20
 
 
 def run_tour(controller: SessionController, out: Path, *, show_frame: int | None = None) -> int:
     """Show every frame, write `window.png`, `frame_NNNN/` and `report.json` under `out`, print the table.
 
-    Returns 0, or 2 if some frame could not be shown; the picture shows `show_frame`, by default the deepest touch.
+    Returns 0, or 2 if a frame failed. The screenshot shows `show_frame`, by default the frame with most contact.
     """
     if not wait_until_shown(controller) or controller.views.translation is None:
         print_line(f"the recording could not be shown: {controller.window.banner.text}")
         return 2
     translation = controller.views.translation
     reports: list[FrameReport] = []
-    felt_px: dict[int, int] = {}
+    contact_px: dict[int, int] = {}
     for index in range(translation.n_frames):
         controller.choose_frame(index)
         shown = wait_until_shown(controller)
         if controller.is_closed:
-            print_line(f"the window was closed; {index} of {translation.n_frames} frames are whole in {out}")
+            print_line(f"the window was closed; {index} of {translation.n_frames} frames are complete in {out}")
             return 2
         latest = controller.latest_frame
         if not shown or latest is None or latest.index != index:
@@ -42,10 +42,12 @@ def run_tour(controller: SessionController, out: Path, *, show_frame: int | None
             continue
         report = FrameReport(index=index, results=latest.results, metrics=latest.metrics)
         reports.append(report.without_arrays)
-        felt_px[index] = int(latest.results["depth"].output.contact.sum())
+        contact_px[index] = int(latest.results["depth"].output.contact.sum())
         write_frame(out, latest.frame, report, translation)
     write_report(out, translation, reports)
-    controller.choose_frame(max(felt_px, key=felt_px.__getitem__, default=0) if show_frame is None else show_frame)
+    controller.choose_frame(
+        max(contact_px, key=contact_px.__getitem__, default=0) if show_frame is None else show_frame
+    )
     wait_until_shown(controller)
     pin_deepest_pixel(controller)
     save_window_screenshot(controller, out / "window.png")
@@ -58,10 +60,10 @@ def run_tour(controller: SessionController, out: Path, *, show_frame: int | None
 
 
 def wait_until_shown(controller: SessionController, limit_s: float = FRAME_TIMEOUT_S) -> bool:
-    """Let the window work until everything asked for is on screen; False if that takes too long or failed."""
+    """Process events until everything requested is on screen; False after an error or `limit_s`."""
     end_s = time.monotonic() + limit_s
     while time.monotonic() < end_s:
-        QCoreApplication.processEvents(QEventLoop.ProcessEventsFlag.AllEvents, _BREATH_MS)
+        QCoreApplication.processEvents(QEventLoop.ProcessEventsFlag.AllEvents, _EVENTS_MS)
         if controller.is_closed:
             return False
         if controller.is_idle:
@@ -72,18 +74,18 @@ def wait_until_shown(controller: SessionController, limit_s: float = FRAME_TIMEO
 
 
 def save_window_screenshot(controller: SessionController, path: Path) -> None:
-    """Write the window as it stands, 3D views included."""
+    """Write an image of the window, including the 3D views."""
     controller.views.scene.draw_pending()
-    for _ in range(3):  # layouts, then paints, then what the paints asked for
-        QCoreApplication.processEvents(QEventLoop.ProcessEventsFlag.AllEvents, _BREATH_MS)
+    for _ in range(3):  # layout, paint, and updates requested by painting
+        QCoreApplication.processEvents(QEventLoop.ProcessEventsFlag.AllEvents, _EVENTS_MS)
     write_screenshot(controller.window, path)
 
 
 def pin_deepest_pixel(controller: SessionController) -> None:
-    """Pin the target pixel that is pushed in deepest, so that the picture shows a trace."""
-    project = controller.latest_frame.results.get("target_depth") if controller.latest_frame is not None else None
-    if project is not None and project.output.contact.any():
-        view = project.output
-        row, col = divmod(int(view.indentation_mm.argmax()), view.camera.cols)
+    """Pin the target pixel with the deepest indentation."""
+    stage = controller.latest_frame.results.get("target_depth") if controller.latest_frame is not None else None
+    if stage is not None and stage.output.contact.any():
+        depth = stage.output
+        row, col = divmod(int(depth.indentation_mm.argmax()), depth.camera.cols)
         controller.probe.toggle_pin("target_depth", row, col)
         controller.probe.draw_pending()

@@ -1,4 +1,4 @@
-"""The welcome page: over the empty stages until something is open."""
+"""The welcome page, shown while nothing is open."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ _COMMANDS = ("open_sample", "open_recording", "open_folder", "live")
 
 
 class WelcomeController(QObject):
-    """Between the page and the controller."""
+    """Connects the page with the session."""
 
-    def __init__(self, controller: SessionController, keeping: AutosaveController) -> None:
+    def __init__(self, controller: SessionController, autosave: AutosaveController) -> None:
         super().__init__(controller)
-        self._controller, self._keeping, window = controller, keeping, controller.window
+        self._controller, self._autosave, window = controller, autosave, controller.window
         centre = window.centralWidget()
         assert centre is not None
         actions = window.actions_by_name
@@ -27,17 +27,16 @@ class WelcomeController(QObject):
         self.page.hide()
         actions["open_sample"].setEnabled(SAMPLE_RECORDING.exists())
         window.connect_command("open_sample", self.open_sample)
-        controller.session_shown.connect(self.show_session)
         self.show_session(controller.session)
 
     def open_sample(self) -> None:
-        """Open the recording that comes along."""
+        """Open the sample recording."""
         self._controller.open_path(SAMPLE_RECORDING)
 
     def show_session(self, session: Session) -> None:
-        """Show the page while nothing is open."""
-        empty = session.recording is None
-        if empty and self.page.isHidden():
-            self.page.show_recent(self._keeping.preferences.recent_files)
+        """Show the page if nothing is open."""
+        is_empty = session.recording is None
+        if is_empty and self.page.isHidden():
+            self.page.show_recent(self._autosave.preferences.recent_files)
             self.page.raise_()
-        self.page.setVisible(empty)
+        self.page.setVisible(is_empty)

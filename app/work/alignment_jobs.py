@@ -1,4 +1,4 @@
-"""Background work around an alignment: the preview of a drag, its figures when still, and refining on all frames."""
+"""Background jobs of the alignment: drag preview, assessment of a frame, refinement on all frames."""
 
 from __future__ import annotations
 
@@ -20,38 +20,38 @@ from pipeline.previews.layers import Layer
 from pipeline.previews.preview import Preview, add_observed_outline, enlarge_preview
 from pipeline.sensors.offsets import Offsets, decompose_motion
 from pipeline.stages.stage import PreviewContext
-from pipeline.stages.target_depth import stage as view_slot
+from pipeline.stages.target_depth import stage as target_depth
 from pipeline.stages.target_depth.surface_projection import ProjectionParams
 from pipeline.translation.translate import Translation, open_translation
 
-VALIDATION_FRACTION = 0.25  # of the touches judge a refinement without having taken part in it
+VALIDATION_FRACTION = 0.25  # of the touches, held out to validate a refinement
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DragPreview:
-    """A drag on its way: what the target would see, coarse."""
+    """Coarse target depth and agreement while the alignment is dragged."""
 
     preview: Preview
-    observation_view: TruthView | None  # what the target felt itself, where it took part
+    observation_view: TruthView | None  # the target's own touch, if recorded
     layers: tuple[Layer, ...]
     score: AlignmentScore | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AlignmentAssessment:
-    """A frame at rest: how well it agrees, and which axis matters once that is known."""
+    """Agreement of one frame, and the sensitivity of each axis once computed."""
 
     index: int
     score: AlignmentScore | None
     sensitivities: tuple[Sensitivity, ...]
-    no_score_reason: str  # why there is no score
-    origin: str  # whose alignment it is without offsets, in words
+    no_score_reason: str  # why `score` is None
+    origin: str  # where the alignment without offsets comes from
     pivot_mm: Doubles  # (3,) target frame
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RefinementProposal:
-    """A refinement, and the offsets from the opened alignment that accept it."""
+    """A refinement, and the offsets to set when it is accepted."""
 
     refinement: Refinement
     offsets: Offsets
@@ -60,73 +60,64 @@ class RefinementProposal:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BeforeAfter:
-    """The target's view of a frame as it is aligned, and as a refinement would have it, drawn alike."""
+    """Previews of the target depth under the current and the refined alignment."""
 
     before: Preview
     after: Preview
 
 
 def draw_before_and_after(
-    evaluator: Evaluator, session: Session, refined_to: Offsets, report: JobReporter
+    evaluator: Evaluator, session: Session, proposed_offsets: Offsets, report: JobReporter
 ) -> BeforeAfter:
-    """The session's frame under its offsets and under others: less what the target felt, where that is known."""
+    """Draw the target depth under the session's and the proposed offsets, minus the target's own touch if known."""
     opened, frame = evaluator.compare_with_target(session, report)
     params = get_projection_params(session)
-    seen = PreviewContext(outputs={}, source=opened.source, target=opened.target, mesh=None, display=session.display)
+    context = PreviewContext(outputs={}, source=opened.source, target=opened.target, mesh=None, display=session.display)
 
     def draw_preview(offsets: Offsets) -> Preview:
-        picture = view_slot.make_preview(frame.project_touch(offsets.apply_to(opened.alignment), params), seen)
+        preview = target_depth.make_preview(frame.project_touch(offsets.apply_to(opened.alignment), params), context)
         if frame.paired_touch is not None:
-            gap = build_observation_view(
-                picture, frame.paired_touch.target, opened.target, session.display
-            ).difference_to_truth
-            picture = picture if gap is None else gap
-        # One outline would lie over both sides of the handle; what was felt is the same on either.
+            view = build_observation_view(preview, frame.paired_touch.target, opened.target, session.display)
+            preview = view.difference_to_truth or preview
+        # The outline of the prediction would lie over both sides of the wipe; the observed one fits both.
         return replace(
-            picture,
+            preview,
             outline_px=None,
             observed_outline_px=frame.observed_outline_px,
-            caption="left: as it is; right: as refined",
+            caption="left: current; right: refined",
         )
 
-    return BeforeAfter(before=draw_preview(session.offsets), after=draw_preview(refined_to))
+    return BeforeAfter(before=draw_preview(session.offsets), after=draw_preview(proposed_offsets))
 
 
 def preview_drag(evaluator: Evaluator, session: Session, report: JobReporter) -> DragPreview:
-    """The session's frame under its offsets, coarse; raises TouchError."""
+    """Draw the session's frame under its offsets, coarse; raises TouchError."""
     opened, frame = evaluator.compare_with_target(session, report)
     report.step(0.5, "previewing the alignment")
-    view, agreement = frame.preview_alignment(
-        session.offsets.apply_to(opened.alignment), get_projection_params(session)
-    )
-    seen = PreviewContext(outputs={}, source=opened.source, target=opened.target, mesh=None, display=session.display)
-    picture = view_slot.make_preview(view, seen)
-    whole = enlarge_preview(picture, opened.target.camera.shape)
-    own = (
+    depth, score = frame.preview_alignment(session.offsets.apply_to(opened.alignment), get_projection_params(session))
+    context = PreviewContext(outputs={}, source=opened.source, target=opened.target, mesh=None, display=session.display)
+    small = target_depth.make_preview(depth, context)
+    preview = enlarge_preview(small, opened.target.camera.shape)
+    observed = (
         None
         if frame.paired_touch is None
-        else build_observation_view(whole, frame.paired_touch.target, opened.target, session.display)
+        else build_observation_view(preview, frame.paired_touch.target, opened.target, session.display)
     )
     return DragPreview(
-        preview=add_observed_outline(whole, frame.observed_outline_px),
-        observation_view=own,
-        layers=view_slot.make_layers(view, seen, picture),
-        score=agreement,
-    )
+        preview=add_observed_outline(preview, frame.observed_outline_px), observation_view=observed,
+        layers=target_depth.make_layers(depth, context, small), score=score,
+    )  # fmt: skip
 
 
 def assess_alignment(evaluator: Evaluator, session: Session, report: JobReporter) -> AlignmentAssessment:
-    """The session's frame judged at full size; the score is handed over ahead of the axes. Raises TouchError."""
+    """Assess the session's frame at full size; the score is delivered before the sensitivities. Raises TouchError."""
     opened, frame = evaluator.compare_with_target(session, report)
     alignment, params = session.offsets.apply_to(opened.alignment), get_projection_params(session)
     first = AlignmentAssessment(
-        index=frame.index,
-        score=frame.compute_score(alignment, params),
-        sensitivities=(),
-        no_score_reason=frame.unavailable_reason,
-        origin=_origin(opened),
+        index=frame.index, score=frame.compute_score(alignment, params), sensitivities=(),
+        no_score_reason=frame.unavailable_reason, origin=_describe_origin(opened),
         pivot_mm=frame.compute_pivot_mm(opened.alignment),
-    )
+    )  # fmt: skip
     report.deliver(first)
     return replace(
         first, sensitivities=frame.compute_sensitivities(alignment, params, frame.compute_pivot_mm(alignment), report)
@@ -134,9 +125,9 @@ def assess_alignment(evaluator: Evaluator, session: Session, report: JobReporter
 
 
 def propose_refinement(session: Session, report: JobReporter) -> RefinementProposal:
-    """The session's alignment refined on all frames that both sensors feel, with a recording of its own.
+    """Refine the session's alignment on all frames that both sensors recorded; raises TouchError.
 
-    Every fourth touch is held out where there are enough. Raises TouchError.
+    It opens the recording a second time. Every fourth touch is held out for validation if there are enough.
     """
     from pipeline.cli.align import split_held_out
 
@@ -145,29 +136,29 @@ def propose_refinement(session: Session, report: JobReporter) -> RefinementPropo
         touches = load_paired_touches(translation, frames, get_depth_params(session), progress=report)
         if not touches:
             pair = f"{translation.source.name} and {translation.target.name}"
-            raise SettingProblem(f"no frame is felt by both {pair}; an alignment is refined on touches of both sensors")
-        used, held = split_held_out(touches, VALIDATION_FRACTION)
-        begun = session.offsets.apply_to(translation.alignment)
-        answer = refine_alignment(used, begun, held_out=held, progress=report)
-    about = session.offsets.pivot_mm if any(session.offsets.pivot_mm) else answer.pivot_mm
+            raise SettingProblem(f"no frame has contact on both {pair}; refinement needs frames with contact on both")
+        used, held_out = split_held_out(touches, VALIDATION_FRACTION)
+        start = session.offsets.apply_to(translation.alignment)
+        refinement = refine_alignment(used, start, held_out=held_out, progress=report)
+    pivot_mm = session.offsets.pivot_mm if any(session.offsets.pivot_mm) else refinement.pivot_mm
     return RefinementProposal(
-        refinement=answer,
-        offsets=decompose_motion(answer.motion @ session.offsets.to_matrix(), about),
+        refinement=refinement,
+        offsets=decompose_motion(refinement.motion @ session.offsets.to_matrix(), pivot_mm),
         base_session=session,
     )
 
 
 def get_projection_params(session: Session) -> ProjectionParams:
-    """How the projection is drawn, by the method that fills the view."""
-    paper = session.methods.get("target_depth") == view_slot.POINT_SPLAT.name
-    params = session.get_params(view_slot.POINT_SPLAT if paper else view_slot.SURFACE)
+    """Return the projection parameters of the session's target depth method."""
+    is_splat = session.methods.get("target_depth") == target_depth.POINT_SPLAT.name
+    params = session.get_params(target_depth.POINT_SPLAT if is_splat else target_depth.SURFACE)
     assert isinstance(params, ProjectionParams)
     return params
 
 
-def _origin(opened: Translation) -> str:
+def _describe_origin(opened: Translation) -> str:
     if opened.request.alignment is not None:
         return opened.request.alignment.name
     other = opened.recording.stream_of_sensor(opened.target.name)
-    known = None if other is None else opened.recording.target_from_source(opened.stream.name, other.name)
-    return "as described by the sensors" if known is None else "as recorded"
+    recorded = None if other is None else opened.recording.target_from_source(opened.stream.name, other.name)
+    return "as described by the sensors" if recorded is None else "as recorded"

@@ -1,4 +1,4 @@
-"""The basin map of the touch on screen, and the picture of any pose in it."""
+"""Background job of the basin map: registration of one frame from a grid of start poses."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from pipeline.values.results import DepthMap, ObjectPose
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BasinMapResult:
-    """A map, and what it is of."""
+    """A basin map with the frame it belongs to."""
 
     basins: StartBasins
     frame: int
@@ -29,25 +29,25 @@ class BasinMapResult:
     display: DisplayParams
 
     def make_preview(self, row: int, col: int) -> Preview:
-        """The pose column's picture of where a start ended; raises SettingProblem for one that led nowhere."""
+        """Draw the pose that a start converged to; raises SettingProblem if it diverged."""
         if self.basins.minimum_index[row, col] == NO_MINIMUM:
-            raise SettingProblem("that start led nowhere")
+            raise SettingProblem("this start did not converge")
         pose: ObjectPose = self.results["pose"].output
         answer = self.basins.minima[int(self.basins.minimum_index[row, col])]
-        there = replace(
+        end_pose = replace(
             pose, sensor_from_object=self.basins.poses[row, col], fitness=answer.fitness,
             rmse_mm=float(self.basins.rmse_mm[row, col]),
         )  # fmt: skip
-        seen = PreviewContext(
+        context = PreviewContext(
             outputs={name: result.output for name, result in self.results.items()}, source=self.translation.source,
             target=self.translation.target, mesh=self.translation.mesh, display=self.display,
         )  # fmt: skip
-        return self.translation.catalogue.stage("pose").make_preview(there, seen)
+        return self.translation.catalogue.stage("pose").make_preview(end_pose, context)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BasinPosePreview:
-    """The picture of one start's end."""
+    """Preview of the pose that one start converged to."""
 
     row: int
     col: int
@@ -58,11 +58,11 @@ def run_basin_map(
     translation: Translation, frame: int, results: Mapping[str, StageResult], display: DisplayParams,
     params: PoseParams, along: ShiftAxis, report: JobReporter,
 ) -> BasinMapResult:  # fmt: skip
-    """The map around a frame's pose; raises SettingProblem where there is none."""
+    """Compute the basin map around a frame's pose; raises SettingProblem without a pose."""
     if "touch_depth" not in results or "pose" not in results:
-        raise SettingProblem("the object's pose is not worked out in this layout; choose one that shows it")
-    felt, pose = results["touch_depth"].output, results["pose"].output
-    assert isinstance(felt, DepthMap)
+        raise SettingProblem("this layout does not compute the object pose; choose one that shows it")
+    depth, pose = results["touch_depth"].output, results["pose"].output
+    assert isinstance(depth, DepthMap)
     assert isinstance(pose, ObjectPose)
-    found = compute_basin_map(felt, translation.mesh, pose, params, along, report)
-    return BasinMapResult(basins=found, frame=frame, translation=translation, results=results, display=display)
+    basins = compute_basin_map(depth, translation.mesh, pose, params, along, report)
+    return BasinMapResult(basins=basins, frame=frame, translation=translation, results=results, display=display)

@@ -1,4 +1,4 @@
-"""Background work: one thread, one place to wait, the newest request wins."""
+"""Background jobs: one thread and one waiting place per `LatestJob`; a newer job replaces a waiting one."""
 
 from __future__ import annotations
 
@@ -12,31 +12,31 @@ from PyQt6.QtCore import QObject, pyqtSignal
 from pipeline.base import compiling
 from pipeline.base.progress import Cancelled
 
-_REPORT_EVERY_S = 0.05  # a status bar that is written more often only costs time
+_REPORT_INTERVAL_S = 0.05  # between progress signals; more often costs time and shows nothing
 
 
 class JobReporter:
-    """What running work is given: tells how far it is and what is done, and stops once nobody wants it."""
+    """Given to a running job: reports progress, delivers parts, and raises `Cancelled` once the job is cancelled."""
 
     def __init__(self, job: LatestJob, ticket: int) -> None:
         self.job, self.ticket, self.cancelled = job, ticket, threading.Event()
-        self._told_s = self._fraction = 0.0
+        self._reported_s = self._fraction = 0.0
 
     def step(self, fraction: float, text: str) -> None:
-        """Report `fraction` in 0..1; raises `Cancelled` to stop the work."""
+        """Report `fraction` in 0..1; raises `Cancelled`."""
         if self.cancelled.is_set():
             raise Cancelled
         now_s = time.monotonic()
-        if now_s - self._told_s >= _REPORT_EVERY_S:
-            self._told_s, self._fraction = now_s, fraction
+        if now_s - self._reported_s >= _REPORT_INTERVAL_S:
+            self._reported_s, self._fraction = now_s, fraction
             self.job.progressed.emit(self.ticket, fraction, text)
 
     def report_message(self, text: str) -> None:
-        """Say what is going on, however far it is; never stops the work, which may be in the midst of the compiler."""
+        """Report a message at the last fraction; never raises, as the caller may be inside the compiler."""
         self.job.progressed.emit(self.ticket, self._fraction, text)
 
     def deliver(self, part: object) -> None:
-        """Deliver a part of the result ahead of the rest; raises `Cancelled` like `step`."""
+        """Deliver a part of the result early; raises `Cancelled`."""
         if self.cancelled.is_set():
             raise Cancelled
         self.job.delivered.emit(self.ticket, part)
@@ -46,7 +46,7 @@ JobFunction = Callable[[JobReporter], object]
 
 
 class LatestJob(QObject):
-    """Runs only the newest request; every signal carries the ticket that `submit` returned."""
+    """Runs the newest submitted job on its own thread; every signal carries the ticket that `submit` returned."""
 
     started = pyqtSignal(int)
     progressed = pyqtSignal(int, float, str)
@@ -54,7 +54,7 @@ class LatestJob(QObject):
     finished = pyqtSignal(int, object)
     failed = pyqtSignal(int, object)
     cancelled = pyqtSignal(int)
-    _over = pyqtSignal()  # behind whichever of the three above
+    _ended = pyqtSignal()  # after finished, failed or cancelled
 
     def __init__(self, name: str, parent: QObject | None = None) -> None:
         super().__init__(parent)
@@ -64,15 +64,16 @@ class LatestJob(QObject):
         self._running: JobReporter | None = None
         self._closing = False
         self.newest_ticket = 0
-        self._untold = 0  # how much work was begun whose end was not told yet
-        self._over.connect(self._told)
+        self._n_unreported = 0  # started jobs whose end has not reached the listeners yet
+        self._ended.connect(self._count_end)
         self._thread = threading.Thread(target=self._loop, name=name, daemon=True)
         self._thread.start()
 
     def submit(self, work: JobFunction, *, interrupt: bool = True) -> int:
-        """Queue `work` in place of whatever waits, and return its ticket.
+        """Queue `work` in place of a waiting job, and return its ticket.
 
-        `interrupt` also stops what runs; without it that may finish, so that a drag shows something on its way.
+        `interrupt` also cancels the running job; without it that one finishes, so that a drag shows intermediate
+        results.
         """
         with self._changed:
             if self._closing:
@@ -88,7 +89,7 @@ class LatestJob(QObject):
         return ticket
 
     def cancel(self) -> None:
-        """Stop what runs at its next step, and forget what waits."""
+        """Cancel the running job at its next step, and drop the waiting one."""
         with self._changed:
             dropped, self._waiting, self._work = self._waiting, None, None
             if self._running is not None:
@@ -98,17 +99,17 @@ class LatestJob(QObject):
 
     @property
     def is_busy(self) -> bool:
-        """Whether anything runs or waits."""
+        """Whether a job runs or waits."""
         with self._changed:
             return self._running is not None or self._waiting is not None
 
     @property
     def is_settled(self) -> bool:
-        """Whether nothing runs or waits, and whoever listens has heard how the last of it ended."""
-        return not self.is_busy and not self._untold
+        """Whether no job runs or waits, and listeners have received the end of the last one."""
+        return not self.is_busy and not self._n_unreported
 
     def close(self, timeout_s: float = 5.0) -> bool:
-        """Stop for good; whether the thread ended in time."""
+        """Cancel and end the thread; returns whether it ended in time."""
         self.cancel()
         with self._changed:
             self._closing = True
@@ -125,11 +126,11 @@ class LatestJob(QObject):
                     return
                 report, work = self._waiting, self._work
                 self._running, self._waiting, self._work = report, None, None
-                self._untold += 1
+                self._n_unreported += 1
             try:
                 self._run(report, work)
-                self._over.emit()
-            except RuntimeError:  # of PyQt: the window is gone, and this work could not be stopped in time
+                self._ended.emit()
+            except RuntimeError:  # PyQt: the window is destroyed before the job could be cancelled
                 if sip.isdeleted(self):
                     return
                 raise
@@ -140,20 +141,20 @@ class LatestJob(QObject):
             with compiling.report_compiling(report.report_message):
                 result = work(report)
         except Cancelled:
-            self._free()
+            self._clear_running()
             self.cancelled.emit(report.ticket)
-        except Exception as error:  # noqa: BLE001 - the border: RuntimeErrors too must reach the window
-            self._free()
+        except Exception as error:  # noqa: BLE001 - thread border: every error must reach the window
+            self._clear_running()
             self.failed.emit(report.ticket, error)
         else:
-            self._free()
-            stopped = report.cancelled.is_set()
-            _ = self.cancelled.emit(report.ticket) if stopped else self.finished.emit(report.ticket, result)
+            self._clear_running()
+            is_cancelled = report.cancelled.is_set()
+            _ = self.cancelled.emit(report.ticket) if is_cancelled else self.finished.emit(report.ticket, result)
 
-    def _told(self) -> None:
+    def _count_end(self) -> None:
         with self._changed:
-            self._untold -= 1
+            self._n_unreported -= 1
 
-    def _free(self) -> None:
+    def _clear_running(self) -> None:
         with self._changed:
             self._running = None

@@ -1,4 +1,4 @@
-"""What the first depth of a process loads, loaded before anybody asks for one."""
+"""Loads the packages and compiled code that the first depth needs, before a recording is open."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from pipeline.base.progress import Progress
 
 
 def preload_depth(report: Progress) -> None:
-    """Read a touch that never was: packages and compiled code are there when somebody opens one. Raises Cancelled."""
+    """Estimate the depth of a synthetic touch, to load packages and compile kernels. Raises Cancelled."""
     import numpy as np
 
     from pipeline.base.arrays import freeze
@@ -16,10 +16,10 @@ def preload_depth(report: Progress) -> None:
     from pipeline.values.frames import TactileFrame
 
     source = load_sensor("gelslim")
-    still = optics.render_reference(source)
-    image = still.copy()
+    reference = optics.render_reference(source)
+    image = reference.copy()
     rows, cols = (n // 3 for n in image.shape[:2])
     image[rows : 2 * rows, cols : 2 * cols] = 255 - image[rows : 2 * rows, cols : 2 * cols]
-    frame = TactileFrame(sensor=source.name, image=freeze(image.astype(np.uint8)), reference=still)
+    frame = TactileFrame(sensor=source.name, image=freeze(image.astype(np.uint8)), reference=reference)
     weights = None if NETWORK.weights is None else NETWORK.weights(source, source, None)
     NETWORK.run(frame, source, None, weights, NETWORK.params(), report)

@@ -1,4 +1,4 @@
-"""What a session asks of the pipeline: the request that it opens, and how depth is worked out."""
+"""From a session to the pipeline's request, and to the depth parameters."""
 
 from __future__ import annotations
 
@@ -16,43 +16,43 @@ from pipeline.translation.translate import Request, Translation, open_translatio
 
 
 def make_request(session: Session) -> Request:
-    """What a session, which has a recording, asks the pipeline to open."""
-    asked = {name: getattr(session, name) for name in REQUEST_FIELDS}
+    """Build the request that opens a session with a recording."""
+    fields = {name: getattr(session, name) for name in REQUEST_FIELDS}
     methods, weights = tuple(sorted(session.methods.items())), tuple(sorted(session.weights.items()))
-    return Request(**asked, methods=methods, weights=weights)
+    return Request(**fields, methods=methods, weights=weights)
 
 
 def make_request_if_open(session: Session) -> Request | None:
-    """As `request_of`; None where nothing is to be opened."""
+    """Build the request of a session; None without a recording."""
     return None if session.recording is None else make_request(session)
 
 
 def find_undo_target(
     sessions: Sequence[Session], at: int, opened: Set[Request | None], failing: Set[Request | None]
 ) -> int | None:
-    """Where on the undo stack to go back to from its place `at`, which could not be opened; None = nowhere.
+    """Return the undo index to go back to from `at`, which could not be opened; None if there is none.
 
-    To the nearest that is open. Who went backwards and chose anew has cut that off the stack: then to the nearest
-    before that is not known to fail as well.
+    It is the nearest index whose request is open. If a change after an undo has removed that one from the stack, it
+    is the nearest earlier index that is not known to fail.
     """
-    before = range(at - 1, -1, -1)
-    for place in (*before, *range(at + 1, len(sessions))):
-        if make_request_if_open(sessions[place]) in opened:
-            return place
-    return next((i for i in before if (asked := make_request_if_open(sessions[i])) and asked not in failing), None)
+    earlier = range(at - 1, -1, -1)
+    for index in (*earlier, *range(at + 1, len(sessions))):
+        if make_request_if_open(sessions[index]) in opened:
+            return index
+    return next((i for i in earlier if (req := make_request_if_open(sessions[i])) and req not in failing), None)
 
 
 def get_depth_params(session: Session) -> DepthParams:
-    """How a session has its depth worked out, on both sides of a comparison."""
+    """Return the depth parameters of a session, used for both sensors of a comparison."""
     params = session.get_params(PHYSICS if session.methods.get(PHYSICS.stage) == PHYSICS.name else NETWORK)
     assert isinstance(params, DepthParams)
     return params
 
 
 def open_request(request: Request, catalogue: Catalogue) -> Translation:
-    """The translation, to another sensor of the recording where no target is named; raises TouchError."""
+    """Open a translation, to a default target if none is named; raises TouchError."""
     if not request.target:
-        request = replace(request, target=_best_target(request))
+        request = replace(request, target=_choose_target(request))
     translation = open_translation(request, catalogue)
     if translation.n_frames == 0:
         translation.close()
@@ -60,8 +60,8 @@ def open_request(request: Request, catalogue: Catalogue) -> Translation:
     return translation
 
 
-def _best_target(request: Request) -> str:
-    """The other sensor of the same recording, else one that differs from the source."""
+def _choose_target(request: Request) -> str:
+    """Return another sensor of the recording, else a built-in sensor that differs from the source."""
     with closing(
         open_recording(
             request.recording, sensor=request.source, reference=request.reference, depth_unit=request.depth_unit

@@ -1,4 +1,4 @@
-"""From results to finished pictures and layers, each made once: who plays or goes back sees the very same again."""
+"""Previews and 3D layers of stage results, cached so that playing and stepping back reuse them."""
 
 from __future__ import annotations
 
@@ -12,8 +12,7 @@ from app.session.state import Session
 from app.work.target_comparison import TargetComparison
 from pipeline.base.memo import Memo, measure_bytes
 from pipeline.engine.graph import StageResult
-from pipeline.evaluation.truth_view import TruthView, build_observation_view
-from pipeline.evaluation.truth_view import build_truth_view as beside_truth
+from pipeline.evaluation.truth_view import TruthView, build_observation_view, build_truth_view
 from pipeline.previews.display_params import DisplayParams
 from pipeline.previews.layers import Layer, make_frame_layer
 from pipeline.previews.preview import Preview, add_observed_outline, make_frame_preview, match_camera
@@ -24,78 +23,78 @@ from pipeline.values.frames import TactileFrame
 from pipeline.values.results import DepthMap
 from widgets.frames_model import FrameSummary
 
-_DRAWN_BYTES = 72 * 1024 * 1024  # a dozen frames to a gel of 320 x 427, seven pictures each
-_READ_BYTES = _BESIDE_BYTES = 40 * 1024 * 1024
-_MOST_JUDGED = 512
+_PREVIEW_BYTES = 72 * 1024 * 1024  # 12 frames of a 320 x 427 gel, 7 images each
+_FRAME_BYTES = _TRUTH_BYTES = 40 * 1024 * 1024
+_MAX_METRICS = 512  # frames whose metrics are kept
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SourcePreview:
-    """The frame itself, before any method."""
+    """Preview and layers of the recorded frame."""
 
     frame: TactileFrame
-    ground_truth: GroundTruth  # what is known of it
+    ground_truth: GroundTruth
     preview: Preview
     layers: tuple[Layer, ...]
-    read_ms: float  # reading it
+    read_ms: float  # time to read the frame
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StagePreview:
-    """One slot's result, drawn."""
+    """Preview and layers of one stage result."""
 
     result: StageResult
     preview: Preview
     layers: tuple[Layer, ...]
-    truth_view: TruthView | None = None  # where it was asked for and is known
-    step_previews: tuple[Preview, ...] = ()  # kept on the way to it, where they are pictures of their own,
-    step_layers: tuple[tuple[Layer, ...], ...] = ()  # in 3D, each empty where it is not drawn,
-    step_history: StepHistory | None = None  # and what is told of them all
+    truth_view: TruthView | None = None  # if requested and known
+    step_previews: tuple[Preview, ...] = ()  # of the kept steps
+    step_layers: tuple[tuple[Layer, ...], ...] = ()  # of the kept steps; an empty entry has no 3D layer
+    step_history: StepHistory | None = None
 
 
 class LoadedFrame(NamedTuple):
-    """A frame as it was read and drawn, and what is known of it."""
+    """A recorded frame with its ground truth, preview and layer."""
 
     frame: TactileFrame
     ground_truth: GroundTruth
     preview: Preview
     layer: Layer
-    display: DisplayParams  # that it was drawn with
+    display: DisplayParams  # used for the preview
 
 
 class PreviewCache:
-    """What was read, drawn and judged of one translation; used by one thread at a time."""
+    """Frames, previews and metrics of one translation; used by one thread at a time."""
 
-    def __init__(self, most_bytes: int = _DRAWN_BYTES) -> None:
-        self._drawn: Memo[object, StagePreview] = Memo(most_bytes=most_bytes, weigh=_weight)
-        # Beside a truth or what was felt: with those, since equal keys may stand beside others.
-        self._beside: Memo[object, tuple[object, object, StagePreview]] = Memo(
-            most_bytes=min(most_bytes, _BESIDE_BYTES), weigh=lambda kept: _weight(kept[2])
+    def __init__(self, most_bytes: int = _PREVIEW_BYTES) -> None:
+        self._previews: Memo[object, StagePreview] = Memo(most_bytes=most_bytes, weigh=_size_bytes)
+        # Stage key -> (comparison, truths, preview): a hit needs the same comparison and truths.
+        self._compared: Memo[object, tuple[object, object, StagePreview]] = Memo(
+            most_bytes=min(most_bytes, _TRUTH_BYTES), weigh=lambda entry: _size_bytes(entry[2])
         )
-        self._read: Memo[int, LoadedFrame] = Memo(most_bytes=min(most_bytes, _READ_BYTES))
-        self._judged: Memo[object, dict[str, float]] = Memo(_MOST_JUDGED)
+        self._frames: Memo[int, LoadedFrame] = Memo(most_bytes=min(most_bytes, _FRAME_BYTES))
+        self._metrics: Memo[object, dict[str, float]] = Memo(_MAX_METRICS)
 
     def load_frame(self, translation: Translation, index: int, display: DisplayParams) -> LoadedFrame:
-        """A frame with all that is known of it, kept: who plays or goes back asks for it again."""
-        kept = self._read.get(index)
-        if kept is None or (kept.frame.is_depth and kept.display != display):  # a gel's colours are its own
-            frame = translation.stream.frame(translation.check_index(index)) if kept is None else kept.frame
-            facts = translation.read_ground_truth(index) if kept is None else kept.ground_truth
-            kept = LoadedFrame(frame, facts, *_reading(frame, translation.source, display), display)
-            if translation.recording.refresh is None:  # one that grows may be set to zero anew, or forget its oldest
-                self._read.put(index, kept)
-        return kept
+        """Return a frame with its ground truth and preview, cached unless the recording is live."""
+        loaded = self._frames.get(index)
+        if loaded is None or (loaded.frame.is_depth and loaded.display != display):  # colour maps apply to depth only
+            frame = translation.stream.frame(translation.check_index(index)) if loaded is None else loaded.frame
+            truth = translation.read_ground_truth(index) if loaded is None else loaded.ground_truth
+            loaded = LoadedFrame(frame, truth, *_draw_frame(frame, translation.source, display), display)
+            if translation.recording.refresh is None:  # the zero and the oldest frames of a live recording change
+                self._frames.put(index, loaded)
+        return loaded
 
     def compute_metrics(
-        self, translation: Translation, results: Mapping[str, StageResult], index: int, facts: GroundTruth
+        self, translation: Translation, results: Mapping[str, StageResult], index: int, truth: GroundTruth
     ) -> dict[str, float]:
-        """The frame's figures; equal answers have equal ones, and are not judged again."""
+        """Return metric -> value of a frame, cached by the digests of its results."""
         key = (index, *((name, result.digest) for name, result in results.items()))
-        known = self._judged.get(key)
-        if known is None:
-            known = translation.compute_metrics_against(results, facts)
-            self._judged.put(key, known)
-        return known
+        metrics = self._metrics.get(key)
+        if metrics is None:
+            metrics = translation.compute_metrics_against(results, truth)
+            self._metrics.put(key, metrics)
+        return metrics
 
     def draw_stage(
         self,
@@ -106,44 +105,46 @@ class PreviewCache:
         other: TargetComparison | None,
         truths: Mapping[str, object] | None,
     ) -> StagePreview:
-        """Pictures of an output that was drawn before are used again, so that the window need not touch them."""
-        slot = translation.catalogue.stage(result.name)
-        also = tuple(results[name].digest for name in slot.preview_stages if name in results)
-        n_kept = len(getattr(result.output, "steps", ()))  # which the digest does not count
-        key = (result.name, result.digest, n_kept, session.display, also)
-        beside = None if truths is None and other is None else self._beside.get(key)
-        if beside is not None and beside[0] is other and beside[1] is truths:
-            return replace(beside[2], result=result)
-        shown = self._drawn.get_or_make(key, lambda: _drawn(slot, result, results, translation, session))
+        """Return the preview of a result; equal results return the same images, which the window need not redraw."""
+        stage = translation.catalogue.stage(result.name)
+        inputs = tuple(results[name].digest for name in stage.preview_stages if name in results)
+        n_steps = len(getattr(result.output, "steps", ()))  # not part of the digest
+        key = (result.name, result.digest, n_steps, session.display, inputs)
+        cached = None if truths is None and other is None else self._compared.get(key)
+        if cached is not None and cached[0] is other and cached[1] is truths:
+            return replace(cached[2], result=result)
+        shown = self._previews.get_or_make(key, lambda: _draw_stage(stage, result, results, translation, session))
         if truths is not None or other is not None:
-            shown = _with_others(slot, shown, results, translation, session, other, truths)
-            self._beside.put(key, (other, truths, shown))
+            shown = _add_comparison(stage, shown, results, translation, session, other, truths)
+            self._compared.put(key, (other, truths, shown))
         return replace(shown, result=result)
 
 
-def _drawn(
+def _draw_stage(
     stage: Stage, result: StageResult, results: Mapping[str, StageResult], translation: Translation, session: Session
 ) -> StagePreview:
-    seen = _seen(results, translation, session)
-    picture = stage.make_preview(result.output, seen)
-    layers = stage.make_layers(result.output, seen, picture)
-    kept = stage.split_steps(result.output)
-    states = tuple(stage.make_preview(state, seen) for state in kept)
-    solid = tuple(stage.make_step_layers(state, seen, drawn) for state, drawn in zip(kept, states, strict=True))
-    way = stage.summarise_steps(result.output)
+    context = _make_context(results, translation, session)
+    preview = stage.make_preview(result.output, context)
+    steps = stage.split_steps(result.output)
+    previews = tuple(stage.make_preview(step, context) for step in steps)
     return StagePreview(
-        result=result, preview=picture, layers=layers, step_previews=states, step_layers=solid, step_history=way
+        result=result,
+        preview=preview,
+        layers=stage.make_layers(result.output, context, preview),
+        step_previews=previews,
+        step_layers=tuple(stage.make_step_layers(s, context, p) for s, p in zip(steps, previews, strict=True)),
+        step_history=stage.summarise_steps(result.output),
     )
 
 
-def _weight(shown: StagePreview) -> int:
-    """Its result is the graph's to weigh."""
+def _size_bytes(shown: StagePreview) -> int:
+    """Size without the result itself, which the graph's cache counts."""
     return measure_bytes(
         (shown.preview, shown.layers, shown.truth_view, shown.step_previews, shown.step_layers), shown.result.output
     )
 
 
-def _with_others(
+def _add_comparison(
     stage: Stage,
     shown: StagePreview,
     results: Mapping[str, StageResult],
@@ -152,32 +153,36 @@ def _with_others(
     other: TargetComparison | None,
     truths: Mapping[str, object] | None,
 ) -> StagePreview:
-    """With what the target felt itself, where that is compared, else with the truth."""
+    """Add the target's own touch if it is compared, else the truth if it is requested."""
     if other is not None and other.paired_touch is not None:
-        felt = build_observation_view(shown.preview, other.paired_touch.target, translation.target, session.display)
-        return replace(shown, preview=add_observed_outline(shown.preview, other.observed_outline_px), truth_view=felt)
+        observed = build_observation_view(shown.preview, other.paired_touch.target, translation.target, session.display)
+        return replace(
+            shown, preview=add_observed_outline(shown.preview, other.observed_outline_px), truth_view=observed
+        )
     if truths is None:
         return shown
-    return replace(shown, truth_view=beside_truth(stage, shown.preview, truths, _seen(results, translation, session)))
+    return replace(
+        shown, truth_view=build_truth_view(stage, shown.preview, truths, _make_context(results, translation, session))
+    )
 
 
-def _seen(results: Mapping[str, StageResult], translation: Translation, session: Session) -> PreviewContext:
+def _make_context(results: Mapping[str, StageResult], translation: Translation, session: Session) -> PreviewContext:
     return PreviewContext(
         outputs={name: r.output for name, r in results.items()}, source=translation.source,
         target=translation.target, mesh=translation.mesh, display=session.display,
     )  # fmt: skip
 
 
-def _reading(frame: TactileFrame, sensor: SensorSpec, display: DisplayParams) -> tuple[Preview, Layer]:
+def _draw_frame(frame: TactileFrame, sensor: SensorSpec, display: DisplayParams) -> tuple[Preview, Layer]:
     camera = match_camera(frame.camera or sensor.camera, frame.image.shape)
-    picture = make_frame_preview(frame.image, camera, sensor, display, reference=frame.reference)
-    return picture, make_frame_layer("source", frame.image, camera, picture.pixels, sensor)
+    preview = make_frame_preview(frame.image, camera, sensor, display, reference=frame.reference)
+    return preview, make_frame_layer("source", frame.image, camera, preview.pixels, sensor)
 
 
 def summarise_frame(
     results: Mapping[str, StageResult], metrics: Mapping[str, float], translation: Translation
 ) -> FrameSummary | None:
-    """What the table of frames says of one; None without a depth."""
+    """Summarise a frame for the frames table; None without a depth result."""
     depth = results["depth"].output if "depth" in results else None
     if not isinstance(depth, DepthMap):
         return None
@@ -189,8 +194,8 @@ def summarise_frame(
         contact_area_mm2=float(depth.contact.sum()) * pixel_mm**2,
         metrics=metrics,
         warnings=tuple(
-            f"{translation.catalogue.stage(name).title.lower()}: {doubt}"
+            f"{translation.catalogue.stage(name).title.lower()}: {warning}"
             for name, result in results.items()
-            for doubt in result.warnings
+            for warning in result.warnings
         ),
     )

@@ -1,4 +1,4 @@
-"""What the target really felt beside what the alignment carries over: of one frame, worked out once."""
+"""One frame as both sensors recorded it: the transferred touch and the target's own, for judging the alignment."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from pipeline.translation.translate import Translation, estimate_camera_shift_mm
 from pipeline.values.results import DepthMap, TargetDepth
 
 
-@dataclass(frozen=True, kw_only=True)  # no slots: what is asked for is worked out once and kept
+@dataclass(frozen=True, kw_only=True)  # cached properties need __dict__
 class TargetComparison:
-    """One frame as both sensors felt it; without `touch` there is nothing to compare with, and `reason` says why."""
+    """One frame of both sensors; without `paired_touch`, `unavailable_reason` says why there is none."""
 
     index: int
     target: SensorSpec
@@ -35,19 +35,19 @@ class TargetComparison:
     unavailable_reason: str
 
     def compute_pivot_mm(self, opened: Alignment) -> Doubles:
-        """The middle of the contact (3,) in the target frame under the opened alignment: what turns are about."""
+        """Centre of contact (3,) mm in the target frame under the opened alignment: the pivot of rotations."""
         return compute_pivot_mm(
             self.source, shift_alignment_along_z(opened, source_shift_mm=self.source_shift_mm, target_shift_mm=0.0)
         )
 
     @cached_property
     def preview_downsampling(self) -> int:
-        """One preview pixel is this many of the target's along each side."""
+        """Target pixels per preview pixel along each side."""
         return choose_preview_factor(self.target)
 
     @cached_property
     def coarse_observation(self) -> TargetObservation | None:
-        """The target's side for dragging."""
+        """The target's own touch at preview resolution."""
         return (
             None
             if self.paired_touch is None
@@ -56,39 +56,39 @@ class TargetComparison:
 
     @cached_property
     def full_observation(self) -> TargetObservation | None:
-        """The target's side at full size."""
+        """The target's own touch at full resolution."""
         return None if self.paired_touch is None else observe_target(self.paired_touch.target, self.target)
 
     @cached_property
     def observed_outline_px(self) -> Floats | None:
-        """Border (n, 2) of what the target felt, on its full image."""
+        """Contact border (n, 2) x, y in pixels of the target's own touch."""
         return None if self.paired_touch is None else trace_outline(self.paired_touch.target.contact)
 
     def preview_alignment(
         self, alignment: Alignment, params: ProjectionParams
     ) -> tuple[TargetDepth, AlignmentScore | None]:
-        """The touch as the alignment carries it over, drawn coarse, and how well it agrees: the figures of a rest."""
+        """Project the touch at preview resolution, and score it at full resolution."""
         if self.paired_touch is not None and self.coarse_observation is not None:
             return score_preview(self.paired_touch, alignment, self.coarse_observation, params)[0], self.compute_score(
                 alignment, params
             )
-        there = shift_alignment_along_z(alignment, source_shift_mm=self.source_shift_mm, target_shift_mm=0.0)
+        shifted = shift_alignment_along_z(alignment, source_shift_mm=self.source_shift_mm, target_shift_mm=0.0)
         small = self.target.with_camera(self.target.camera.scale(1.0 / self.preview_downsampling))
         return project_cloud(
-            back_project_depth(self.source, there, BackProjectionParams(stride=min(2, self.preview_downsampling))),
+            back_project_depth(self.source, shifted, BackProjectionParams(stride=min(2, self.preview_downsampling))),
             small,
             params,
         ), None
 
     def project_touch(self, alignment: Alignment, params: ProjectionParams) -> TargetDepth:
-        """The touch as the alignment carries it over, at full size."""
+        """Project the touch into the target at full resolution."""
         if self.paired_touch is not None and self.full_observation is not None:
             return score_preview(self.paired_touch, alignment, self.full_observation, params)[0]
-        there = shift_alignment_along_z(alignment, source_shift_mm=self.source_shift_mm, target_shift_mm=0.0)
-        return project_cloud(back_project_depth(self.source, there, BackProjectionParams()), self.target, params)
+        shifted = shift_alignment_along_z(alignment, source_shift_mm=self.source_shift_mm, target_shift_mm=0.0)
+        return project_cloud(back_project_depth(self.source, shifted, BackProjectionParams()), self.target, params)
 
     def compute_score(self, alignment: Alignment, params: ProjectionParams) -> AlignmentScore | None:
-        """How well the touch agrees at full size."""
+        """Score the agreement at full resolution; None without a paired touch."""
         return (
             None
             if self.paired_touch is None or self.full_observation is None
@@ -98,7 +98,7 @@ class TargetComparison:
     def compute_sensitivities(
         self, alignment: Alignment, params: ProjectionParams, pivot: Doubles, progress: Progress
     ) -> tuple[Sensitivity, ...]:
-        """Which axis matters; nothing where there is nothing to compare with."""
+        """Compute the sensitivity of each axis; () without a paired touch."""
         if self.paired_touch is None or self.coarse_observation is None:
             return ()
         return compute_sensitivities(
@@ -109,14 +109,14 @@ class TargetComparison:
 def build_target_comparison(
     translation: Translation, index: int, params: DepthParams, source: DepthMap
 ) -> TargetComparison:
-    """Frame `index` on both sides, `source` being its depth; the target's is worked out here."""
+    """Compare frame `index` of both sensors; `source` is its depth, the target's is computed here."""
     frame = translation.stream.frame(index)
     shift_mm = estimate_camera_shift_mm(frame, translation.source)
     touch, reason = None, ""
     try:
-        touch, reason = _paired(translation, index, source, shift_mm, params)
+        touch, reason = _pair_touches(translation, index, source, shift_mm, params)
     except TouchError as error:
-        reason = f"{translation.target.name}'s own touch cannot be used: {error}"
+        reason = f"the recorded {translation.target.name} touch cannot be used: {error}"
     return TargetComparison(
         index=index,
         target=translation.target,
@@ -127,18 +127,18 @@ def build_target_comparison(
     )
 
 
-def _paired(
+def _pair_touches(
     translation: Translation, index: int, source: DepthMap, shift_mm: float, params: DepthParams
 ) -> tuple[AlignmentTouch | None, str]:
     spec, other = translation.target, translation.read_target_observation(index)
     if other is None:
         return None, f"the recording has no {spec.name} touch to compare with"
-    seen = other[0]
-    felt_there = skip_without_contact(seen, spec, None, params) or estimate_depth(seen, spec, None, params)
+    frame = other[0]
+    depth = skip_without_contact(frame, spec, None, params) or estimate_depth(frame, spec, None, params)
     touch = AlignmentTouch(
-        index=index, source=source, target=felt_there, source_shift_mm=shift_mm,
-        target_shift_mm=estimate_camera_shift_mm(seen, spec),
+        index=index, source=source, target=depth, source_shift_mm=shift_mm,
+        target_shift_mm=estimate_camera_shift_mm(frame, spec),
     )  # fmt: skip
     if not touch.has_contact_on_both:
-        return None, f"frame {index} is not felt by both sensors"
+        return None, f"frame {index} has no contact on both sensors"
     return touch, ""

@@ -166,7 +166,7 @@ def add_observed_outline(picture: Preview, observed_outline_px: Floats | None) -
         return picture
     return replace(
         picture,
-        felt_px=observed_outline_px,
+        observed_outline_px=observed_outline_px,
         caption=f"{INDENTATION_LABEL}; orange: mask, white: observed by the target",
     )
 

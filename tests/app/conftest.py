@@ -83,20 +83,20 @@ def open_window(qtbot) -> Iterator[Callable[..., SessionController]]:
     made: list[SessionController] = []
 
     def open_one(recording: Path | None = None, *, gl: bool = False, **session) -> SessionController:
-        instrument = show_window(Session(recording=recording, **session), with_scene=gl)
-        made.append(instrument)
-        qtbot.addWidget(instrument.window, before_close_func=lambda _: instrument.close())  # asks about nothing then
-        return instrument
+        controller = show_window(Session(recording=recording, **session), with_scene=gl)
+        made.append(controller)
+        qtbot.addWidget(controller.window, before_close_func=lambda _: controller.close())  # asks about nothing then
+        return controller
 
     yield open_one
-    for instrument in made:
-        instrument.close()
-        instrument.window.close()
+    for controller in made:
+        controller.close()
+        controller.window.close()
 
 
 @pytest.fixture
 def bubble_window(open_window, touch_file) -> SessionController:
     """A window on frame 2 of the recording, through all stages."""
-    instrument = open_window(touch_file, target="gelslim", frame=2)
-    assert wait_until_shown(instrument, 60), instrument.window.banner.text
-    return instrument
+    controller = open_window(touch_file, target="gelslim", frame=2)
+    assert wait_until_shown(controller, 60), controller.window.banner.text
+    return controller

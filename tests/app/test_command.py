@@ -13,16 +13,16 @@ SCRIPT = Path(sys.executable).with_name("tactoscope")
 SAMPLE = Path(__file__).parents[2] / "sample_data" / "recordings" / "first_touch.h5"
 
 
-def test_without_a_display_the_window_is_refused_in_one_sentence():
+def test_without_a_display_the_window_is_refused():
     screens = ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM")
     nowhere = {k: v for k, v in os.environ.items() if k not in screens}
     done = subprocess.run([SCRIPT, "view"], env=nowhere, capture_output=True, text=True, check=False)
     assert done.returncode == 2
-    assert done.stderr.startswith("tactoscope: there is no display")
+    assert done.stderr.startswith("tactoscope: no display")
     assert len(done.stderr.splitlines()) == 1
 
 
-def test_an_interrupted_translation_leaves_whole_frames_and_says_so(tmp_path):
+def test_an_interrupted_translation_leaves_complete_frames(tmp_path):
     out = tmp_path / "out"
     command = [SCRIPT, "translate", SAMPLE, "--sensor", "gelslim", "--target", "digit", "--all", "--out", out]
     running = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)

@@ -14,14 +14,14 @@ from app.window.tour import wait_until_shown
 
 def test_a_recording_opens_on_a_touched_frame_whatever_comes_first(open_window, touch_file):
     """The sample begins untouched; so does what is opened later."""
-    instrument = open_window(SAMPLE_RECORDING, frame=AUTO_FRAME)
-    assert wait_until_shown(instrument, 60), instrument.window.banner.text
-    assert instrument.latest_frame.results["depth"].output.contact.any()
-    assert instrument.window.timeline.frame == instrument.session.frame == instrument.latest_frame.index > 0
-    instrument.open_path(touch_file)
-    assert wait_until_shown(instrument, 60), instrument.window.banner.text
-    assert instrument.session.frame == 2  # pressed deepest
-    assert instrument.latest_frame.results["depth"].output.contact.any()
+    controller = open_window(SAMPLE_RECORDING, frame=AUTO_FRAME)
+    assert wait_until_shown(controller, 60), controller.window.banner.text
+    assert controller.latest_frame.results["depth"].output.contact.any()
+    assert controller.window.timeline.frame == controller.session.frame == controller.latest_frame.index > 0
+    controller.open_path(touch_file)
+    assert wait_until_shown(controller, 60), controller.window.banner.text
+    assert controller.session.frame == 2  # pressed deepest
+    assert controller.latest_frame.results["depth"].output.contact.any()
 
 
 _QUITS = """
@@ -39,7 +39,7 @@ sys.exit(open_window(None))
 """
 
 
-def test_the_process_ends_well_after_its_window(tmp_path):
+def test_the_process_exits_cleanly_after_its_window(tmp_path):
     """A window that outlived its application was called in the application's end, and the process crashed."""
     places = {"XDG_CONFIG_HOME": str(tmp_path), "XDG_STATE_HOME": str(tmp_path), "PYTHONPATH": str(Path.cwd())}
     ended = subprocess.run(

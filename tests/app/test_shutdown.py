@@ -17,11 +17,11 @@ import atexit
 from PyQt6.QtCore import QPoint, QPointF
 from app.main import make_application, show_window
 from app.session.state import Session
-from widgets.section_line_tool import SectionHand
+from widgets.section_line_tool import SectionLineTool
 
 kept, armed = [], []
 
-class Busy(SectionHand):  # PyQt's table of all objects is laid anew while it walks through it
+class Busy(SectionLineTool):  # PyQt's table of all objects is laid anew while it walks through it
     def eventFilter(self, watched, event):
         if armed:
             kept.extend(QPoint() for _ in range(200))
@@ -29,8 +29,8 @@ class Busy(SectionHand):  # PyQt's table of all objects is laid anew while it wa
 
 atexit.register(armed.append, True)  # after what the application does at the end, before what PyQt does
 application = make_application()
-instrument = show_window(Session(), with_scene=False)
-hands = [Busy(column.view.canvas) for column in instrument.window.columns.values()]
+controller = show_window(Session(), with_scene=False)
+hands = [Busy(column.view.canvas) for column in controller.window.columns.values()]
 for hand in hands:
     hand.show_line((QPointF(0.0, 0.0), QPointF(5.0, 5.0)))
 application.processEvents()
@@ -51,21 +51,21 @@ from pipeline.translation.translate import Request
 shown = main.show_window
 
 def show_window(*args, **kwargs):
-    instrument = shown(*args, with_scene=False, **kwargs)
+    controller = shown(*args, with_scene=False, **kwargs)
 
     def work():
-        if instrument.views.opened is None or not instrument.idle:
+        if controller.views.translation is None or not controller.is_idle:
             return
         every.stop()
-        instrument.window.actions_by_name["section_line"].trigger()
-        instrument.change("move", offsets=Offsets(shift_mm=(1.5, 0.0, 0.0)))
+        controller.window.actions_by_name["section_line"].trigger()
+        controller.change("move", offsets=Offsets(translation_mm=(1.5, 0.0, 0.0)))
         print("ready", flush=True)
-        QMessageBox.information(instrument.window, "asks", "and waits")
+        QMessageBox.information(controller.window, "asks", "and waits")
 
-    every = QTimer(instrument)
+    every = QTimer(controller)
     every.timeout.connect(work)
     every.start(20)
-    return instrument
+    return controller
 
 main.show_window = show_window
 tour = Path(sys.argv[2]) if len(sys.argv) > 2 else None
@@ -85,27 +85,27 @@ def _run(script: str, *words: object, home: Path) -> Iterator[subprocess.Popen[s
             running.kill()  # one that did not end
 
 
-def test_a_window_that_nobody_destroyed_does_not_end_the_process_with_a_crash(tmp_path):
+def test_a_window_that_was_not_destroyed_does_not_crash_at_exit(tmp_path):
     with _run(_NEVER_DESTROYED, home=tmp_path) as running:
-        _, told = running.communicate(timeout=30)
-    assert running.returncode == 0, told[-2000:]
+        _, output = running.communicate(timeout=30)
+    assert running.returncode == 0, output[-2000:]
 
 
-def test_ctrl_c_closes_the_window_and_what_was_edited_is_kept(touch_file, remembered_here):
+def test_ctrl_c_closes_the_window_and_saves_the_recovery_file(touch_file, remembered_here):
     """With its section line on, and a dialog that waits for an answer."""
     with _run(_ENDED, touch_file, home=remembered_here) as running:
         assert running.stdout.readline() == "ready\n"
         running.send_signal(signal.SIGINT)
-        _, told = running.communicate(timeout=30)
-    assert (running.returncode, told) == (128 + signal.SIGINT, "")
+        _, output = running.communicate(timeout=30)
+    assert (running.returncode, output) == (128 + signal.SIGINT, "")
     (left,) = recovery.find_recoverable_sessions(recovery.get_recovery_folder())
     assert left.session.offsets.translation_mm == (1.5, 0.0, 0.0)
     assert left.session.section is not None
 
 
-def test_a_tour_that_is_told_to_end_ends(touch_file, tmp_path):
+def test_a_signal_ends_a_tour(touch_file, tmp_path):
     with _run(_ENDED, touch_file, tmp_path / "tour", home=tmp_path) as running:
         assert running.stdout.readline() == "ready\n"
         running.send_signal(signal.SIGTERM)
-        _, told = running.communicate(timeout=30)
-    assert (running.returncode, told) == (128 + signal.SIGTERM, "")
+        _, output = running.communicate(timeout=30)
+    assert (running.returncode, output) == (128 + signal.SIGTERM, "")

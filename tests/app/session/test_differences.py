@@ -27,5 +27,5 @@ def test_only_what_results_depend_on_is_listed():
 
 def test_equal_settings_differ_in_nothing_and_a_route_lacks_slots():
     assert describe_differences(ONE, replace(ONE, frame=9), BUILT_IN) == ()
-    told = describe_differences(ONE, replace(ONE, route="t2t"), BUILT_IN)
-    assert any(t.startswith("depth: ") and t.endswith("| nothing") for t in told)
+    texts = describe_differences(ONE, replace(ONE, route="t2t"), BUILT_IN)
+    assert any(t.startswith("depth: ") and t.endswith("| nothing") for t in texts)

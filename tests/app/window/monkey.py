@@ -46,14 +46,14 @@ class Monkey:
     """Plays with one window; `complaints` says what went wrong, with the acts that led there."""
 
     def __init__(
-        self, instrument: SessionController, rng: random.Random, *, folder: Path, good: tuple[Path, ...]
+        self, controller: SessionController, rng: random.Random, *, folder: Path, good: tuple[Path, ...]
     ) -> None:
-        self._instrument, self._rng, self._window = instrument, rng, instrument.window
+        self._instrument, self._rng, self._window = controller, rng, controller.window
         self._files = [*good, *sorted(SAMPLE_RECORDING.parent.glob("*.h5")), *_bad_files(folder)]
         self.complaints: list[str] = []
         self.n_acts = 0
         self._lately: list[str] = []
-        self.watched = Watched(instrument, self._complain)
+        self.watched = Watched(controller, self._complain)
         self._acts: tuple[tuple[int, Callable[[], str]], ...] = (
             (5, self._command), (5, self._control), (3, self._frame), (2, self._hover), (1, self._file), (2, self._key),
             (2, self._button), (2, self._mouse), (1, self._tab), (1, self._resize),
@@ -118,9 +118,9 @@ class Monkey:
         if not found:
             return "no button"
         button = self._rng.choice(found)
-        told = f"button {button.objectName() or button.text()}"
+        description = f"button {button.objectName() or button.text()}"
         button.click()
-        return told
+        return description
 
     def _mouse(self) -> str:
         """Drag, or turn the wheel, over a picture or a 3D view."""

@@ -17,13 +17,13 @@ LIMIT_S, LIMIT_MS = 60, 60_000
 
 @pytest.fixture
 def grasped(open_window, qtbot):
-    instrument = open_window(SAMPLE_RECORDING.with_name("digit_gelslim.h5"), source="digit", target="gelslim", frame=3)
-    assert wait_until_shown(instrument, LIMIT_S), instrument.window.banner.text
-    instrument.window.actions_by_name["layout_align"].trigger()
-    aligning = instrument.findChild(AlignmentController)
-    gizmo = instrument.window.columns["target_depth"].view.canvas.findChild(Gizmo)
-    qtbot.waitUntil(lambda: instrument.is_idle and aligning.is_idle and gizmo.isVisible(), timeout=LIMIT_MS)
-    return instrument, aligning, gizmo
+    controller = open_window(SAMPLE_RECORDING.with_name("digit_gelslim.h5"), source="digit", target="gelslim", frame=3)
+    assert wait_until_shown(controller, LIMIT_S), controller.window.banner.text
+    controller.window.actions_by_name["layout_align"].trigger()
+    aligning = controller.findChild(AlignmentController)
+    gizmo = controller.window.columns["target_depth"].view.canvas.findChild(Gizmo)
+    qtbot.waitUntil(lambda: controller.is_idle and aligning.is_idle and gizmo.isVisible(), timeout=LIMIT_MS)
+    return controller, aligning, gizmo
 
 
 def _drag(qtbot, gizmo, begin: QPointF, end: QPointF):
@@ -34,50 +34,50 @@ def _drag(qtbot, gizmo, begin: QPointF, end: QPointF):
     qtbot.mouseRelease(canvas, Qt.MouseButton.LeftButton, pos=end.toPoint())
 
 
-def test_an_arrow_shifts_along_its_axis_as_far_as_it_is_dragged_and_is_one_step(grasped, qtbot):
-    instrument, aligning, gizmo = grasped
-    canvas, picture = gizmo.parent(), instrument.window.columns["target_depth"].view.preview
+def test_an_arrow_moves_along_its_axis_in_one_undo_step(grasped, qtbot):
+    controller, aligning, gizmo = grasped
+    canvas, picture = gizmo.parent(), controller.window.columns["target_depth"].view.preview
     middle = canvas.to_screen(gizmo._at)
-    steps, centre = instrument.undo_stack.count(), canvas.centre
+    steps, centre = controller.undo_stack.count(), canvas.centre
     grip = middle + QPointF(30, 0)
     _drag(qtbot, gizmo, grip, grip + QPointF(25, 14))
-    qtbot.waitUntil(lambda: instrument.is_idle and aligning.is_idle, timeout=LIMIT_MS)
-    x, y, z = instrument.session.offsets.shift_mm
+    qtbot.waitUntil(lambda: controller.is_idle and aligning.is_idle, timeout=LIMIT_MS)
+    x, y, z = controller.session.offsets.shift_mm
     assert x == pytest.approx(25.0 / canvas.scale * picture.pixel_mm, rel=0.1)
     assert (y, z) == (0.0, 0.0)
-    assert instrument.undo_stack.count() == steps + 1
+    assert controller.undo_stack.count() == steps + 1
     assert canvas.centre == centre  # the picture itself was not dragged
     moved = canvas.to_screen(gizmo._at)
     assert moved.x() - middle.x() == pytest.approx(25.0, abs=2.0)  # it stays under the pointer
-    instrument.undo_stack.undo()
-    qtbot.waitUntil(lambda: instrument.is_idle and aligning.is_idle, timeout=LIMIT_MS)
+    controller.undo_stack.undo()
+    qtbot.waitUntil(lambda: controller.is_idle and aligning.is_idle, timeout=LIMIT_MS)
     assert canvas.to_screen(gizmo._at).x() == pytest.approx(middle.x(), abs=1.0)
 
 
-def test_the_middle_shifts_freely_and_the_ring_turns(grasped, qtbot):
-    instrument, aligning, gizmo = grasped
+def test_the_centre_translates_and_the_ring_rotates(grasped, qtbot):
+    controller, aligning, gizmo = grasped
     canvas = gizmo.parent()
     middle = canvas.to_screen(gizmo._at)
     _drag(qtbot, gizmo, middle, middle + QPointF(-10, 20))
-    qtbot.waitUntil(lambda: instrument.is_idle and aligning.is_idle, timeout=LIMIT_MS)
-    x, y, _ = instrument.session.offsets.shift_mm
+    qtbot.waitUntil(lambda: controller.is_idle and aligning.is_idle, timeout=LIMIT_MS)
+    x, y, _ = controller.session.offsets.shift_mm
     assert y == pytest.approx(-2 * x, rel=0.15)
     middle, far, turn = canvas.to_screen(gizmo._at), 66.0, math.radians(20.0)
     begin, end = middle + QPointF(0, -far), middle + QPointF(far * math.sin(turn), -far * math.cos(turn))
     assert gizmo.part_at(begin) == "rz"
     _drag(qtbot, gizmo, begin, end)
-    qtbot.waitUntil(lambda: instrument.is_idle and aligning.is_idle, timeout=LIMIT_MS)
-    assert instrument.session.offsets.turn_deg[2] == pytest.approx(20.0, abs=1.5)  # clockwise on screen: from x to y
-    assert instrument.session.offsets.translation_mm[:2] == pytest.approx((x, y), abs=1e-6)
+    qtbot.waitUntil(lambda: controller.is_idle and aligning.is_idle, timeout=LIMIT_MS)
+    assert controller.session.offsets.turn_deg[2] == pytest.approx(20.0, abs=1.5)  # clockwise on screen: from x to y
+    assert controller.session.offsets.translation_mm[:2] == pytest.approx((x, y), abs=1e-6)
 
 
-def test_it_is_there_in_align_alone(grasped, qtbot):
-    instrument, _, gizmo = grasped
-    instrument.window.actions_by_name["layout_stages"].trigger()
-    assert wait_until_shown(instrument, LIMIT_S)
+def test_the_gizmo_is_visible_in_align_only(grasped, qtbot):
+    controller, _, gizmo = grasped
+    controller.window.actions_by_name["layout_stages"].trigger()
+    assert wait_until_shown(controller, LIMIT_S)
     assert gizmo.isHidden()
     canvas = gizmo.parent()
     qtbot.mousePress(canvas, Qt.MouseButton.LeftButton, pos=QPoint(40, 40))
     qtbot.mouseRelease(canvas, Qt.MouseButton.LeftButton, pos=QPoint(40, 40))
     assert not gizmo.held
-    assert wait_until_shown(instrument, LIMIT_S)
+    assert wait_until_shown(controller, LIMIT_S)

@@ -29,8 +29,8 @@ def _file():
     return Preferences().settings_folder / ARRANGEMENTS_FILE
 
 
-def test_an_arrangement_comes_back_as_it_was_kept(bubble_window, called, qtbot):
-    instrument, window, act = bubble_window, bubble_window.window, bubble_window.window.actions_by_name
+def test_an_arrangement_is_restored_as_saved(bubble_window, called, qtbot):
+    controller, window, act = bubble_window, bubble_window.window, bubble_window.window.actions_by_name
     act["layout_inspect"].trigger()
     window.panes.dims_chosen.emit(0, "2D")
     window.drawers.frames.show()
@@ -38,19 +38,19 @@ def test_an_arrangement_comes_back_as_it_was_kept(bubble_window, called, qtbot):
     act["save_arrangement"].trigger()
     act["layout_stages"].trigger()
     window.drawers.frames.hide()
-    assert instrument.session.layout.arrangement is None
+    assert controller.session.layout.arrangement is None
     chosen = next(a for a in window.actions() if a.text() == "Arrangement mine")
     assert chosen.shortcut().toString() == "Ctrl+Alt+1"
     chosen.trigger()
-    assert instrument.session.layout.name == "inspect"
-    assert instrument.session.layout.panes[0][1] == "2D"
+    assert controller.session.layout.name == "inspect"
+    assert controller.session.layout.panes[0][1] == "2D"
     assert not window.drawers.frames.isHidden()
     assert chosen.isChecked()
-    instrument.undo_stack.undo()
-    assert instrument.session.layout.name == "stages"
+    controller.undo_stack.undo()
+    assert controller.session.layout.name == "stages"
 
 
-def test_a_dragged_handle_is_part_of_it(bubble_window, called, qtbot):
+def test_an_arrangement_includes_dragged_splitters(bubble_window, called, qtbot):
     window, rows = bubble_window.window, bubble_window.window.rows
     window.show()
     assert wait_until_shown(bubble_window, LIMIT_S)
@@ -67,7 +67,7 @@ def test_a_dragged_handle_is_part_of_it(bubble_window, called, qtbot):
     qtbot.waitUntil(lambda: abs(rows.sizes()[0] - kept[0]) < 4)
 
 
-def test_arrangements_outlive_the_window_and_can_be_renamed_and_deleted(open_window, called):
+def test_arrangements_are_saved_renamed_and_deleted(open_window, called):
     first = open_window()
     for name in ("one", "two"):
         called["name"] = name
@@ -91,24 +91,24 @@ def test_arrangements_outlive_the_window_and_can_be_renamed_and_deleted(open_win
     ["{", "[]", '{"tactoscope arrangements": 0}', '{"tactoscope arrangements": 1, "arrangements": [{"name": "moon"}]}',
      '{"tactoscope arrangements": 1}', '{"tactoscope arrangements": 1, "arrangements": [3]}'],
 )  # fmt: skip
-def test_a_file_that_cannot_be_read_is_one_sentence_and_is_not_lost(open_window, called, text):
+def test_an_unreadable_arrangements_file_is_reported_and_kept(open_window, called, text):
     _file().parent.mkdir(parents=True, exist_ok=True)
     _file().write_text(text)
-    instrument = open_window()
-    assert "arrangements" in instrument.window.banner.text
+    controller = open_window()
+    assert "arrangements" in controller.window.banner.text
     called["name"] = "new"
-    instrument.window.actions_by_name["save_arrangement"].trigger()
+    controller.window.actions_by_name["save_arrangement"].trigger()
     assert _file().with_name(ARRANGEMENTS_FILE + ".unread").read_text() == text
     assert len(json.loads(_file().read_text())["arrangements"]) == 1
 
 
-def test_drawers_of_another_version_are_one_sentence(bubble_window):
+def test_drawers_of_another_version_are_reported(bubble_window):
     layout = Layout(arrangement=Arrangement("old", dock_state="AAAA"))
     bubble_window.findChild(ArrangementController).apply_arrangement(layout)
     assert "'old'" in bubble_window.window.banner.text
 
 
-def test_a_session_holds_its_arrangement(tmp_path):
+def test_a_session_stores_its_arrangement(tmp_path):
     layout = Layout(
         name="inspect",
         arrangement=Arrangement(
@@ -117,6 +117,6 @@ def test_a_session_holds_its_arrangement(tmp_path):
     )
     save_session(Session(layout=layout), tmp_path / "a.touch.json")
     assert load_session(tmp_path / "a.touch.json").layout == layout
-    for wrong in ({"name": ""}, {"name": "a", "docks": 3}, {"name": "a", "splits": {"x": ["y"]}}, 5):
-        with pytest.raises(ValueError, match=r"arrangement|splits"):
-            from_plain({**Layout().plain, "own": wrong})
+    for wrong in ({"name": ""}, {"name": "a", "dock_state": 3}, {"name": "a", "splitter_sizes_px": {"x": ["y"]}}, 5):
+        with pytest.raises(ValueError, match=r"arrangement|splitter_sizes_px"):
+            from_plain({**Layout().plain, "arrangement": wrong})

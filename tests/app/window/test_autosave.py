@@ -28,60 +28,60 @@ from pathlib import Path
 from app.main import prepare_environment
 prepare_environment()
 from app.main import make_application, show_window
-from app.window import keeping
-keeping.KEEP_AFTER_MS = 50
+from app.window import autosave
+autosave.AUTOSAVE_DELAY_MS = 50
 application = make_application()
 from app.session.state import Session
 from pipeline.sensors.offsets import Offsets
-instrument = show_window(Session(recording=Path(sys.argv[1]), target="gelslim", frame=2), with_scene=False)
-instrument.change("move", offsets=Offsets(shift_mm=(1.5, 0.0, 0.0)))
-kept = next(c for c in instrument.children() if isinstance(c, keeping.Keeping)).kept
+controller = show_window(Session(recording=Path(sys.argv[1]), target="gelslim", frame=2), with_scene=False)
+controller.change("move", offsets=Offsets(translation_mm=(1.5, 0.0, 0.0)))
+file = next(c for c in controller.children() if isinstance(c, autosave.AutosaveController)).recovery_file
 end_s = time.monotonic() + 60
 while time.monotonic() < end_s:
     application.processEvents()
-    if kept.path.exists():
-        print("kept", flush=True)
+    if file.path.exists():
+        print("saved", flush=True)
         time.sleep(60)
 """
 
 
-def keeping_of(instrument) -> AutosaveController:
-    return next(child for child in instrument.children() if isinstance(child, AutosaveController))
+def find_autosave(controller) -> AutosaveController:
+    return next(child for child in controller.children() if isinstance(child, AutosaveController))
 
 
-def move(instrument, mm: float = 1.5) -> None:
+def move(controller, mm: float = 1.5) -> None:
     from pipeline.sensors.offsets import Offsets
 
-    instrument.change("move the alignment", offsets=Offsets(translation_mm=(mm, 0.0, 0.0)))
+    controller.change("move the alignment", offsets=Offsets(translation_mm=(mm, 0.0, 0.0)))
 
 
-def test_edits_of_a_window_that_was_killed_are_offered_and_come_back(touch_file, qtbot, remembered_here):
+def test_edits_of_a_killed_window_can_be_recovered(touch_file, qtbot, remembered_here):
     environment = {**os.environ, "XDG_STATE_HOME": str(remembered_here), "XDG_CONFIG_HOME": str(remembered_here)}
     with subprocess.Popen(
         [sys.executable, "-c", _EDIT_AND_WAIT, touch_file], stdout=subprocess.PIPE, text=True, env=environment
     ) as other:
-        assert other.stdout.readline() == "kept\n"
+        assert other.stdout.readline() == "saved\n"
         assert recovery.find_recoverable_sessions(recovery.get_recovery_folder()) == ()  # its window is still there
         other.send_signal(signal.SIGKILL)
     left = recovery.find_recoverable_sessions(recovery.get_recovery_folder())
     assert [one.session.offsets.translation_mm for one in left] == [(1.5, 0.0, 0.0)]
-    instrument = show_window(Session(), with_scene=False, remembers=True)
-    qtbot.addWidget(instrument.window, before_close_func=lambda _: instrument.close())
-    keeping = keeping_of(instrument)
+    controller = show_window(Session(), with_scene=False, restore=True)
+    qtbot.addWidget(controller.window, before_close_func=lambda _: controller.close())
+    keeping = find_autosave(controller)
     try:
         assert keeping.notification.isVisible()
         assert touch_file.name in keeping.notification.text
         keeping.notification.buttons[0].click()
-        assert wait_until_shown(instrument, LIMIT_S)
-        assert instrument.session.recording == touch_file
-        assert instrument.session.offsets.translation_mm == (1.5, 0.0, 0.0)
+        assert wait_until_shown(controller, LIMIT_S)
+        assert controller.session.recording == touch_file
+        assert controller.session.offsets.translation_mm == (1.5, 0.0, 0.0)
         assert not left[0].path.exists()
     finally:
-        instrument.close()
+        controller.close()
     assert recovery.find_recoverable_sessions(recovery.get_recovery_folder()) == ()  # closed well
 
 
-def test_a_kill_costs_no_more_than_a_minute():
+def test_a_kill_loses_at_most_one_autosave_interval():
     assert AUTOSAVE_DELAY_MS <= 60_000
 
 
@@ -104,7 +104,7 @@ def test_closing_asks_before_edits_are_lost(bubble_window, tmp_path, monkeypatch
         assert load_session(tmp_path / "mine.touch.json").offsets.translation_mm == (1.5, 0.0, 0.0)
 
 
-def test_closing_asks_nothing_where_nothing_would_be_lost(bubble_window, monkeypatch):
+def test_closing_asks_nothing_without_unsaved_changes(bubble_window, monkeypatch):
     monkeypatch.setattr(QMessageBox, "question", lambda *_args: pytest.fail("asked"))
     bubble_window.choose_frame(1)
     move(bubble_window)
@@ -112,7 +112,7 @@ def test_closing_asks_nothing_where_nothing_would_be_lost(bubble_window, monkeyp
     assert bubble_window.window.close()
 
 
-def test_notes_are_work_and_so_is_taking_back_what_was_saved(bubble_window, tmp_path):
+def test_notes_and_undoing_a_save_are_unsaved_changes(bubble_window, tmp_path):
     bubble_window.change("note", notes={1: "slipped"})
     assert bubble_window.window.isWindowModified()
     bubble_window.save_session(tmp_path / "a.touch.json")
@@ -121,7 +121,7 @@ def test_notes_are_work_and_so_is_taking_back_what_was_saved(bubble_window, tmp_
     assert bubble_window.window.isWindowModified(), "the file still has the note"
 
 
-def test_a_session_says_which_of_its_files_has_changed(bubble_window, touch_file, tmp_path):
+def test_a_session_reports_changed_files(bubble_window, touch_file, tmp_path):
     own = tmp_path / "own.h5"
     own.write_bytes(touch_file.read_bytes())
     bubble_window.open_path(own)
@@ -133,10 +133,10 @@ def test_a_session_says_which_of_its_files_has_changed(bubble_window, touch_file
     bubble_window.open_session(path)
     assert "the recording has changed" in bubble_window.window.banner.text.lower()
     own.unlink()
-    assert "not there any more" in describe_changed_files(path, load_session(path))[0]
+    assert "is missing" in describe_changed_files(path, load_session(path))[0]
 
 
-def test_what_was_open_is_offered_again_and_the_page_goes_once_something_is(open_window, touch_file, qtbot):
+def test_the_welcome_page_lists_recent_files_and_closes_on_opening(open_window, touch_file, qtbot):
     open_one = open_window(touch_file, target="gelslim")
     assert wait_until_shown(open_one, LIMIT_S)
     assert Preferences().recent_files == (touch_file,)
@@ -151,15 +151,15 @@ def test_what_was_open_is_offered_again_and_the_page_goes_once_something_is(open
     assert page.isHidden()
 
 
-def test_the_window_comes_back_where_it_was_and_onto_the_screen(qtbot):
-    first = show_window(Session(), with_scene=False, remembers=True)
+def test_the_window_restores_its_geometry_on_the_screen(qtbot):
+    first = show_window(Session(), with_scene=False, restore=True)
     first.window.setGeometry(QRect(40, 50, 700, 500))
     first.window.drawers.frames.show()
     qtbot.wait(1)  # the least width comes with the drawer
     width_px = first.window.width()
     first.window.close()
     first.close()
-    second = show_window(Session(), with_scene=False, remembers=True)
+    second = show_window(Session(), with_scene=False, restore=True)
     try:
         assert second.window.width() == width_px < DEFAULT_SIZE.width()
         assert second.window.drawers.frames.isVisible()

@@ -12,7 +12,7 @@ from pipeline.previews.display_params import DisplayParams
 from pipeline.previews.preview import DEVIATION_LABEL
 
 
-def test_a_dragged_limit_is_the_panels_and_every_panes(bubble_window, qtbot):
+def test_a_dragged_limit_applies_to_panel_and_panes(bubble_window, qtbot):
     window = bubble_window.window
     before = window.columns["depth"].view.preview
     window.columns["depth"].view.colour_bar.limit_dragged.emit("bubble_limit_mm", 4.237)
@@ -26,7 +26,7 @@ def test_a_dragged_limit_is_the_panels_and_every_panes(bubble_window, qtbot):
     assert bubble_window.session.display.bubble_limit_mm == 10.0
 
 
-def test_a_limit_goes_no_farther_than_its_setting_and_never_past_the_other(bubble_window):
+def test_a_limit_stays_in_range_and_does_not_pass_the_other(bubble_window):
     levels = bubble_window.window.columns["depth"].view.colour_bar
     levels.limit_dragged.emit("bubble_limit_mm", 1e6)
     assert bubble_window.session.display.bubble_limit_mm == 25.0
@@ -37,7 +37,7 @@ def test_a_limit_goes_no_farther_than_its_setting_and_never_past_the_other(bubbl
     assert scale.low < scale.high
 
 
-def test_a_double_click_fits_the_limits_of_what_is_shown_in_one_step(bubble_window, qtbot):
+def test_a_double_click_fits_the_limits_in_one_undo_step(bubble_window, qtbot):
     columns = bubble_window.window.columns
     source = columns["source"].view
     bubble_window.choose_params(DISPLAY_KEY, DisplayParams(bubble_quantity="distance"))
@@ -58,7 +58,7 @@ def test_a_double_click_fits_the_limits_of_what_is_shown_in_one_step(bubble_wind
     assert source.preview.scale == built
 
 
-def test_a_bubbles_deviation_from_rest_has_the_limit_of_all_indentations_either_way(bubble_window):
+def test_bubble_deviation_uses_the_indentation_limit_in_both_directions(bubble_window):
     columns = bubble_window.window.columns
     assert columns["source"].view.preview.scale.quantity == DEVIATION_LABEL
     columns["source"].view.colour_bar.limit_dragged.emit("bubble_limit_mm", 6.0)
@@ -71,7 +71,7 @@ def test_a_bubbles_deviation_from_rest_has_the_limit_of_all_indentations_either_
     assert "distance" in said
 
 
-def test_the_distance_to_the_posed_object_has_a_limit_of_its_own(bubble_window):
+def test_the_pose_distance_has_its_own_limit(bubble_window):
     pose = bubble_window.window.columns["pose"].view
     before = _limits(pose)
     pose.colour_bar.limit_dragged.emit("residual_limit_mm", 0.123)
@@ -79,17 +79,17 @@ def test_the_distance_to_the_posed_object_has_a_limit_of_its_own(bubble_window):
     assert _limits(pose) == (-0.12, 0.12) != before
 
 
-def test_a_pixel_that_was_pinned_in_a_larger_picture_is_let_go(bubble_window):
-    instrument = bubble_window
-    instrument.probe.toggle_pin("target_depth", 100, 400)
-    assert instrument.window.columns["target_depth"].view.crosshair == (100, 400)
-    instrument.change("another target", target="digit")  # 240 pixels wide
-    assert wait_until_shown(instrument, 60)
-    assert instrument.window.columns["target_depth"].view.crosshair is None
-    assert "pinned" not in instrument.window.trace.text
+def test_a_pixel_outside_a_smaller_image_is_unpinned(bubble_window):
+    controller = bubble_window
+    controller.probe.toggle_pin("target_depth", 100, 400)
+    assert controller.window.columns["target_depth"].view.crosshair == (100, 400)
+    controller.change("another target", target="digit")  # 240 pixels wide
+    assert wait_until_shown(controller, 60)
+    assert controller.window.columns["target_depth"].view.crosshair is None
+    assert "pinned" not in controller.window.trace.text
 
 
 def _limits(view):
-    scale = view.picture.scale
+    scale = view.preview.scale
     assert (scale.low_setting, scale.high_setting) == ("residual_limit_mm", "residual_limit_mm")
     return scale.low, scale.high

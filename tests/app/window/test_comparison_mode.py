@@ -15,14 +15,14 @@ LIMIT_S = 60
 
 @pytest.fixture
 def window(open_window):
-    instrument = open_window(SAMPLE_RECORDING, source="gelslim", target="soft_bubble", frame=5)
-    assert wait_until_shown(instrument, LIMIT_S), instrument.window.banner.text
-    return instrument
+    controller = open_window(SAMPLE_RECORDING, source="gelslim", target="soft_bubble", frame=5)
+    assert wait_until_shown(controller, LIMIT_S), controller.window.banner.text
+    return controller
 
 
-def _choose(instrument, versus):
-    instrument.window.actions_by_name[f"show_{versus}"].trigger()
-    assert wait_until_shown(instrument, LIMIT_S)
+def _choose(controller, versus):
+    controller.window.actions_by_name[f"show_{versus}"].trigger()
+    assert wait_until_shown(controller, LIMIT_S)
 
 
 def _grey(image):
@@ -30,33 +30,33 @@ def _grey(image):
                     np.float64)  # fmt: skip
 
 
-def test_truth_takes_the_place_and_gives_it_back(window):
+def test_truth_mode_replaces_the_result_and_restores_it(window):
     views = {name: column.view for name, column in window.window.columns.items()}
-    made = {name: view.picture for name, view in views.items()}
+    made = {name: view.preview for name, view in views.items()}
     _choose(window, "truth")
-    truths = window.views.opened.truths(5)
+    truths = window.views.translation.read_true_outputs(5)
     assert set(truths) == {"depth", "target_depth", "touch", "touch_depth", "pose"}
     for name in truths:
-        assert views[name].picture.caption.startswith("truth: "), name
-    np.testing.assert_array_equal(views["depth"].picture.values, truths["depth"].indentation_mm)
-    np.testing.assert_array_equal(views["cloud"].picture.pixels, made["cloud"].pixels)  # of which no truth is known
+        assert views[name].preview.caption.startswith("truth: "), name
+    np.testing.assert_array_equal(views["depth"].preview.values, truths["depth"].indentation_mm)
+    np.testing.assert_array_equal(views["cloud"].preview.pixels, made["cloud"].pixels)  # of which no truth is known
     _choose(window, "truth")
     assert window.views.comparison_mode == ""
-    np.testing.assert_array_equal(views["depth"].picture.pixels, made["depth"].pixels)
+    np.testing.assert_array_equal(views["depth"].preview.pixels, made["depth"].pixels)
 
 
-def test_a_difference_is_what_was_worked_out_less_the_truth(window):
+def test_the_difference_is_the_result_minus_the_truth(window):
     view = window.window.columns["touch_depth"].view
-    made = view.picture.values.copy()
+    made = view.preview.values.copy()
     _choose(window, "difference")
-    true = window.views.opened.truths(5)["touch_depth"].indentation_mm
-    np.testing.assert_allclose(view.picture.values, made - true, atol=1e-6)
-    assert view.picture.scale.low == -view.picture.scale.high
+    true = window.views.translation.read_true_outputs(5)["touch_depth"].indentation_mm
+    np.testing.assert_allclose(view.preview.values, made - true, atol=1e-6)
+    assert view.preview.scale.low == -view.preview.scale.high
     pose = window.window.columns["pose"].view.preview
     assert pose.caption.startswith("distance to object")  # a signed distance has no difference
 
 
-def test_one_way_at_a_time(window):
+def test_one_comparison_mode_at_a_time(window):
     actions = window.window.actions_by_name
     _choose(window, "wipe")
     _choose(window, "difference")
@@ -75,7 +75,7 @@ def test_the_truth_lies_right_of_the_wipe_handle(window):
     for share in (1.0, 0.0, 0.25):
         overlay.move_handle(share)
         seen[share] = view.canvas.grab().toImage()
-    handle = round(view.canvas.to_screen(QPointF(0.25 * view.picture.pixels.shape[1], 0.0)).x())
+    handle = round(view.canvas.to_screen(QPointF(0.25 * view.preview.pixels.shape[1], 0.0)).x())
     here, made, true = (_grey(seen[share]) for share in (0.25, 1.0, 0.0))
     for whose, other, part in ((made, true, slice(None, handle - 1)), (true, made, slice(handle + 2, None))):
         off, otherwise = (float(np.abs(here - picture)[:, part].mean()) for picture in (whose, other))
@@ -88,7 +88,7 @@ def test_the_truth_lies_right_of_the_wipe_handle(window):
     assert overlay.share == 1.0
 
 
-def test_blinking_shows_both_in_turns_until_it_is_switched_off(window, qtbot):
+def test_blink_alternates_until_it_is_switched_off(window, qtbot):
     _choose(window, "blink")
     overlay = window.window.columns["depth"].view.overlay
     seen = set()
@@ -100,10 +100,10 @@ def test_blinking_shows_both_in_turns_until_it_is_switched_off(window, qtbot):
     assert not overlay.is_blinking
 
 
-def test_no_truth_is_worked_out_while_nobody_asks(window, monkeypatch):
-    translation = type(window.views.opened)
+def test_truth_is_not_computed_unless_requested(window, monkeypatch):
+    translation = type(window.views.translation)
     asked = []
-    honest = translation.truths
+    honest = translation.read_true_outputs
     monkeypatch.setattr(
         translation, "read_true_outputs", lambda self, index: asked.append(index) or honest(self, index)
     )
@@ -114,11 +114,11 @@ def test_no_truth_is_worked_out_while_nobody_asks(window, monkeypatch):
     assert asked == [7]
 
 
-def test_a_recording_without_truth_shows_what_was_worked_out(bubble_window):
+def test_a_recording_without_truth_shows_the_result(bubble_window):
     made = bubble_window.window.columns["depth"].view.preview
     _choose(bubble_window, "truth")
     shown = bubble_window.window.columns["depth"].view.preview
     assert shown.caption == made.caption
     np.testing.assert_array_equal(shown.pixels, made.pixels)
-    told = [label.text() for label in bubble_window.window.timeline.findChildren(QLabel)]
-    assert "the recording holds no truth" in told  # why there is no error to be seen
+    texts = [label.text() for label in bubble_window.window.timeline.findChildren(QLabel)]
+    assert "the recording holds no truth" in texts  # why there is no error to be seen

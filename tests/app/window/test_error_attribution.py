@@ -14,12 +14,12 @@ LIMIT_MS = 60_000
 
 @pytest.fixture
 def window(open_window, qtbot):
-    instrument = open_window(SAMPLE_RECORDING, source="gelslim", target="soft_bubble", frame=5)
-    assert wait_until_shown(instrument, 60), instrument.window.banner.text
-    return instrument
+    controller = open_window(SAMPLE_RECORDING, source="gelslim", target="soft_bubble", frame=5)
+    assert wait_until_shown(controller, 60), controller.window.banner.text
+    return controller
 
 
-def test_the_frame_at_hand_is_taken_apart(window, qtbot):
+def test_the_error_of_the_current_frame_is_attributed(window, qtbot):
     panel = window.window.error_attribution
     assert not panel.waterfall.bars  # nothing is worked out while nobody looks
     window.window.drawers.diagnostics.show()
@@ -31,12 +31,12 @@ def test_the_frame_at_hand_is_taken_apart(window, qtbot):
     window.choose_frame(6)
     qtbot.waitUntil(lambda: not panel.waterfall.bars, timeout=LIMIT_MS)  # of another frame
     qtbot.waitUntil(lambda: bool(panel.waterfall.bars), timeout=LIMIT_MS)
-    panel.figure.setCurrentText("pose.mssd_mm")
+    panel.metric_box.setCurrentText("pose.mssd_mm")
     panel.metric_chosen.emit("pose.mssd_mm")
     qtbot.waitUntil(lambda: len(panel.waterfall.bars) == 7, timeout=LIMIT_MS)
 
 
-def test_a_frame_without_truth_says_so(bubble_window, qtbot):
+def test_a_frame_without_truth_has_no_attribution(bubble_window, qtbot):
     panel = bubble_window.window.error_attribution
     bubble_window.window.drawers.diagnostics.show()
     bubble_window.window.tabs.setCurrentWidget(panel)

@@ -32,8 +32,8 @@ from pipeline.translation.cross_section import SectionLine
 LIMIT_S = 60
 
 
-def handing_of(instrument) -> ExportController:
-    return next(child for child in instrument.children() if isinstance(child, ExportController))
+def handing_of(controller) -> ExportController:
+    return next(child for child in controller.children() if isinstance(child, ExportController))
 
 
 @pytest.fixture(scope="module")
@@ -111,35 +111,35 @@ def test_the_command_of_a_section_writes_the_table_that_is_copied(edited, tmp_pa
     panel.copy.click()
     copied = QApplication.clipboard().text()
     panel.command.click()
-    words = shlex.split(QApplication.clipboard().text())
+    options = shlex.split(QApplication.clipboard().text())
     edited.set_section(None)
-    assert run_app(build_app(), words[1:]) == 0
+    assert run_app(build_app(), options[1:]) == 0
     assert (tmp_path / "section.csv").read_text() == copied
     assert copied.startswith("along_mm,true_source_mm,true_target_mm,")
     assert ("felt_mm" in copied) == (layout == "stages")
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("options", "fact"),
     [(["--section", "1", "1", "1", "1"], "longer than nothing"), (["--section", "0", "0", "nan", "1"], "longer"),
      (["--section", "0", "0", "1", "1", "--pane", "depth,nose"], "no pane 'nose'")],
 )  # fmt: skip
-def test_a_section_that_cannot_be_cut_is_refused_in_one_sentence(tmp_path, capsys, words, told):
+def test_an_invalid_section_is_refused(tmp_path, capsys, options, fact):
     out = ["--target", "gelslim", "--out", str(tmp_path / "s.csv")]
-    assert run_app(build_app(), ["export", str(SAMPLE_RECORDING), "--sensor", "digit", *out, *words]) == 2
+    assert run_app(build_app(), ["export", str(SAMPLE_RECORDING), "--sensor", "digit", *out, *options]) == 2
     said = capsys.readouterr().err
-    assert told in said
+    assert fact in said
     assert len(said.splitlines()) == 1
     assert not (tmp_path / "s.csv").exists()
 
 
-def test_the_copied_command_is_whole_in_a_process_of_its_own(edited, tmp_path, monkeypatch):
+def test_the_copied_command_runs_in_its_own_process(edited, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     edited.window.actions_by_name["copy_command"].trigger()
-    words = shlex.split(QGuiApplication.clipboard().text())
-    assert words[:2] == ["tactoscope", "export"]
+    options = shlex.split(QGuiApplication.clipboard().text())
+    assert options[:2] == ["tactoscope", "export"]
     script = Path(sys.executable).with_name("tactoscope")
-    done = subprocess.run([script, *words[1:]], capture_output=True, text=True, check=False)
+    done = subprocess.run([script, *options[1:]], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert cv2.imread(str(tmp_path / "sheet.png")).shape[1] > 1500
 
@@ -149,12 +149,12 @@ def test_exported_arrays_are_those_on_screen(edited, tmp_path):
     handing.start_export(handing.make_export_request(tmp_path / "a.npz"))
     wait(handing)
     with np.load(tmp_path / "a.npz") as arrays:
-        for slot, field in (("depth", "indentation_mm"), ("target_depth", "depth_mm"), ("touch", "image")):
-            on_screen = getattr(edited.latest_frame.results[slot].output, field)
-            assert np.array_equal(arrays[f"{slot}.{field}"], on_screen, equal_nan=True)
+        for stage, field in (("depth", "indentation_mm"), ("target_depth", "depth_mm"), ("touch", "image")):
+            on_screen = getattr(edited.latest_frame.results[stage].output, field)
+            assert np.array_equal(arrays[f"{stage}.{field}"], on_screen, equal_nan=True)
 
 
-def test_a_case_plays_again_and_tells_when_something_changed(edited, tmp_path, capsys):
+def test_a_repro_bundle_replays_and_reports_changes(edited, tmp_path, capsys):
     handing, folder = handing_of(edited), tmp_path / "worst.case"
     handing.start_bundle(folder, "the gel saw a part of it")
     wait(handing)
@@ -173,8 +173,8 @@ def test_a_case_plays_again_and_tells_when_something_changed(edited, tmp_path, c
     assert code == 1 or "contact_mm" in capsys.readouterr().err
 
 
-def test_what_cannot_be_exported_is_told_in_one_sentence(edited, tmp_path):
-    for typed, words in (
+def test_an_impossible_export_is_reported(edited, tmp_path):
+    for typed, options in (
         (("--out", str(tmp_path / "a.xyz")), "known are .png"),
         (("--out", str(tmp_path / "a.ply")), "a sheet is no cloud"),
         (("--pane", "nose", "--out", str(tmp_path / "a.png")), "no pane 'nose'"),
@@ -190,11 +190,11 @@ def test_what_cannot_be_exported_is_told_in_one_sentence(edited, tmp_path):
                 )
                 == 2
             )
-        assert words in said[0]
+        assert options in said[0]
         assert not list(tmp_path.iterdir())
 
 
-def test_a_video_that_the_codec_could_not_write_is_no_video(edited, tmp_path, monkeypatch):
+def test_a_video_that_the_codec_cannot_write_leaves_no_file(edited, tmp_path, monkeypatch):
     class Full:
         """As OpenCV on a disk without room: no word, and no frame."""
 

@@ -21,12 +21,12 @@ _UP, _DOWN = Qt.SortOrder.AscendingOrder, Qt.SortOrder.DescendingOrder
 
 @pytest.fixture
 def window(open_window):
-    instrument = open_window(SAMPLE_RECORDING, source="digit", target="gelslim", frame=5)
-    assert wait_until_shown(instrument, 60), instrument.window.banner.text
-    return instrument
+    controller = open_window(SAMPLE_RECORDING, source="digit", target="gelslim", frame=5)
+    assert wait_until_shown(controller, 60), controller.window.banner.text
+    return controller
 
 
-def test_every_frame_of_known_truth_is_worked_out_and_the_worst_is_a_key_away(window, qtbot):
+def test_every_frame_with_truth_is_ranked_and_one_key_shows_the_worst(window, qtbot):
     panel = window.window.frames
     known = panel.model
     qtbot.waitUntil(lambda: known.find_unknown_frame(5) < 0, timeout=LIMIT_MS)
@@ -39,7 +39,7 @@ def test_every_frame_of_known_truth_is_worked_out_and_the_worst_is_a_key_away(wi
     qtbot.waitUntil(lambda: line.worst_frame == ranked[0], timeout=LIMIT_MS)  # nobody opened the table
     assert "felt: error in contact, mm" in [label.text() for label in window.window.timeline.findChildren(QLabel)]
     np.testing.assert_array_equal(line.values, [figures[f] for f in range(known.rowCount())])
-    assert set(line.doubts) == {f for f in range(known.rowCount()) if known.get_specific_warnings(f)} != set()
+    assert set(line.warnings) == {f for f in range(known.rowCount()) if known.get_specific_warnings(f)} != set()
     window.window.actions_by_name["worst_frame"].trigger()
     assert window.session.frame == ranked[0]
     window.choose_frame(0)  # untouched: it has no error, so the worst of all comes first
@@ -52,9 +52,9 @@ def test_every_frame_of_known_truth_is_worked_out_and_the_worst_is_a_key_away(wi
     assert window.latest_frame.index == ranked[1]
 
 
-def test_a_click_in_the_timeline_goes_there(window, qtbot):
+def test_a_click_in_the_timeline_chooses_the_frame(window, qtbot):
     line = window.window.timeline.errors
-    n = window.views.opened.n_frames
+    n = window.views.translation.n_frames
     qtbot.waitUntil(lambda: len(line.values) == n, timeout=LIMIT_MS)
     places = [line.frame_at(x) for x in range(line.width())]
     assert sorted(set(places)) == list(range(n))
@@ -62,7 +62,7 @@ def test_a_click_in_the_timeline_goes_there(window, qtbot):
     assert window.session.frame == 9
 
 
-def test_without_truth_nothing_is_worked_out_that_nobody_sees(bubble_window, qtbot):
+def test_without_truth_hidden_frames_are_not_computed(bubble_window, qtbot):
     known = bubble_window.window.frames.model
     qtbot.wait(700)
     assert known.find_unknown_frame(2) == 1
@@ -70,7 +70,7 @@ def test_without_truth_nothing_is_worked_out_that_nobody_sees(bubble_window, qtb
     qtbot.waitUntil(lambda: known.find_unknown_frame(2) < 0, timeout=LIMIT_MS)
 
 
-def test_a_figure_chosen_is_the_one_that_ranks(qtbot):
+def test_the_chosen_metric_ranks_the_frames(qtbot):
     panel = FramesPanel()
     qtbot.addWidget(panel)
     panel.model.reset_frames(4)
@@ -90,7 +90,7 @@ def test_a_figure_chosen_is_the_one_that_ranks(qtbot):
     assert chosen == [1, 2, 1]
 
 
-def test_notes_are_kept_in_the_session_and_frames_are_filtered_by_what_is_known(bubble_window, qtbot, tmp_path):
+def test_notes_are_saved_and_frames_are_filtered(bubble_window, qtbot, tmp_path):
     panel = bubble_window.window.frames
     known = panel.model
     known.show_metric("touch_depth.contact_mae_mm", "error")
@@ -122,7 +122,7 @@ def test_notes_are_kept_in_the_session_and_frames_are_filtered_by_what_is_known(
     assert wait_until_shown(bubble_window, 60)
 
 
-def test_notes_of_another_recording_are_not_taken_along():
+def test_notes_are_dropped_with_another_recording():
     noted = Session(recording=SAMPLE_RECORDING, notes={3: "good"})
     assert noted.with_updates(frame=4).notes == {3: "good"}
     assert noted.with_updates(recording=SAMPLE_RECORDING.with_name("no_contact.h5")).notes == {}

@@ -58,7 +58,7 @@ def test_every_command_is_in_a_menu_and_in_the_palette(bubble_window):
     assert {"Ctrl+K", "Ctrl+Shift+P"} == {k.toString() for k in window.actions_by_name["palette"].shortcuts()}
 
 
-def test_the_palette_runs_what_a_few_letters_name(bubble_window):
+def test_the_palette_finds_commands_by_a_few_letters(bubble_window):
     bubble_window.choose_frame(0)
     bubble_window.window.actions_by_name["palette"].trigger()
     palette = bubble_window.window.findChild(CommandPalette)
@@ -70,7 +70,7 @@ def test_the_palette_runs_what_a_few_letters_name(bubble_window):
     assert wait_until_shown(bubble_window, LIMIT_S)
 
 
-def test_a_wheel_over_a_control_that_nobody_works_with_changes_nothing(bubble_window):
+def test_a_wheel_over_an_unfocused_control_changes_nothing(bubble_window):
     window = bubble_window.window
     window.drawers.parameters.show()
     before, boxes = bubble_window.session, window.findChildren(QComboBox)
@@ -83,7 +83,7 @@ def test_a_wheel_over_a_control_that_nobody_works_with_changes_nothing(bubble_wi
     assert wait_until_shown(bubble_window, LIMIT_S)
 
 
-def test_enter_takes_the_number_and_gives_the_keys_back(bubble_window, qtbot):
+def test_enter_accepts_the_number_and_returns_the_focus(bubble_window, qtbot):
     window = bubble_window.window
     window.activateWindow()
     number = window.timeline.number
@@ -96,28 +96,28 @@ def test_enter_takes_the_number_and_gives_the_keys_back(bubble_window, qtbot):
     assert wait_until_shown(bubble_window, LIMIT_S)
 
 
-def test_tips_of_parameters_say_their_unit_and_range(bubble_window):
+def test_parameter_tooltips_state_unit_and_range(bubble_window):
     panel = bubble_window.window.parameters
     tips = [w.toolTip() for w in panel.findChildren(QComboBox.__base__) if "gel_limit_mm" in w.objectName()]
     assert any("0.1 to 3 mm" in tip for tip in tips)
 
 
-def test_tips_of_parameters_say_meaning_unit_range_and_source(bubble_window):
+def test_parameter_tooltips_state_meaning_unit_range_and_source(bubble_window):
     panel = bubble_window.window.parameters
-    for slot in BUILT_IN.stages:
-        for method in slot.methods:
-            for name, (value, told) in list_settings(method.params()).items():
+    for stage in BUILT_IN.stages:
+        for method in stage.methods:
+            for name, (value, setting) in list_settings(method.params()).items():
                 tip = panel.findChild(QWidget, f"{method.key}.{name}").toolTip()
                 lines = tip.split("\n")
-                assert lines[0].startswith(f"{told.help} ({slot.name}.{name}"), tip
-                assert lines[1] == f"source: {told.source}"
-                if told.choices:
-                    assert ", ".join(told.choices) in tip
+                assert lines[0].startswith(f"{setting.help} ({stage.name}.{name}"), tip
+                assert lines[1] == f"source: {setting.source}"
+                if setting.choices:
+                    assert ", ".join(setting.choices) in tip
                 elif not isinstance(value, bool):
-                    assert f"{told.low:g} to {told.high:g} {told.unit}".strip() in tip
+                    assert f"{setting.low:g} to {setting.high:g} {setting.unit}".strip() in tip
 
 
-def test_a_monkey_breaks_nothing(open_window, tmp_path, touch_file, ball_file, monkeypatch):
+def test_random_input_breaks_nothing(open_window, tmp_path, touch_file, ball_file, monkeypatch):
     """Short here; `make monkey` lets it run for an hour."""
     monkeypatch.setattr(logging.getLogger("tactoscope"), "propagate", False)  # pytest would keep every record of it
     window = open_window(touch_file, gl=True, target="gelslim", frame=2)

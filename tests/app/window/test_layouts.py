@@ -19,18 +19,18 @@ PANE_PX = {(1366, 768): (215, 160), (1600, 950): (420, 315), (2560, 1440): (700,
 
 @pytest.fixture
 def window(open_window):
-    instrument = open_window(SAMPLE_RECORDING, source="gelslim", target="soft_bubble", frame=5)
-    assert wait_until_shown(instrument, LIMIT_S), instrument.window.banner.text
-    return instrument
+    controller = open_window(SAMPLE_RECORDING, source="gelslim", target="soft_bubble", frame=5)
+    assert wait_until_shown(controller, LIMIT_S), controller.window.banner.text
+    return controller
 
 
-def _arrange(instrument, name: str) -> None:
-    instrument.window.actions_by_name[f"layout_{name}"].trigger()
-    assert wait_until_shown(instrument, LIMIT_S), instrument.window.banner.text
+def _arrange(controller, name: str) -> None:
+    controller.window.actions_by_name[f"layout_{name}"].trigger()
+    assert wait_until_shown(controller, LIMIT_S), controller.window.banner.text
 
 
-def _large(instrument) -> list[str]:
-    return [name for name, column in instrument.window.columns.items() if column.isVisible()]
+def _large(controller) -> list[str]:
+    return [name for name, column in controller.window.columns.items() if column.isVisible()]
 
 
 def test_panes_have_room_with_any_drawer_open(bubble_window, qtbot):
@@ -53,7 +53,7 @@ def test_panes_have_room_with_any_drawer_open(bubble_window, qtbot):
             drawer.toggleViewAction().trigger()
 
 
-def test_a_low_page_folds_its_filmstrip_and_a_dragged_handle_stays(bubble_window, qtbot):
+def test_a_low_page_folds_its_filmstrip_and_keeps_dragged_splitters(bubble_window, qtbot):
     window = bubble_window
     window.window.resize(1366, 768)
     _arrange(window, "inspect")
@@ -72,7 +72,7 @@ def test_a_low_page_folds_its_filmstrip_and_a_dragged_handle_stays(bubble_window
     qtbot.waitUntil(lambda: strip.height() > 70, timeout=3000)
 
 
-def test_a_click_puts_a_slot_into_the_active_pane_and_one_key_changes_back(window, qtbot):
+def test_a_click_shows_a_stage_in_the_active_pane_and_one_key_toggles(window, qtbot):
     whole = _large(window)
     window.window.actions_by_name["toggle_inspect"].trigger()
     assert wait_until_shown(window, LIMIT_S)
@@ -80,11 +80,11 @@ def test_a_click_puts_a_slot_into_the_active_pane_and_one_key_changes_back(windo
     assert _large(window) == ["depth", "touch_depth"]
     assert {n for n, t in page.filmstrip.thumbnails.items() if t.isVisible()} == set(whole)
     qtbot.mouseClick(window.window.columns["touch_depth"].view.canvas, Qt.MouseButton.LeftButton)
-    assert page.active == 1
+    assert page.active_pane == 1
     qtbot.mouseClick(page.filmstrip.thumbnails["touch"], Qt.MouseButton.LeftButton)
     assert _large(window) == ["depth", "touch"]
-    window.window.actions_by_name["only_2"].trigger()  # a slot in another pane changes places
-    assert [slot for slot, _ in window.session.layout.panes] == ["touch", "depth"]
+    window.window.actions_by_name["only_2"].trigger()  # a stage in another pane changes places
+    assert [stage for stage, _ in window.session.layout.panes] == ["touch", "depth"]
     page.dims_chosen.emit(1, "2D")
     assert not window.window.view_panels["depth"].isVisible()
     assert window.window.columns["depth"].isVisible()
@@ -96,47 +96,47 @@ def test_a_click_puts_a_slot_into_the_active_pane_and_one_key_changes_back(windo
     assert len(_large(window)) == 3
 
 
-def test_what_is_doubted_is_shown_in_header_line_and_strip(window):
+def test_warnings_appear_in_header_line_and_strip(window):
     column = window.window.columns["target_depth"]
-    assert column.state == "doubtful"
-    assert any("of the target's contact" in doubt for doubt in column.doubts)
-    assert "of the target's contact" in window.window.warning.text
-    assert window.window.panes.filmstrip.thumbnails["target_depth"].state == "doubtful"
+    assert column.state == "warning"
+    assert any("of the target's contact" in warning for warning in column.warnings)
+    assert "of the target's contact" in window.window.warning_line.text
+    assert window.window.panes.filmstrip.thumbnails["target_depth"].state == "warning"
     window.choose_frame(0)
     assert wait_until_shown(window, LIMIT_S)
     assert column.state == "skipped"
-    assert window.window.warning.text == ""
+    assert window.window.warning_line.text == ""
 
 
-def test_a_demonstration_shows_the_truth_beside_the_touch(window):
+def test_the_demo_layout_shows_touch_and_truth(window):
     _arrange(window, "demo")
     assert _large(window) == ["source", "touch"]
-    truth = window.views.opened.truths(5)["touch"]
-    shown = window.window.truth.view.preview
-    assert window.window.truth.isVisible()
+    truth = window.views.translation.read_true_outputs(5)["touch"]
+    shown = window.window.truth_column.view.preview
+    assert window.window.truth_column.isVisible()
     assert shown.caption.startswith("truth: ")
     np.testing.assert_array_equal(shown.distance_mm, truth.image)
     np.testing.assert_allclose(shown.values, truth.reference - truth.image, atol=1e-5)
     assert set(window.latest_frame.results) == {"depth", "cloud", "target_depth", "touch"}  # nothing that nobody sees
     known = window.window.frames.model.get_summary(5)
-    assert known.figures  # what was known of the whole frame is not forgotten
+    assert known.metrics  # what was known of the whole frame is not forgotten
     _arrange(window, "stages")
-    assert not window.window.truth.isVisible()
+    assert not window.window.truth_column.isVisible()
 
 
-def test_align_shows_what_is_carried_over_less_what_was_felt(window):
+def test_align_shows_the_target_depth_minus_the_observation(window):
     _arrange(window, "align")
     assert _large(window) == ["target_depth"]
     assert window.window.drawers.alignment.isVisible()
     assert wait_until_shown(window, LIMIT_S)
     shown = window.window.columns["target_depth"].view.preview
-    assert shown.caption.startswith("carried over less felt")
+    assert shown.caption.startswith("transferred")
     _arrange(window, "demo")
     assert window.views.comparison_mode == ""
     assert not any(drawer.isVisible() for drawer in window.window.drawers.all_drawers)
 
 
-def test_a_session_keeps_the_layout(window, open_window, tmp_path):
+def test_a_session_stores_the_layout(window, open_window, tmp_path):
     _arrange(window, "inspect")
     window.window.panes.stage_chosen.emit(0, "pose")
     window.save_session(tmp_path / "s.touch.json")
@@ -150,17 +150,17 @@ def test_a_session_keeps_the_layout(window, open_window, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("data", "told"),
+    ("data", "fact"),
     [({"name": "mine", "panes": []}, "name"), ({"name": "inspect", "panes": [["depth", "4D"]]}, "panes"),
      ({"name": "inspect", "panes": []}, "one to"), ([], "name")],
 )  # fmt: skip
-def test_a_layout_that_cannot_be_read_is_told(data, told):
-    with pytest.raises(ValueError, match=told):
+def test_an_invalid_layout_names_the_key(data, fact):
+    with pytest.raises(ValueError, match=fact):
         from_plain(data)
     assert from_plain(None) == Layout()
 
 
-def test_a_slot_that_the_route_lacks_makes_room_for_another():
+def test_a_stage_outside_the_route_is_replaced():
     layout = Layout(panes=(("depth", "2D"), ("touch_depth", "both")))
     assert layout.resolve_panes(["source", "touch"]) == (("source", "2D"), ("touch", "both"))
     assert layout.resolve_panes(["touch"]) == (("touch", "2D"),)

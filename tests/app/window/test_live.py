@@ -21,8 +21,8 @@ from pipeline.sensors.spec import load_sensor
 LIMIT_S = 90.0
 
 
-def living_of(instrument) -> LiveController:
-    return next(child for child in instrument.children() if isinstance(child, LiveController))
+def living_of(controller) -> LiveController:
+    return next(child for child in controller.children() if isinstance(child, LiveController))
 
 
 def until(met: Callable[[], bool]) -> None:
@@ -36,42 +36,42 @@ def until(met: Callable[[], bool]) -> None:
 @pytest.fixture
 def watching(open_window, monkeypatch):
     monkeypatch.setattr(reader, "RETRY_S", 0.02)
-    instrument = open_window(target="gelslim")
-    living = living_of(instrument)
+    controller = open_window(target="gelslim")
+    living = living_of(controller)
     living.watch_source(SimulatedSource(sensor="digit", rate_hz=30.0))
-    until(lambda: living.is_on_screen and instrument.latest_frame is not None)
-    return instrument, living
+    until(lambda: living.is_on_screen and controller.latest_frame is not None)
+    return controller, living
 
 
 def test_the_newest_frame_follows_and_looking_back_stays(watching):
-    instrument, living = watching
-    first = instrument.latest_frame.index
-    until(lambda: instrument.latest_frame.index > first + 3)
-    assert "Hz" in living.bar.text
-    assert instrument.window.timeline.slider.maximum() >= instrument.latest_frame.index
-    instrument.window.timeline.frame_chosen.emit(first)
-    instrument.window.timeline.step_to(first)
+    controller, living = watching
+    first = controller.latest_frame.index
+    until(lambda: controller.latest_frame.index > first + 3)
+    assert "Hz" in living.live_bar.text
+    assert controller.window.timeline.slider.maximum() >= controller.latest_frame.index
+    controller.window.timeline.frame_chosen.emit(first)
+    controller.window.timeline.step_to(first)
     assert not living.following
-    assert wait_until_shown(instrument, LIMIT_S)
+    assert wait_until_shown(controller, LIMIT_S)
     n = living.reader.n_frames
     until(lambda: living.reader.n_frames > n + 5)
-    assert instrument.session.frame == first
-    assert instrument.window.timeline.slider.maximum() >= n
-    living.bar.follow.click()
-    until(lambda: instrument.latest_frame.index > n)
+    assert controller.session.frame == first
+    assert controller.window.timeline.slider.maximum() >= n
+    living.live_bar.follow.click()
+    until(lambda: controller.latest_frame.index > n)
 
 
-def test_an_unplugged_sensor_is_told_and_followed_again(watching):
-    instrument, living = watching
+def test_an_unplugged_sensor_is_reported_and_followed_again(watching):
+    controller, living = watching
     living.reader.source.unplug()
-    until(lambda: "unplugged" in living.bar.text)
-    assert not instrument.window.banner.isVisible()
+    until(lambda: "unplugged" in living.live_bar.text)
+    assert not controller.window.banner.isVisible()
     before = living.reader.n_frames
     living.reader.source.plug()
-    until(lambda: instrument.latest_frame.index > before)
+    until(lambda: controller.latest_frame.index > before)
 
 
-def test_recording_while_watching_leaves_a_whole_file(watching, tmp_path):
+def test_recording_a_live_source_leaves_a_complete_file(watching, tmp_path):
     _, living = watching
     path = tmp_path / "watched.h5"
     living.record(path)
@@ -114,15 +114,15 @@ class _Hangs:
         pass
 
 
-def test_the_window_waits_for_no_camera(open_window):
-    instrument, source = open_window(target="gelslim"), _Hangs()
-    living = living_of(instrument)
+def test_the_window_does_not_wait_for_a_camera(open_window):
+    controller, source = open_window(target="gelslim"), _Hangs()
+    living = living_of(controller)
     living.watch_source(source)
-    until(lambda: living.is_on_screen and instrument.latest_frame is not None)
+    until(lambda: living.is_on_screen and controller.latest_frame is not None)
     source.hang = True
     time.sleep(0.1)
     begun = time.monotonic()
     living.set_zero()
     living.stop_watching()
-    instrument.close()
+    controller.close()
     assert time.monotonic() - begun < 4.0  # the read itself hangs for longer

@@ -30,7 +30,7 @@ from widgets.theme import get_theme_colours
 LIMIT_S = 60
 
 
-def test_all_six_columns_show_content(bubble_window):
+def test_every_column_shows_content(bubble_window):
     window = bubble_window.window
     assert list(window.columns) == ["source", "depth", "cloud", "target_depth", "touch", "touch_depth", "pose"]
     for name, column in window.columns.items():
@@ -38,27 +38,27 @@ def test_all_six_columns_show_content(bubble_window):
         assert picture is not None, name
         assert picture.frame_name.endswith("frame")
         assert picture.pixel_mm > 0
-    assert {c.state for n, c in window.columns.items() if n != "pose"} <= {"read", "computed", "cached", "doubtful"}
+    assert {c.state for n, c in window.columns.items() if n != "pose"} <= {"read", "computed", "cached", "warning"}
     assert window.columns["depth"].view.preview.outline_px.size > 0
 
 
-def test_a_skipped_column_says_why(bubble_window, qtbot):
+def test_a_skipped_column_shows_the_reason(bubble_window, qtbot):
     column = bubble_window.window.columns["pose"]
     assert column.state == "skipped"
     assert "mesh" in column.view.message
 
 
-def test_an_untouched_frame_skips_and_a_seen_frame_is_cached(bubble_window):
+def test_a_frame_without_contact_skips_and_a_repeated_frame_is_cached(bubble_window):
     bubble_window.choose_frame(0)
     assert wait_until_shown(bubble_window, LIMIT_S)
     assert bubble_window.latest_frame.results["touch"].state == "skipped"
     bubble_window.choose_frame(2)
     assert wait_until_shown(bubble_window, LIMIT_S)
     assert bubble_window.latest_frame.results["depth"].state == "cached"
-    assert bubble_window.window.columns["depth"].state in ("cached", "doubtful")
+    assert bubble_window.window.columns["depth"].state in ("cached", "warning")
 
 
-def test_a_missing_file_ends_in_the_banner_and_what_was_open_stays(bubble_window, tmp_path):
+def test_a_missing_file_is_reported_and_the_open_recording_stays(bubble_window, tmp_path):
     before = bubble_window.session
     bubble_window.open_path(tmp_path / "missing.h5")
     wait_until_shown(bubble_window, LIMIT_S)
@@ -73,17 +73,17 @@ def test_a_missing_file_ends_in_the_banner_and_what_was_open_stays(bubble_window
     assert bubble_window.latest_frame.index == 1
 
 
-def test_a_file_that_is_no_recording_is_told_in_one_sentence(open_window, tmp_path):
+def test_a_file_that_is_no_recording_is_reported(open_window, tmp_path):
     bad = tmp_path / "bad.h5"
     bad.write_bytes(b"no recording at all")
-    instrument = open_window(bad)
-    wait_until_shown(instrument, LIMIT_S)
-    assert instrument.window.banner.isVisible()
-    assert "bad.h5" in instrument.window.banner.text
-    assert instrument.window.banner.details == ""
+    controller = open_window(bad)
+    wait_until_shown(controller, LIMIT_S)
+    assert controller.window.banner.isVisible()
+    assert "bad.h5" in controller.window.banner.text
+    assert controller.window.banner.details == ""
 
 
-def test_a_bad_mesh_opened_while_the_frame_changes_is_taken_back(bubble_window, tmp_path):
+def test_a_bad_mesh_opened_while_the_frame_changes_is_undone(bubble_window, tmp_path):
     bad = tmp_path / "bad.stl"
     bad.write_text("no mesh at all")
     bubble_window.open_path(bad)
@@ -99,7 +99,7 @@ def test_a_bad_mesh_opened_while_the_frame_changes_is_taken_back(bubble_window, 
     assert wait_until_shown(bubble_window, LIMIT_S)
 
 
-def test_a_request_that_was_never_begun_says_nothing_about_the_one_after_it(bubble_window):
+def test_a_request_that_never_started_does_not_affect_the_next(bubble_window):
     go_on = threading.Event()
     bubble_window.job.submit(lambda _report: go_on.wait(LIMIT_S))
     try:
@@ -112,7 +112,7 @@ def test_a_request_that_was_never_begun_says_nothing_about_the_one_after_it(bubb
     assert bubble_window.latest_frame.index == 1
 
 
-def test_a_stage_that_fails_on_what_was_open_before_takes_nothing_more_back(bubble_window, tmp_path, monkeypatch):
+def test_a_failing_stage_of_an_open_recording_undoes_nothing(bubble_window, tmp_path, monkeypatch):
     def fails(*_args, **_kwargs):
         raise RuntimeError("out of memory")
 
@@ -126,7 +126,7 @@ def test_a_stage_that_fails_on_what_was_open_before_takes_nothing_more_back(bubb
     assert bubble_window.window.columns["depth"].state == "failed"
 
 
-def test_a_mesh_can_be_closed_and_goes_with_its_recording(bubble_window, ball_file, touch_file, tmp_path):
+def test_a_mesh_can_be_closed_and_closes_with_its_recording(bubble_window, ball_file, touch_file, tmp_path):
     close = bubble_window.window.actions_by_name["close_mesh"]
     assert not close.isEnabled()
     bubble_window.open_path(ball_file)
@@ -144,7 +144,7 @@ def test_a_mesh_can_be_closed_and_goes_with_its_recording(bubble_window, ball_fi
     assert bubble_window.views.translation.mesh is None
 
 
-def test_a_damaged_frame_after_a_route_there_and_back_fails_by_itself(open_window, tmp_path):
+def test_a_damaged_frame_after_two_route_changes_fails_alone(open_window, tmp_path):
     whole, cut = SAMPLE_RECORDING.read_bytes(), tmp_path / "cut.h5"
     cut.write_bytes(whole[: len(whole) // 3])
     window = open_window(cut, target="gelslim", frame=0)
@@ -162,7 +162,7 @@ def test_a_damaged_frame_after_a_route_there_and_back_fails_by_itself(open_windo
     assert waits == {"waiting"}
 
 
-def test_a_part_that_comes_too_late_leaves_its_column_waiting_for_its_own(bubble_window, monkeypatch):
+def test_a_late_part_leaves_its_column_pending(bubble_window, monkeypatch):
     """The order is forced: a part of the frame before comes between the request for another one and its failure."""
     window, over = bubble_window, threading.Event()
     part, error = window.views.get_shown_stage("source"), FileProblem("this frame is damaged", SAMPLE_RECORDING)
@@ -181,7 +181,7 @@ def test_a_part_that_comes_too_late_leaves_its_column_waiting_for_its_own(bubble
     assert "this frame is damaged" in window.window.columns["source"].view.message
 
 
-def test_what_nothing_before_it_can_take_back_comes_to_rest(bubble_window, tmp_path, qtbot, monkeypatch):
+def test_a_failure_without_an_undo_target_becomes_idle(bubble_window, tmp_path, qtbot, monkeypatch):
     """Where no step of the undo stack is what is open, and the one before cannot be opened any more either."""
     empty = tmp_path / "empty.h5"
     empty.touch()
@@ -201,7 +201,7 @@ def test_what_nothing_before_it_can_take_back_comes_to_rest(bubble_window, tmp_p
     assert "empty" in bubble_window.window.banner.text
 
 
-def test_what_fails_after_a_step_back_ends_at_the_step_before_it(bubble_window, tmp_path):
+def test_a_failure_after_an_undo_returns_to_the_earlier_session(bubble_window, tmp_path):
     """Another choice after an undo cuts what is open off the stack: nothing on it counts as open."""
     empty = tmp_path / "empty.h5"
     empty.touch()
@@ -214,10 +214,10 @@ def test_what_fails_after_a_step_back_ends_at_the_step_before_it(bubble_window, 
     assert "empty" in bubble_window.window.banner.text
     assert bubble_window.session.recording == first
     assert bubble_window.views.translation.request.recording == first
-    assert bubble_window.window.columns["depth"].state in ("computed", "cached", "unchanged", "doubtful")
+    assert bubble_window.window.columns["depth"].state in ("computed", "cached", "unchanged", "warning")
 
 
-def test_taking_back_asks_for_nothing_that_lies_between(bubble_window, tmp_path):
+def test_undoing_an_opening_computes_no_session_in_between(bubble_window, tmp_path):
     """Hours of steps lie under one failure, and none of them is worked out on the way; what failed is not tried twice."""
     empty = tmp_path / "empty.h5"
     empty.touch()
@@ -232,7 +232,7 @@ def test_taking_back_asks_for_nothing_that_lies_between(bubble_window, tmp_path)
     assert bubble_window.session.recording != empty
 
 
-def test_a_route_that_was_opened_for_nobody_is_told_to_who_asks_next(open_window, touch_file):
+def test_a_translation_opened_for_a_dropped_request_is_delivered_to_the_next(open_window, touch_file):
     """There and back and there again while it opens: what came of the first request is no answer to the last."""
     window = open_window(touch_file, target="gelslim", frame=2)
     assert wait_until_shown(window, LIMIT_S)
@@ -249,19 +249,19 @@ def test_a_route_that_was_opened_for_nobody_is_told_to_who_asks_next(open_window
 
 
 @pytest.mark.parametrize("layout", ["align", "stages"])
-def test_columns_that_a_route_brings_are_filled(layout, open_window, touch_file):
+def test_new_columns_of_a_route_are_filled(layout, open_window, touch_file):
     window = open_window(touch_file, target="gelslim", frame=2)
     window.change("choose route", route="t2t")
     assert wait_until_shown(window, LIMIT_S)
     window.change("lay out", layout=replace(window.session.layout, name=layout))
     wait_until_shown(window, LIMIT_S)  # in Align it says, sooner or later, that this route has nothing to align
     window.change("choose route", route="t2d2")
-    window.choose_frame(1)  # asked for before the route has told of its columns
+    window.choose_frame(1)  # asked for before the route has text of its columns
     assert wait_until_shown(window, LIMIT_S)
     assert "target_depth" in window.window.visible_columns()
     assert window.window.columns["target_depth"].view.preview is not None
     states = {window.window.columns[name].state for name in window.window.visible_columns()}
-    assert states <= {"read", "computed", "cached", "doubtful", "unchanged", "skipped"}
+    assert states <= {"read", "computed", "cached", "warning", "unchanged", "skipped"}
 
 
 def test_weights_are_opened_closed_and_undone(bubble_window, tmp_path, caplog):
@@ -285,21 +285,21 @@ def test_weights_are_opened_closed_and_undone(bubble_window, tmp_path, caplog):
     assert wait_until_shown(bubble_window, LIMIT_S)
 
 
-def test_a_dropped_mesh_in_metres_is_told_the_windows_own_way_out(bubble_window, tmp_path):
+def test_a_dropped_mesh_in_metres_names_the_remedy_in_the_window(bubble_window, tmp_path):
     corners = ((0, 0, 0), (0.02, 0, 0), (0, 0.02, 0), (0, 0, 0.02))
     faces = ((0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3))
     lines = [f"v {x} {y} {z}" for x, y, z in corners] + [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in faces]
     (tmp_path / "ball.obj").write_text("\n".join(lines) + "\n")
     bubble_window.open_paths([tmp_path / "ball.obj"])
     wait_until_shown(bubble_window, LIMIT_S)
-    told = bubble_window.window.banner.text
-    assert "Open mesh…" in told
-    assert "Meshes in metres" in told
-    assert "--mesh-unit" not in told
+    text = bubble_window.window.banner.text
+    assert "Open mesh…" in text
+    assert "Meshes in metres" in text
+    assert "--mesh-unit" not in text
     assert bubble_window.session.mesh is None
 
 
-def test_the_unit_of_a_mesh_is_chosen_where_it_is_opened_and_kept(bubble_window, ball_file, tmp_path, monkeypatch):
+def test_the_mesh_unit_is_chosen_on_opening_and_saved(bubble_window, ball_file, tmp_path, monkeypatch):
     def in_metres(_parent, _title, _folder, kinds):
         return str(ball_file), next(kind for kind in kinds.split(";;") if "in metres" in kind)
 
@@ -329,7 +329,7 @@ def test_an_empty_recording_leaves_the_open_one_as_it_is(bubble_window, tmp_path
     assert bubble_window.window.columns["source"].state == "read"
 
 
-def test_an_error_of_our_own_is_told_briefly_with_the_traceback_behind_it(bubble_window, monkeypatch):
+def test_an_unexpected_error_shows_a_sentence_and_a_traceback(bubble_window, monkeypatch):
     def fails(*_args, **_kwargs):
         raise RuntimeError("out of memory")
 
@@ -358,14 +358,14 @@ def test_parameters_recompute_from_their_stage_on_and_can_be_undone(bubble_windo
     assert bubble_window.latest_frame.results["cloud"].state == "cached"
 
 
-def _rows(instrument) -> dict[int, tuple[str, ...]]:
+def _rows(controller) -> dict[int, tuple[str, ...]]:
     """What the table of frames says of those it knows."""
-    model = instrument.window.frames.model
+    model = controller.window.frames.model
     rows = {f: tuple(str(model.data(model.index(f, c))) for c in (1, 2, 3)) for f in range(model.rowCount())}
     return {f: cells for f, cells in rows.items() if any(cells)}
 
 
-def test_the_table_of_frames_forgets_what_was_worked_out_with_other_settings(bubble_window):
+def test_the_frames_table_is_cleared_by_other_settings(bubble_window):
     bubble_window.choose_frame(1)
     assert wait_until_shown(bubble_window, LIMIT_S)
     before = _rows(bubble_window)
@@ -378,12 +378,12 @@ def test_the_table_of_frames_forgets_what_was_worked_out_with_other_settings(bub
     assert sorted(_rows(bubble_window)) == [1]
 
 
-def test_the_error_of_a_frame_is_that_of_the_generated_touch_or_none(open_window):
+def test_the_frame_error_is_that_of_the_generated_touch(open_window):
     """The sample knows the truth of its source; of a sensor that took no part in it nothing is known."""
-    instrument = open_window(SAMPLE_RECORDING, source="gelslim", target="gelsight_mini", frame=6)
-    assert wait_until_shown(instrument, LIMIT_S), instrument.window.banner.text
-    assert "depth.contact_mae_mm" in instrument.latest_frame.metrics
-    assert _rows(instrument)[6][2] == "-"
+    controller = open_window(SAMPLE_RECORDING, source="gelslim", target="gelsight_mini", frame=6)
+    assert wait_until_shown(controller, LIMIT_S), controller.window.banner.text
+    assert "depth.contact_mae_mm" in controller.latest_frame.metrics
+    assert _rows(controller)[6][2] == "-"
 
 
 def test_another_target_is_one_change(bubble_window):
@@ -414,7 +414,7 @@ def test_a_pinned_pixel_stays_while_the_mouse_moves_on(bubble_window):
     assert bubble_window.window.columns["depth"].view.crosshair == (70, 86)
 
 
-def test_a_trace_never_speaks_of_another_frame_than_the_picture(bubble_window, qtbot, monkeypatch):
+def test_a_trace_belongs_to_the_frame_of_the_image(bubble_window, qtbot, monkeypatch):
     """While the touch is generated, what is above it is already the new frame's."""
     row, col = 70, 86
     bubble_window.choose_frame(1)
@@ -444,23 +444,23 @@ def test_a_trace_never_speaks_of_another_frame_than_the_picture(bubble_window, q
         assert "generated" in shallow
         assert "generated" not in bubble_window.window.trace.text
         bubble_window.probe.toggle_pin("touch", row, col)
-        assert "not worked out yet" in bubble_window.window.trace.findChild(QLabel).text()
+        assert "not computed yet" in bubble_window.window.trace.findChild(QLabel).text()
     finally:
         go_on.set()
     wait_until_shown(bubble_window, LIMIT_S)
 
 
 def test_a_dropped_file_is_opened(open_window, touch_file):
-    instrument = open_window()
+    controller = open_window()
     mime = QMimeData()
     mime.setUrls([QUrl.fromLocalFile(str(touch_file))])
     buttons, keys = Qt.MouseButton.LeftButton, Qt.KeyboardModifier.NoModifier
-    instrument.window.dropEvent(QDropEvent(QPointF(5, 5), Qt.DropAction.CopyAction, mime, buttons, keys))
-    assert wait_until_shown(instrument, LIMIT_S)
-    assert instrument.session.recording == touch_file
+    controller.window.dropEvent(QDropEvent(QPointF(5, 5), Qt.DropAction.CopyAction, mime, buttons, keys))
+    assert wait_until_shown(controller, LIMIT_S)
+    assert controller.session.recording == touch_file
 
 
-def test_a_session_file_brings_everything_back(bubble_window, open_window, tmp_path):
+def test_a_session_file_restores_everything(bubble_window, open_window, tmp_path):
     path = tmp_path / "s.touch.json"
     bubble_window.save_session(path)
     other = open_window()
@@ -470,7 +470,7 @@ def test_a_session_file_brings_everything_back(bubble_window, open_window, tmp_p
     assert other.session.target == bubble_window.session.target
 
 
-def test_one_stage_alone_works_out_no_more_than_it_needs(bubble_window):
+def test_one_stage_alone_computes_only_what_it_needs(bubble_window):
     bubble_window.show_only("depth")
     assert wait_until_shown(bubble_window, LIMIT_S)
     assert set(bubble_window.latest_frame.results) == {"depth"}
@@ -504,34 +504,34 @@ def test_every_command_can_be_found_and_explains_itself(open_window):
 
 
 @pytest.mark.gl
-def test_the_tour_leaves_pictures_stages_and_a_report(open_window, touch_file, tmp_path):
-    instrument = open_window(touch_file, gl=True, target="gelslim")
-    assert run_tour(instrument, tmp_path / "out") == 0
+def test_the_tour_writes_screenshot_stages_and_report(open_window, touch_file, tmp_path):
+    controller = open_window(touch_file, gl=True, target="gelslim")
+    assert run_tour(controller, tmp_path / "out") == 0
     assert sorted(p.name for p in (tmp_path / "out").glob("frame_*")) == ["frame_0000", "frame_0001", "frame_0002"]
     assert (tmp_path / "out" / "report.json").exists()
     assert (tmp_path / "out" / "window.png").stat().st_size > 20_000
 
 
 @pytest.mark.gl
-def test_the_window_is_not_built_anew_when_3d_comes(open_window, qtbot):
+def test_the_window_is_not_rebuilt_when_3d_views_arrive(open_window, qtbot):
     """A window that takes up an OpenGL widget while it is shown goes black for that time."""
-    instrument = open_window(gl=True)
-    handle, number = instrument.window.windowHandle(), int(instrument.window.winId())
-    qtbot.waitUntil(lambda: type(instrument.views.scene) is not SceneRenderer, timeout=LIMIT_S * 1000)
-    view = instrument.window.views_3d[0]
+    controller = open_window(gl=True)
+    handle, number = controller.window.windowHandle(), int(controller.window.winId())
+    qtbot.waitUntil(lambda: type(controller.views.scene) is not SceneRenderer, timeout=LIMIT_S * 1000)
+    view = controller.window.views_3d[0]
     assert handle.surfaceType() == QSurface.SurfaceType.RasterSurface
-    assert int(instrument.window.winId()) == number
+    assert int(controller.window.winId()) == number
     assert view.grab().toImage().pixelColor(5, 5).getRgb()[:3] == get_theme_colours(view.palette()).backdrop
 
 
 @pytest.mark.gl
-def test_3d_views_are_in_the_windows_picture(open_window, touch_file, tmp_path):
-    instrument = open_window(touch_file, gl=True, target="gelslim", frame=2)
-    assert wait_until_shown(instrument, LIMIT_S)
-    save_window_screenshot(instrument, tmp_path / "w.png")
-    view = instrument.window.view_panels["depth"].view
-    corner = view.mapTo(instrument.window, QPoint(0, 0))
-    image = instrument.window.grab().toImage()
+def test_3d_views_are_in_the_screenshot(open_window, touch_file, tmp_path):
+    controller = open_window(touch_file, gl=True, target="gelslim", frame=2)
+    assert wait_until_shown(controller, LIMIT_S)
+    save_window_screenshot(controller, tmp_path / "w.png")
+    view = controller.window.view_panels["depth"].view
+    corner = view.mapTo(controller.window, QPoint(0, 0))
+    image = controller.window.grab().toImage()
     colours = {
         image.pixelColor(corner.x() + x, corner.y() + y).rgb()
         for x in range(4, view.width() - 4, 3)
@@ -541,9 +541,9 @@ def test_3d_views_are_in_the_windows_picture(open_window, touch_file, tmp_path):
 
 
 def test_opening_needs_no_gl(open_window, touch_file):
-    instrument = open_window(touch_file, target="gelslim", frame=1)
-    assert wait_until_shown(instrument, LIMIT_S)
-    assert Path(instrument.session.recording) == touch_file
+    controller = open_window(touch_file, target="gelslim", frame=1)
+    assert wait_until_shown(controller, LIMIT_S)
+    assert Path(controller.session.recording) == touch_file
 
 
 @pytest.mark.real_data
@@ -552,13 +552,13 @@ def test_opening_needs_no_gl(open_window, touch_file):
     [("gsmini_balls", "gelsight_mini", "soft_bubble"), ("digit_balls", "digit", "gelslim")],
 )
 def test_real_touches_go_through_all_columns(open_window, real_data, folder, source, target):
-    instrument = open_window(real_data / folder, source=source, target=target, frame=4)
-    assert wait_until_shown(instrument, LIMIT_S), instrument.window.banner.text
-    assert all(column.view.preview is not None for column in instrument.window.columns.values())
-    assert instrument.latest_frame.results["depth"].output.contact.any()
+    controller = open_window(real_data / folder, source=source, target=target, frame=4)
+    assert wait_until_shown(controller, LIMIT_S), controller.window.banner.text
+    assert all(column.view.preview is not None for column in controller.window.columns.values())
+    assert controller.latest_frame.results["depth"].output.contact.any()
 
 
-def test_a_loop_begins_and_ends_where_one_says(bubble_window):
+def test_a_loop_begins_and_ends_at_the_chosen_frames(bubble_window):
     window = bubble_window.window
     for frame, command in ((1, "loop_from"), (2, "loop_to")):
         window.timeline.step_to(frame)
@@ -570,9 +570,9 @@ def test_a_loop_begins_and_ends_where_one_says(bubble_window):
     assert wait_until_shown(bubble_window, LIMIT_S)
 
 
-def test_a_recording_of_another_kind_of_sensor_is_shown_and_refused_in_words(open_window, touch_file):
-    instrument = open_window(touch_file, source="gelslim", target="soft_bubble", frame=1)
-    assert not wait_until_shown(instrument, LIMIT_S)
-    assert "choose the right sensor" in instrument.window.banner.text
-    assert instrument.window.columns["source"].view.preview is not None
-    assert instrument.window.columns["depth"].state == "failed"
+def test_a_recording_of_an_unfit_sensor_is_shown_with_the_reason(open_window, touch_file):
+    controller = open_window(touch_file, source="gelslim", target="soft_bubble", frame=1)
+    assert not wait_until_shown(controller, LIMIT_S)
+    assert "choose the right sensor" in controller.window.banner.text
+    assert controller.window.columns["source"].view.preview is not None
+    assert controller.window.columns["depth"].state == "failed"

@@ -14,7 +14,7 @@ from pipeline.base.memo import Memo
 from tests.app.window.window_checks import kept_bytes
 
 
-def test_steps_that_can_be_taken_back_end_somewhere(open_window):
+def test_the_undo_stack_is_limited(open_window):
     stack, shown = open_window().undo_stack, deque[Session](maxlen=1)
     session = Session()
     for frame in range(1, MAX_UNDO_STEPS + 201):
@@ -30,7 +30,7 @@ def test_steps_that_can_be_taken_back_end_somewhere(open_window):
     stack.clear()
 
 
-def test_what_several_memos_hold_is_counted_once():
+def test_values_shared_by_caches_are_counted_once():
     whole = np.zeros((100, 1000), np.float32)
     before = kept_bytes()
     first: Memo[str, object] = Memo()

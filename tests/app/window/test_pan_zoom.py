@@ -14,13 +14,13 @@ LIMIT_S = 60
 
 @pytest.fixture
 def window(open_window):
-    instrument = open_window(SAMPLE_RECORDING, source="gelslim", target="soft_bubble", frame=5)
-    assert wait_until_shown(instrument, LIMIT_S), instrument.window.banner.text
-    return instrument
+    controller = open_window(SAMPLE_RECORDING, source="gelslim", target="soft_bubble", frame=5)
+    assert wait_until_shown(controller, LIMIT_S), controller.window.banner.text
+    return controller
 
 
-def _canvas(instrument, name):
-    return instrument.window.columns[name].view.canvas
+def _canvas(controller, name):
+    return controller.window.columns[name].view.canvas
 
 
 def test_one_key_fits_the_contact_and_the_sensor(window):
@@ -34,38 +34,38 @@ def test_one_key_fits_the_contact_and_the_sensor(window):
     assert {name: _canvas(window, name).scale for name in window.window.columns} == whole
 
 
-def test_linked_pictures_look_at_the_same_place_as_large_in_millimetres(window):
+def test_linked_images_show_the_same_place_at_the_same_scale(window):
     window.window.actions_by_name["link_previews"].trigger()
     depth, view = (window.window.columns[name].view for name in ("depth", "target_depth"))
     made = window.latest_frame.results["target_depth"].output
     row, col = divmod(int(np.where(made.contact, made.indentation_mm, -1.0).argmax()), made.camera.cols)
     point = int(made.source_index[row, col])
     pixel = int(window.latest_frame.results["cloud"].output.source_index[point])
-    at = divmod(pixel, depth.picture.pixels.shape[1])
-    depth.canvas.look(QPointF(at[1] + 0.5, at[0] + 0.5), 2.0)
+    at = divmod(pixel, depth.preview.pixels.shape[1])
+    depth.canvas.set_view(QPointF(at[1] + 0.5, at[0] + 0.5), 2.0)
     depth.canvas.view_changed.emit()
     there = view.canvas.to_screen(QPointF(col + 0.5, row + 0.5))
     middle = QPointF(0.5 * view.canvas.width(), 0.5 * view.canvas.height())
-    px_of_mm = view.canvas.scale / view.picture.pixel_mm
-    assert px_of_mm == pytest.approx(depth.canvas.scale / depth.picture.pixel_mm)
+    px_of_mm = view.canvas.scale / view.preview.pixel_mm
+    assert px_of_mm == pytest.approx(depth.canvas.scale / depth.preview.pixel_mm)
     assert (there - middle).manhattanLength() < 1.0 * px_of_mm  # within a millimetre of depth seen aslant
 
 
-def test_every_slot_is_read_at_the_traced_place_with_the_truth_at_the_end(window):
+def test_every_stage_is_read_at_the_probe_with_the_truth_last(window):
     made = window.latest_frame.results["target_depth"].output
     row, col = divmod(int(made.indentation_mm.argmax()), made.camera.cols)
     window.probe.probe_pixel("target_depth", row, col)
     for name in ("source", "depth", "target_depth", "touch_depth"):
         canvas = _canvas(window, name)
-        assert canvas.crosshair_text == window.window.columns[name].view.preview.reads(*canvas.crosshair), name
-    true = window.views.opened.facts(5).target.indentation_mm
+        assert canvas.crosshair_text == window.window.columns[name].view.preview.format_value(*canvas.crosshair), name
+    true = window.views.translation.read_ground_truth(5).target.indentation_mm
     at = _canvas(window, "touch_depth").crosshair
     assert window.window.trace.text.rpartition(" → ")[2].startswith(f"{true[at]:.3f} mm")
     assert f"truth {true[row, col]:.3f} mm" in window.window.readout.text()
 
 
-def test_where_nothing_came_the_truth_is_told_all_the_same(window):
-    true = window.views.opened.facts(5).target
+def test_the_truth_is_shown_where_no_source_pixel_maps(window):
+    true = window.views.translation.read_ground_truth(5).target
     made = window.latest_frame.results["target_depth"].output
     missed = true.contact & (made.source_index < 0)
     row, col = (int(i) for i in np.argwhere(missed)[0])

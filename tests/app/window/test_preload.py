@@ -10,7 +10,7 @@ from pipeline.base.progress import Cancelled
 from pipeline.stages.depth.illumination import gel_surface
 
 
-def test_an_empty_window_reads_a_touch_beforehand(monkeypatch, qtbot, open_window):
+def test_an_empty_window_preloads(monkeypatch, qtbot, open_window):
     integrated = []
     monkeypatch.setattr(
         gel_surface,
@@ -24,22 +24,22 @@ def test_an_empty_window_reads_a_touch_beforehand(monkeypatch, qtbot, open_windo
     assert integrated, "it was no touch"
 
 
-def test_a_recording_that_is_opened_comes_first(monkeypatch, qtbot, open_window):
+def test_opening_a_recording_stops_the_preload(monkeypatch, qtbot, open_window):
     def waits(report):
         while True:
             report.step(0.5, "waiting")
 
     monkeypatch.setattr(preload, "preload_depth", waits)
-    instrument = open_window()
-    own = PreloadController(instrument)
+    controller = open_window()
+    own = PreloadController(controller)
     own.start_timer.setInterval(0)
     qtbot.waitUntil(lambda: own.job.is_busy, timeout=20_000)
     with qtbot.waitSignal(own.job.cancelled, timeout=20_000):
-        instrument.open_path(SAMPLE_RECORDING)
+        controller.open_path(SAMPLE_RECORDING)
     assert not own.start_timer.isActive()
 
 
-def test_nobody_need_wait_for_it():
+def test_the_preload_does_not_delay_closing():
     class Impatient:
         def step(self, fraction, text):
             raise Cancelled

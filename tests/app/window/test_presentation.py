@@ -40,7 +40,7 @@ def test_the_magnifier_reads_what_the_probe_reads_and_stays_clear_of_the_pixel(b
 
 
 @pytest.mark.parametrize("layout", ["stages", "inspect", "align"])
-def test_what_is_in_front_is_copied(bubble_window, layout):
+def test_the_active_pane_is_copied(bubble_window, layout):
     window = bubble_window.window
     window.actions_by_name[f"layout_{layout}"].trigger()
     assert wait_until_shown(bubble_window, LIMIT_S)
@@ -52,7 +52,7 @@ def test_what_is_in_front_is_copied(bubble_window, layout):
     assert f"{copied.width()} x {copied.height()}" in window.readout.text()
 
 
-def test_the_window_fills_the_screen_and_comes_back(bubble_window, qtbot):
+def test_the_window_toggles_full_screen(bubble_window, qtbot):
     window, action = bubble_window.window, bubble_window.window.actions_by_name["full_screen"]
     action.trigger()
     qtbot.waitUntil(window.isFullScreen, timeout=3000)

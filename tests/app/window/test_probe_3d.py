@@ -14,39 +14,39 @@ LIMIT_S = 60
 
 @pytest.fixture
 def window(open_window):
-    instrument = open_window(SAMPLE_RECORDING, gl=True, source="gelslim", target="soft_bubble", frame=5)
-    assert wait_until_shown(instrument, LIMIT_S), instrument.window.banner.text
-    instrument.window.resize(1600, 950)
-    assert wait_until_shown(instrument, LIMIT_S)
-    instrument.views.scene.draw_pending()
-    return instrument
+    controller = open_window(SAMPLE_RECORDING, gl=True, source="gelslim", target="soft_bubble", frame=5)
+    assert wait_until_shown(controller, LIMIT_S), controller.window.banner.text
+    controller.window.resize(1600, 950)
+    assert wait_until_shown(controller, LIMIT_S)
+    controller.views.scene.draw_pending()
+    return controller
 
 
 @pytest.mark.parametrize("name", ["source", "depth", "target_depth", "touch_depth"])
-def test_a_click_in_3d_pins_the_pixel_whose_dot_is_drawn_there(window, qtbot, name):
+def test_a_click_in_3d_pins_the_pixel_drawn_there(window, qtbot, name):
     columns, view = window.window.columns, window.window.view_panels[name].view
     of = window.latest_frame.results["depth" if name == "source" else name].output
     touched = np.argwhere(of.contact)
     wanted = tuple(touched[np.abs(touched - touched.mean(axis=0)).sum(axis=1).argmin()])
     window.probe.probe_pixel(name, *(int(v) for v in wanted))
     window.probe.draw_pending()
-    dot = view.dot
+    dot = view.marker
     assert dot is not None
-    window.probe.clear()
+    window.probe.clear_trace()
     at = QPoint(round(dot.x() * view.width()), round(dot.y() * view.height()))
     qtbot.mouseClick(view, Qt.MouseButton.LeftButton, pos=at)
-    found = columns[name].view.cross
+    found = columns[name].view.crosshair
     assert found is not None
     rows = columns[name].view.preview.pixels.shape[0]
     assert np.abs(np.subtract(found, wanted)).max() < 0.06 * rows  # a few pixels of a view this small
     assert window.window.actions_by_name["pin_probe"].isChecked()
 
 
-def test_a_turn_is_no_click_and_empty_space_traces_nothing(window, qtbot):
+def test_a_rotation_is_no_click_and_empty_space_traces_nothing(window, qtbot):
     view = window.window.view_panels["depth"].view
     qtbot.mouseClick(view, Qt.MouseButton.LeftButton, pos=QPoint(1, 1))
-    assert window.window.columns["depth"].view.cross is None
+    assert window.window.columns["depth"].view.crosshair is None
     qtbot.mousePress(view, Qt.MouseButton.LeftButton, pos=QPoint(80, 60))
     qtbot.mouseMove(view, QPoint(110, 70))
     qtbot.mouseRelease(view, Qt.MouseButton.LeftButton, pos=QPoint(110, 70))
-    assert window.window.columns["depth"].view.cross is None
+    assert window.window.columns["depth"].view.crosshair is None

@@ -38,8 +38,8 @@ def _faults(window) -> list[str]:
         name = f"{type(widget).__name__} {widget.objectName()!r} in {type(above).__name__} {above.objectName()!r}"
         if not QRect(0, 0, above.width(), above.height()).contains(widget.geometry()):
             found.append(f"{name} lies outside: {widget.geometry()} of {above.size()}")
-        told = isinstance(widget, QComboBox) or (isinstance(widget, QLabel | QAbstractButton) and widget.text())
-        if told and min(widget.width(), widget.height()) < LEAST_PX:
+        has_text = isinstance(widget, QComboBox) or (isinstance(widget, QLabel | QAbstractButton) and widget.text())
+        if has_text and min(widget.width(), widget.height()) < LEAST_PX:
             found.append(f"{name} has no room: {widget.size()}")
         if isinstance(widget, QAbstractButton) and widget.text() and widget.width() < widget.minimumSizeHint().width():
             found.append(f"{name} is cut: {widget.text()!r}")
@@ -69,20 +69,20 @@ def test_nothing_is_cut_off_or_out_of_place(bubble_window, qtbot, layout):
                 drawer.hide()
 
 
-def test_pictures_of_colours_alone_leave_no_band_for_scales(open_window, qtbot):
+def test_colour_images_leave_no_room_for_scales(open_window, qtbot):
     from app.session.sample import SAMPLE_RECORDING
 
-    instrument = open_window(SAMPLE_RECORDING, source="digit", target="gelslim", frame=5)
-    assert wait_until_shown(instrument, LIMIT_S), instrument.window.banner.text
-    window = instrument.window
+    controller = open_window(SAMPLE_RECORDING, source="digit", target="gelslim", frame=5)
+    assert wait_until_shown(controller, LIMIT_S), controller.window.banner.text
+    window = controller.window
 
     def seen() -> int:
         return sum(levels.isVisible() for levels in window.rows.findChildren(ColourBar))
 
     qtbot.waitUntil(lambda: seen() == len(window.columns), timeout=3000)
     window.actions_by_name["layout_demo"].trigger()
-    assert wait_until_shown(instrument, LIMIT_S)
+    assert wait_until_shown(controller, LIMIT_S)
     qtbot.waitUntil(lambda: seen() == 0, timeout=3000)
     window.actions_by_name["layout_inspect"].trigger()
-    assert wait_until_shown(instrument, LIMIT_S)
-    assert all(window.columns[name].view.colour_bar.isVisible() for name, _ in instrument.session.layout.panes)
+    assert wait_until_shown(controller, LIMIT_S)
+    assert all(window.columns[name].view.colour_bar.isVisible() for name, _ in controller.session.layout.panes)

@@ -26,9 +26,9 @@ _Left, _Shift = Qt.MouseButton.LeftButton, Qt.KeyboardModifier.ShiftModifier
 
 @pytest.fixture
 def window(open_window):
-    instrument = open_window(SAMPLE_RECORDING, source="gelslim", target="soft_bubble", frame=5)
-    assert wait_until_shown(instrument, LIMIT_S), instrument.window.banner.text
-    return instrument
+    controller = open_window(SAMPLE_RECORDING, source="gelslim", target="soft_bubble", frame=5)
+    assert wait_until_shown(controller, LIMIT_S), controller.window.banner.text
+    return controller
 
 
 @pytest.fixture
@@ -51,31 +51,31 @@ def counted(monkeypatch):
     return counts
 
 
-def _on(instrument, qtbot):
-    instrument.window.actions_by_name["section_line"].trigger()
-    qtbot.waitUntil(lambda: instrument.window.section_panel.plot.section is not None, timeout=3000)
-    views = [column.view for column in instrument.window.columns.values()]
+def _on(controller, qtbot):
+    controller.window.actions_by_name["section_line"].trigger()
+    qtbot.waitUntil(lambda: controller.window.section_panel.plot.section is not None, timeout=3000)
+    views = [column.view for column in controller.window.columns.values()]
     rooms = None
     while rooms != (
         rooms := [view.canvas_size_px for view in views]
     ):  # the drawer that opens takes room from the pictures
         qtbot.wait(50)
-    return instrument.window.section_panel
+    return controller.window.section_panel
 
 
-def test_how_the_line_is_laid_is_told_in_full_in_a_small_window(bubble_window, qtbot):
+def test_the_line_text_fits_a_small_window(bubble_window, qtbot):
     bubble_window.window.resize(1366, 768)
     tab = _on(bubble_window, qtbot)
     bubble_window.set_section(SectionLine(begin_mm=(-60.0, 0.0), end_mm=(60.0, 0.0)))
-    told = tab.message
+    label = tab.message
 
     def whole() -> bool:
-        return "120.00 mm" in told.text() and told.fontMetrics().horizontalAdvance(told.text()) <= told.width()
+        return "120.00 mm" in label.text() and label.fontMetrics().horizontalAdvance(label.text()) <= label.width()
 
     qtbot.waitUntil(whole, timeout=3000)
 
 
-def test_off_it_costs_nothing_and_on_only_what_is_seen(bubble_window, counted, qtbot):
+def test_the_section_computes_only_what_is_visible(bubble_window, counted, qtbot):
     window = bubble_window.window
     for frame in (1, 2):
         bubble_window.choose_frame(frame)
@@ -99,7 +99,7 @@ def test_off_it_costs_nothing_and_on_only_what_is_seen(bubble_window, counted, q
     assert (counted["cut"], counted["line"]) == (cut, drawn)
 
 
-def test_every_slot_with_a_height_has_a_curve_that_is_what_its_pixels_read(window, qtbot):
+def test_every_stage_with_heights_has_a_curve_equal_to_its_pixels(window, qtbot):
     panel = _on(window, qtbot)
     shown = panel.plot.section
     assert {p.name for p in shown.profiles} == {
@@ -127,7 +127,7 @@ def test_the_same_place_of_the_touch_lies_under_the_line_in_both_sensors(window,
     depth, cloud = (window.latest_frame.results[name].output for name in ("depth", "cloud"))
     row, col = divmod(int(np.where(made.contact, made.indentation_mm, -1.0).argmax()), made.camera.cols)
     pixel = divmod(int(cloud.source_index[int(made.source_index[row, col])]), depth.camera.cols)
-    sheet = cross_section.build_plane(window.views.opened, "source", depth.camera)
+    sheet = cross_section.build_plane(window.views.translation, "source", depth.camera)
     window.set_section(SectionLine(begin_mm=sheet.backproject_to_mm(pixel[1], pixel[0]), end_mm=(0.0, 0.0)))
     canvas = window.window.columns["target_depth"].view.canvas
     qtbot.waitUntil(lambda: canvas.line is not None, timeout=3000)
@@ -139,7 +139,7 @@ def test_the_same_place_of_the_touch_lies_under_the_line_in_both_sensors(window,
     assert off_mm < 0.5  # the touch is that deep, and seen aslant
 
 
-def test_a_drag_lays_it_and_moves_an_end_while_other_drags_move_the_picture(window, qtbot):
+def test_a_drag_draws_the_line_or_moves_an_end_and_others_pan(window, qtbot):
     _on(window, qtbot)
     canvas = window.window.columns["touch_depth"].view.canvas
     places = [
@@ -170,7 +170,7 @@ def test_a_drag_lays_it_and_moves_an_end_while_other_drags_move_the_picture(wind
     assert (window.undo_stack.index(), window.section) == (index, line)  # no step of undo
 
 
-def test_numbers_lay_it_and_a_session_keeps_it_but_undo_does_not(window, qtbot, tmp_path):
+def test_the_line_is_set_by_numbers_and_saved_but_not_undone(window, qtbot, tmp_path):
     panel = _on(window, qtbot)
     for box, value in zip(panel.ends, (-2.0, 1.5, 3.25, -1.0), strict=True):
         box.setValue(value)
@@ -207,7 +207,7 @@ def test_a_curve_has_gaps_and_its_axes_round_numbers():
     assert compute_ticks(1.0, 1.0, 2) == []
 
 
-def test_a_low_plot_has_its_whole_label_and_a_scale(qtbot, monkeypatch):
+def test_a_low_plot_has_a_label_and_a_scale(qtbot, monkeypatch):
     said = []
 
     class Heard(QPainter):
@@ -221,10 +221,10 @@ def test_a_low_plot_has_its_whole_label_and_a_scale(qtbot, monkeypatch):
     plot.resize(900, plot.minimumHeight())
     line = SectionLine(begin_mm=(0.0, 0.0), end_mm=(10.0, 0.0))
     along = np.linspace(0.0, 10.0, 50)
-    felt = cross_section.HeightProfile(
+    profile = cross_section.HeightProfile(
         name="touch_depth", title="Felt", place="target", heights_mm=0.05 * along**2 - 0.1
     )
-    plot.show_section(cross_section.CrossSection(line=line, along_mm=along, profiles=(felt,)))
+    plot.show_section(cross_section.CrossSection(line=line, along_mm=along, profiles=(profile,)))
     plot.grab()
     assert all(wide <= room for _, wide, room in said)
     numbers = [text for text, _, room in said if room < 50]

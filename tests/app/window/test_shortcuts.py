@@ -29,7 +29,7 @@ def press(bubble_window, qtbot):
     return one
 
 
-def test_arrow_keys_move_the_traced_pixel_from_picture_to_picture(bubble_window, press, qtbot):
+def test_arrow_keys_move_the_probe_and_tab_changes_the_image(bubble_window, press, qtbot):
     window, frame = bubble_window.window, bubble_window.session.frame
     press(_Key.Key_P)
     source = window.columns["source"].view
@@ -82,16 +82,16 @@ def test_arrow_keys_move_the_section_line_and_either_end(bubble_window, press, q
     assert bubble_window.session.frame == 2
 
 
-def test_a_button_that_was_come_to_by_tab_keeps_space_and_enter(qtbot):
+def test_a_button_focused_by_tab_keeps_space_and_enter(qtbot):
     window = QMainWindow()
     qtbot.addWidget(window)
-    button, told = QPushButton("one", window), []
+    button, events = QPushButton("one", window), []
     window.setCentralWidget(button)
     play = QAction("play", window)
     play.setShortcut("Space")
-    play.triggered.connect(lambda: told.append("play"))
+    play.triggered.connect(lambda: events.append("play"))
     window.addAction(play)
-    button.clicked.connect(lambda: told.append("button"))
+    button.clicked.connect(lambda: events.append("button"))
     KeyboardFocusFilter(window)
     window.show()
     window.activateWindow()
@@ -103,7 +103,7 @@ def test_a_button_that_was_come_to_by_tab_keeps_space_and_enter(qtbot):
     button.clearFocus()
     button.setFocus(Qt.FocusReason.TabFocusReason)
     qtbot.keyClick(button, _Key.Key_Return)
-    assert told == ["button", "play", "button"]
+    assert events == ["button", "play", "button"]
 
 
 def test_tab_reaches_every_control_and_tabs_keep_their_keys(bubble_window, press, qtbot):
@@ -135,7 +135,7 @@ def test_tab_reaches_every_control_and_tabs_keep_their_keys(bubble_window, press
     assert bubble_window.session.frame == frame - 1
 
 
-def test_the_wipe_goes_by_keys_and_the_alignment_is_typed(bubble_window, press, qtbot):
+def test_wipe_and_alignment_work_by_keyboard(bubble_window, press, qtbot):
     window = bubble_window.window
     view = window.columns["source"].view
     press(_Key.Key_P)

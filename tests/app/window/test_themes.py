@@ -23,7 +23,7 @@ def as_before(qapp):
     QApplication.setPalette(before)
 
 
-def test_a_theme_is_chosen_by_a_command_and_remembered(open_window, qtbot):
+def test_a_theme_is_chosen_by_a_command_and_saved(open_window, qtbot):
     window = open_window().window
     for name, dark in (("dark", True), ("light", False)):
         window.actions_by_name[f"theme_{name}"].trigger()
@@ -33,7 +33,7 @@ def test_a_theme_is_chosen_by_a_command_and_remembered(open_window, qtbot):
     assert window.actions_by_name["theme_dark"] in window.menus["View"].actions()
 
 
-def test_what_is_remembered_wrongly_is_the_systems(qapp, remembered_here):
+def test_an_invalid_saved_theme_falls_back_to_system(qapp, remembered_here):
     kept = Preferences()
     kept.theme = "mauve"  # pyright: ignore[reportAttributeAccessIssue]
     assert kept.theme == "system"
@@ -50,7 +50,7 @@ def test_the_systems_theme_is_followed(qapp, monkeypatch, scheme):
     assert QApplication.palette() == make_palette(dark=scheme == Qt.ColorScheme.Dark)
 
 
-def test_captions_and_trace_change_their_inks(bubble_window, qtbot):
+def test_captions_and_trace_follow_the_theme(bubble_window, qtbot):
     window = bubble_window.window
     bubble_window.probe.toggle_pin("target_depth", 60, 80)
     bubble_window.probe.draw_pending()
@@ -63,26 +63,26 @@ def test_captions_and_trace_change_their_inks(bubble_window, qtbot):
 
 
 @pytest.mark.gl
-def test_3d_views_stand_on_the_ground_of_the_theme(open_window, touch_file, qtbot):
-    instrument = open_window(touch_file, gl=True, target="gelslim", frame=2)
-    assert wait_until_shown(instrument, LIMIT_S)
-    scene = instrument.views
+def test_3d_views_have_the_background_of_the_theme(open_window, touch_file, qtbot):
+    controller = open_window(touch_file, gl=True, target="gelslim", frame=2)
+    assert wait_until_shown(controller, LIMIT_S)
+    scene = controller.views
     qtbot.waitUntil(lambda: hasattr(scene.scene, "drawn"), timeout=LIMIT_S * 1000)
     for name in ("dark", "light"):
-        instrument.window.actions_by_name[f"theme_{name}"].trigger()
+        controller.window.actions_by_name[f"theme_{name}"].trigger()
         ground = get_theme_colours(make_palette(dark=name == "dark")).backdrop
-        view = instrument.window.view_panels["cloud"].view
+        view = controller.window.view_panels["cloud"].view
         qtbot.waitUntil(lambda: view.image.pixelColor(2, 2).getRgb()[:3] == ground, timeout=5000)  # noqa: B023
 
 
 @pytest.mark.gl
 @pytest.mark.parametrize(("size", "least"), [((1600, 950), (215, 160)), ((1366, 768), (180, 135))])
-def test_pictures_get_the_room(open_window, touch_file, qtbot, size, least):
+def test_images_get_the_room(open_window, touch_file, qtbot, size, least):
     """Every slot side by side, pictures over 3D views; no view so tall that it is mostly ground."""
-    instrument = open_window(touch_file, gl=True, target="gelslim", frame=2)
-    window = instrument.window
+    controller = open_window(touch_file, gl=True, target="gelslim", frame=2)
+    window = controller.window
     window.resize(*size)
-    assert wait_until_shown(instrument, LIMIT_S)
+    assert wait_until_shown(controller, LIMIT_S)
 
     def settled() -> bool:
         strip, rows = window.timeline.errors, window.rows

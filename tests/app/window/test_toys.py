@@ -30,7 +30,7 @@ def shown(window) -> list[str]:
     return [name for name, column in window.columns.items() if not column.isHidden()]
 
 
-def test_the_window_shows_a_toy_route_and_goes_back(toys):
+def test_the_window_shows_a_custom_route(toys):
     window = toys.window
     assert shown(window) == ["source", "brightness", "touch", "touch_depth", "pose"]
     assert np.ptp(window.columns["brightness"].view.preview.pixels) > 0
@@ -42,7 +42,7 @@ def test_the_window_shows_a_toy_route_and_goes_back(toys):
     assert shown(window) == ["source", "depth", "cloud", "target_depth", "touch", "touch_depth", "pose"]
 
 
-def test_a_method_is_chosen_in_its_column_undone_and_kept_in_the_session(toys, tmp_path):
+def test_a_method_choice_is_undoable_and_saved(toys, tmp_path):
     window = toys.window
     toys.change("choose route", route="t2d2")
     box = window.columns["touch_depth"]._method

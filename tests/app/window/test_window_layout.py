@@ -18,7 +18,7 @@ def _shown_px(view) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize("size", ROOMS)
-def test_every_picture_has_its_room(bubble_window, qtbot, size):
+def test_every_image_has_its_room(bubble_window, qtbot, size):
     window = bubble_window.window
     window.resize(*size)
     # The width a column has, and no more height than that asks for.
@@ -34,7 +34,7 @@ def test_every_picture_has_its_room(bubble_window, qtbot, size):
     qtbot.waitUntil(roomy, timeout=3000)
 
 
-def test_a_drawer_below_leaves_the_pictures_of_a_small_window_nearly_their_room(bubble_window, qtbot):
+def test_a_bottom_drawer_leaves_room_for_images_in_a_small_window(bubble_window, qtbot):
     window = bubble_window.window
     window.resize(1366, 768)
     window.drawers.diagnostics.toggleViewAction().trigger()
@@ -53,7 +53,7 @@ def test_a_drawer_below_leaves_the_pictures_of_a_small_window_nearly_their_room(
     qtbot.waitUntil(lambda: all(column._word.isVisible() for column in window.columns.values()), timeout=3000)
 
 
-def test_captions_under_3d_views_are_told_as_fully_as_there_is_room(bubble_window, qtbot):
+def test_captions_under_3d_views_shorten_with_the_room(bubble_window, qtbot):
     window = bubble_window.window
     caption = window.view_panels["depth"].caption
     window.resize(1900, 1000)
@@ -68,7 +68,7 @@ def test_captions_under_3d_views_are_told_as_fully_as_there_is_room(bubble_windo
     assert "frame" in caption.toolTip()
 
 
-def test_the_row_is_no_higher_than_its_neediest_column(bubble_window, qtbot):
+def test_the_row_is_as_high_as_its_highest_column(bubble_window, qtbot):
     """All pictures fill their width, and one of them its height too: a note under it takes room of its own."""
     bubble_window.window.resize(1600, 950)
 
@@ -80,7 +80,7 @@ def test_the_row_is_no_higher_than_its_neediest_column(bubble_window, qtbot):
     qtbot.waitUntil(snug, timeout=3000)
 
 
-def test_drawers_are_closed_at_first_and_open_by_rail_and_key(bubble_window, qtbot):
+def test_drawers_start_closed_and_open_by_rail_and_key(bubble_window, qtbot):
     window = bubble_window.window
     drawers = window.drawers
     assert not any(drawer.isVisible() for drawer in drawers.all_drawers)
@@ -107,7 +107,7 @@ def test_a_window_that_fills_a_small_screen_does_not_grow_with_its_drawers(bubbl
         assert window.size() == small, drawer.objectName()
 
 
-def test_a_dragged_handle_stays_where_it_was_put(bubble_window):
+def test_a_dragged_splitter_keeps_its_place(bubble_window):
     rows = bubble_window.window.rows
     rows.fit_sizes()
     before = rows.sizes()[0]
@@ -123,7 +123,7 @@ def test_the_window_is_no_larger_than_its_screen(open_window):
     assert window.height() <= available.height()
 
 
-def test_the_trace_is_told_with_every_drawer_closed(bubble_window, qtbot):
+def test_the_trace_is_visible_with_every_drawer_closed(bubble_window, qtbot):
     window = bubble_window.window
     window.columns["depth"].pixel_hovered.emit("depth", 5, 5)
     qtbot.waitUntil(lambda: bool(window.trace.text), timeout=3000)
@@ -132,7 +132,7 @@ def test_the_trace_is_told_with_every_drawer_closed(bubble_window, qtbot):
 
 
 @pytest.mark.parametrize("height", [768, 950, 1440])
-def test_errors_take_no_more_than_an_eighth_of_the_window(bubble_window, qtbot, height):
+def test_the_error_strip_is_at_most_an_eighth_of_the_window(bubble_window, qtbot, height):
     window = bubble_window.window
     window.show()
     window.resize(round(16 / 9 * height), height)

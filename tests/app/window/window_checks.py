@@ -28,18 +28,18 @@ PATIENCE_S = 20.0  # before what goes on is cancelled
 REST_S = 120.0  # seeds, sweeps and a scan of all frames may go on; on a busy machine they take their time
 SETTLED_S = 20.0
 _WALKED = (np.ndarray, QImage, Mapping, tuple, list)
-_FILLED = ("computed", "cached", "unchanged", "read", "doubtful")
+_FILLED = ("computed", "cached", "unchanged", "read", "warning")
 
 
 class Watched:
     """Looks after one window; `complain` is told what is wrong."""
 
-    def __init__(self, instrument: SessionController, complain: Callable[[str], None]) -> None:
-        self._instrument, self._window, self._complain = instrument, instrument.window, complain
+    def __init__(self, controller: SessionController, complain: Callable[[str], None]) -> None:
+        self._instrument, self._window, self._complain = controller, controller.window, complain
         self.memory_mb: list[tuple[float, float, float]] = []  # seconds, of the process, of that kept on purpose
         self.solids_drawn = self.panes_looked_at = self.n_cancelled = 0
         self._begun_s = time.monotonic()
-        for job in instrument.findChildren(LatestJob):
+        for job in controller.findChildren(LatestJob):
             job.failed.connect(self._failed)
         logging.getLogger("tactoscope").addHandler(_Errors(complain))
 

@@ -10,23 +10,21 @@ from app.session.state import Session
 from app.work import evaluator
 
 
-class Unheard:
-    """A report that nobody reads."""
+class SilentReporter:
+    """A reporter that drops everything."""
 
     def step(self, fraction: float, text: str) -> None:
         """Do nothing."""
 
-    def hand_over(self, part: object) -> None:
+    def deliver(self, part: object) -> None:
         """Do nothing."""
 
 
-def test_memory_is_given_back_after_every_frame_that_is_worked_out_anew(
-    touch_file: Path, monkeypatch: pytest.MonkeyPatch
-):
-    given_back: list[int] = []
-    monkeypatch.setattr(evaluator, "release_free_memory", lambda: given_back.append(shown))
+def test_memory_is_released_after_every_computed_frame(touch_file: Path, monkeypatch: pytest.MonkeyPatch):
+    released: list[int] = []
+    monkeypatch.setattr(evaluator, "release_free_memory", lambda: released.append(shown))
     asked = evaluator.Evaluator()
     for shown in (1, 2, 1, 2):
-        asked.evaluate_frame(Session(recording=touch_file, target="gelslim", frame=shown), ("depth",), Unheard())  # pyright: ignore[reportArgumentType]
+        asked.evaluate_frame(Session(recording=touch_file, target="gelslim", frame=shown), ("depth",), SilentReporter())  # pyright: ignore[reportArgumentType]
     asked.close()
-    assert given_back == [1, 2]
+    assert released == [1, 2]

@@ -39,7 +39,7 @@ def test_a_runtime_error_is_delivered_like_any_other(job, qtbot):
     assert isinstance(signal.args[1], RuntimeError)
 
 
-def test_the_lane_goes_on_after_an_error(job, qtbot):
+def test_a_job_runs_after_one_that_failed(job, qtbot):
     with qtbot.waitSignal(job.failed, timeout=SOON_MS):
         job.submit(lambda _report: 1 // 0)
     with qtbot.waitSignal(job.finished, timeout=SOON_MS) as signal:
@@ -77,7 +77,7 @@ def test_newer_work_interrupts_older_work(job, qtbot):
     assert signal.args[1] == "new"
 
 
-def test_patient_work_lets_the_running_one_finish(job, qtbot):
+def test_a_job_without_interrupt_lets_the_running_one_finish(job, qtbot):
     begun, go = threading.Event(), threading.Event()
     got: list[str] = []
     job.finished.connect(lambda _ticket, value: got.append(value))
@@ -94,7 +94,7 @@ def test_patient_work_lets_the_running_one_finish(job, qtbot):
     qtbot.waitUntil(lambda: got == ["first", "second"], timeout=SOON_MS)
 
 
-def test_parts_arrive_before_the_whole(job, qtbot):
+def test_parts_arrive_before_the_result(job, qtbot):
     order: list[object] = []
     job.delivered.connect(lambda _ticket, part: order.append(part))
     job.finished.connect(lambda _ticket, value: order.append(value))
@@ -114,10 +114,10 @@ def test_nothing_runs_after_closing(qtbot):
     assert not job.is_busy
 
 
-def test_compiling_is_said_at_the_fraction_that_was_reached(job, qtbot):
+def test_compiling_is_reported_at_the_current_fraction(job, qtbot):
     """A kernel that is compiled at its first call is reported at once, however recent the last report is."""
-    told: list[tuple[float, str]] = []
-    job.progressed.connect(lambda _ticket, fraction, text: told.append((fraction, text)))
+    reports: list[tuple[float, str]] = []
+    job.progressed.connect(lambda _ticket, fraction, text: reports.append((fraction, text)))
 
     def works(report: JobReporter) -> None:
         report.step(0.25, "pose")
@@ -125,27 +125,27 @@ def test_compiling_is_said_at_the_fraction_that_was_reached(job, qtbot):
 
     with qtbot.waitSignal(job.finished, timeout=SOON_MS):
         job.submit(works)
-    assert told[0] == (0.25, "pose")
-    assert told[1][0] == 0.25
-    assert told[1][1].startswith("compiling kernels")
+    assert reports[0] == (0.25, "pose")
+    assert reports[1][0] == 0.25
+    assert reports[1][1].startswith("compiling kernels")
 
 
-def test_it_is_quiet_only_once_the_end_was_told(job, qtbot):
+def test_a_job_is_settled_once_its_end_was_received(job, qtbot):
     """Work that is done is not yet heard of: what it found waits in the queue of the window's thread."""
     got: list[object] = []
     job.finished.connect(lambda _ticket, value: got.append(value))
     assert job.is_settled
     job.submit(lambda _report: 7)
-    while job.busy:  # no event is taken meanwhile
+    while job.is_busy:  # no event is taken meanwhile
         time.sleep(0.001)
     assert (job.is_settled, got) == (False, [])
     qtbot.waitUntil(lambda: job.is_settled, timeout=SOON_MS)
     assert got == [7]
 
 
-def test_work_that_outlives_its_window_ends_in_silence(qapp, monkeypatch):
-    told = []
-    monkeypatch.setattr(threading, "excepthook", told.append)
+def test_a_job_that_outlives_its_window_ends_silently(qapp, monkeypatch):
+    reports = []
+    monkeypatch.setattr(threading, "excepthook", reports.append)
     job, begun, go_on = LatestJob("late"), threading.Event(), threading.Event()
 
     def late(_report):
@@ -160,4 +160,4 @@ def test_work_that_outlives_its_window_ends_in_silence(qapp, monkeypatch):
     go_on.set()
     thread.join(10)
     assert not thread.is_alive()
-    assert told == []
+    assert reports == []

@@ -18,13 +18,13 @@ def place(sessions, at, opened, failing=()):
     )
 
 
-def test_the_nearest_that_is_open_is_gone_back_to():
+def test_the_nearest_open_session_is_the_undo_target():
     assert place([A, B, A, BAD], 3, [A]) == 2
     assert place([BAD, B, A], 0, [A]) == 2  # it was undone too far
     assert place([NOTHING, BAD], 1, [NOTHING]) == 0
 
 
-def test_where_none_is_open_the_nearest_before_is_tried_that_did_not_fail():
+def test_without_an_open_session_the_nearest_earlier_untried_one_is_the_target():
     assert place([A, B, BAD, BAD], 3, [C], [BAD]) == 1
     assert place([A, B, BAD], 2, [C], [B, BAD]) == 0
     assert place([NOTHING, B, BAD], 2, [C], [B, BAD]) is None
