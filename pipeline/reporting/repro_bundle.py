@@ -46,7 +46,7 @@ _WORDS = ("source", "target", "stream", "route", "mesh_unit", "depth_unit")
 _FILES = ("recording", "mesh", "calibration", "alignment")
 
 
-@dataclass(frozen=True, stages=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class StageAgreement:
     """Agreement of one stage of a replayed bundle with the recorded result."""
 
@@ -58,7 +58,7 @@ class StageAgreement:
     worst_array: str  # that differs most
 
 
-@dataclass(frozen=True, stages=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ReplayResult:
     """Result of a replayed bundle."""
 

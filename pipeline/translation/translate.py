@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from pipeline.geometry.symmetry import Symmetry
 
 
-@dataclass(frozen=True, stages=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Request:
     """What to translate into what; the empty string and None mean the recording's own."""
 
@@ -54,7 +54,7 @@ class Request:
     offsets: Offsets = field(default_factory=Offsets)  # offsets from that alignment
 
 
-@dataclass(frozen=True, stages=True, kw_only=True, eq=False)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Translation:
     """Everything that the methods read, for every frame of one stream."""
 
@@ -69,9 +69,7 @@ class Translation:
     notes: tuple[str, ...] = field(default=())
     symmetry: Symmetry | None = None  # of `mesh`; None = not known
     catalogue: Catalogue = BUILT_IN
-    load_context_images: Callable[[], tuple[Image, ...]] = (
-        tuple  # loader of context images of the source's sensor instance
-    )
+    load_context_images: Callable[[], tuple[Image, ...]] = tuple  # of the source's sensor instance
 
     @property
     def n_frames(self) -> int:
