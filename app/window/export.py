@@ -17,9 +17,9 @@ from app.window.autosave import AutosaveController
 from app.window.background_controller import BackgroundController
 from app.window.session_controller import SessionController
 from app.window.sweep import SweepController
-from app.work.comparison_command import format_compare_command
 from app.work.jobs import JobFunction
 from app.work.requests import make_request
+from app.work.variants import format_compare_command
 from pipeline.base.errors import TouchError
 from pipeline.base.text import escape_text
 from pipeline.reporting.export_request import SHEET, SOURCE, ExportRequest, PaneContent, format_command, format_settings

@@ -21,11 +21,11 @@ def test_only_what_results_depend_on_is_listed():
         params={method.key: replace(method.params(), stride=4)}, cameras_linked=False,
     )  # fmt: skip
     assert describe_differences(ONE, other, BUILT_IN) == (
-        "recording: one.h5 | two.h5", "alignment offsets differ", "cloud.stride: 1 | 4", "target_depth: Surface | Paper",
+        "recording: one.h5 | two.h5", "alignment offsets differ", "cloud.stride: 1 | 4", "target_depth: Surface | Point splat (paper)",
     )  # fmt: skip
 
 
-def test_equal_settings_differ_in_nothing_and_a_route_lacks_slots():
+def test_equal_settings_do_not_differ_and_missing_stages_are_listed():
     assert describe_differences(ONE, replace(ONE, frame=9), BUILT_IN) == ()
     texts = describe_differences(ONE, replace(ONE, route="t2t"), BUILT_IN)
     assert any(t.startswith("depth: ") and t.endswith("| nothing") for t in texts)
