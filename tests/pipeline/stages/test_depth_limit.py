@@ -18,7 +18,7 @@ from pipeline.values.frames import TactileFrame
 from tests.pipeline.stages.test_t2d2_t2t import ConstantDenoiser
 
 GEL, BUBBLE = load_sensor("gelslim"), load_sensor("soft_bubble")
-DEEPEST_MM = 5.4  # of a GelSlim's 1.5 mm, beside which the bubble stands 3.9 mm nearer
+DEEPEST_MM = 5.4  # of a GelSlim's 1.5 mm, and the bubble camera is 3.9 mm nearer
 
 
 def imprint(deep_mm):
@@ -39,9 +39,9 @@ def test_only_touches_beyond_the_limit_have_a_warning(deep_mm, by_mm, has_warnin
 
 def test_objects_outside_the_view_and_gel_images_have_no_warning():
     touch, stand = imprint(0.0), alignment.resolve_alignment(GEL, BUBBLE)
-    beside = np.array(touch.image)
-    beside[:20] -= 13.0
-    assert check_depth_limit(replace(touch, image=beside), GEL, BUBBLE, stand) == ()
+    outside_view = np.array(touch.image)
+    outside_view[:20] -= 13.0
+    assert check_depth_limit(replace(touch, image=outside_view), GEL, BUBBLE, stand) == ()
     assert (
         check_depth_limit(make_touch_from_change(GEL, np.ones((*GEL.camera.shape, 3), np.float32)), BUBBLE, GEL, stand)
         == ()

@@ -84,10 +84,10 @@ def test_a_bubble_covers_the_object_up_to_its_edge(side_mm):
     )
     with np.errstate(invalid="ignore"):
         view = view_of(spec, seen < spec.rest_depth_mm, np.nan_to_num(spec.rest_depth_mm - seen))
-    felt = render_touch(view, spec, PhysicalRenderParams()).membrane
-    assert (felt.depth_mm <= np.where(view.contact, view.depth_mm, np.inf) + 1e-4).all(), "through the object"
+    membrane = render_touch(view, spec, PhysicalRenderParams()).membrane
+    assert (membrane.depth_mm <= np.where(view.contact, view.depth_mm, np.inf) + 1e-4).all(), "through the object"
     assert view.contact.sum() > 100
-    assert np.abs(felt.indentation_mm - truth.indentation_mm)[view.contact].mean() < 0.03
+    assert np.abs(membrane.indentation_mm - truth.indentation_mm)[view.contact].mean() < 0.03
 
 
 def test_a_bubble_is_slack_over_the_points_and_free_elsewhere():

@@ -136,13 +136,13 @@ def test_keeping_steps_does_not_change_the_pose():
 def test_the_step_history_begins_at_a_start():
     touch = observe_depth(notched_wedge(), lying(0.3, 0.2, 0.8, 2.0, 30.0))
     found = estimate_pose(touch, notched_wedge().mesh, PoseParams(keep_steps=True))
-    told = step_history.summarise_steps(found)
+    result = step_history.summarise_steps(found)
     first, last = found.steps[0], found.steps[-1]
     assert first.rmse_mm > 3 * last.rmse_mm, "a first guess lies farther off than the answer"
     assert (first.max_correspondence_mm, last.max_correspondence_mm) == (2.0, 0.5)
-    assert all(len(curve.values) == len(found.steps) == len(told.descriptions) for curve in told.curves)
-    assert told.phase_starts, "the search reaches farther than the registration after it"
-    assert found.stop_reason in told.stop_reason
+    assert all(len(curve.values) == len(found.steps) == len(result.descriptions) for curve in result.curves)
+    assert result.phase_starts, "the search reaches farther than the registration after it"
+    assert found.stop_reason in result.stop_reason
     assert step_history.summarise_steps(estimate_pose(touch, notched_wedge().mesh, PoseParams())) is None
 
 
@@ -231,21 +231,21 @@ def test_covariance_is_that_of_repeated_noisy_measurements():
     arms = points - points.mean(axis=0)
     jacobian = np.concatenate([np.cross(arms, normals), normals], axis=1)
     solved = np.linalg.lstsq(jacobian, NOISE_MM * rng.standard_normal((400, 4000)), rcond=None)[0]
-    told = assess_observability(points, normals, points.mean(axis=0), NOISE_MM)
-    np.testing.assert_allclose(np.sqrt(np.diag(told.covariance)), solved.std(axis=1), rtol=0.06)  # 4000 draws: 1 %
-    np.testing.assert_allclose(told.observable, np.eye(6), atol=1e-12)
-    assert told.weak_directions == ()
+    result = assess_observability(points, normals, points.mean(axis=0), NOISE_MM)
+    np.testing.assert_allclose(np.sqrt(np.diag(result.covariance)), solved.std(axis=1), rtol=0.06)  # 4000 draws: 1 %
+    np.testing.assert_allclose(result.observable, np.eye(6), atol=1e-12)
+    assert result.weak_directions == ()
 
 
 def test_a_sphere_patch_rolls_in_three_ways():
     rng = np.random.default_rng(4)
     normals = rng.standard_normal((500, 3)) * 0.2 + (0.0, 0.0, -1.0)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    told = assess_observability(5.0 * normals, normals, 5.0 * normals.mean(axis=0), NOISE_MM)
-    assert len(told.weak_directions) == 3
-    np.testing.assert_allclose(told.observable @ told.observable, told.observable, atol=1e-9)
+    result = assess_observability(5.0 * normals, normals, 5.0 * normals.mean(axis=0), NOISE_MM)
+    assert len(result.weak_directions) == 3
+    np.testing.assert_allclose(result.observable @ result.observable, result.observable, atol=1e-9)
     turn_about_centre = np.concatenate([np.eye(3)[0], np.cross(np.eye(3)[0], 5.0 * normals.mean(axis=0))])
-    assert np.abs(told.observable @ turn_about_centre).max() < 0.05
+    assert np.abs(result.observable @ turn_about_centre).max() < 0.05
 
 
 def test_equally_good_rotated_poses_are_reported():
@@ -339,13 +339,13 @@ def test_light_contact_within_the_depth_error_does_not_reject_a_pose():
     assert 0.1 < light.sum() / touch.contact.sum() < 0.6
     depth = touch.depth_mm + np.where(light, np.float32(0.08), np.float32(0.0))
     lost = replace(touch, depth_mm=depth, contact=touch.contact & ~light)
-    told, exact = (
+    result, exact = (
         extract_scene(replace(lost, error=error), 1500, 0)
         for error in (DepthErrorModel(rms_mm=0.05, correlation_mm=1.0), None)
     )
     plate = prepare_object(slab().mesh, 0)
     told_mm, exact_mm = (
-        make_judge(scene, plate.grid, plate.model, 750, 15_000, 2.0).misfit_mm([truth])[0] for scene in (told, exact)
+        make_judge(scene, plate.grid, plate.model, 750, 15_000, 2.0).misfit_mm([truth])[0] for scene in (result, exact)
     )
     assert told_mm < 0.05
     assert exact_mm > 0.3, "where depth is exact, what is not felt is not there"
@@ -355,20 +355,20 @@ def test_a_generated_touch_counts_by_its_expected_error():
     """The network missed half of a wedge's sides; the wedge sticks out there within the predicted error."""
     truth = lying(0.3, 0.2, 0.8, 2.0, 30.0)
     touch = observe_depth(notched_wedge(), truth)
-    beside = ~touch.contact & (np.arange(touch.contact.shape[1]) > touch.contact.shape[1] // 2)
+    outside_contact = ~touch.contact & (np.arange(touch.contact.shape[1]) > touch.contact.shape[1] // 2)
     wrong = replace(
-        touch, depth_mm=touch.depth_mm + np.where(beside, np.float32(0.4), np.float32(0.0)),
+        touch, depth_mm=touch.depth_mm + np.where(outside_contact, np.float32(0.4), np.float32(0.0)),
         contact=touch.contact, in_view=np.ones_like(touch.contact), is_generated=True,
     )  # fmt: skip
-    unsure = np.where(beside, np.float32(0.2), np.float32(0.001))
+    unsure = np.where(outside_contact, np.float32(0.2), np.float32(0.001))
     wedge = prepare_object(notched_wedge().mesh, 0)
 
     def misfit_mm(felt_touch):
         scene = extract_scene(felt_touch, 1500, 0)
         return make_judge(scene, wedge.grid, wedge.model, 750, 15_000, 2.0).misfit_mm([truth])[0]
 
-    silent, told = misfit_mm(wrong), misfit_mm(replace(wrong, expected_error_mm=unsure))
-    assert told < 0.6 * silent
+    silent, result = misfit_mm(wrong), misfit_mm(replace(wrong, expected_error_mm=unsure))
+    assert result < 0.6 * silent
     recorded = replace(wrong, is_generated=False, expected_error_mm=unsure)
     assert misfit_mm(recorded) == silent, "a recording has an error of its own"
 

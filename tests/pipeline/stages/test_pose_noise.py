@@ -35,11 +35,11 @@ def touch(name, seed, white_mm, error):
         waves = gaussian_filter(rng.standard_normal(depth.shape), error.correlation_mm / PIXEL_MM / np.sqrt(2.0))
         depth = depth + error.rms_mm * waves / waves.std()
     depth = depth.astype(np.float32)
-    felt = DepthMap(
+    depth_map = DepthMap(
         indentation_mm=np.float32(REST_MM) - depth, depth_mm=depth, contact=contact, camera=CAMERA,
         source_index=make_pixel_index(CAMERA.shape), error=error,
     )  # fmt: skip
-    return felt, mesh, truth
+    return depth_map, mesh, truth
 
 
 def off_by(pose, truth, middle):
@@ -60,10 +60,10 @@ def off_by(pose, truth, middle):
 def test_the_covariance_is_that_of_poses_from_depth_with_modelled_noise(name, error, least):
     found = []
     for seed in range(N_TOUCHES):
-        felt, mesh, truth = touch(name, seed, 0.02 if error is None else 0.005, error)
-        told = track_pose(felt, mesh, PARAMS, truth)
-        off = off_by(told.sensor_from_object, truth, told.scene_mm.mean(axis=0).astype(float))
-        off, known = told.observable @ off, told.observable @ told.covariance @ told.observable.T
-        found.append(off @ np.linalg.pinv(known, rcond=1e-10) @ off / round(float(np.trace(told.observable))))
+        depth_map, mesh, truth = touch(name, seed, 0.02 if error is None else 0.005, error)
+        pose = track_pose(depth_map, mesh, PARAMS, truth)
+        off = off_by(pose.sensor_from_object, truth, pose.scene_mm.mean(axis=0).astype(float))
+        off, known = pose.observable @ off, pose.observable @ pose.covariance @ pose.observable.T
+        found.append(off @ np.linalg.pinv(known, rcond=1e-10) @ off / round(float(np.trace(pose.observable))))
     # Chi-square over its degrees of freedom: 24 times some six tell its mean to 12 %.
     assert least < np.mean(found) < 2.0

@@ -237,10 +237,10 @@ def test_an_omitted_grazing_surface_still_hides_what_is_behind(tilt_deg, grazing
     assert np.abs(view.depth_mm - front_mm)[shown].max(initial=0.0) < 1e-4  # float32 at 50 mm
     kept = tilt_deg + np.rad2deg(np.arctan(np.hypot(x.max(), y.max()))) < grazing_deg - 1.0
     assert not kept or shown.sum() == inside.sum()
-    beside = np.isfinite(view.depth_mm[:, :2]).mean()  # the level sheet alone, and it is there
+    level_share = np.isfinite(view.depth_mm[:, :2]).mean()  # the level sheet alone, and it is there
     reached = np.abs(along[:2]).min() < 10.3  # by the front and its rim
     left_out = tilt_deg + np.rad2deg(np.arctan(np.hypot(x.max(), y.max()))) > grazing_deg
-    assert beside == 1.0 or grazing_deg < 30.0 or (reached and left_out)
+    assert level_share == 1.0 or grazing_deg < 30.0 or (reached and left_out)
 
 
 def test_pixels_hidden_by_an_omitted_surface_are_noted():

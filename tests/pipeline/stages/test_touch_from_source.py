@@ -56,9 +56,9 @@ def inputs(frame, **more):
     }  # fmt: skip
 
 
-def run(frame, weights, slot="touch"):
+def run(frame, weights, stage="touch"):
     graph = Graph(BUILT_IN.methods("t2d2", {"touch": "vqvae"}))
-    return graph.evaluate([slot], inputs(frame, touch_weights=weights), {})
+    return graph.evaluate([stage], inputs(frame, touch_weights=weights), {})
 
 
 def test_an_image_only_touch_has_its_depth_from_the_image(contact_frame):
@@ -170,11 +170,11 @@ def test_a_network_pose_stands_on_the_measured_surface(contact_frame):
     weights = weights_of("touch_pose", "touch_pose", inputs=1, n_objects=2, base_channels=4)
     graph = Graph(BUILT_IN.methods("t2d2", {"pose": "network"}))
     found = graph.evaluate(["pose"], inputs(contact_frame, mesh=mesh, pose_weights=weights), {})
-    pose, felt = found["pose"].output, found["touch_depth"].output
+    pose, touch_depth = found["pose"].output, found["touch_depth"].output
     placed = BUBBLE.alignment_from_sensor @ pose.sensor_from_object
     assert np.allclose(placed[:2, 3], (2.0, -1.0), atol=1e-5)
     lowest = rigid.apply(pose.sensor_from_object, mesh.vertices_mm)[:, 2].min()
-    assert lowest == pytest.approx(float(felt.depth_mm[felt.contact].min()), abs=0.01)
+    assert lowest == pytest.approx(float(touch_depth.depth_mm[touch_depth.contact].min()), abs=0.01)
     assert pose.notes == (pose_network.NOTE,)
 
 
