@@ -89,7 +89,7 @@ def test_source_warnings_are_passed_to_touches_without_depth(contact_frame):
                 any("red and blue look swapped" in warning for warning in run(frame, given)["touch"].warnings) is said
             )
     assert any(
-        "uncalibrated" in warning for warning in run(contact_frame, NoWeights(why="none are shipped"))["touch"].warnings
+        "calibrated" in warning for warning in run(contact_frame, NoWeights(why="none are shipped"))["touch"].warnings
     )
 
 
