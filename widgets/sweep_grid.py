@@ -216,12 +216,12 @@ class SweepPlot(_CellView):
 
     def cell_at(self, at: QPointF) -> CellIndex:
         """The cell of the nearest point; (-1, -1) = none nearby."""
-        near = {index: (self._point(index) - at).manhattanLength() for index in self._measured}
+        near = {index: (self._point(index) - at).manhattanLength() for index in self._computed_cells}
         best = min(near, key=near.__getitem__, default=(-1, -1))
         return best if best in near and near[best] < _NEAR_PX else (-1, -1)
 
     @property
-    def _measured(self) -> list[CellIndex]:
+    def _computed_cells(self) -> list[CellIndex]:
         return [index for index, c in self.cells.items() if math.isfinite(c.error) and math.isfinite(c.ms)]
 
     @property
@@ -231,8 +231,8 @@ class SweepPlot(_CellView):
 
     def _point(self, index: CellIndex) -> QPointF:
         frame, cell = self._frame, self.cells[index]
-        max_ms = max(self.cells[i].ms for i in self._measured) or 1.0
-        max_error = max(self.cells[i].error for i in self._measured) or 1.0
+        max_ms = max(self.cells[i].ms for i in self._computed_cells) or 1.0
+        max_error = max(self.cells[i].error for i in self._computed_cells) or 1.0
         x, y = cell.ms / (1.06 * max_ms), cell.error / (1.06 * max_error)
         return QPointF(frame.left() + x * frame.width(), frame.bottom() - y * frame.height())
 
@@ -245,7 +245,7 @@ class SweepPlot(_CellView):
         painter.drawLine(frame.bottomLeft(), frame.bottomRight())
         painter.drawLine(frame.bottomLeft(), frame.topLeft())
         painter.setPen(palette.color(QPalette.ColorRole.WindowText))
-        measured = self._measured
+        measured = self._computed_cells
         line = QFontMetrics(self.font()).height()
         title = f"error, {self.unit}" if self.unit else "error"
         painter.drawText(QRectF(0, 0, self.width(), line), Qt.AlignmentFlag.AlignCenter, title)
