@@ -1,10 +1,9 @@
-"""The paper's tables as Markdown, from what `tactoscope evaluate --json` wrote: one file a split, or one a direction.
+"""Format the results of `tactoscope evaluate --json` as the paper's tables in Markdown.
 
     python docs/make_tables.py FILE.json... > docs/tables/README.md
 
-Of several files the later one counts where both have a row; poses by several methods come together from all of them,
-distances of sets from the last that has any.
-The paper's own figures stand in brackets.
+Of several files with the same row the later one counts; poses of several methods are merged.
+The paper's own figures are in brackets.
 """
 
 from __future__ import annotations
@@ -17,35 +16,34 @@ from typing import Any
 
 HEAD = """# The paper's tables
 
-Simulated touches that nothing was taught on; the source is another unit than the described one, the target is as
-described. In brackets what the paper tells of real recordings of its own sensors: it shows what is hard, not who is
-better. Its FID is Inception's; ours is the Frechet distance on the features of earlier pose networks, kept for it,
-beside the distance of two halves of the true touches. Errors are of the target's membrane: over all, and where the
-target is really touched. Weights as they come along (fourteen minutes on a card, T2D2's some more); one step each,
-latent diffusion by 200 steps at 2.54; one machine of two cores, with several other programs at work, so that
-times compare rows of one transfer alone.
+Simulated touches outside the training set. The source is another sensor instance than the described one; the target
+is as described. Numbers in brackets are the paper's, from real recordings of its own sensors: they show what is hard,
+not who is better. The paper's FID uses Inception; ours is the Frechet distance on features of earlier pose networks,
+next to the distance between two halves of the true touches. Errors are of the target's membrane: over all pixels, and
+in the target's true contact. Shipped weights (14 minutes on one GPU, T2D2 somewhat more); one step each, latent
+diffusion 200 steps at 2.54. Times were taken on two cores with other programs running and compare rows of one
+transfer only.
 
-Poses are counted as the paper does: shift and turn in the sensor's plane, here at the contact and up to the object's
-own symmetry, mean and deviation over touches. The first two columns are by the network, in brackets the paper's; then
-by our registration and by point-to-plane ICP of Open3D on the touch's own surface, where they were taken. What a gel's
-picture does not hold nobody tells: a shift along an edge, a bar or a curve that fills it leaves it as it is.
+Poses are counted as in the paper: translation and rotation in the sensor plane, at the contact and up to the object's
+symmetry, mean and standard deviation over touches; first by the pose network (the paper's in brackets), then by our
+registration and by Open3D's point-to-plane ICP on the surface of the touch. A translation along an edge or bar that
+fills a gel's view is not observable.
 
-The VQ-VAE is shown the source where the target looks, reaches over the whole square and knows its place. As published
-(50 of 128 pixels around each place, squares of different size taken for each other) it lost to the mean touch in both
-directions, and used 58 and 3 of its 512 codes.
+The VQ-VAE gets the source reprojected to the target's view, dilated convolutions over the whole square, and a
+position bias. As published it lost to the mean touch in both directions, and used 58 and 3 of its 512 codes.
 
     tactoscope evaluate --split unseen_tools --grasps 4 --poses network --json tools.json
     tactoscope evaluate --split unseen_grasps --grasps 2 --poses network --json grasps.json
     tactoscope evaluate --split unseen_grasps --grasps 2 --poses signed_distances,icp --json registered.json
     python docs/make_tables.py registered.json tools.json grasps.json > docs/tables/README.md
 
-The files beside this page were made so, one direction after the other (`--direction`), all by the program and the
-weights of one day, but for the rows of latent diffusion and the VQ-VAE, a day older and not changed.
-What samples, steps and a few real pairs give is told in [samples.md](samples.md).
+The JSON files in this folder were made so, one direction at a time (`--direction`), with one version of program and
+weights; rows of latent diffusion and VQ-VAE are one day older. Samples, steps and a few real pairs:
+[samples.md](samples.md).
 """
 COLUMNS = (
     "transfer", "by", "PSNR, dB", "SSIM", "Frechet (floor; FID)", "error, mm", "in contact, mm", "IoU",
-    "corr. less mean", "shift, mm", "turn, deg", "registered: shift, mm; turn, deg", "ICP: shift, mm; turn, deg", "ms",
+    "correlation without mean", "translation, mm", "rotation, deg", "registered: mm; deg", "ICP: mm; deg", "ms",
 )  # fmt: skip
 SHORT = {"soft_bubble": "bubble", "gelslim": "GelSlim", "digit": "DIGIT", "gelsight_mini": "Mini"}
 
@@ -54,9 +52,9 @@ def main(files: list[str]) -> str:
     """The page."""
     tables: dict[str, dict[tuple[str, str, str], Mapping[str, Any]]] = {}
     for file in files:
-        told = json.loads(Path(file).read_text("utf-8"))
-        rows = tables.setdefault(told["split"], {})
-        for row in told["rows"]:
+        table = json.loads(Path(file).read_text("utf-8"))
+        rows = tables.setdefault(table["split"], {})
+        for row in table["rows"]:
             own = row["candidate"] in ("recorded", "no_contact", "mean")
             key = "" if own else row["source"], row["target"], row["candidate"]
             before = rows.get(key, {})
@@ -75,7 +73,7 @@ def main(files: list[str]) -> str:
     return "\n".join(parts)
 
 
-def _cells(source: str, target: str, contender: str, row: Mapping[str, Any]) -> list[str]:
+def _cells(source: str, target: str, candidate: str, row: Mapping[str, Any]) -> list[str]:
     figures, paper = row["metrics"], row["paper"] or {}
 
     def value(name: str, region: str = "all") -> str:
@@ -95,12 +93,12 @@ def _cells(source: str, target: str, contender: str, row: Mapping[str, Any]) -> 
         for name in ("translation_mm", "rotation_deg")
     )
     if paper:
-        shift, turn = f"{shift} ({paper['shift_mm'][0]:.2f})", f"{turn} ({paper['turn_deg'][0]:.2f})"
+        shift, turn = f"{shift} ({paper['translation_mm'][0]:.2f})", f"{turn} ({paper['rotation_deg'][0]:.2f})"
     others = (_both(row["pose_errors"].get(name)) for name in ("signed_distances", "icp"))
     way = SHORT[target] if not source else f"{SHORT[source]} > {SHORT[target]}"
     return [
         way,
-        row["title"] if not source else contender,
+        row["title"] if not source else candidate,
         format_with_paper(value("psnr_db"), "psnr_db"),
         format_with_paper(value("ssim"), "ssim"),
         frechet,

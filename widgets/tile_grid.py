@@ -41,7 +41,7 @@ class TileView(QFrame):
         self._subtitle.setWordWrap(True)
         self._subtitle.setAlignment(Qt.AlignmentFlag.AlignTop | Qt.AlignmentFlag.AlignLeft)
         self.view.set_caption_lines(1)
-        self._beside, self._lines = False, _LINES
+        self._text_at_side, self._lines = False, _LINES
         self._around = set_spacing(QVBoxLayout(self), 2, (3, 3, 3, 2))
         self._around.addWidget(self._title)
         self._around.addWidget(self._subtitle)
@@ -54,9 +54,9 @@ class TileView(QFrame):
 
     def place_text(self, *, at_side: bool) -> None:
         """Place all text to the right of the image, or over and under it."""
-        if at_side == self._beside:
+        if at_side == self._text_at_side:
             return
-        self._beside = at_side
+        self._text_at_side = at_side
         text_layout = self.view.text_area.layout()
         room = text_layout if at_side and isinstance(text_layout, QBoxLayout) else self._around
         for at, label in enumerate((self._title, self._subtitle)):
@@ -69,10 +69,10 @@ class TileView(QFrame):
     def _fit_words(self) -> None:
         line = self._subtitle.fontMetrics().lineSpacing()
         lines = 2 if self.width() < _NARROW_PX else 1
-        if self._beside:
+        if self._text_at_side:
             lines = min(max(2, (self.height() - _WORDS_PX - 2 * _LEVELS_PX) // line), self._lines)
         self._subtitle.setFixedHeight(lines * line + 2)
-        self._title.setFixedHeight((2 if self._beside else 1) * self._title.fontMetrics().lineSpacing() + 2)
+        self._title.setFixedHeight((2 if self._text_at_side else 1) * self._title.fontMetrics().lineSpacing() + 2)
 
     @property
     def needed_lines(self) -> int:
