@@ -98,7 +98,7 @@ def test_it_translates_a_sample_from_any_folder(typed, tmp_path):
 def test_it_says_where_bench_and_samples_are(typed):
     code, _, err = typed("bench", "--list")
     assert code == 2
-    assert "part of the project's source, not of the installed package" in err
+    assert "benchmarks" in err
     _, out, _ = typed("doctor")
     assert "ok       no sample recordings and no bench" in out
 
@@ -111,6 +111,6 @@ def test_another_package_of_the_same_name_is_named_in_one_sentence(name, kind, t
     ((other / name / "__init__.py") if kind == "package" else (other / f"{name}.py")).write_text("raise SystemExit(0)")
     code, out, err = typed("--help", before=[other])
     assert (code, out) == (2, "")
-    assert err.startswith(f"tactoscope: another package named {name!r} comes before this project's; ")
+    assert err.startswith(f"tactoscope: another package named {name!r} shadows this project's; ")
     assert str(other / name) in err
     assert len(err.splitlines()) == 1

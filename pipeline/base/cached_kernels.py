@@ -10,6 +10,7 @@ from typing import Any
 from numba import njit
 from numba.core import config, event
 from numba.core.caching import FunctionCache
+from numba.core.runtime.nrt import rtsys
 
 from pipeline.base import compiling
 
@@ -26,8 +27,10 @@ class _TolerantCache(FunctionCache):
     """Numba's cache of one kernel. A file that is damaged or cannot be written costs a compilation, not an error."""
 
     def load_overload(self, sig, target_context):
+        # Numba's own method first imports what only compiling needs: its numpy and scipy implementations.
+        rtsys.initialize(target_context)
         try:
-            return super().load_overload(sig, target_context)
+            return self._load_overload(sig, target_context)
         except Exception:  # noqa: BLE001 - a damaged pickle may raise anything
             with contextlib.suppress(OSError):
                 self.flush()

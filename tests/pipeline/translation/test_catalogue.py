@@ -76,7 +76,7 @@ def test_a_touch_without_a_membrane_is_read_as_recorded_and_the_note_says_so(toy
     asked = replace(toy, request=replace(toy.request, methods=(("touch_depth", "membrane"),)))
     felt = asked.build_graph().evaluate(["touch_depth"], asked.read_inputs(TOUCHED), {})["touch_depth"]
     assert NO_MEMBRANE in (*felt.notes, *felt.output.notes)
-    read = replace(toy, request=replace(toy.request, methods=(("touch_depth", "reading"),)))
+    read = replace(toy, request=replace(toy.request, methods=(("touch_depth", "from_image"),)))
     same = read.build_graph().evaluate(["touch_depth"], read.read_inputs(TOUCHED), {})["touch_depth"].output
     assert np.array_equal(felt.output.indentation_mm, same.indentation_mm)
 

@@ -83,7 +83,7 @@ def test_a_point_behind_a_nearer_surface_is_called_hidden(results):
         points_mm=points, source_index=results["cloud"].output.source_index, grid_shape=(4, 5), field_of_view_mm=WINDOW
     )
     last = trace_forward({**results, "cloud": result("cloud", cloud)}, 1, 1, 5)[-1]
-    assert last.text == "(1, 1), hidden behind what is 1.95 mm nearer"
+    assert last.text == "(1, 1), hidden by a surface 1.95 mm nearer"
 
 
 def test_the_marks_read_from_source_to_target(results):

@@ -97,7 +97,7 @@ TOYS = Catalogue(
         Route(
             name="toy",
             title="through brightness",
-            methods={"brightness": "mean", "touch": "melt", "touch_depth": "reading", "pose": "signed_distances"},
+            methods={"brightness": "mean", "touch": "melt", "touch_depth": "from_image", "pose": "signed_distances"},
         ),
     ),
 )
