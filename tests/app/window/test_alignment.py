@@ -6,6 +6,7 @@ import json
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from app.window.session_controller import SessionController
 from app.window.tour import wait_until_shown
 from pipeline.geometry import rigid
 from pipeline.sensors.alignment_files import load_alignment
+from pipeline.sensors.offsets import Offsets
 from widgets.scene_renderer import SceneRenderer
 
 PAIRED = SAMPLE_RECORDING.with_name("digit_gelslim.h5")
@@ -189,8 +191,11 @@ def test_offsets_are_saved_in_the_session_file(aligned, open_window, tmp_path, s
     assert other.session.offsets == aligned.session.offsets
     assert other.window.alignment.rows["ry"].box.value() == -2.0
     data = json.loads(path.read_text())
-    del data["offsets"]
-    path.write_text(json.dumps(data))
+    path.write_text(json.dumps({name: value for name, value in data.items() if name != "offsets"}))
+    other.open_path(path)
+    assert "offsets cannot be used" in other.window.banner.text
+    assert other.session.offsets == aligned.session.offsets
+    path.write_text(json.dumps(data | {"offsets": asdict(Offsets())}))
     other.open_path(path)
     assert other.session.offsets.is_zero
 

@@ -42,7 +42,7 @@ def test_an_arrow_moves_along_its_axis_in_one_undo_step(grasped, qtbot):
     grip = middle + QPointF(30, 0)
     _drag(qtbot, gizmo, grip, grip + QPointF(25, 14))
     qtbot.waitUntil(lambda: controller.is_idle and aligning.is_idle, timeout=LIMIT_MS)
-    x, y, z = controller.session.offsets.shift_mm
+    x, y, z = controller.session.offsets.translation_mm
     assert x == pytest.approx(25.0 / canvas.scale * picture.pixel_mm, rel=0.1)
     assert (y, z) == (0.0, 0.0)
     assert controller.undo_stack.count() == steps + 1
@@ -60,14 +60,14 @@ def test_the_centre_translates_and_the_ring_rotates(grasped, qtbot):
     middle = canvas.to_screen(gizmo._at)
     _drag(qtbot, gizmo, middle, middle + QPointF(-10, 20))
     qtbot.waitUntil(lambda: controller.is_idle and aligning.is_idle, timeout=LIMIT_MS)
-    x, y, _ = controller.session.offsets.shift_mm
+    x, y, _ = controller.session.offsets.translation_mm
     assert y == pytest.approx(-2 * x, rel=0.15)
     middle, far, turn = canvas.to_screen(gizmo._at), 66.0, math.radians(20.0)
     begin, end = middle + QPointF(0, -far), middle + QPointF(far * math.sin(turn), -far * math.cos(turn))
     assert gizmo.part_at(begin) == "rz"
     _drag(qtbot, gizmo, begin, end)
     qtbot.waitUntil(lambda: controller.is_idle and aligning.is_idle, timeout=LIMIT_MS)
-    assert controller.session.offsets.turn_deg[2] == pytest.approx(20.0, abs=1.5)  # clockwise on screen: from x to y
+    assert controller.session.offsets.rotation_deg[2] == pytest.approx(20.0, abs=1.5)  # clockwise on screen: from x to y
     assert controller.session.offsets.translation_mm[:2] == pytest.approx((x, y), abs=1e-6)
 
 
@@ -79,5 +79,5 @@ def test_the_gizmo_is_visible_in_align_only(grasped, qtbot):
     canvas = gizmo.parent()
     qtbot.mousePress(canvas, Qt.MouseButton.LeftButton, pos=QPoint(40, 40))
     qtbot.mouseRelease(canvas, Qt.MouseButton.LeftButton, pos=QPoint(40, 40))
-    assert not gizmo.held
+    assert not gizmo.is_dragging
     assert wait_until_shown(controller, LIMIT_S)

@@ -116,7 +116,7 @@ def test_the_command_of_a_section_writes_the_table_that_is_copied(edited, tmp_pa
     assert run_app(build_app(), options[1:]) == 0
     assert (tmp_path / "section.csv").read_text() == copied
     assert copied.startswith("along_mm,true_source_mm,true_target_mm,")
-    assert ("felt_mm" in copied) == (layout == "stages")
+    assert ("touch_depth_mm" in copied) == (layout == "stages")
 
 
 @pytest.mark.parametrize(
@@ -158,7 +158,7 @@ def test_a_repro_bundle_replays_and_reports_changes(edited, tmp_path, capsys):
     handing, folder = handing_of(edited), tmp_path / "worst.case"
     handing.start_bundle(folder, "the gel saw a part of it")
     wait(handing)
-    assert run_app(build_app(), ["case", str(folder)]) == 0
+    assert run_app(build_app(), ["replay", str(folder)]) == 0
     assert "the gel saw a part of it" in capsys.readouterr().out
     expected = dict(np.load(folder / "expected.npz"))
     on_screen = edited.latest_frame.results["target_depth"].output
@@ -168,7 +168,7 @@ def test_a_repro_bundle_replays_and_reports_changes(edited, tmp_path, capsys):
     said = json.loads((moved / "bundle.json").read_text())
     said["settings"] = [line for line in said["settings"] if not line.startswith("depth")] + ["depth.contact_mm=0.5"]
     (moved / "bundle.json").write_text(json.dumps(said))
-    code = run_app(build_app(), ["case", str(moved)])
+    code = run_app(build_app(), ["replay", str(moved)])
     assert code in (1, 2)
     assert code == 1 or "contact_mm" in capsys.readouterr().err
 
@@ -183,7 +183,7 @@ def test_an_impossible_export_is_reported(edited, tmp_path):
     ):
         with pytest.MonkeyPatch.context() as patch:
             said: list[str] = []
-            patch.setattr("pipeline.cli.main.complain", said.append)
+            patch.setattr("pipeline.cli.main.print_error", said.append)
             assert (
                 run_app(
                     build_app(), ["export", str(SAMPLE_RECORDING), "--target", "gelslim", "--sensor", "digit", *typed]

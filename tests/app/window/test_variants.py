@@ -59,7 +59,7 @@ def test_current_settings_are_compared_with_held_ones(held, qtbot):
     _choose_stage(qtbot, instrument, comparing, "target_depth")
     a, b, less = _grid(instrument).tiles
     assert "cloud.stride: 4 | 1" in instrument.window.comparison.current_tab.message.text()
-    assert (a.title, b.title) == ("A · Target view", "B · Target view")
+    assert (a.title, b.title) == ("A · Target depth", "B · Target depth")
     assert less.difference is not None
     assert _grid(instrument).views[2].view.preview is less.difference  # the difference, without asking
     own = [instrument.views.scene._stage.get_camera(len(instrument.window.columns) + 1 + k) for k in (0, 1)]

@@ -13,8 +13,8 @@ ROOMS = {(1600, 950): (215, 160), (1366, 768): (180, 135)}
 
 
 def _shown_px(view) -> tuple[float, float]:
-    width = min(view.canvas_size_px.width(), view.canvas_size_px.height() / view.tall)
-    return width, width * view.tall
+    width = min(view.canvas_size_px.width(), view.canvas_size_px.height() / view.height_over_width)
+    return width, width * view.height_over_width
 
 
 @pytest.mark.parametrize("size", ROOMS)
