@@ -68,7 +68,7 @@ def test_paths_are_relative_to_the_session_file(tmp_path):
         ({"target": 4}, "target"),
         ({"params": {"display": {"gel_stretch": 1000.0}}}, "params.display.gel_stretch"),
         ({"params": {"unknown": {}}}, "params.unknown"),
-        ({"offsets": {"shift_mm": [0, 0]}}, "offsets"),
+        ({"offsets": {"translation_mm": [0, 0]}}, "offsets"),
         ({"weights": ["a.safetensors"]}, "weights"),
         ({"weights": {"depth": 3}}, "weights"),
     ],

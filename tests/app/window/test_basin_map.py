@@ -64,4 +64,4 @@ def test_the_map_can_be_cancelled_and_states_why_there_is_none(window, qtbot, mo
     window.choose_frame(0)
     assert wait_until_shown(window, LIMIT_S)
     panel.start_button.click()
-    qtbot.waitUntil(lambda: "no pose to look around" in panel.message, timeout=LIMIT_MS)
+    qtbot.waitUntil(lambda: "no pose to map" in panel.message, timeout=LIMIT_MS)

@@ -155,7 +155,7 @@ def test_exported_arrays_are_those_on_screen(edited, tmp_path):
 
 
 def test_a_repro_bundle_replays_and_reports_changes(edited, tmp_path, capsys):
-    handing, folder = handing_of(edited), tmp_path / "worst.case"
+    handing, folder = handing_of(edited), tmp_path / "worst.bundle"
     handing.start_bundle(folder, "the gel saw a part of it")
     wait(handing)
     assert run_app(build_app(), ["replay", str(folder)]) == 0

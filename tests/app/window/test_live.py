@@ -51,7 +51,7 @@ def test_the_newest_frame_follows_and_looking_back_stays(watching):
     assert controller.window.timeline.slider.maximum() >= controller.latest_frame.index
     controller.window.timeline.frame_chosen.emit(first)
     controller.window.timeline.step_to(first)
-    assert not living.following
+    assert not living.is_following
     assert wait_until_shown(controller, LIMIT_S)
     n = living.reader.n_frames
     until(lambda: living.reader.n_frames > n + 5)
@@ -74,10 +74,10 @@ def test_an_unplugged_sensor_is_reported_and_followed_again(watching):
 def test_recording_a_live_source_leaves_a_complete_file(watching, tmp_path):
     _, living = watching
     path = tmp_path / "watched.h5"
-    living.record(path)
+    living.start_recording(path)
     until(lambda: living.recorder.n_written > 4)
     living.stop_recording()
-    living.stop()
+    living.stop_watching()
     until(lambda: _is_whole(path))
     with_truth = open_recording(path)
     assert with_truth.streams[0].n_frames > 4

@@ -58,14 +58,14 @@ def test_every_stage_is_read_at_the_probe_with_the_truth_last(window):
     for name in ("source", "depth", "target_depth", "touch_depth"):
         canvas = _canvas(window, name)
         assert canvas.crosshair_text == window.window.columns[name].view.preview.format_value(*canvas.crosshair), name
-    true = window.views.translation.read_ground_truth(5).target.indentation_mm
+    true = window.views.translation.read_ground_truth(5).target_truth.indentation_mm
     at = _canvas(window, "touch_depth").crosshair
     assert window.window.trace.text.rpartition(" → ")[2].startswith(f"{true[at]:.3f} mm")
     assert f"truth {true[row, col]:.3f} mm" in window.window.readout.text()
 
 
 def test_the_truth_is_shown_where_no_source_pixel_maps(window):
-    true = window.views.translation.read_ground_truth(5).target
+    true = window.views.translation.read_ground_truth(5).target_truth
     made = window.latest_frame.results["target_depth"].output
     missed = true.contact & (made.source_index < 0)
     row, col = (int(i) for i in np.argwhere(missed)[0])

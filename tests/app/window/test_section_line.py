@@ -45,7 +45,7 @@ def counted(monkeypatch):
 
         monkeypatch.setattr(owner, name, counting)
 
-    count(cross_section, "sampled", "cut")
+    count(cross_section, "sample_bilinear", "cut")
     count(Canvas, "_draw_line", "line")
     count(SectionPlot, "_draw_axes", "plot")
     return counts

@@ -67,7 +67,7 @@ def test_3d_views_have_the_background_of_the_theme(open_window, touch_file, qtbo
     controller = open_window(touch_file, gl=True, target="gelslim", frame=2)
     assert wait_until_shown(controller, LIMIT_S)
     scene = controller.views
-    qtbot.waitUntil(lambda: hasattr(scene.scene, "drawn"), timeout=LIMIT_S * 1000)
+    qtbot.waitUntil(lambda: hasattr(scene.scene, "n_renders"), timeout=LIMIT_S * 1000)
     for name in ("dark", "light"):
         controller.window.actions_by_name[f"theme_{name}"].trigger()
         ground = get_theme_colours(make_palette(dark=name == "dark")).backdrop

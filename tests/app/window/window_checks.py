@@ -96,7 +96,8 @@ class Watched:
                 break
         else:
             kept = {
-                name: getattr(self._instrument, f"_{name}") for name in ("ticket", "opening", "background", "waits")
+                name: getattr(self._instrument, f"_{name}")
+                for name in ("ticket", "opening_ticket", "background_ticket", "is_pending")
             }
             self._complain(f"{self._stuck()} wait for nothing: {kept}, newest {self._instrument.job.newest_ticket}")
         self._instrument.views.scene.draw_pending()
@@ -132,9 +133,9 @@ class Watched:
             if shown and not _has_ink(view):
                 self._complain(f"the tile {view.tile.title!r} is blank")
         scene: Any = self._instrument.views.scene
-        if not hasattr(scene, "drawn"):
+        if not hasattr(scene, "n_renders"):
             return
-        self.solids_drawn = scene.drawn
+        self.solids_drawn = scene.n_renders
         for k, solid in enumerate(window.views_3d):
             if solid.isVisible() and solid.width() > 20 and solid.height() > 20 and not _drawn(solid):
                 self._complain(f"3D view {k} of {solid.width()} x {solid.height()} has no picture")
