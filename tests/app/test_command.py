@@ -31,7 +31,7 @@ def test_an_interrupted_translation_leaves_complete_frames(tmp_path):
     running.send_signal(signal.SIGINT)
     _, said = running.communicate(timeout=60)
     assert running.returncode == 130
-    assert "interrupted; finished frames are whole" in said
+    assert "interrupted; finished frames are complete" in said
     assert "Traceback" not in said
     assert (out / "report.json").is_file()
     assert not list(out.glob(".*"))

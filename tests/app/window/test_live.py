@@ -94,7 +94,7 @@ def _is_whole(path: Path) -> bool:
 class _Hangs:
     """A camera that does not come back, as one does whose cable is half out."""
 
-    title, sensor, touched = "hanging", "digit", None
+    title, sensor, touching_object = "hanging", "digit", None
 
     def __init__(self) -> None:
         self.n, self.hang = 0, False

@@ -22,7 +22,7 @@ def weights_file(tmp_path_factory):
 
     from pipeline.networks.network_factory import build_network
 
-    config = {"inputs": CONDITION_CHANNELS, "unit_mm": 0.2, "first": 4, "levels": 2, "widest": 8}
+    config = {"inputs": CONDITION_CHANNELS, "unit_mm": 0.2, "base_channels": 4, "levels": 2, "max_channels": 8}
     torch.manual_seed(0)
     net = build_network("residual_denoiser", config)
     torch.nn.init.normal_(net.finish.weight, std=0.1)

@@ -46,14 +46,14 @@ def test_a_method_choice_is_undoable_and_saved(toys, tmp_path):
     window = toys.window
     toys.change("choose route", route="t2d2")
     box = window.columns["touch_depth"]._method
-    assert [box.itemData(i) for i in range(box.count())] == ["membrane", "reading"]
+    assert [box.itemData(i) for i in range(box.count())] == ["membrane", "from_image"]
     box.setCurrentIndex(1)
     box.activated.emit(1)
     assert wait_until_shown(toys, LIMIT_S)
-    assert toys.latest_frame.results["touch_depth"].method.name == "reading"
-    assert toys.session.methods == {"touch_depth": "reading"}
+    assert toys.latest_frame.results["touch_depth"].method.name == "from_image"
+    assert toys.session.methods == {"touch_depth": "from_image"}
     save_session(toys.session, tmp_path / "a.touch.json")
-    assert load_session(tmp_path / "a.touch.json", TOYS).methods == {"touch_depth": "reading"}
+    assert load_session(tmp_path / "a.touch.json", TOYS).methods == {"touch_depth": "from_image"}
     toys.undo_stack.undo()
     assert wait_until_shown(toys, LIMIT_S)
     assert toys.latest_frame.results["touch_depth"].method.name == "membrane"

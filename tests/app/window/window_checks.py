@@ -170,7 +170,7 @@ def kept_bytes() -> int:
     """What all memos hold in this moment, what several of them hold counted once."""
     seen: set[int] = set()
     memos: list[Memo[Any, Any]] = [memo for memo in gc.get_objects() if issubclass(type(memo), Memo)]
-    found = [(answer, weight) for memo in memos for answer, weight in list(memo._kept.values())]
+    found = [(answer, weight) for memo in memos for answer, weight in list(memo._values.values())]
     return sum(weight if _opaque(answer) else _held(answer, seen) for answer, weight in found)
 
 
