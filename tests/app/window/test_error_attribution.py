@@ -40,7 +40,7 @@ def test_a_frame_without_truth_has_no_attribution(bubble_window, qtbot):
     panel = bubble_window.window.error_attribution
     bubble_window.window.drawers.diagnostics.show()
     bubble_window.window.tabs.setCurrentWidget(panel)
-    qtbot.waitUntil(lambda: "does not hold" in panel.sentence, timeout=LIMIT_MS)
+    qtbot.waitUntil(lambda: "no touch of the target" in panel.sentence, timeout=LIMIT_MS)
     assert not panel.metric_box.isEnabled()
 
 

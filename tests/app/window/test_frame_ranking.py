@@ -105,8 +105,8 @@ def test_notes_are_saved_and_frames_are_filtered(bubble_window, qtbot, tmp_path)
     assert known.data(index) == "slipped, look again"
     assert known.get_summary(2) is not None  # figures do not rest on notes
     for words, listed in (
-        ("", [0, 1, 2]), (">0.3", [2]), ("<0.3", [1]), ("touched", [1, 2]), ("untouched", [0]), ("noted", [1]),
-        ("slip", [1]), ("touched >0.1 again", [1]), ("nothing-of-the-kind", []),
+        ("", [0, 1, 2]), (">0.3", [2]), ("<0.3", [1]), ("contact", [1, 2]), ("no-contact", [0]), ("noted", [1]),
+        ("slip", [1]), ("contact >0.1 again", [1]), ("nothing-of-the-kind", []),
     ):  # fmt: skip
         panel.filter_line.setText(words)
         assert sorted(panel._frame_of(row) for row in range(panel._sorted.rowCount())) == listed, words
