@@ -151,7 +151,7 @@ class _TouchScorer:
 
     def _measure_touch_depth(self, touch: GeneratedTouch) -> DepthMap | None:
         """The touch's own membrane if it has one, else depth estimated from its image as from a frame of the target."""
-        how = "reading" if touch.membrane is None else "membrane"
+        how = "from_image" if touch.membrane is None else "membrane"
         chosen = replace(self._translation, request=replace(
             self._translation.request, methods=(*self._job.methods.items(), ("touch_depth", how))
         ))  # fmt: skip

@@ -134,7 +134,7 @@ def test_inspect_says_what_the_sample_is(capsys):
     text = capsys.readouterr().out
     assert "gelslim" in text
     assert "soft_bubble" in text
-    assert "ok   gelslim with soft_bubble: of 16 moments" in text
+    assert "ok   gelslim with soft_bubble: strength and place of 16 moments agree" in text
 
 
 def test_doctor_finds_a_complete_installation(capsys):

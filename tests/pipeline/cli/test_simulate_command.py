@@ -63,7 +63,7 @@ def test_what_is_finished_is_not_made_again(typed, tmp_path):
     assert "already" in said
     code, said = typed(*options, "--seed", 3)
     assert code == EXIT_USER_ERROR
-    assert "made otherwise" in said
+    assert "a recording of another plan" in said
 
 
 @pytest.mark.parametrize(

@@ -40,7 +40,7 @@ def test_a_training_ends_in_weights_with_a_card_and_can_be_exported_smaller(type
     assert weights.card["examples seen"] == "120"
     assert json.loads(weights.card["recipe"])["training"]["seed"] == 5
     assert {"task", "command", "minutes", "machine", "unseen grasps: overlap, 1"} <= weights.card.keys()
-    assert "- steps: 30\n" in (out / "weights.md").read_text()
+    assert "| steps | 30 |\n" in (out / "weights.md").read_text()
     code, said, _ = typed("export", out, "--to", tmp_path / "half.safetensors", "--half")
     assert code == 0
     assert (tmp_path / "half.safetensors").stat().st_size < (out / "weights.safetensors").stat().st_size

@@ -59,7 +59,7 @@ def test_a_second_run_keeps_finished_frames_and_says_so(typed, tmp_path):
 def test_a_fallback_is_named_when_computed_and_when_resumed(typed):
     for _ in range(2):
         _, out, _ = typed("--frame", "1", "--method", "depth=depth_anything")
-        assert "fallback used: depth: Depth Anything V2" in " ".join(out.split())
+        assert "fallback used: depth: no weights of Depth Anything V2" in " ".join(out.split())
         assert out.count("warning: depth:") == 1
 
 
