@@ -24,7 +24,7 @@ from pipeline.calibration.calibration_table import Calibration, check_calibratio
 from pipeline.sensors.spec import Gel, SensorSpec
 from pipeline.stages.depth import change_detection, contact, drift, false_contacts, instance_check, rest_level
 from pipeline.stages.depth.change_detection import ImageWindow
-from pipeline.stages.depth.illumination import gel_surface
+from pipeline.stages.depth.illumination import frame_illumination, gel_surface
 from pipeline.stages.depth.illumination.light import Illumination
 from pipeline.stages.depth.poisson import Boundary
 from pipeline.values.frames import TactileFrame
@@ -117,6 +117,7 @@ def measure_gel_depth(
             calibration = replace(
                 make_built_in(source), pixel_mm=pixel_mm, median_pressure_share=calibration.median_pressure_share
             )
+            illumination = frame_illumination.estimate_illumination(frame, source, calibration, progress)
         progress.step(0.35, "integrating slopes")
         changed = gel_surface.ChangedImage(
             image=image, reference=drifted, window=window, source=source, calibration=calibration,

@@ -106,8 +106,8 @@ def test_a_touch_that_no_press_covers_is_estimated_without_calibration():
     assert np.array_equal(here.indentation_mm, by_presses.indentation_mm)
     assert np.array_equal(elsewhere.indentation_mm, without.indentation_mm)
     assert not np.array_equal(here.indentation_mm, elsewhere.indentation_mm)
-    assert any("no press of the calibration" in note for note in elsewhere.notes)
-    assert not any("no press of the calibration" in note for note in here.notes)
+    assert any("no indentation of the calibration" in note for note in elsewhere.notes)
+    assert not any("no indentation of the calibration" in note for note in here.notes)
 
 
 @pytest.mark.parametrize(("too_wide", "share"), [(1.0, None), (1.2, 0.6), (3.0, 0.75)])
