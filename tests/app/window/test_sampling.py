@@ -28,7 +28,7 @@ def weights_file(tmp_path_factory):
     torch.nn.init.normal_(net.finish.weight, std=0.1)
     tensors = {name: tensor.float().numpy() for name, tensor in net.state_dict().items()}
     path = tmp_path_factory.mktemp("weights") / "small.safetensors"
-    card = {"task": "residual_of_view"}
+    card = {"task": "touch_residual"}
     save_weights(path, Weights(name="small", kind="residual_denoiser", config=config, tensors=tensors, card=card))
     return path
 
