@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from threading import get_ident
+
 import numpy as np
 
 from pipeline.registration.search import PoseSearch
@@ -14,9 +16,9 @@ MOST_POLISHED = 2 * 6 + 4 + 12  # two sets of first guesses, the best again, and
 
 def test_the_search_is_limited_where_nothing_explains_the_touch(monkeypatch):
     polished, tried = PoseSearch.polish, []
-    monkeypatch.setattr(PoseSearch, "polish", lambda *a, **k: tried.append(1) or polished(*a, **k))
+    monkeypatch.setattr(PoseSearch, "polish", lambda *a, **k: tried.append(get_ident()) or polished(*a, **k))
     y, x = np.mgrid[-1 : 1 : CAMERA.rows * 1j, -1 : 1 : CAMERA.cols * 1j]
     bowl = touch_of((REST_MM - 3.0 + 2.0 * (x**2 + y**2)).astype(np.float32), np.ones(CAMERA.shape, np.bool_))
     found = estimate_pose(bowl, shapes.make_shape("cross").mesh, PoseParams())
     assert any(note.startswith("at least") and "fit equally well" in note for note in found.notes)
-    assert len(tried) <= MOST_POLISHED
+    assert 0 < tried.count(get_ident()) <= MOST_POLISHED  # a search of another test may still run in its thread
