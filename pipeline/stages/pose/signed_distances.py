@@ -57,7 +57,7 @@ class PoseParams:
         source="Gauss-Newton with the weights of Geman and McClure 1985; ICP: Chen and Medioni 1992",
     )  # fmt: skip
     max_distance_mm: float = setting(
-        2.0, "PoseSearch distance", unit="mm", low=0.05, high=20.0, step=0.1,
+        2.0, "Search distance", unit="mm", low=0.05, high=20.0, step=0.1,
         help="points farther from the object are outliers",
         source="point to surface on signed distances; covariance: Bonnabel 2014",
     )  # fmt: skip
