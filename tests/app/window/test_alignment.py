@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import threading
 import time
 from collections.abc import Callable
@@ -190,14 +189,6 @@ def test_offsets_are_saved_in_the_session_file(aligned, open_window, tmp_path, s
     assert wait_until_shown(other, LIMIT_S)
     assert other.session.offsets == aligned.session.offsets
     assert other.window.alignment.rows["ry"].box.value() == -2.0
-    data = json.loads(path.read_text())
-    path.write_text(json.dumps({name: value for name, value in data.items() if name != "offsets"}))
-    other.open_path(path)
-    assert "offsets cannot be used" in other.window.banner.text
-    assert other.session.offsets == aligned.session.offsets
-    path.write_text(json.dumps(data | {"offsets": asdict(Offsets())}))
-    other.open_path(path)
-    assert other.session.offsets.is_zero
 
 
 def test_refining_shows_before_and_after_and_accepting_is_one_step(aligned, qtbot, settled):

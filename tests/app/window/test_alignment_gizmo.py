@@ -67,7 +67,9 @@ def test_the_centre_translates_and_the_ring_rotates(grasped, qtbot):
     assert gizmo.part_at(begin) == "rz"
     _drag(qtbot, gizmo, begin, end)
     qtbot.waitUntil(lambda: controller.is_idle and aligning.is_idle, timeout=LIMIT_MS)
-    assert controller.session.offsets.rotation_deg[2] == pytest.approx(20.0, abs=1.5)  # clockwise on screen
+    assert controller.session.offsets.rotation_deg[2] == pytest.approx(
+        20.0, abs=1.5
+    )  # clockwise on screen: from x to y
     assert controller.session.offsets.translation_mm[:2] == pytest.approx((x, y), abs=1e-6)
 
 

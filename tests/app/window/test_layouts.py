@@ -130,7 +130,7 @@ def test_align_shows_the_target_depth_minus_the_observation(window):
     assert window.window.drawers.alignment.isVisible()
     assert wait_until_shown(window, LIMIT_S)
     shown = window.window.columns["target_depth"].view.preview
-    assert shown.caption.startswith("reprojected less recorded")
+    assert shown.caption.startswith("reprojected")
     _arrange(window, "demo")
     assert window.views.comparison_mode == ""
     assert not any(drawer.isVisible() for drawer in window.window.drawers.all_drawers)

@@ -52,8 +52,8 @@ def test_a_new_user_inspects_corrects_saves_and_exports(hands, qtbot, tmp_path, 
     rows, cols = view.preview.pixels.shape[:2]
     at = view.canvas.to_screen(QPointF(0.5 * cols, 0.3 * rows)).toPoint()
     qtbot.mousePress(view.canvas, _LEFT, pos=at)
-    qtbot.mouseMove(view.canvas, at + QPoint(-20, 0))
-    qtbot.mouseRelease(view.canvas, _LEFT, pos=at + QPoint(-20, 0))
+    qtbot.mouseMove(view.canvas, at + QPoint(-40, 0))
+    qtbot.mouseRelease(view.canvas, _LEFT, pos=at + QPoint(-40, 0))
     assert view.overlay.share < 0.5
     touched = controller.latest_frame.results["touch_depth"].output.contact.nonzero()
     middle = len(touched[0]) // 2
@@ -64,7 +64,7 @@ def test_a_new_user_inspects_corrects_saves_and_exports(hands, qtbot, tmp_path, 
 
     # A demonstration, and back.
     press(_KEY.Key_5, Qt.KeyboardModifier.ControlModifier)
-    assert window.truth.isVisible()
+    assert window.truth_column.isVisible()
     press(_KEY.Key_3, Qt.KeyboardModifier.ControlModifier)
 
     # The alignment: a number is typed.
