@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +17,6 @@ from app.window.session_controller import SessionController
 from app.window.tour import wait_until_shown
 from pipeline.geometry import rigid
 from pipeline.sensors.alignment_files import load_alignment
-from pipeline.sensors.offsets import Offsets
 from widgets.scene_renderer import SceneRenderer
 
 PAIRED = SAMPLE_RECORDING.with_name("digit_gelslim.h5")
@@ -225,7 +223,7 @@ def test_a_proposal_is_shown_against_the_current_alignment(aligned, qtbot, settl
     before, after = view.preview, view.overlay._picture
     assert before.values.shape == after.values.shape
     gaps = [float(np.nanmean(np.abs(picture.values))) for picture in (before, after)]
-    assert gaps[1] < gaps[0]  # of what is carried over less what was felt
+    assert gaps[1] < gaps[0]  # reprojected minus recorded
     aligned.choose_frame(TOUCHED + 1)
     settled(aligned)
     aligned.choose_frame(TOUCHED)
@@ -297,7 +295,7 @@ def test_nothing_is_assessed_while_the_dock_is_hidden(open_window, qtbot):
 
 
 def test_going_back_reuses_the_target_comparison(aligned, settled, monkeypatch):
-    """Playing with the dock open asks for the outline of what was felt on every frame."""
+    """Playing with an open dock requests the observed outline of every frame."""
     from app.work import evaluator
 
     asked: list[int] = []

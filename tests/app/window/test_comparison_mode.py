@@ -1,4 +1,4 @@
-"""Truth beside what was worked out: in its place, as a difference, under a wipe handle, in turns."""
+"""Comparison modes: the truth instead of the result, their difference, wipe and blink."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Commands by name, wheels that scroll, Enter that gives the focus back, and a monkey that breaks nothing."""
+"""Command palette, wheel and keyboard focus, and random input."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A day's work does not fill the memory: what is kept to be taken back ends, and what is measured is what is held."""
+"""Memory stays bounded: the undo stack is limited, and cached values are measured."""
 
 from __future__ import annotations
 

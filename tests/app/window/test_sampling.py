@@ -1,4 +1,4 @@
-"""The sliders of a sampler in the window: previewed while held, refined when let go, its states to be looked through."""
+"""Sliders of a diffusion method: drafts while dragged, full results when released, kept steps."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ KEY = "touch/t2d2"
 
 @pytest.fixture(scope="module")
 def weights_file(tmp_path_factory):
-    """Of a small network that nobody has taught anything."""
+    """Weights of a small untrained network."""
     import torch
 
     from pipeline.networks.network_factory import build_network

@@ -222,7 +222,7 @@ def test_a_low_plot_has_a_label_and_a_scale(qtbot, monkeypatch):
     line = SectionLine(begin_mm=(0.0, 0.0), end_mm=(10.0, 0.0))
     along = np.linspace(0.0, 10.0, 50)
     profile = cross_section.HeightProfile(
-        name="touch_depth", title="Felt", place="target", heights_mm=0.05 * along**2 - 0.1
+        name="touch_depth", title="Touch depth", place="target", heights_mm=0.05 * along**2 - 0.1
     )
     plot.show_section(cross_section.CrossSection(line=line, along_mm=along, profiles=(profile,)))
     plot.grab()

@@ -78,7 +78,7 @@ def test_3d_views_have_the_background_of_the_theme(open_window, touch_file, qtbo
 @pytest.mark.gl
 @pytest.mark.parametrize(("size", "least"), [((1600, 950), (215, 160)), ((1366, 768), (180, 135))])
 def test_images_get_the_room(open_window, touch_file, qtbot, size, least):
-    """Every slot side by side, pictures over 3D views; no view so tall that it is mostly ground."""
+    """The Stages layout, whose 3D views are not mostly background."""
     controller = open_window(touch_file, gl=True, target="gelslim", frame=2)
     window = controller.window
     window.resize(*size)

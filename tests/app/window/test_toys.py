@@ -1,4 +1,4 @@
-"""A window that shows a slot, a method and a route that it has never heard of."""
+"""A window with a custom stage, method and route."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What must be true of a window whatever was done to it: it comes to rest, every pane has ink, memory does not grow."""
+"""Invariants of a window after any input: it becomes idle, every pane shows an image, memory does not grow."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _FILLED = ("computed", "cached", "unchanged", "read", "warning")
 
 
 class Watched:
-    """Looks after one window; `complain` is told what is wrong."""
+    """Checks one window; `complain` receives every problem."""
 
     def __init__(self, controller: SessionController, complain: Callable[[str], None]) -> None:
         self._instrument, self._window, self._complain = controller, controller.window, complain
@@ -49,7 +49,7 @@ class Watched:
         return self._window.findChildren(Canvas)
 
     def growth_mb(self) -> float:
-        """How much more the process holds at the end than after a third of the time, beside what is kept on purpose."""
+        """Growth of process memory after the first third of the time, without cached values."""
         held = [process - kept for _, process, kept in self.memory_mb]
         third = max(1, len(held) // 3)
         return float(np.median(held[-third:]) - np.median(held[third : 2 * third])) if len(held) > 8 else 0.0
@@ -114,7 +114,7 @@ class Watched:
         ]
 
     def _busy(self) -> list[LatestJob]:
-        """Jobs beside the one of the stages, which goes on with frames that nobody looks at."""
+        """Busy jobs other than the one of the stages."""
         own = self._instrument.job
         return [job for job in self._instrument.findChildren(LatestJob) if job is not own and job.is_busy]
 
