@@ -90,7 +90,7 @@ def render_reference_images():
 
 
 def measure_after_drift(read, source, still, light, seed):
-    """(depth map, ms) of a image made of `light`."""
+    """(depth map, ms) of an image made of `light`."""
     frame = TactileFrame(
         sensor=source.name, image=add_camera_noise(light, source.optics.noise_grey, seed), reference=still
     )

@@ -6,7 +6,7 @@ METHOD is a method of the stage *depth* (default "network") and knows nothing of
 image. There is no truth: counted is what the eye would complain of. A *crumb* is a part of the contact smaller than a
 thousandth of the image; a *corner blob* a part that lies whole in a corner of an eighth of the image's sides; a *stair*
 a run of 8 straight pixels or more in the contact's outline, along a row or a column and inside the image: the share of
-the outline in such runs, less that which an exact circle of the same area has. Times are of a image. SHEET.png shows
+the outline in such runs, less that which an exact circle of the same area has. Times are of an image. SHEET.png shows
 every frame: its image, its depth (black 0 to white 1 mm) with the contact's outline.
 """
 

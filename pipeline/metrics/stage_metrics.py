@@ -90,10 +90,10 @@ METRICS: Mapping[str, Metric] = {
 
 
 def describe_metric(figure: str) -> str:
-    """Return the title of `touch_depth.contact_mae_mm`: "touch_depth: error in contact, mm"."""
+    """Return the title of `touch_depth.contact_mae_mm`: "touch depth: error in contact, mm"."""
     stage, _, name = figure.partition(".")
     metric = METRICS[name]
-    return f"{stage}: {metric.title}{', ' if metric.unit else ''}{metric.unit}"
+    return f"{stage.replace('_', ' ')}: {metric.title}{', ' if metric.unit else ''}{metric.unit}"
 
 
 def compute_mae_mm(estimate: NDArray[np.floating], truth: NDArray[np.floating], where: Mask) -> float:

@@ -33,7 +33,7 @@ def load_shipped(name: str) -> Weights | NoWeights:
 
 
 def select_reader(kind: str) -> Callable[[Path], Weights]:
-    """The function that reads weights files module this kind module network; it raises FileProblem."""
+    """Return the function that reads weights of this kind of network; it raises FileProblem."""
     files = (depth_anything_files, latent_diffusion_files, vqvae_files)
     return {module.KIND: module.read_weights for module in files}.get(kind, load_weights)
 

@@ -33,9 +33,7 @@ class PlanarFit:
     fitness: float  # share of model points with a contact point within `INLIER_MM`, in 3D
     inlier_rmse_mm: float  # over those; the chosen start has the least
     stop_reason: str = ""  # of the chosen start, in words
-    steps: tuple[
-        PoseStep, ...
-    ] = ()  # of the chosen start; rmse over all contact_tree points, to those that they were paired with
+    steps: tuple[PoseStep, ...] = ()  # of the chosen start; rmse over all contact points, to their partners
     notes: tuple[str, ...] = ()
 
 

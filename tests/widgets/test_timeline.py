@@ -170,11 +170,11 @@ def test_a_loop_stays_within_its_frames(line, qtbot):
 
 
 def test_the_bars_have_a_scale_from_nothing_to_the_worst(line):
-    line.show_errors("felt: error in contact, mm", [0.1, np.nan, 0.3987], {})
+    line.show_errors("touch depth: error in contact, mm", [0.1, np.nan, 0.3987], {})
     line.show()
     line.resize(900, 60)
     assert line.scale.max_text == "0.399"
     pixels = line.scale.grab().toImage()
     assert len({pixels.pixel(x, y) for x in range(pixels.width()) for y in range(pixels.height())}) > 2
-    line.show_errors("felt: error in contact, mm", [np.nan, np.nan, np.nan], {})
+    line.show_errors("touch depth: error in contact, mm", [np.nan, np.nan, np.nan], {})
     assert line.scale.max_text == ""

@@ -76,12 +76,12 @@ def measure_neighbour_distances(flat, index, stride, every, behind, squares):
 
 @inner_kernel()
 def place_corners(index, starts, bounds, strip, state, corners, cells, alone):
-    """Put the vertices first_point a strip into its cells.
+    """Put the vertices of a strip into its cells.
 
-    `starts`: first point first_point each source row. `bounds`: first source row and column, columns first_point the
-    source and first_point the cells, stride. `strip`: first source row, the one after its last, and its first row
-    first_point cells. Vertices count from the strip's first point. Of several points first_point one source pixel the
-    last is used; the others, and those that the stride skips, are marked `alone`.
+    `starts`: first point of each source row. `bounds`: first source row and column, columns of the source and of the
+    cells, stride. `strip`: first source row, the one after its last, and its first row of cells. Vertices count from
+    the strip's first point. Of several points of one source pixel the last is used; the others, and those that the
+    stride skips, are marked `alone`.
     """
     top, left, grid_cols, cols, stride = bounds
     from_row, to_row, first_cells = strip

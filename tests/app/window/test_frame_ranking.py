@@ -37,7 +37,7 @@ def test_every_frame_with_truth_is_ranked_and_one_key_shows_the_worst(window, qt
     ranked = sorted((f for f, v in figures.items() if math.isfinite(v)), key=figures.__getitem__, reverse=True)
     line = window.window.timeline.errors
     qtbot.waitUntil(lambda: line.worst_frame == ranked[0], timeout=LIMIT_MS)  # nobody opened the table
-    assert "touch_depth: error in contact, mm" in [
+    assert "touch depth: error in contact, mm" in [
         label.text() for label in window.window.timeline.findChildren(QLabel)
     ]
     np.testing.assert_array_equal(line.values, [figures[f] for f in range(known.rowCount())])

@@ -96,6 +96,6 @@ def test_pose_errors_after_symmetry_stand_beside_the_plain_ones_once_the_mesh_is
 
 
 def test_figures_have_a_name_for_people_and_no_two_have_one():
-    assert describe_metric("touch_depth.contact_mae_mm") == "touch_depth: error in contact, mm"
-    assert describe_metric("touch_depth.contact_iou") == "touch_depth: IoU of contact"
+    assert describe_metric("touch_depth.contact_mae_mm") == "touch depth: error in contact, mm"
+    assert describe_metric("touch_depth.contact_iou") == "touch depth: IoU of contact"
     assert len({metric.title for metric in METRICS.values()}) == len(METRICS)
