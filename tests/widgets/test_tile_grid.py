@@ -71,5 +71,5 @@ def test_figures_that_fill_many_lines_are_all_seen_and_scales_stay_level(grid, q
     grid.show_tiles(tiles)
     first, second = grid.views[:2]
     qtbot.waitUntil(lambda: first.view.text_area.x() > first.view.canvas.x())
-    qtbot.waitUntil(lambda: first._told.height() >= first._told.heightForWidth(first._told.width()))
+    qtbot.waitUntil(lambda: first._subtitle.height() >= first._subtitle.heightForWidth(first._subtitle.width()))
     assert first.view.colour_bar.y() == second.view.colour_bar.y()
