@@ -14,7 +14,7 @@ _DELAY_MS = 700  # the window and its 3D views come first
 
 
 class PreloadController(QObject):
-    """Preloads once, on its own thread; stops when a recording opens, which loads the same."""
+    """Loads packages and kernels once, on a thread of its own; stops when a recording opens, which loads the same."""
 
     def __init__(self, controller: SessionController) -> None:
         super().__init__(controller)

@@ -93,7 +93,7 @@ class TranslationOptions:
             recording=recording, target=target, source=self.sensor, stream=self.stream, route=self.route,
             methods=tuple(methods.items()), reference=self.reference, calibration=self.calibration, mesh=self.mesh,
             mesh_unit=self.mesh_unit, depth_unit=self.depth_unit, alignment=self.alignment,
-            weights=tuple(weights.items()), offsets=self._build_offsets(),
+            weights=tuple(weights.items()), refuses_unusable_weights=True, offsets=self._build_offsets(),
         )  # fmt: skip
 
     def _build_offsets(self) -> Offsets:

@@ -57,7 +57,7 @@ def make_surface_layer(
 
 
 def make_frame_layer(name: str, image: Image | Floats, camera: Camera, pixels: Image, sensor: SensorSpec) -> Layer:
-    """Return a frame on the rest surface, or the measured membrane of a bubble."""
+    """Return a 3D layer of a frame's pixels, on the rest surface of a gel or on the measured membrane of a bubble."""
     depth = np.asarray(image, dtype=np.float32) if image.ndim == 2 else compute_rest_depth_mm(sensor, camera)
     return make_grid_layer(name, camera.back_project(depth), pixels)
 

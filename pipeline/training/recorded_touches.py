@@ -82,15 +82,15 @@ class MixedTask:
         return cast("LearnsFromTouches", self.task).make_touch_example(known, rng)
 
     def make_validation_example(self, split: Split, index: int) -> Example:
-        """The task's."""
+        """As the task computes it; see `pipeline.training.task.Task`."""
         return self.task.make_validation_example(split, index)
 
     def compute_loss(self, network: nn.Module, batch: Mapping[str, Tensor]) -> tuple[Tensor, dict[str, Any]]:
-        """The task's."""
+        """As the task computes it; see `pipeline.training.task.Task`."""
         return self.task.compute_loss(network, batch)
 
     def evaluate(self, network: nn.Module, held_out: Sequence[Example]) -> dict[str, float]:
-        """The task's."""
+        """As the task computes it; see `pipeline.training.task.Task`."""
         return self.task.evaluate(network, held_out)
 
 

@@ -148,10 +148,17 @@ def with_settings(methods: tuple[Method, ...], assignments: Sequence[str]) -> di
 
 
 def with_weights(given: Mapping[str, Path], assignment: str, catalogue: Catalogue = BUILT_IN) -> dict[str, Path]:
-    """`given` (stage -> file) with one `stage=file`, or one `file` for the first stage whose method takes weights."""
-    stage, equals, name = assignment.partition("=")
-    is_stage = equals and any(entry.name == stage.strip() for entry in catalogue.stages)
-    return {**given, stage.strip(): Path(name.strip())} if is_stage else {**given, "": Path(assignment)}
+    """`given` (stage -> file) with one `stage=file`, or one `file` for the first stage whose method takes weights.
+
+    Raises SettingProblem for a `word=file` whose word is no stage, unless a file of that whole name exists.
+    """
+    stage, equals, name = (part.strip() for part in assignment.partition("="))
+    stages = [entry.name for entry in catalogue.stages]
+    if equals and stage in stages:
+        return {**given, stage: Path(name)}
+    if equals and not Path(assignment).exists() and "/" not in stage:
+        raise SettingProblem(f"weights are given by stage=FILE, got {assignment!r}; stages are {', '.join(stages)}")
+    return {**given, "": Path(assignment)}
 
 
 def with_method(chosen: Mapping[str, str], assignment: str) -> dict[str, str]:

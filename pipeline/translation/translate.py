@@ -17,6 +17,7 @@ from pipeline.calibration.calibration_file import load as load_calibration
 from pipeline.calibration.calibration_table import Calibration
 from pipeline.engine.graph import Graph, Method, StageResult
 from pipeline.geometry.meshes import Mesh, load_mesh
+from pipeline.networks.weights import NoWeights
 from pipeline.recordings import open_recording
 from pipeline.recordings.depth_arrays import DepthUnit
 from pipeline.sensors import alignment as alignments
@@ -51,6 +52,7 @@ class Request:
     depth_unit: DepthUnit = "auto"
     alignment: Path | None = None  # TOML with T_S->A and T_A->T
     weights: tuple[tuple[str, Path], ...] = ()  # (stage, file); stage "" = the first whose method takes weights
+    refuses_unusable_weights: bool = False  # raise, where False lets the method fall back and say so
     offsets: Offsets = field(default_factory=Offsets)  # offsets from that alignment
 
 
@@ -133,15 +135,25 @@ class Translation:
         """The weights of all network methods, each `Weights` or why there are none."""
         return tuple(self._weights().values())
 
+    def check_given_weights(self) -> None:
+        """Check that the methods can use the files that the request names; raises SettingProblem with the reason."""
+        for method, file in self._select_weights_files():
+            read = self._weights()[method.weights_name]
+            if file is not None and isinstance(read, NoWeights):
+                raise SettingProblem(f"{method.stage}: {read.why}")
+
     def _weights(self) -> dict[str, object]:
         """Return the weights that network methods read: the request's files, or else the shipped ones."""
+        return {
+            method.weights_name: method.weights(self.source, self.target, file)
+            for method, file in self._select_weights_files()
+            if method.weights is not None
+        }
+
+    def _select_weights_files(self) -> list[tuple[Method, Path | None]]:
+        """Return each method that reads weights with its file of the request; None: the shipped weights."""
         learned, given = [m for m in self.methods if m.weights is not None], dict(self.request.weights)
-        read: dict[str, object] = {}
-        for method in learned:
-            assert method.weights is not None
-            file = given.get(method.stage, given.get("") if method is learned[0] else None)
-            read[method.weights_name] = method.weights(self.source, self.target, file)
-        return read
+        return [(m, given.get(m.stage, given.get("") if m is learned[0] else None)) for m in learned]
 
     def read_source_truth(self, index: int) -> Truth | None:
         """Return the truth of frame `index` on the source's side."""
@@ -208,7 +220,7 @@ def open_translation(request: Request, catalogue: Catalogue = BUILT_IN) -> Trans
     mesh = recording.object_mesh
     if request.mesh is not None:
         mesh = load_mesh(request.mesh, unit=request.mesh_unit)
-    return Translation(
+    translation = Translation(
         request=request,
         recording=recording,
         stream=stream,
@@ -222,6 +234,9 @@ def open_translation(request: Request, catalogue: Catalogue = BUILT_IN) -> Trans
         catalogue=catalogue,
         load_context_images=_context_image_loader(request, recording, stream, source),
     )
+    if request.weights and request.refuses_unusable_weights:
+        translation.check_given_weights()
+    return translation
 
 
 def _context_image_loader(

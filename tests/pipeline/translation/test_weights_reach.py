@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,9 +10,10 @@ import numpy as np
 import pytest
 
 from pipeline.base.arrays import freeze
+from pipeline.base.errors import SettingProblem
 from pipeline.engine.graph import Method
 from pipeline.networks import network_factory, weights_registry
-from pipeline.networks.weights import Weights, save_weights
+from pipeline.networks.weights import NoWeights, Weights, save_weights
 from pipeline.stages.depth.stage import PHYSICS
 from pipeline.stages.network_fallback import fall_back_without_weights
 from pipeline.translation.catalogue import BUILT_IN, Catalogue, with_weights
@@ -132,7 +134,22 @@ def test_weights_that_nobody_reads_are_told(tmp_path):
     assert any("the method of touch reads none" in note for note in notes)
 
 
-def test_a_file_may_be_given_for_a_slot_and_may_have_any_name():
+def test_a_file_may_be_given_for_a_stage_and_may_have_any_name(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     assert with_weights({}, "touch=a b.safetensors") == {"touch": Path("a b.safetensors")}
-    assert with_weights({}, "run=3.safetensors") == {"": Path("run=3.safetensors")}
     assert with_weights({"touch": Path("t")}, "x.pth") == {"touch": Path("t"), "": Path("x.pth")}
+    with pytest.raises(SettingProblem, match=r"run=3\.safetensors.*touch_depth"):
+        with_weights({}, "run=3.safetensors")
+    Path("run=3.safetensors").touch()
+    assert with_weights({}, "run=3.safetensors") == {"": Path("run=3.safetensors")}
+
+
+def test_a_command_refuses_weights_that_it_cannot_use(tmp_path):
+    request = Request(recording=SAMPLE, source="gelslim", target="soft_bubble", methods=(("touch", "t2t"),))
+    damaged = tmp_path / "lab.safetensors"
+    damaged.write_bytes(b"no tensors")
+    named = replace(request, weights=(("touch", damaged),))
+    with closing(open_translation(named)) as translation:
+        assert any(isinstance(w, NoWeights) and "lab.safetensors" in w.why for w in translation.weights)
+    with pytest.raises(SettingProblem, match=r"touch.*lab\.safetensors"):
+        open_translation(replace(named, refuses_unusable_weights=True))
