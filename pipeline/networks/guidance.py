@@ -4,6 +4,9 @@ guided = unconditional + weight * (conditional - unconditional) (Ho and Salimans
 determines the result, guidance only narrows the samples; far outside the data it overshoots. Measured limits: below
 four steps there is nothing left to guide. Below twenty steps a weight above 1.5 makes higher-degree solvers diverge:
 the degree is then 0, guidance acts at middle noise levels only, and values outside the data range are pulled back.
+
+The unconditional output exists only where the condition was left out of some training examples. Other networks, such
+as the released checkpoints of touch to touch, are sampled with their condition alone, whatever the weight.
 """
 
 from __future__ import annotations
@@ -16,6 +19,7 @@ from pipeline.base.errors import SettingProblem
 from pipeline.networks.samplers import Denoiser
 
 MAX_WEIGHT = 15.0
+NO_CONDITION_DROPOUT = "guidance has no effect: these weights were trained without condition dropout"
 _MIN_STEPS, _SAFE_STEPS, _SAFE_WEIGHT = 4, 20, 1.5
 _INTERVAL = (0.02, 1.0)  # sigma over data range (Kynkaanniemi et al. 2024: guide in a limited interval)
 _STEPS_PER_WEIGHT = 12  # steps per unit of weight that a degree above 0 needs, measured
@@ -31,13 +35,19 @@ class GuidancePlan:
     note: str = ""  # what differs from the request, in words
 
 
-def plan_guidance(weight: float, steps: int, data_range: float) -> GuidancePlan:
+def plan_guidance(
+    weight: float, steps: int, data_range: float, *, trained_with_condition_dropout: bool = True
+) -> GuidancePlan:
     """Plan guidance of this weight for a number of steps; `data_range` is the largest valid clean value.
+
+    A network that was trained without condition dropout is sampled with a weight of 1.
 
     Raises SettingProblem for a weight outside 0 to `MAX_WEIGHT`.
     """
     if not 0.0 <= weight <= MAX_WEIGHT:
         raise SettingProblem(f"the guidance scale must lie between 0 and {MAX_WEIGHT:g}, got {weight!r}")
+    if not trained_with_condition_dropout:
+        return GuidancePlan(weight=1.0, max_degree=2, interval=None, note="" if weight == 1.0 else NO_CONDITION_DROPOUT)
     if weight in (0.0, 1.0):
         return GuidancePlan(weight=weight, max_degree=2, interval=None)
     if steps < _MIN_STEPS:

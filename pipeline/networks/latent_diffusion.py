@@ -39,9 +39,9 @@ class LatentDiffusion(nn.Module):
     """Latent diffusion of three-channel images in -1..1 of side `side`; defaults are those of the paper.
 
     `raw_condition`: trained on changes of 0..255 normalised by statistics of 0..1, as the published weights were.
-    `half_turn`: the output has to be rotated by 180 degrees for the target's camera. `generated_*` and `true_*` are
-    mean and standard deviation (mm) of generated and true imprints of training examples; they remove small biases of
-    the output. A standard deviation of 0 disables this.
+    `half_turn`: the output has to be rotated by 180 degrees for the target's camera. `trained_with_condition_dropout`:
+    whether guidance can act. `generated_*` and `true_*` are mean and standard deviation (mm) of generated and true
+    imprints of training examples; they remove small biases of the output. A standard deviation of 0 disables this.
     """
 
     model: nn.ModuleDict
@@ -52,13 +52,14 @@ class LatentDiffusion(nn.Module):
         self, *, side: int = 256, width: int = 192, channel_multipliers: str = "1 2 2 4 4", blocks: int = 2,
         attention: str = "1 2 4 8", heads: int = 8, groups: int = 32, autoencoder_width: int = 128,
         autoencoder_multipliers: str = "1 2 4 4", autoencoder_blocks: int = 2, condition_channels: int = 64,
-        raw_condition: bool = False,
+        raw_condition: bool = False, trained_with_condition_dropout: bool = True,
         half_turn: bool = False, generated_mean_mm: float = 0.0, generated_std_mm: float = 0.0,
         true_mean_mm: float = 0.0,
         true_std_mm: float = 0.0,
     ) -> None:  # fmt: skip
         super().__init__()
         self.side, self.raw_condition, self.half_turn = side, bool(raw_condition), bool(half_turn)
+        self.trained_with_condition_dropout = bool(trained_with_condition_dropout)
         self.generated_stats, self.true_stats = (generated_mean_mm, generated_std_mm), (true_mean_mm, true_std_mm)
         self.first_stage_model = AutoencoderKl(
             width=autoencoder_width,

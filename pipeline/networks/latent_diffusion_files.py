@@ -39,7 +39,7 @@ def read_weights(path: Path) -> Weights:
     unet, first, condition_channels = (tensors_in_file[name].shape[0] for name in _REQUIRED_TENSORS)
     config: dict[str, Value] = {
         "side": 256, "width": unet, "autoencoder_width": first, "condition_channels": condition_channels,
-        "raw_condition": True, "half_turn": True,
+        "raw_condition": True, "half_turn": True, "trained_with_condition_dropout": False,
     }  # fmt: skip
     tensors = {name: _get_averaged(tensors_in_file, name) for name in tensors_in_file if _is_used(name)}
     tensors["scale_factor"] = np.asarray(tensors_in_file.get("scale_factor", np.float32(1.0)), np.float32).reshape(())

@@ -50,6 +50,14 @@ class Weights:
         object.__setattr__(self, "content_digest", compute_digest((self.kind, dict(self.config), dict(self.tensors))))
 
     @property
+    def trained_with_condition_dropout(self) -> bool:
+        """Whether guidance can act on a network that samples: in training, some examples lacked the condition.
+
+        `guidance.NO_CONDITION_DROPOUT` is the reason to show where it cannot.
+        """
+        return bool(self.config.get("trained_with_condition_dropout", True))
+
+    @property
     def n_parameters(self) -> int:
         """Number of trained parameters."""
         return sum(tensor.size for tensor in self.tensors.values())

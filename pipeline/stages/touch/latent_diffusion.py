@@ -140,7 +140,12 @@ def sample_image(
 
     levels, times = make_timestep_schedule(params.steps, compute_alphas_cumprod())
     time_of = {float(level): time for level, time in zip(levels, times, strict=False)}
-    guidance_plan = plan_guidance(params.guidance, len(times), LATENT_LIMIT)
+    guidance_plan = plan_guidance(
+        params.guidance,
+        len(times),
+        LATENT_LIMIT,
+        trained_with_condition_dropout=net.trained_with_condition_dropout,
+    )
 
     def make_denoiser(embedding: Tensor) -> Any:
         def denoise(noisy: Tensor, sigma: float) -> Tensor:

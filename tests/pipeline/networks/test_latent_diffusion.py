@@ -138,6 +138,7 @@ def test_a_released_checkpoint_is_read_with_averaged_weights(tmp_path):
     found = latent_diffusion_files.read_weights(tmp_path / "model.ckpt")
     assert (found.config["width"], found.config["autoencoder_width"], found.config["condition_channels"]) == (32, 32, 2)
     assert found.config["raw_condition"]
+    assert not found.trained_with_condition_dropout
     ready = load_network(found)  # every tensor fits
     name = "model.diffusion_model.time_embed.0.bias"
     assert torch.allclose(ready.state_dict()[name], net.state_dict()[name] + 0.5)

@@ -9,6 +9,7 @@ import pytest
 import torch
 
 from pipeline.base.progress import Cancelled
+from pipeline.networks.guidance import NO_CONDITION_DROPOUT
 from pipeline.networks.latent_diffusion import LatentDiffusion
 from pipeline.networks.square_images import MAX_IMPRINT_MM, MIN_IMPRINT_MM, decode_image, encode_image, normalise
 from pipeline.stages.touch import latent_diffusion
@@ -41,6 +42,20 @@ def test_guidance_one_costs_one_pass_per_step(net, monkeypatch, guidance, passes
     calls = counted(net, monkeypatch)
     sample_image(net, SHOWN, LatentParams(steps=40, guidance=guidance))
     assert len(calls) == passes * 40
+
+
+def test_guidance_acts_only_on_weights_trained_with_condition_dropout(net, monkeypatch):
+    def made(guidance):
+        return sample_image(net, SHOWN, LatentParams(steps=8, guidance=guidance))
+
+    assert not np.array_equal(made(1.0)[0], made(4.0)[0])
+    monkeypatch.setattr(net, "trained_with_condition_dropout", False)
+    unguided, notes = made(1.0)
+    assert notes == ()
+    for guidance in (0.0, 4.0, 15.0):
+        image, notes = made(guidance)
+        assert np.array_equal(image, unguided)
+        assert notes == (NO_CONDITION_DROPOUT,)
 
 
 def test_equal_seeds_give_equal_bytes(net):
