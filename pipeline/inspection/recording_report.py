@@ -72,6 +72,7 @@ def inspect_recording(
         reports = [_inspect_stream(recording, s, _find_sensor(s.sensor, sensor), progress) for s in recording.streams]
         checks = [check for _, stream_checks in reports for check in stream_checks]
         checks += check_pairings(recording)
+        checks += _check_grasps(recording)
         checks += _check_synchrony(recording)
         if recording.object_mesh is not None:
             checks += check_mesh(recording.object_mesh, str(recording.path))
@@ -95,6 +96,16 @@ def format_report_lines(report: InspectionReport) -> list[str]:
         out.append(f"  {s.name}: {s.sensor or 'unknown sensor'}, {s.n_frames} frames, {size}, {timing}, {truth}")
     out += [f"  {_STATE_LABELS[c.state]} {c.name}: {c.text}" for c in report.checks]
     return out + [f"  note: {note}" for note in report.notes]
+
+
+def _check_grasps(recording: Recording) -> Iterator[Check]:
+    """Check that the files of every grasp belong together; names those that do not."""
+    if not recording.grasps:
+        return
+    found = ((grasp, recording.find_pair_problem(index)) for index, grasp in enumerate(recording.grasps))
+    problems = [f"{grasp.name}: {problem}" for grasp, problem in found if problem]
+    good = f"the files of {len(recording.grasps)} grasps belong together"
+    yield Check(name="grasps", state="fail" if problems else "pass", text="; ".join(problems) or good)
 
 
 def _check_synchrony(recording: Recording) -> Iterator[Check]:

@@ -79,7 +79,7 @@ FORMATS = (  # of formats that share a suffix the first that matches is used
         key="touch2touch", title="touch2touch grasps", suffixes=(".pt", ".pth"), signatures=(_ZIP,),
         content="frames and references of two fingers, bubble poses, tool mesh",
         reader=f"{_READERS}.touch2touch:read", matches=f"{_READERS}.touch2touch:is_grasp_file",
-        folder=f"{_READERS}.touch2touch:is_grasp_folder",
+        folder=f"{_READERS}.grasp_files:is_grasp_folder",
     ),
     RecordingFormat(
         key="gelslim_depth", title="gelslim_depth dictionary", suffixes=(".pt", ".pth"), signatures=(_ZIP,),

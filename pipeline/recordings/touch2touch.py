@@ -7,8 +7,8 @@ the full 224 x 171 image, or `gelslim`, `gelslim_ref` (2, 3, 320, 427). Index 0 
 from __future__ import annotations
 
 import os
-import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -22,14 +22,14 @@ from pipeline.geometry.camera import make_camera
 from pipeline.geometry.meshes import Mesh, load_mesh
 from pipeline.recordings import torch_files
 from pipeline.recordings.formats import RecordingFiles
+from pipeline.recordings.grasp_files import BUBBLE, GEL, GraspFiles, list_grasps, parse_tool
 from pipeline.recordings.index_check import with_index_check
-from pipeline.values.frames import Recording, Stream, TactileFrame, Truth
+from pipeline.values.frames import Grasp, Recording, Stream, TactileFrame, Truth
 
 _FINGERS = ("right", "left")
 _FULL_ROWS, _FULL_COLS, _TOP, _LEFT = 171, 224, 20, 25  # released pairs are a window of the camera's image
 _BUBBLE, _GELSLIM = (140, 175), (320, 427)  # (rows, cols)
-_NAME = re.compile(r"^(?:(?P<tool>.+)_)?data_(?P<id>\d+)$")
-_FOLDER = re.compile(r"^(?:bubble|gelslim)_style_transfer_dataset_(?:bubbles|gelslim)_(?P<tool>.+)$")
+_IN_HAND_TOLERANCE = {"theta": 0.02, "x": 1e-3, "y": 1e-3}  # rad, m: the tool's pose, the same for both sensors
 _MM_PER_M = 1000.0
 _POSE_KEYS = ("bubbles_tr_quat", "tool_tr_quat")  # of the sensors and of the tool, in the robot's base frame
 
@@ -41,51 +41,41 @@ def is_grasp_file(files: RecordingFiles) -> bool:
     )
 
 
-def is_grasp_folder(folder: Path) -> bool:
-    """Whether files below the folder are named as grasps."""
-    return any(_NAME.match(p.stem) for p in folder.rglob("*.pt"))
-
-
 def read(path: Path) -> Recording:
     """A folder of grasps, or one grasp as two streams, one per finger; raises FileProblem."""
     if path.is_dir():
         return _read_folder(path)
-    bubble = "bubble_imprint" in torch_files.load_tensors(path)
-    streams = _streams([path], path, bubble=bubble)
+    sensor = BUBBLE if "bubble_imprint" in torch_files.load_tensors(path) else GEL
+    grasp = GraspFiles(Grasp(tool=parse_tool(path)), {sensor: path})
     return Recording(
-        path=path, format="touch2touch sample", streams=streams, object_mesh=_load_tool_mesh([path]), notes=_NOTES
-    )
+        path=path, format="touch2touch sample", streams=_streams([grasp], path, sensor),
+        object_mesh=_load_tool_mesh([grasp]), notes=_NOTES,
+    )  # fmt: skip
 
 
 def _read_folder(path: Path) -> Recording:
-    """All grasps of a folder; where it has both sensors, frame `i` of each stream is the same grasp.
-
-    Reads `bubbles` and `gelslims` folders with one folder per tool (`data/..._<tool>/data_<i>.pt`) or with all grasps
-    together (`<tool>_data_<i>.pt`), and folders of one sensor.
-    """
-    sides: dict[bool, dict[tuple[str, int], Path]] = {True: {}, False: {}}
-    for file in sorted(path.rglob("*.pt")):
-        key = _parse_grasp(file)
-        if key is not None:
-            sides[_is_bubble(file, path)][key] = file
-    bubbles, gelslims = sides[True], sides[False]
-    if not bubbles and not gelslims:
-        raise FileProblem("the folder has no touch2touch samples (names end in data_<number>.pt)", path)
-    both = sorted(bubbles.keys() & gelslims.keys()) if bubbles and gelslims else sorted(bubbles or gelslims)
-    if not both:
-        raise FileProblem("no grasp of this folder was recorded by both sensors: names do not match", path)
-    n_unpaired = len(bubbles.keys() ^ gelslims.keys()) if bubbles and gelslims else 0
-    notes = (*_NOTES, *((f"{n_unpaired} grasps of only one sensor are left out",) if n_unpaired else ()))
-    streams = tuple(
-        stream
-        for side, bubble in ((gelslims, False), (bubbles, True))
-        if side
-        for stream in _streams([side[key] for key in both], path, bubble=bubble)
-    )
-    files = [side[key] for side in (bubbles, gelslims) if side for key in both]
+    """All grasps of a folder; where it has both sensors, frame `i` of each stream is the same grasp."""
+    folder = list_grasps(path)
+    grasps = folder.grasps
     return Recording(
-        path=path, format="touch2touch folder", streams=streams, object_mesh=_load_tool_mesh(files), notes=notes
-    )
+        path=path, format="touch2touch folder", object_mesh=_load_tool_mesh(grasps),
+        streams=tuple(stream for sensor in folder.sensors for stream in _streams(grasps, path, sensor)),
+        notes=(*folder.notes, *_NOTES), grasps=tuple(g.grasp for g in grasps),
+        find_pair_problem=lambda index: _find_pair_problem(grasps[index]),
+    )  # fmt: skip
+
+
+def _find_pair_problem(grasp: GraspFiles) -> str:
+    """Why the files of a grasp are not of one touch; "" where they are, or where only one sensor was there."""
+    try:
+        loaded = [torch_files.load_tensors(file) for file in grasp.files.values()]
+        for key, tolerance in _IN_HAND_TOLERANCE.items():
+            values = [float(tensors[key]) for tensors in loaded if key in tensors]
+            if len(values) == len(loaded) > 1 and abs(values[0] - values[1]) > tolerance:
+                return f"{key} is {values[0]:.4g} for one sensor and {values[1]:.4g} for the other"
+    except (FileProblem, TypeError, ValueError, RuntimeError) as error:
+        return str(error)
+    return ""
 
 
 _NOTES = (
@@ -94,26 +84,43 @@ _NOTES = (
 )
 
 
-def _streams(files: list[Path], path: Path, *, bubble: bool) -> tuple[Stream, ...]:
+def _streams(grasps: Sequence[GraspFiles], path: Path, sensor: str) -> tuple[Stream, ...]:
     @lru_cache(maxsize=2)
     def load(index: int) -> Mapping[str, Any]:
-        return torch_files.load_tensors(files[index])
+        return torch_files.load_tensors(grasps[index].files[sensor])
 
-    build = _bubble_frame if bubble else _gelslim_frame
-    sensor = "soft_bubble" if bubble else "gelslim"
+    is_bubble = sensor == BUBBLE
+    build = _bubble_frame if is_bubble else _gelslim_frame
 
     def build_stream(finger: int) -> Stream:
         def frame(index: int) -> TactileFrame:
-            return build(load(index), finger, index, files[index])
+            return build(load(index), finger, index, grasps[index].files[sensor])
 
         def truth(index: int) -> Truth | None:
-            return _read_pose(load(index), finger, files[index]) if bubble else None
+            if not is_bubble:
+                return None
+            pose, depth = _read_pose(load(index), finger, grasps[index].files[sensor]), grasps[index].bubble_depth
+            return pose if depth is None else _add_depth(pose or Truth(), frame(index), depth, finger)
 
-        n = len(files)
-        return Stream(name=f"{sensor} {_FINGERS[finger]}", sensor=sensor, n_frames=n, has_truth=bubble,
+        n = len(grasps)
+        return Stream(name=f"{sensor} {_FINGERS[finger]}", sensor=sensor, n_frames=n, has_truth=is_bubble,
                       frame=with_index_check(frame, n, path), truth=with_index_check(truth, n, path))  # fmt: skip
 
     return build_stream(0), build_stream(1)
+
+
+def _add_depth(truth: Truth, frame: TactileFrame, file: Path, finger: int) -> Truth:
+    """Truth with the touched surface of a depth file: metres from the camera, 0 or less where nothing is touched."""
+    values = torch_files.require_tensor_rows(torch_files.load_tensors(file), "depth", file, _BUBBLE).double().numpy()
+    depth_mm = values[min(finger, len(values) - 1)] * _MM_PER_M
+    contact = np.isfinite(depth_mm) & (depth_mm > 0.0)
+    assert frame.reference is not None
+    if contact.any() and not 20.0 < float(np.median(depth_mm[contact])) < 500.0:
+        raise FileProblem(
+            f"depth must be in metres, its median is {np.median(depth_mm[contact]) / _MM_PER_M:g}", file, field="depth"
+        )
+    indentation = np.where(contact, np.maximum(frame.reference - depth_mm, 0.0), 0.0).astype(np.float32)
+    return replace(truth, indentation_mm=freeze(indentation), contact=freeze(contact & (indentation > 0.0)))
 
 
 def _bubble_frame(tensors: Mapping[str, Any], finger: int, index: int, file: Path) -> TactileFrame:
@@ -174,31 +181,12 @@ def _parse_transforms(rows: Any) -> list[Doubles]:
     return [rigid.from_quaternion(row[:3] * _MM_PER_M, row[3:]) for row in values]
 
 
-def _parse_grasp(file: Path) -> tuple[str, int] | None:
-    """(tool, number) of a sample, from its own name or its folder's."""
-    match = _NAME.match(file.stem)
-    if match is None:
-        return None
-    folder = _FOLDER.match(file.parent.name)
-    tool = match["tool"] or (folder["tool"] if folder else "")
-    return tool, int(match["id"])
-
-
-def _is_bubble(file: Path, root: Path) -> bool:
-    for part in reversed(file.relative_to(root.parent).parts[:-1]):
-        if part.startswith("bubble"):
-            return True
-        if part.startswith("gelslim"):
-            return False
-    return "bubble_imprint" in torch_files.load_tensors(file)
-
-
-def _load_tool_mesh(files: list[Path]) -> Mesh | None:
+def _load_tool_mesh(grasps: Sequence[GraspFiles]) -> Mesh | None:
     """The mesh of the only tool, if the folder `tools_stls` lies above the grasps; else None."""
-    tools = {key[0] for key in map(_parse_grasp, files) if key is not None}
+    tools = {g.grasp.tool for g in grasps}
     if len(tools) != 1:
         return None
-    name = f"{next(iter(tools))}.stl"
-    candidates = (folder / "tools_stls" / name for folder in Path(os.path.realpath(files[0])).parents)
+    name, first = f"{next(iter(tools))}.stl", next(iter(grasps[0].files.values()))
+    candidates = (folder / "tools_stls" / name for folder in Path(os.path.realpath(first)).parents)
     file = next((p for p in candidates if p.is_file()), None)
     return None if file is None else load_mesh(file, unit="m")

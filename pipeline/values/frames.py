@@ -77,6 +77,24 @@ class Pairing:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Grasp:
+    """What a data set says about one of its grasps."""
+
+    tool: str = ""  # name of the object; "" = not known
+    split: str = ""  # folder or list of the data set that it belongs to, such as "train"; "" = none
+    number: int = 0
+
+    @property
+    def name(self) -> str:
+        """Tool and number, and the split where there is one."""
+        return " ".join(part for part in (self.tool, str(self.number), f"({self.split})" if self.split else "") if part)
+
+
+def _no_pair_problem(_index: int) -> str:
+    return ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Recording:
     """One or several sensors that record the same touches: frame `i` of each stream is the same moment."""
 
@@ -89,6 +107,10 @@ class Recording:
     close: Callable[[], None] = _nothing
     symmetry: Symmetry | None = None  # of the object; None = not known, and no poses count as equal
     refresh: Callable[[], Recording] | None = None  # the recording with frames that came since; None = it does not grow
+    grasps: tuple[Grasp, ...] = ()  # one per frame index; () = the data set names none
+    find_pair_problem: Callable[[int], str] = (
+        _no_pair_problem  # why frames of this index are not of one touch; "" = fine
+    )
 
     def stream(self, name_or_sensor: str = "") -> Stream:
         """The stream with this name or sensor, the first one for ""; raises SettingProblem."""

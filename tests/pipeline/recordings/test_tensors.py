@@ -101,7 +101,7 @@ def test_folders_pair_the_grasps_of_both_sensors(tmp_path: Path, flat: bool):
         depth = recording.stream("soft_bubble left").frame(index).image[70, 80]
         assert depth == pytest.approx(60.0 - n, abs=FLOAT_ROUNDING_MM)
     assert recording.streams[0].n_frames == 2
-    assert "1 grasps of only one sensor are left out" in recording.notes
+    assert "1 grasps of only one sensor are left out: hex 30 (only soft_bubble)" in recording.notes
 
 
 def test_a_depth_dictionary_gives_both_fingers_and_positive_indentation(tmp_path: Path):
