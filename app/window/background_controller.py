@@ -33,6 +33,7 @@ class BackgroundController(QObject):
 
     def start(self, work: JobFunction, *, interrupt: bool = True) -> None:
         """Run `work`; without `interrupt` the run before it finishes first, and shows its result."""
+        self._ticket = 0  # the end of the run before it is not that of this one
         self._ticket = self.job.submit(work, interrupt=interrupt)
         if interrupt or not self._oldest_shown:
             self._oldest_shown = self._ticket

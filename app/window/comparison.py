@@ -7,15 +7,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import cast
 
-from PyQt6.QtCore import QObject
-
 from app.session.comparison_settings import LAST_STAGE, ComparisonSettings, ComparisonTabName
 from app.session.differences import describe_differences
 from app.session.layout import Layout
 from app.session.state import Session
+from app.window.background_controller import BackgroundController
 from app.window.session_controller import SessionController
 from app.work.evaluator import Evaluator
-from app.work.jobs import JobReporter, LatestJob
+from app.work.jobs import JobReporter
 from app.work.requests import make_request
 from app.work.variants import open_variant
 from pipeline.base.allocator import release_free_memory
@@ -36,48 +35,37 @@ _RELEASE_DELAY_MS = 20_000  # between leaving the page and releasing its memory
 _NO_DIFFERENCE = "no setting differs yet: further changes are those of A (F3 shows the parameters)"
 
 
-class ComparisonController(QObject):
+class ComparisonController(BackgroundController):
     """Connects the page with the session; nothing is computed for a tab that is not visible."""
 
     def __init__(self, controller: SessionController) -> None:
-        super().__init__(controller)
-        self._controller, self._page = controller, controller.window.comparison
-        self._job = LatestJob("compare", self)
+        super().__init__("compare", controller)
+        self._page = controller.window.comparison
         self._evaluators = tuple(Evaluator(controller.catalogue, like=controller.evaluator) for _ in "AB")
         self._method_runner = VariantRunner()
         self._shared_runner = VariantRunner(like=self._evaluators[0].graph)  # shares what the columns computed
         self._requested: tuple[object, ...] = ()
-        self._ticket, self._first_ticket, self._sampling_requested = 0, 0, False
+        self._sampling_requested = False
         self._release_timer = make_single_shot_timer(self, _RELEASE_DELAY_MS, self.release_memory)
         self._is_visible = False
         self._shown_settings = (ComparisonSettings(), None)  # when the page was last updated
         self._builders: Mapping[str, Callable[[Session], ComparisonSteps | str]] = {
             "methods": self._build_methods, "two": self._build_pair, "seeds": self._build_seeds,
         }  # fmt: skip
-        page, job, window = self._page, self._job, controller.window
+        page, window = self._page, controller.window
         page.tab_chosen.connect(self._choose)
         page.choice_changed.connect(self._choose)
         page.sampling_requested.connect(self._sample)
         for tab in page.tabs.values():
-            tab.cancel_requested.connect(job.cancel)
+            tab.cancel_requested.connect(self.cancel)
             tab.grid.readout_changed.connect(window.readout.setText)
-        job.delivered.connect(self._show_step)
-        job.finished.connect(self._show_finished)
-        job.failed.connect(self._show_failed)
-        job.cancelled.connect(self._show_cancelled)
-        job.progressed.connect(self._show_progress)
         controller.frame_shown.connect(self._update)
         controller.closing.connect(self._close)
-        window.connect_command("cancel", job.cancel)
+        window.connect_command("cancel", self.cancel)
         window.connect_command("reset_view", self._reset_view)
         window.connect_command("set_variant_settings", self.set_variant_settings)
         window.connect_command("clear_variant", self.clear_variant)
         window.actions_by_name["clear_variant"].setEnabled(False)
-
-    @property
-    def is_busy(self) -> bool:
-        """Whether tiles are still to come."""
-        return not self._job.is_settled
 
     def set_variant_settings(self) -> None:
         """Hold the current settings as variant B."""
@@ -95,14 +83,14 @@ class ComparisonController(QObject):
         """Drop cached results, and networks that no column uses, unless the page is visible."""
         if self._is_visible or self._controller.is_closed:
             return
-        if self._job.is_busy:  # it is being cancelled
+        if self.job.is_busy:  # it is being cancelled
             self._release_timer.start()
             return
         self._method_runner.clear()
         for evaluator in self._evaluators:
             evaluator.release_caches()
         network_factory.release_networks(self._controller.evaluator.weights_in_use)
-        self._job.submit(lambda _: release_free_memory())
+        self.job.submit(lambda _: release_free_memory())
 
     def _set_variant(self, session: Session) -> None:
         now = self._controller.session
@@ -198,7 +186,7 @@ class ComparisonController(QObject):
         elif was_visible:
             self._release_timer.start()
         if session.layout.name != "compare" or session.recording is None:
-            self._job.cancel()
+            self.abandon()
             self._requested = ()
         self._show_choices(session)
         if (session.comparison, session.variant) != self._shown_settings:
@@ -240,18 +228,17 @@ class ComparisonController(QObject):
         self._requested = requested
         steps = self._builders[page.current_name](session)
         if isinstance(steps, str):
-            self._job.cancel()
-            self._ticket = self._first_ticket = self._job.newest_ticket + 1  # results in progress are outdated
+            self.abandon()
             self._hide_progress()
             self._show(Comparison(tiles=(), summary=steps))
             return
         page.current_tab.show_progress(0.0)
-        self._ticket = self._job.submit(lambda report: _deliver_steps(steps, report), interrupt=not is_next_frame)
-        self._first_ticket = self._first_ticket if is_next_frame else self._ticket
+        self.start(lambda report: _deliver_steps(steps, report), interrupt=not is_next_frame)
 
-    def _show_step(self, ticket: int, comparison: object) -> None:
-        if isinstance(comparison, Comparison) and ticket == self._ticket:
-            self._show(comparison)
+    def show_part(self, part: object) -> None:
+        """Show the tiles that are done."""
+        if isinstance(part, Comparison):
+            self._show(part)
 
     def _show(self, comparison: Comparison) -> None:
         page = self._page
@@ -265,28 +252,28 @@ class ComparisonController(QObject):
                 cell.legend.setText(f"{letter} · {self._controller.catalogue.stage(comparison.stage).legend}")
             self._controller.views.show_variants(comparison.stage, comparison.views_3d, self._controller.session)
 
-    def _show_finished(self, ticket: int, comparison: object) -> None:
-        if isinstance(comparison, Comparison) and self._requested and ticket >= self._first_ticket:
-            self._show(comparison)
-        if ticket == self._ticket:
+    def show_result(self, result: object) -> None:
+        """Show all tiles; the progress stays where the next frame is computed already."""
+        if isinstance(result, Comparison):
+            self._show(result)
+        if not self.job.is_busy:
             self._hide_progress()
 
-    def _show_failed(self, ticket: int, error: object) -> None:
-        if ticket != self._ticket or not isinstance(error, BaseException):
-            return
+    def show_failure(self, error: BaseException) -> None:
+        """Show the error in place of the tiles."""
         self._hide_progress()
         self._show(Comparison(tiles=(), summary=str(error)))
         if not isinstance(error, TouchError):
-            self._controller.show_problem(error)
+            super().show_failure(error)
 
-    def _show_cancelled(self, ticket: int) -> None:
-        if ticket == self._ticket and self._requested:
-            self._hide_progress()
-            self._page.current_tab.message.setText(f"cancelled; {self._page.current_tab.message.text()}")
+    def show_cancelled(self) -> None:
+        """Show that tiles are missing."""
+        self._hide_progress()
+        self._page.current_tab.message.setText(f"cancelled; {self._page.current_tab.message.text()}")
 
-    def _show_progress(self, ticket: int, fraction: float, _: str) -> None:
-        if ticket == self._ticket and self._job.is_busy:
-            self._page.current_tab.show_progress(fraction)
+    def show_progress(self, fraction: float, text: str) -> None:  # noqa: ARG002 - the tab shows tiles instead
+        """Show the progress in the tab."""
+        self._page.current_tab.show_progress(fraction)
 
     def _hide_progress(self) -> None:
         for tab in self._page.tabs.values():
@@ -294,7 +281,6 @@ class ComparisonController(QObject):
 
     def _close(self) -> None:
         self._release_timer.stop()
-        self._job.close()
         for evaluator in self._evaluators:
             evaluator.close()
 

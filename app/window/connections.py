@@ -27,6 +27,7 @@ from app.window.layouts import LayoutController
 from app.window.live import LiveController
 from app.window.main_window import MainWindow
 from app.window.pan_zoom import PanZoomController
+from app.window.panels import add_panels
 from app.window.presentation import PresentationController
 from app.window.probe_3d import Probe3DController
 from app.window.section_line import SectionLineController
@@ -122,6 +123,7 @@ def connect(controller: SessionController, theme: Theme = "light") -> AutosaveCo
     _connect_view(controller, layouts)
     _connect_undo(controller)
     _connect_palette(window)
+    add_panels(controller)
     return autosave
 
 

@@ -6,12 +6,11 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from PyQt6.QtCore import QObject
-
 from app.session.state import Session
+from app.window.background_controller import BackgroundController
 from app.window.session_controller import SessionController
 from app.work.evaluator import Evaluator
-from app.work.jobs import JobReporter, LatestJob
+from app.work.jobs import JobReporter
 from app.work.requests import make_request
 from app.work.variants import (
     SweepableParameter,
@@ -38,45 +37,35 @@ from pipeline.translation.error_attribution import DEFAULT_METRIC
 _NO_METRIC = "time only"
 
 
-class SweepController(QObject):
+class SweepController(BackgroundController):
     """Connects the tab with the session. A sweep of another recording or frame is cancelled."""
 
     def __init__(self, controller: SessionController) -> None:
-        super().__init__(controller)
-        self._controller, self._tab = controller, controller.window.comparison.sweep
-        self._job = LatestJob("sweep", self)
+        super().__init__("sweep", controller)
+        self._tab = controller.window.comparison.sweep
         self._evaluator = Evaluator(controller.catalogue)
         self._parameters: list[SweepableParameter] = []
         self._plan: SweepPlan | None = None
         self._swept: Session | None = None  # session of the sweep that is shown
-        self._ticket, self._start_s, self._n_done = 0, 0.0, 0
-        tab, job = self._tab, self._job
+        self._start_s, self._n_done = 0.0, 0
+        tab = self._tab
         tab.axis_chosen.connect(self._suggest_values)
-        tab.sweep_requested.connect(self._start)
-        tab.cancel_requested.connect(job.cancel)
+        tab.sweep_requested.connect(self._start_sweep)
+        tab.cancel_requested.connect(self.cancel)
         tab.cell_chosen.connect(self._use_cell)
-        job.delivered.connect(self._show_cell)
-        job.finished.connect(self._show_finished)
-        job.failed.connect(self._show_failed)
-        job.cancelled.connect(self._show_cancelled)
         controller.frame_shown.connect(self._update_metrics)
-        controller.closing.connect(self._close)
+        controller.closing.connect(self._evaluator.close)
 
     def format_command(self, target: str, out: Path) -> str:
         """The command that makes the sweep that is shown, or else the chosen one; raises SettingProblem."""
         plan = self._plan if self._swept is not None and self._plan is not None else self._parse_plan()
         return format_compare_command(self._swept or self._controller.session, "", target, out, plan)
 
-    @property
-    def is_busy(self) -> bool:
-        """Whether cells are still to come."""
-        return not self._job.is_settled
-
     def show_session(self, session: Session) -> None:
         """Offer the parameters of the methods in use, and cancel a sweep of something else."""
         swept = self._swept
         if swept is not None and (make_request(swept) != make_request(session) or swept.frame != session.frame):
-            self._job.cancel()
+            self.cancel()
             self._swept = None
         if session.layout.name != "sweep":
             return
@@ -126,7 +115,7 @@ class SweepController(QObject):
         metric = self._tab.metric_box.currentText()
         return SweepPlan(across=axes[0], down=axes[1], metric="" if metric == _NO_METRIC else metric)
 
-    def _start(self) -> None:
+    def _start_sweep(self) -> None:
         try:
             plan = self._parse_plan()
         except TouchError as error:
@@ -138,29 +127,30 @@ class SweepController(QObject):
         across, down = (_format_axis(axis) for axis in (plan.across, plan.down))
         self._tab.start_sweep(across, down, unit)
         self._tab.show_progress(0.0, "opening the recording")
-        self._ticket = self._job.submit(lambda report: run_sweep(self._evaluator, session, plan, report))
+        self.start(lambda report: run_sweep(self._evaluator, session, plan, report))
 
-    def _show_cell(self, ticket: int, cell: object) -> None:
-        if ticket != self._ticket or self._plan is None or not isinstance(cell, SweepCell):
+    def show_part(self, part: object) -> None:
+        """Show a cell, and the time left."""
+        if self._plan is None or not isinstance(part, SweepCell):
             return
         self._n_done += 1
-        self._tab.show_cell(cell)
+        self._tab.show_cell(part)
         n_cells = len(self._plan.run_order)
         left_s = (time.monotonic() - self._start_s) / self._n_done * (n_cells - self._n_done)
         self._tab.show_progress(self._n_done / n_cells, f"{self._n_done} of {n_cells} done, about {left_s:.0f} s left")
 
-    def _show_finished(self, ticket: int, n_cells: object) -> None:
-        if ticket == self._ticket:
-            self._tab.show_progress(None, f"{n_cells} pairs done; click a cell to use its values")
+    def show_result(self, result: object) -> None:
+        """Show that all cells are done."""
+        self._tab.show_progress(None, f"{result} pairs done; click a cell to use its values")
 
-    def _show_failed(self, ticket: int, error: object) -> None:
-        if ticket == self._ticket and isinstance(error, BaseException):
-            self._tab.show_progress(None, str(error))
-            self._controller.show_problem(error)
+    def show_failure(self, error: BaseException) -> None:
+        """Show the error in the tab and in the banner."""
+        self._tab.show_progress(None, str(error))
+        super().show_failure(error)
 
-    def _show_cancelled(self, ticket: int) -> None:
-        if ticket == self._ticket:
-            self._tab.show_progress(None, f"cancelled after {self._n_done} pairs")
+    def show_cancelled(self) -> None:
+        """Show how many cells were computed."""
+        self._tab.show_progress(None, f"cancelled after {self._n_done} pairs")
 
     def _use_cell(self, row: int, col: int) -> None:
         """Use a cell's values in the session, as one change."""
@@ -171,10 +161,6 @@ class SweepController(QObject):
         base = Variant(label="", translation=opened, params=self._controller.session.params)
         self._controller.change("use a cell of the sweep", params=plan.build_variant(base, row, col).params)
         self._tab.mark_used_cell(row, col)
-
-    def _close(self) -> None:
-        self._job.close()
-        self._evaluator.close()
 
 
 def run_sweep(evaluator: Evaluator, session: Session, plan: SweepPlan, report: JobReporter) -> int:
