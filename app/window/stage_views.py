@@ -252,7 +252,9 @@ class StageViews:
         """Show a stage of two sessions in the 3D views of the comparison, with the cameras of the columns."""
         old, self._variants = self._variants, tuple((stage, other) for _, other in others)
         if [_get_view_key(*pair) for pair in old] != [_get_view_key(*pair) for pair in self._variants]:
+            kept = {column: at for column, at in self.scene.get_cameras().items() if column <= len(self._order)}
             self.reset_cameras(session)
+            self.scene.set_cameras(kept)
         for k, (layers, _) in enumerate(others):
             self.scene.show_layers(len(self._order) + 1 + k, layers)
             self._layers[len(self._order) + 1 + k] = layers

@@ -70,7 +70,6 @@ def row(number: int | str, name: str, *, share: float = 1.0, refused: float = 0.
         phases = [Phase.explicit, Phase.reuse, Phase.generate]
         drawn = settings(
             max_examples=cases(share),
-            deadline=None,
             suppress_health_check=list(HealthCheck),
             phases=phases if SIZE.long or share < 1.0 else [*phases, Phase.shrink],
             report_multiple_bugs=False,

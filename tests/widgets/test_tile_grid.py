@@ -33,9 +33,9 @@ def grid(qtbot):
 
 def test_six_low_pictures_stand_in_two_rows_with_their_words_beside(grid, qtbot):
     grid.show_tiles(_tiles(6))
-    qtbot.waitUntil(lambda: grid.views[3].y() > grid.views[0].y())
+    qtbot.waitUntil(lambda: grid.views[3].y() > grid.views[0].y(), timeout=240_000)
     view = grid.views[0].view
-    qtbot.waitUntil(lambda: view.text_area.x() > view.canvas.x())
+    qtbot.waitUntil(lambda: view.text_area.x() > view.canvas.x(), timeout=240_000)
     room = view.canvas.size()
     assert min(room.width() / 175, room.height() / 140) * 175 > 240  # a row of six had 208
 
@@ -44,7 +44,7 @@ def test_words_come_under_the_picture_again_where_that_is_larger(grid, qtbot):
     grid.show_tiles(_tiles(6))
     grid.show_tiles(_tiles(2))
     view = grid.views[0].view
-    qtbot.waitUntil(lambda: view.text_area.y() > view.canvas.y())
+    qtbot.waitUntil(lambda: view.text_area.y() > view.canvas.y(), timeout=240_000)
     assert grid.views[0].y() == grid.views[1].y()
 
 
@@ -70,6 +70,8 @@ def test_figures_that_fill_many_lines_are_all_seen_and_scales_stay_level(grid, q
     grid.resize(1322, 600)
     grid.show_tiles(tiles)
     first, second = grid.views[:2]
-    qtbot.waitUntil(lambda: first.view.text_area.x() > first.view.canvas.x())
-    qtbot.waitUntil(lambda: first._subtitle.height() >= first._subtitle.heightForWidth(first._subtitle.width()))
+    qtbot.waitUntil(lambda: first.view.text_area.x() > first.view.canvas.x(), timeout=240_000)
+    qtbot.waitUntil(
+        lambda: first._subtitle.height() >= first._subtitle.heightForWidth(first._subtitle.width()), timeout=240_000
+    )
     assert first.view.colour_bar.y() == second.view.colour_bar.y()

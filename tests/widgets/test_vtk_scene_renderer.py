@@ -145,7 +145,7 @@ def test_what_comes_together_is_drawn_once_and_what_has_not_changed_not_at_all(s
     before = scene.n_renders
     for z in (10.0, 11.0, 12.0):
         scene.show_layers(0, [surface(z)])
-    qtbot.waitUntil(lambda: scene.n_renders > before)
+    qtbot.waitUntil(lambda: scene.n_renders > before, timeout=240_000)
     qtbot.wait(50)
     assert scene.n_renders == before + 1
 
@@ -161,7 +161,7 @@ def test_a_view_that_nobody_sees_is_not_drawn_until_it_is_shown(scene, qtbot):
         qtbot.wait(30)
     assert scene.n_renders == before
     scene.views[1].show()
-    qtbot.waitUntil(lambda: scene.n_renders == before + 1)
+    qtbot.waitUntil(lambda: scene.n_renders == before + 1, timeout=240_000)
 
 
 def test_a_view_seen_before_is_not_drawn_again(scene):

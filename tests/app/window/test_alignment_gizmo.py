@@ -12,7 +12,7 @@ from app.window.alignment import AlignmentController
 from app.window.tour import wait_until_shown
 from widgets.gizmo import Gizmo
 
-LIMIT_S, LIMIT_MS = 60, 60_000
+LIMIT_S, LIMIT_MS = 240, 240_000
 
 
 @pytest.fixture

@@ -21,7 +21,7 @@ from app.window.main_window import DEFAULT_SIZE
 from app.window.tour import wait_until_shown
 from widgets.welcome import WelcomePage
 
-LIMIT_S = 60
+LIMIT_S = 240
 _EDIT_AND_WAIT = """
 import sys, time
 from pathlib import Path

@@ -11,7 +11,7 @@ from app.window.basin_map import BasinMapController
 from app.window.tour import wait_until_shown
 from pipeline.stages.pose import basin_map as stage
 
-LIMIT_S, LIMIT_MS = 60, 60_000
+LIMIT_S, LIMIT_MS = 240, 240_000
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ from app.window.tour import wait_until_shown
 from pipeline.translation.error_attribution import OUTSIDE_VIEW
 from widgets.error_attribution_panel import make_bars
 
-LIMIT_MS = 60_000
+LIMIT_MS = 240_000
 
 
 @pytest.fixture

@@ -29,7 +29,7 @@ from pipeline.stages.depth.photometric import DepthParams
 from pipeline.stages.depth.stage import PHYSICS
 from pipeline.translation.cross_section import SectionLine
 
-LIMIT_S = 60
+LIMIT_S = 240
 
 
 def handing_of(controller) -> ExportController:
@@ -105,7 +105,7 @@ def test_the_command_of_a_section_writes_the_table_that_is_copied(edited, tmp_pa
     edited.set_section(SectionLine(begin_mm=(-3.25, 1.5), end_mm=(4.0, -0.01)))
     window.drawers.diagnostics.show()
     window.tabs.setCurrentWidget(panel)
-    qtbot.waitUntil(panel.command.isEnabled, timeout=3000)
+    qtbot.waitUntil(panel.command.isEnabled, timeout=240_000)
     assert wait_until_shown(edited, LIMIT_S)
     qtbot.wait(60)
     panel.copy.click()

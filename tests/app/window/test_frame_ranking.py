@@ -15,7 +15,7 @@ from app.window.tour import wait_until_shown
 from widgets.frames_model import NOTE, FrameSummary
 from widgets.frames_panel import FramesPanel
 
-LIMIT_MS = 120_000
+LIMIT_MS = 240_000
 _UP, _DOWN = Qt.SortOrder.AscendingOrder, Qt.SortOrder.DescendingOrder
 
 

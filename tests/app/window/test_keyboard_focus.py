@@ -27,7 +27,7 @@ from pipeline.translation.catalogue import BUILT_IN
 from tests.app.window.monkey import Monkey
 from widgets.command_palette import CommandPalette
 
-LIMIT_S = 60
+LIMIT_S = 240
 
 
 def wheel(widget) -> QWheelEvent:
@@ -91,7 +91,7 @@ def test_enter_accepts_the_number_and_returns_the_focus(bubble_window, qtbot):
     number.selectAll()
     QTest.keyClicks(number, "1")
     QTest.keyClick(number, Qt.Key.Key_Return)
-    qtbot.waitUntil(lambda: not number.hasFocus())
+    qtbot.waitUntil(lambda: not number.hasFocus(), timeout=240_000)
     assert bubble_window.session.frame == 1
     assert wait_until_shown(bubble_window, LIMIT_S)
 

@@ -18,7 +18,7 @@ from pipeline.live.source import LiveFrame
 from pipeline.recordings import open_recording
 from pipeline.sensors.spec import load_sensor
 
-LIMIT_S = 90.0
+LIMIT_S = 240
 
 
 def living_of(controller) -> LiveController:

@@ -18,7 +18,7 @@ def test_an_empty_window_preloads(monkeypatch, qtbot, open_window):
         lambda *given, whole=gel_surface.integrate_slopes: integrated.append(1) or whole(*given),
     )
     own = PreloadController(open_window())
-    with qtbot.waitSignal(own.job.finished, timeout=60_000):
+    with qtbot.waitSignal(own.job.finished, timeout=240_000):
         assert own.start_timer.isActive()
         own.start_timer.setInterval(0)
     assert integrated, "it was no touch"
@@ -33,8 +33,8 @@ def test_opening_a_recording_stops_the_preload(monkeypatch, qtbot, open_window):
     controller = open_window()
     own = PreloadController(controller)
     own.start_timer.setInterval(0)
-    qtbot.waitUntil(lambda: own.job.is_busy, timeout=20_000)
-    with qtbot.waitSignal(own.job.cancelled, timeout=20_000):
+    qtbot.waitUntil(lambda: own.job.is_busy, timeout=240_000)
+    with qtbot.waitSignal(own.job.cancelled, timeout=240_000):
         controller.open_path(SAMPLE_RECORDING)
     assert not own.start_timer.isActive()
 

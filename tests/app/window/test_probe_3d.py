@@ -9,7 +9,7 @@ from PyQt6.QtCore import QPoint, Qt
 from app.session.sample import SAMPLE_RECORDING
 from app.window.tour import wait_until_shown
 
-LIMIT_S = 60
+LIMIT_S = 240
 
 
 @pytest.fixture

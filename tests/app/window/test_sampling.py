@@ -11,7 +11,7 @@ from pipeline.networks.weights import Weights, save_weights
 from pipeline.stages.touch.depth_condition import CONDITION_CHANNELS
 from pipeline.stages.touch.residual_diffusion import DiffusionParams
 
-LIMIT_S = 60.0
+LIMIT_S = 240
 KEY = "touch/t2d2"
 
 

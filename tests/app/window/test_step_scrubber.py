@@ -9,7 +9,7 @@ from PyQt6.QtCore import Qt
 from app.window.tour import wait_until_shown
 from pipeline.previews.colours import UNMATCHED_POINT_COLOUR
 
-LIMIT_S = 120
+LIMIT_S = 240
 
 
 @pytest.fixture

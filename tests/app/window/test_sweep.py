@@ -23,7 +23,7 @@ from pipeline.stages.cloud.stage import STAGE as CLOUD
 from pipeline.translation.catalogue import BUILT_IN
 from widgets.sweep_grid import find_pareto_front
 
-LIMIT_MS = 120_000
+LIMIT_MS = 240_000
 
 
 @pytest.fixture

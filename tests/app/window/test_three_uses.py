@@ -11,7 +11,7 @@ from app.window.export import ExportController
 from app.window.tour import wait_until_shown
 from widgets.welcome import WelcomePage
 
-LIMIT_S, LIMIT_MS = 60, 60_000
+LIMIT_S, LIMIT_MS = 240, 240_000
 _LEFT, _KEY = Qt.MouseButton.LeftButton, Qt.Key
 
 

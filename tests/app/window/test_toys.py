@@ -12,7 +12,7 @@ from app.session.state import Session, load_session, save_session
 from app.window.tour import wait_until_shown
 from tests.pipeline.translation.toys import TOYS
 
-LIMIT_S = 60.0
+LIMIT_S = 240
 SAMPLE = Path(__file__).parents[3] / "sample_data" / "recordings" / "first_touch.h5"
 
 

@@ -98,7 +98,7 @@ def test_there_and_back_again_is_where_it_was():
     assert np.abs(returned.depth_mm - depth)[both].max() < ROUND_TRIP_MM
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(
     st.lists(st.floats(-180, 180), min_size=3, max_size=3),
     st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3),
@@ -139,7 +139,7 @@ def test_metres_for_millimetres_change_nothing_but_the_unit():
 BAD = [np.nan, np.inf, -np.inf, 0.0, -3.0, 1e-40, 1e30, 3e38, 1e-3, 40.0]
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     st.lists(st.sampled_from(BAD), min_size=36, max_size=36),
     st.sampled_from([1.0, 40.0, 1e5]),

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from pipeline.base import ranks
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     n=st.integers(1, 300), seed=st.integers(0, 99), size=st.floats(-30, 30), rounds=st.booleans(), share=st.floats(0, 1)
 )  # fmt: skip

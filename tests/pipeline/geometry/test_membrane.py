@@ -41,7 +41,7 @@ def test_distance_near_the_surface_is_that_of_a_sphere_to_first_order():
     np.testing.assert_allclose(DOME.signed_distance_mm(surface - step * normal), -step, atol=2 * BILINEAR_MM)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(st.floats(5.0, 40.0), st.floats(40.0, 90.0))
 def test_rest_depth_lies_on_the_surface_and_on_the_ray(height_mm, rim_mm):
     surface = membrane.make_dome_membrane(rim_mm, height_mm, 60.0, 50.0)

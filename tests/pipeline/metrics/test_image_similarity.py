@@ -31,7 +31,7 @@ def textbook(a, b, data_range):
     return float(np.mean(found))
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(st.integers(0, 2**31), st.floats(0.1, 300.0))
 def test_similarity_is_that_of_the_published_formula(seed, data_range):
     rng = np.random.default_rng(seed)

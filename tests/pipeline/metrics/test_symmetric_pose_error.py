@@ -58,7 +58,7 @@ def pose(turn, shift=(1.0, -2.0, 20.0)):
 
 
 @given(turn=TURNS, roll=st.floats(-3.1, 3.1), flip=st.booleans())
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_a_rod_rolled_or_turned_end_for_end_is_where_it_was(turn, roll, flip):
     truth = pose(turn)
     same = truth @ rigid.rotation([roll, 0, 0]) @ (rigid.rotation([0, 0, math.pi]) if flip else np.eye(4))
@@ -71,7 +71,7 @@ def test_a_rod_rolled_or_turned_end_for_end_is_where_it_was(turn, roll, flip):
 
 
 @given(turn=TURNS, moved=st.tuples(*[st.floats(-2.0, 2.0)] * 3), by=st.tuples(*[st.floats(-0.3, 0.3)] * 3))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_mssd_is_that_of_a_search_by_brute_force(turn, moved, by):
     truth, mesh = pose(turn), rod(sides=12)
     estimate = rigid.translation(*moved) @ truth @ rigid.rotation(by)
@@ -145,7 +145,7 @@ def test_vertices_inside_the_hull_change_nothing():
 
 
 @given(slide=st.floats(-8.0, 8.0), roll=st.floats(-3.0, 3.0), off_mm=st.floats(-0.05, 0.05))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_a_hex_keys_shaft_is_a_rod_while_its_elbow_is_out_of_sight(slide, roll, off_mm):
     """The whole object has no symmetry, and still a long slide and a full roll are no observable error."""
     rng = np.random.default_rng(1)
@@ -168,7 +168,7 @@ def test_a_hex_keys_shaft_is_a_rod_while_its_elbow_is_out_of_sight(slide, roll, 
 
 
 @given(TURNS, st.tuples(*[st.floats(-5.0, 5.0)] * 3))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_with_everything_observable_the_error_is_the_whole_motion(turn, shift):
     estimate = pose(turn, shift)
     _, deg = compute_observable_error(estimate, np.eye(4), np.eye(6), np.zeros(3))

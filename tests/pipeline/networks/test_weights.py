@@ -61,7 +61,7 @@ def test_the_digest_covers_tensors_and_configuration_only():
         some().tensors["a.bias"][0] = 1.0
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(data=st.data())
 def test_a_truncated_or_damaged_file_is_refused(tmp_path_factory, data):
     path = tmp_path_factory.mktemp("cut") / "w.safetensors"

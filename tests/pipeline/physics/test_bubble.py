@@ -70,7 +70,7 @@ def test_a_plate_on_a_round_bubble_follows_the_closed_form():
 @given(
     height=st.floats(2.0, 19.5), x=st.floats(-40, 40), y=st.floats(-30, 30), radius=st.floats(3.0, 40.0)
 )  # fmt: skip
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 def test_every_press_is_complementary_and_keeps_boyles_law(height, x, y, radius):
     ceiling = ball(height, radius, x, y)
     pressed = bubble.press_bubble(BUBBLE, ceiling, ON)

@@ -49,7 +49,7 @@ def test_a_slope_that_faces_an_led_brightens_and_one_that_turns_away_darkens(nam
 
 
 @given(st.floats(0.0, 0.65), st.floats(0.0, 6.3), st.sampled_from(GELS))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_colour_tells_slopes_apart(steep, angle, name):
     """The 3x2 Jacobian keeps rank 2: what an inverse look-up needs. Steeper ground can hide from two LEDs at once."""
     gx, gy = steep * np.cos(angle), steep * np.sin(angle)

@@ -145,7 +145,7 @@ def test_row_differences_are_lossless_and_smaller_for_smooth_images(tmp_path: Pa
     assert sizes[1] < sizes[0]
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(step_mm=st.sampled_from([0.001, 0.002]), seed=st.integers(0, 1000))
 def test_stepped_depth_is_off_by_half_a_step_at_most(tmp_path_factory, step_mm: float, seed: int):
     depth = np.random.default_rng(seed).uniform(0, 65.0, (6, 7)).astype(np.float32)

@@ -36,7 +36,7 @@ def crooked(normals, seed: int, deg: float = NORMAL_NOISE_DEG):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=12)
 @given(seed=st.integers(0, 2**31), noise_mm=st.floats(0.0, 0.05), turn=st.tuples(*[st.floats(-3.0, 3.0)] * 3))
 def test_every_motion_nobody_can_feel_is_named_and_no_other(kind, seed, noise_mm, turn):
     pose = rigid.rotation(turn)

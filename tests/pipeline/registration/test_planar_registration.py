@@ -81,7 +81,7 @@ def test_three_points_are_no_touch():
 
 
 @given(deg=st.floats(-179.0, 179.0), x=st.floats(-9.0, 9.0), y=st.floats(-9.0, 9.0))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_an_exact_copy_is_found_exactly_from_where_it_is(deg, x, y):
     truth = about_z(deg, x, y)
     cloud = l_face(400)

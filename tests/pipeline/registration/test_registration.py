@@ -43,7 +43,7 @@ def off_by(truth, points, turn_rad, shift_mm):
 vectors = st.tuples(*[st.floats(-1, 1)] * 3).map(np.array)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(turn=vectors, place=vectors, off_turn=vectors, off_shift=vectors)
 def test_any_pose_is_recovered_from_nearby(wedge, turn, place, off_turn, off_shift):
     grid, points = wedge
@@ -154,7 +154,7 @@ def held_by_the_kernel(information, asked):
     return n_held, np.array(columns).T
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(seed=st.integers(0, 2**31), flatness=st.sampled_from([0.0, 0.01, 0.05, 0.2, 1.0]))
 def test_the_iterations_hold_as_many_directions_as_observability_calls_weak(seed, flatness):
     rng = np.random.default_rng(seed)

@@ -34,7 +34,7 @@ def depth_mm(mesh, pose):
 
 
 @given(seed=st.integers(0, 2**31 - 1), name=st.sampled_from(SHAPES))
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=8)
 def test_a_grid_covers_the_square_and_keeps_its_bounds(seed, name):
     mesh = mesh_of(name)
     grid = poses.make_paper_grid(mesh, seed=seed)
@@ -86,7 +86,7 @@ def test_the_same_seed_gives_the_same_bytes_and_another_does_not():
     lean=st.floats(0, 8),
 )
 @example(name="sphere", x=0.0, y=0.0, turn=0.0, lean=1.1e-308)
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 def test_the_deepest_point_is_that_of_a_fine_grid_over_the_gels(name, x, y, turn, lean):
     mesh = mesh_of(name)
     pose = rigid.from_parts((x, y, 0.0), (lean, 0.0, 0.0)) @ rigid.from_parts((0, 0, 0), (0.0, 0.0, turn))
@@ -113,7 +113,7 @@ def test_every_gel_sees_the_square_that_depths_are_measured_over():
 
 @pytest.mark.parametrize("kind", poses.MOTION_KINDS)
 @given(seed=st.integers(0, 2**31 - 1))
-@settings(max_examples=5, deadline=None)
+@settings(max_examples=5)
 def test_a_motion_is_smooth(kind, seed):
     mesh, n = mesh_of("letters"), 33
     motion = poses.make_motion(mesh, kind, n=n, seed=seed)

@@ -23,7 +23,7 @@ def test_the_same_seed_gives_the_same_instance_and_strength_zero_the_sensor_itse
 
 
 @given(st.integers(0, 2**63), st.floats(0.0, MAX_STRENGTH), st.sampled_from(list_sensor_names()))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_every_instance_is_within_the_limits_of_a_description(seed, strength, name):
     instance = vary_sensor(load_sensor(name), seed, strength)
     assert (instance.name, instance.camera) == (name, load_sensor(name).camera)

@@ -38,7 +38,7 @@ def random_depth(seed=0):
     return depth_map(rng.uniform(15, 25, CAMERA.shape), rng.random(CAMERA.shape) < 0.4)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.lists(st.floats(-180, 180), min_size=3, max_size=3), st.lists(st.floats(-1e6, 1e6), min_size=3, max_size=3))
 def test_points_are_the_equation_rounded_once(rotation_deg, shift_mm):
     depth, move = random_depth(), rigid.from_parts(shift_mm, rotation_deg)

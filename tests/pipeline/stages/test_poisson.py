@@ -34,7 +34,7 @@ def test_a_tilted_plane_is_exact_with_a_free_border():
     assert np.abs(z - plane).max() < ROUNDING
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(rows=st.integers(1, 40), cols=st.integers(1, 40), seed=st.integers(0, 99))
 def test_the_free_integral_is_the_least_squares_one_for_any_size(rows, cols, seed):
     g = np.random.default_rng(seed).normal(size=(2, rows, cols)).astype(np.float32)
@@ -48,7 +48,7 @@ def test_the_free_integral_is_the_least_squares_one_for_any_size(rows, cols, see
 KINDS = st.sampled_from(["free", "flat"])
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(sides=st.tuples(KINDS, KINDS, KINDS, KINDS).filter(lambda s: "flat" in s), seed=st.integers(0, 99))
 def test_every_side_may_be_free_or_flat_on_its_own(sides, seed):
     g = np.random.default_rng(seed).normal(size=(2, 9, 13)).astype(np.float32)
@@ -78,7 +78,7 @@ def test_it_does_not_matter_along_which_axis_the_waves_are_made(shape, sides):
     assert alone.tobytes() == z[1].tobytes()
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(seed=st.integers(0, 99), scale=st.floats(0.01, 10.0))
 def test_the_integral_is_linear_and_scales_with_the_pixel(seed, scale):
     g = np.random.default_rng(seed).normal(size=(2, 12, 17)).astype(np.float32)

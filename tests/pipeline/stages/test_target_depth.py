@@ -127,7 +127,7 @@ points = st.lists(
 )
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(points, st.randoms(use_true_random=False))
 def test_the_nearest_point_wins_each_pixel_in_any_order(raw, random):
     target = target_sensor()
@@ -219,7 +219,7 @@ def sheet_before_another(tilt_deg):
     return cloud_of(np.concatenate([front, back], axis=1), grid=(31, 82))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.floats(0.0, 89.0), st.floats(10.0, 90.0))
 @example(80.0, 70.0)
 @example(86.0, 84.0)
@@ -296,7 +296,7 @@ def test_isolated_points_and_tiny_touches_are_drawn():
     assert any("smaller than a target pixel" in note for note in view.notes)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     st.lists(st.tuples(*[st.sampled_from([0.0, -0.0, 1e-40, 1e-3, 1.0, 40.0, -40.0, 1e30, np.inf, -np.inf, np.nan])] * 3), min_size=4, max_size=16),
     st.sampled_from([PAPER, SURFACE]),
