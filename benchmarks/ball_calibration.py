@@ -13,12 +13,12 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from scipy import optimize
 
 from benchmarks.harness.results import BenchmarkResult
 from benchmarks.harness.text_report import print_result
 from benchmarks.harness.timing import Requirement, build_measurement, summarize_times
 from benchmarks.scenes.data_folder import recorded_data
+from benchmarks.scenes.depth_helpers import list_numbered_files, picture, sphere
 from pipeline.sensors.spec import load_sensor
 from pipeline.stages.depth.ball_calibration import calibrate_sensor
 from pipeline.stages.depth.photometric import DepthParams, estimate_depth
@@ -30,41 +30,21 @@ _NO_BARS = (Requirement(), Requirement())
 _BESIDE_MM = 3.0  # farther from the contact than this the gel is called far
 
 
-def read(path: Path):
-    return np.ascontiguousarray(cv2.imread(str(path))[..., ::-1])
-
-
-def list_numbered_files(folder: Path, pattern: str) -> list[Path]:
-    return sorted(folder.glob(pattern), key=lambda p: int("".join(c for c in p.stem.split("_")[-1] if c.isdigit())))
-
-
-def sphere(indentation_mm, contact, pixel_mm):
-    y, x = (pixel_mm * n for n in np.nonzero(contact))
-    z = indentation_mm[contact].astype(np.float64)
-
-    def compute_errors(p):
-        return np.sqrt(np.maximum(p[3] ** 2 - (x - p[0]) ** 2 - (y - p[1]) ** 2, 1e-6)) + p[2] - z
-
-    found = optimize.least_squares(compute_errors, [x.mean(), y.mean(), z.max() - 4.0, 4.0])
-    return 2 * abs(found.x[3]), np.sqrt(np.mean(found.fun**2))
-
-
 def measure_presses(label, pictures, still, source, look_up, diameter_mm, bars=_NO_BARS):
     """(row of the diameter's error, row of the rms, note) of presses measured with a calibration table."""
-    fits, far, ms, missing = [], [], [], 0
-    for index, picture in enumerate(pictures):
-        frame = TactileFrame(sensor=source.name, image=picture, reference=still, index=index)
+    fits, far, ms = [], [], []
+    for index, image in enumerate(pictures):
+        frame = TactileFrame(sensor=source.name, image=image, reference=still, index=index)
         started = time.perf_counter()
         result = estimate_depth(frame, source, look_up, DepthParams())
         ms.append(1e3 * (time.perf_counter() - started))
         away = cv2.distanceTransform((~result.contact).astype(np.uint8), cv2.DIST_L2, 5) * look_up.pixel_mm
         far.append(float(np.abs(result.indentation_mm[away > _BESIDE_MM]).max(initial=0.0)))
-        if result.contact.sum() < 20:
-            missing += 1
-            continue
         d, rms = sphere(result.indentation_mm, result.contact, look_up.pixel_mm)
         fits.append((d / diameter_mm - 1, rms))
-    error, rms = np.array(fits).T
+    fits = np.array(fits)
+    missing = int(np.isnan(fits[:, 0]).sum())
+    error, rms = fits[np.isfinite(fits[:, 0])].T
     rows = tuple(
         build_measurement(f"{what}, {label}", ours=summarize_times(ms), ours_error=float(value), unit=unit, bar=bar)
         for what, value, unit, bar in (
@@ -92,8 +72,8 @@ def measure(data: str = "") -> BenchmarkResult:
 
 
 def measure_mini(folder: Path):
-    mini, still = load_sensor("gelsight_mini"), read(folder / "background.png")
-    small, large = ([read(p) for p in list_numbered_files(folder, f"ball_{d}mm_*.png")] for d in ("6.310", "9.500"))
+    mini, still = load_sensor("gelsight_mini"), picture(folder / "background.png")
+    small, large = ([picture(p) for p in list_numbered_files(folder, f"ball_{d}mm_*.png")] for d in ("6.310", "9.500"))
     whole = calibrate_sensor(small, still, mini, 6.31, pixel_mm=_MINI_MM_PER_PX)
     label = f"Mini {len(small)} of 6.310 mm -> {len(large)} of 9.500 mm"
     yield measure_presses(
@@ -110,8 +90,8 @@ def measure_other_sensors(data: Path):
         ("gelslim", "gelslim3_balls", "ref.jpg", "sample_*.jpg", ((7.6, 0.05), (7.6, 0.07), (7.6, 0.10577))),
     ):
         source, folder = load_sensor(name), data / folder_name
-        still = read(folder / reference)
-        pictures = [read(p) for p in list_numbered_files(folder, pattern)]
+        still = picture(folder / reference)
+        pictures = [picture(p) for p in list_numbered_files(folder, pattern)]
         for diameter_mm, pixel_mm in sizes:
             half = calibrate_sensor(pictures[::2], still, source, diameter_mm, pixel_mm=pixel_mm)
             label = f"{name} {diameter_mm:g} mm at {half.pixel_mm:.4f} mm/px, half -> half"

@@ -20,11 +20,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from benchmarks.ball_calibration import list_numbered_files, read, sphere
 from benchmarks.harness.results import BenchmarkResult
 from benchmarks.harness.text_report import print_result
 from benchmarks.harness.timing import Requirement, build_measurement, summarize_times
 from benchmarks.scenes.data_folder import recorded_data
+from benchmarks.scenes.depth_helpers import list_numbered_files, picture, sphere
 from pipeline.calibration.balls import calibrate_balls
 from pipeline.calibration.calibration_table import make_built_in
 from pipeline.physics.slopes import compute_slopes
@@ -38,7 +38,6 @@ _DRAWS = 10
 _MINI_MM_PER_PX = 0.0634
 _SLIM_MM_PER_PX = 0.07  # not certain; the ball is calibrated and judged with the same
 _BARS = {4: 12.0, 8: 10.0, 16: 8.0}  # of the worst draw's error, %
-_FEWEST_PX = 20
 _NOISE = 2.0  # points of a draw's error
 
 
@@ -46,8 +45,8 @@ class _Ball:
     """Presses of one ball, and what is read of each without a calibration."""
 
     def __init__(self, name, folder, still, pattern, diameter_mm, pixel_mm):
-        self.source, self.still, self.diameter_mm = load_sensor(name), read(folder / still), diameter_mm
-        self.pictures = [read(p) for p in list_numbered_files(folder, pattern)]
+        self.source, self.still, self.diameter_mm = load_sensor(name), picture(folder / still), diameter_mm
+        self.pictures = [picture(p) for p in list_numbered_files(folder, pattern)]
         self.label = f"{name} {diameter_mm:g} mm"
         self.plain = replace(make_built_in(self.source), pixel_mm=pixel_mm)
         self._read, self._errors = {}, {}
@@ -73,9 +72,8 @@ class _Ball:
         return estimate_depth(frame, self.source, look_up, DepthParams())
 
     def _error(self, found):
-        if found.contact.sum() < _FEWEST_PX:
-            return 1.0
-        return sphere(found.indentation_mm, found.contact, self.plain.pixel_mm)[0] / self.diameter_mm - 1
+        diameter, _ = sphere(found.indentation_mm, found.contact, self.plain.pixel_mm)
+        return float(np.nan_to_num(diameter / self.diameter_mm - 1, nan=1.0))
 
     def fit_lookup(self, drawn):
         """The calibration table of some of the presses, as `tactoscope calibrate balls` makes it."""
@@ -169,22 +167,11 @@ def _of_number(ball: _Ball, judged: _Ball, n: int) -> Iterator[tuple[object, str
     )
     bar = Requirement(max_error=_BARS[n]) if n in _BARS else Requirement(max_error=5.0)
     print(note, file=sys.stderr, flush=True)  # the whole takes minutes
-    yield (
-        build_measurement(
-            f"diameter, {what}", ours=summarize_times(ms), ours_error=float(worst.max()), unit="%", bar=bar
-        ),
-        note,
-    )
-    yield (
-        build_measurement(
-            f"draws worse than none, {what}",
-            ours=summarize_times(ms),
-            ours_error=float(harmed),
-            unit="draws",
-            bar=Requirement(max_error=0.0),
-        ),
-        "",
-    )
+    for row, error, unit, limit, said in (
+        (f"diameter, {what}", float(worst.max()), "%", bar, note),
+        (f"draws worse than none, {what}", float(harmed), "draws", Requirement(max_error=0.0), ""),
+    ):
+        yield build_measurement(row, ours=summarize_times(ms), ours_error=error, unit=unit, bar=limit), said
 
 
 def _listed(values) -> str:

@@ -67,7 +67,7 @@ frame, ways = json.loads(sys.argv[1])
 for source, target in ways:
     sample = Path("sample_data/recordings/first_touch.h5")
     opened = open_translation(Request(recording=sample, source=source, target=target))
-    results = opened.graph().evaluate(opened.slots, opened.inputs(frame), default_params(opened.methods))
+    results = opened.build_graph().evaluate(opened.stages, opened.read_inputs(frame), default_params(opened.methods))
     assert {result.state for result in results.values()} == {"computed"}, "the touch was skipped"
 """
 WINDOW = """
@@ -87,12 +87,12 @@ class FirstPaint(QObject):
         return False
 paint = FirstPaint()
 application.installEventFilter(paint)
-instrument = main.show_window(Session(recording=main.SAMPLE, source=source, target=target, frame=frame))
+instrument = main.show_window(Session(recording=main.SAMPLE_RECORDING, source=source, target=target, frame=frame))
 while not paint.seen:
     application.processEvents()
 application.removeEventFilter(paint)
 assert wait_until_shown(instrument), instrument.window.banner.text
-assert instrument.latest is not None and instrument.latest.index == frame, "the touch was not shown"
+assert instrument.latest_frame is not None and instrument.latest_frame.index == frame, "the touch was not shown"
 shown = time.time()
 instrument.window.close()
 instrument.close()
@@ -212,7 +212,7 @@ def compiling(caches: Path) -> tuple[list[Measurement], list[str]]:
 def first_touch(caches: Path) -> list[Measurement]:
     runs, unseen = [run_process(CHAIN, WAYS[:1], caches) for _ in range(REPEATS)], list[ProcessTimes]()
     for _ in range(REPEATS):
-        shutil.rmtree(caches / "user" / "tactoscope" / "lamps")  # what is kept of a recording that was opened before
+        shutil.rmtree(caches / "user" / "tactoscope" / "led_fits")  # of the recording, which was opened before
         unseen.append(run_process(CHAIN, WAYS[:1], caches))
     return [
         figure

@@ -75,7 +75,7 @@ def first_frames(translation):
     """Inputs of the first frame that touches and of the first that does not."""
     graph, found = Graph(_METHODS), {}
     for index in range(translation.n_frames):
-        inputs = translation.inputs(index)
+        inputs = translation.read_inputs(index)
         contact = graph.evaluate(["depth"], inputs, _PARAMS)["depth"].output.contact.any()
         found.setdefault(bool(contact), inputs)
         if len(found) == 2:

@@ -108,19 +108,18 @@ def trial(
     chosen = rng.choice(len(of.contact), N_CONTACT, replace=False)
     normals = of.contact_normals[chosen]
     felt = of.contact[chosen] + NOISE_MM * rng.standard_normal((N_CONTACT, 1)) * normals
-    truth = rigid.from_parts([3.0, -2.0, 40.0], _unit(rng) * rng.uniform(0.0, 180.0))
+    truth = rigid.from_parts([3.0, -2.0, 40.0], unit(rng) * rng.uniform(0.0, 180.0))
     points, middle = rigid.apply(truth, felt), rigid.apply(truth, felt).mean(axis=0)
     angle, way = (rng.standard_normal() * turn_deg, rng.standard_normal(3) * shift_mm) if spread else (
-        turn_deg, _unit(rng) * shift_mm)  # fmt: skip
+        turn_deg, unit(rng) * shift_mm)  # fmt: skip
     off = (
-        rigid.translation(*(middle + way))
-        @ rigid.rotation(np.deg2rad(angle) * _unit(rng))
-        @ rigid.translation(*-middle)
+        rigid.translation(*(middle + way)) @ rigid.rotation(np.deg2rad(angle) * unit(rng)) @ rigid.translation(*-middle)
     )
     return Trial(points=points, truth=truth, start=off @ truth, bound=_bound(points, normals @ truth[:3, :3].T))
 
 
-def _unit(rng: np.random.Generator) -> np.ndarray:
+def unit(rng: np.random.Generator) -> np.ndarray:
+    """A random direction."""
     v = rng.standard_normal(3)
     return v / np.linalg.norm(v)
 
@@ -215,7 +214,7 @@ def measure() -> BenchmarkResult:
         "small_gicp PLANE_ICP, 2 threads": lambda t: small_gicp(t.points, t.start, 2),
     }
     errors = {name: np.array([error(call(t), t) for t in trials]) for name, call in calls.items()}
-    times = _timed(calls, trials)
+    times = time_over_trials(calls, trials[::8])
     gicp = min((name for name in calls if name.startswith("small_gicp")), key=lambda name: times[name].median_ms)
     mm = {name: float(np.median(e[:, 0])) for name, e in errors.items()}
     deg = {name: float(np.median(e[:, 1])) for name, e in errors.items()}
@@ -254,9 +253,9 @@ def measure() -> BenchmarkResult:
     )  # fmt: skip
 
 
-def _timed(calls, trials: list[Trial]) -> dict[str, Timing]:
+def time_over_trials(calls, trials) -> dict[str, Timing]:
     """Medians over trials of the median of each trial's race."""
-    found = [time_in_turns({n: (lambda c=c, t=t: c(t)) for n, c in calls.items()}, runs=3) for t in trials[::8]]
+    found = [time_in_turns({n: (lambda c=c, t=t: c(t)) for n, c in calls.items()}, runs=3) for t in trials]
     return {
         n: Timing(median_ms=float(np.median([f[n].median_ms for f in found])),
                   p95_ms=float(np.percentile([f[n].p95_ms for f in found], 95)))

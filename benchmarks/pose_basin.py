@@ -19,7 +19,7 @@ import numpy as np
 from benchmarks import pose
 from benchmarks.harness.results import BenchmarkResult, PlotPoint
 from benchmarks.harness.text_report import print_result
-from benchmarks.harness.timing import Requirement, Timing, build_measurement, time_in_turns
+from benchmarks.harness.timing import Requirement, build_measurement
 from pipeline.geometry import rigid
 from pipeline.geometry.camera import Camera
 from pipeline.stages.pose.signed_distances import PoseParams, track_pose
@@ -60,7 +60,7 @@ def simulate_trial(of: pose.Tool, seed: int) -> PoseTrial:
     points = _CAMERA.back_project(depth)[contact]
     middle = points.mean(axis=0)
     off = rigid.translation(*(middle + rng.standard_normal(3) * _SHIFT_MM)) @ rigid.rotation(
-        np.deg2rad(rng.standard_normal() * _TURN_DEG) * _unit(rng)
+        np.deg2rad(rng.standard_normal() * _TURN_DEG) * pose.unit(rng)
     )
     return PoseTrial(touch=touch, points=points, truth=truth, start=off @ rigid.translation(*-middle) @ truth)
 
@@ -76,11 +76,6 @@ def _seen(of: pose.Tool, truth: np.ndarray) -> np.ndarray:
     ray = np.stack([*np.broadcast_arrays(x[None, :], y[:, None]), np.ones(_CAMERA.shape)], axis=-1)
     rays = np.concatenate([np.zeros_like(ray), ray], axis=-1).astype(np.float32)
     return scene.cast_rays(core.Tensor(rays))["t_hit"].numpy().astype(np.float64)
-
-
-def _unit(rng: np.random.Generator) -> np.ndarray:
-    v = rng.standard_normal(3)
-    return v / np.linalg.norm(v)
 
 
 def register_with_stage(of: pose.Tool, it: PoseTrial) -> np.ndarray:
@@ -110,7 +105,7 @@ def measure() -> BenchmarkResult:
         (stage, touches, "basin, the stage", Requirement(max_error=5.0, min_error_ratio=1.0)),
     ):
         missed = {n: 100.0 * float(np.mean([not _found(c(t), t) for t in cases])) for n, c in calls.items()}
-        times = _timed(calls, cases)
+        times = pose.time_over_trials(calls, cases[:16])
         ours, peer = calls
         rows.append(build_measurement(what, ours=times[ours], ours_error=missed[ours], unit="% missed", peer=peer,
                         peer_timing=times[peer], peer_error=missed[peer], bar=bar))  # fmt: skip
@@ -127,14 +122,6 @@ def measure() -> BenchmarkResult:
 def _found(pose_: np.ndarray, of: pose.Trial | PoseTrial) -> bool:
     mm, deg = pose.error(pose_, of)
     return mm < _FOUND_MM and deg < _FOUND_DEG
-
-
-def _timed(calls, trials: list) -> dict[str, Timing]:
-    raced = [time_in_turns({n: (lambda c=c, t=t: c(t)) for n, c in calls.items()}, runs=3) for t in trials[:16]]
-    return {
-        n: Timing(median_ms=float(np.median([r[n].median_ms for r in raced])), p95_ms=max(r[n].p95_ms for r in raced))
-        for n in calls
-    }
 
 
 if __name__ == "__main__":

@@ -80,12 +80,11 @@ class CovarianceScore:
     @property
     def ratio_error(self) -> float:
         """Standard error of that median."""
-        drawn = (
-            np.random.default_rng(5).choice(self.normalized_chi_square, (_DRAWS, len(self.normalized_chi_square)))
-            if self.normalized_chi_square
-            else np.empty((1, 0))
-        )
-        return float(np.median(drawn, axis=1).std()) if self.normalized_chi_square else float("nan")
+        if not self.normalized_chi_square:
+            return float("nan")
+        size = (_DRAWS, len(self.normalized_chi_square))
+        drawn = np.random.default_rng(5).choice(self.normalized_chi_square, size)
+        return float(np.median(drawn, axis=1).std())
 
 
 @lru_cache(maxsize=2)

@@ -185,31 +185,14 @@ def clips(read: DepthReader, data: Path):
         right, alike = right_and_alike(every)
         ms = summarize_times([frame.ms for frame in every])
         ours, itself, laid_notes = compare_registered_depth(looked, edges)
-        rows = [
-            build_measurement(
-                f"GelSlim 4 clips, {label}: frames told wrong",
-                ours=ms,
-                ours_error=1 - right,
-                unit="share",
-                bar=Requirement(max_error=0.07),
-            ),
-            build_measurement(
-                f"GelSlim 4 clips, {label}: 1 - correlation with the lab's depth",
-                ours=ms,
-                ours_error=1 - alike,
-                unit="",
-                bar=Requirement(max_error=0.25),
-            ),
-            build_measurement(
-                f"GelSlim 4 clips, {label}: 1 - correlation, the lab's depth laid on the touch first",
-                ours=ms,
-                ours_error=1 - ours,
-                peer="the lab's own, as it was",
-                peer_error=1 - itself,
-                unit="",
-                bar=Requirement(),
-            ),
-        ]
+        lab = {"peer": "the lab's own, as it was", "peer_error": 1 - itself}
+        values = (
+            ("frames told wrong", 1 - right, "share", Requirement(max_error=0.07), {}),
+            ("1 - correlation with the lab's depth", 1 - alike, "", Requirement(max_error=0.25), {}),
+            ("1 - correlation, the lab's depth laid on the touch first", 1 - ours, "", Requirement(), lab),
+        )
+        rows = [build_measurement(f"GelSlim 4 clips, {label}: {what}", ours=ms, ours_error=value, unit=unit, bar=bar,
+                                  **peer) for what, value, unit, bar, peer in values]  # fmt: skip
         yield rows, f"{label}: " + "; ".join(notes) + "; laid on the touch: " + "; ".join(laid_notes)
 
 

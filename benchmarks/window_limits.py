@@ -83,9 +83,9 @@ def _waits(name: str, notes: list[str], waits: list[tuple[float, float]]) -> Mea
 def _new_frames(instrument: Any, application: Any) -> list[tuple[float, float]]:
     waits = []
     for index in range(6, 6 + NEW_FRAMES):
-        source = instrument.screen.shown("source")
+        source = instrument.views.get_shown_stage("source")
         instrument.choose_frame(index)
-        waits.append(_wait(application, lambda old=source: instrument.screen.shown("source") is not old))
+        waits.append(_wait(application, lambda old=source: instrument.views.get_shown_stage("source") is not old))
         spin(instrument, application)
     return waits
 
@@ -95,14 +95,14 @@ def _drafts(instrument: Any, application: Any) -> list[tuple[float, float]]:
     from pipeline.stages.depth.stage import NETWORK
 
     waits, panel = [], instrument.window.parameters
-    panel.dragged = NETWORK.key
+    panel.dragged_key = NETWORK.key
     for n in range(DRAGS):
-        depth = instrument.screen.shown("depth")
+        depth = instrument.views.get_shown_stage("depth")
         params = replace_value(instrument.session.get_params(NETWORK), "sensitivity", 1.0 + 0.02 * (n + 1))
         instrument.choose_params(NETWORK.key, params)
-        waits.append(_wait(application, lambda old=depth: instrument.screen.shown("depth") is not old))
+        waits.append(_wait(application, lambda old=depth: instrument.views.get_shown_stage("depth") is not old))
         spin(instrument, application)
-    panel.dragged = ""
+    panel.dragged_key = ""
     panel.drag_ended.emit()
     instrument.change("back", params={})
     spin(instrument, application)
@@ -116,12 +116,12 @@ def _previews(instrument: Any, application: Any) -> list[tuple[float, float]]:
     slider, view, waits = window.alignment.rows["x"].slider, window.columns["target_depth"], []
     slider.setSliderDown(True)
     for n in range(DRAGS):
-        old = view.view.picture
+        old = view.view.preview
         slider.setValue(slider.value() + 3 + n)
-        waits.append(_wait(application, lambda old=old: view.state == "preview" and view.view.picture is not old))
+        waits.append(_wait(application, lambda old=old: view.state == "preview" and view.view.preview is not old))
     slider.setSliderDown(False)
     spin(instrument, application)
-    instrument.undo.undo()
+    instrument.undo_stack.undo()
     window.drawers.alignment.hide()
     spin(instrument, application)
     return waits
@@ -133,12 +133,12 @@ def _cancels(instrument: Any, application: Any) -> list[tuple[float, float]]:
     for n in range(CANCELS + _WARM_UP):
         instrument.evaluator.graph.cache.clear()  # so that there is something to stop
         instrument.choose_frame(n % 4)
-        _wait(application, lambda: instrument.job.busy)
+        _wait(application, lambda: instrument.job.is_busy)
         end_s = time.perf_counter() + 0.02 * (n + 1)
         while time.perf_counter() < end_s:
             application.processEvents()
         instrument.cancel()
-        waits.append(_wait(application, lambda: not instrument.job.busy))
+        waits.append(_wait(application, lambda: not instrument.job.is_busy))
     instrument.refresh()
     spin(instrument, application)
     return waits
@@ -169,7 +169,7 @@ def _memory(instrument: Any, application: Any, changes: int, notes: list[str]) -
     done = 0
     for opening, (path, swap) in enumerate(openings):
         _open(instrument, path, swap=swap)
-        n = instrument.screen.opened.n_frames
+        n = instrument.views.translation.n_frames
         for _ in range(changes * (opening + 1) // len(openings) - done):
             instrument.choose_frame(int(rng.integers(min(n, 12))))
             spin(instrument, application)
@@ -183,17 +183,10 @@ def _memory(instrument: Any, application: Any, changes: int, notes: list[str]) -
                 + " ".join(f"{mb:.0f}" for mb in held_mb))  # fmt: skip
     filled = held_mb[once - 1] - held_mb[once // 2]
     notes.append(f"the second half of the first pass alone, while stores fill: {filled:.0f} MB")
+    figures = (("memory, largest", most, MOST_MB), ("memory, growth over a second pass", growth, GROWTH_MB))
     return [
-        build_measurement(
-            "memory, largest", ours=_NO_TIME, ours_error=most, unit="MB", bar=Requirement(max_error=MOST_MB)
-        ),
-        build_measurement(
-            "memory, growth over a second pass",
-            ours=_NO_TIME,
-            ours_error=growth,
-            unit="MB",
-            bar=Requirement(max_error=GROWTH_MB),
-        ),
+        build_measurement(name, ours=_NO_TIME, ours_error=mb, unit="MB", bar=Requirement(max_error=limit_mb))
+        for name, mb, limit_mb in figures
     ]
 
 
@@ -204,8 +197,8 @@ def _open(instrument: Any, path: Path, *, swap: bool) -> None:
     instrument.change("as recorded", target="")
     instrument.open_path(path)
     wait_until_shown(instrument, _LIMIT_S)
-    if swap and instrument.screen.opened is not None:
-        t = instrument.screen.opened
+    if swap and instrument.views.translation is not None:
+        t = instrument.views.translation
         instrument.change("swap", source=t.target.name, target=t.source.name, stream="")
         wait_until_shown(instrument, _LIMIT_S)
 
