@@ -71,6 +71,7 @@ PAPER_MODELS: Mapping[str, str] = {
     "t2t": "T2T",
     "latent": "T2T",
     "t2d2": "T2D2",
+    "latent_t2d2": "T2D2",
 }  # touch method -> the paper's model
 
 

@@ -9,11 +9,11 @@ from torch.nn import functional
 
 
 class ConditionEncoder(nn.Module):
-    """Features (n, width, side / 8, side / 8) of images (n, 3, side, side); the published width is 64."""
+    """Features (n, width, side / 8, side / 8) of images (n, inputs, side, side); published are 64 of 3 inputs."""
 
-    def __init__(self, *, width: int = 64) -> None:
+    def __init__(self, *, width: int = 64, inputs: int = 3) -> None:
         super().__init__()
-        self.resnet = _Resnet18(width)
+        self.resnet = _Resnet18(width, inputs)
         self.deconv1 = nn.ConvTranspose2d(8 * width, 4 * width, 4, 2, 1)
         self.deconv2 = nn.ConvTranspose2d(4 * width, width, 4, 2, 1)
 
@@ -26,9 +26,9 @@ class ConditionEncoder(nn.Module):
 class _Resnet18(nn.Module):
     """ResNet-18 (He et al. 2016) without its classifier."""
 
-    def __init__(self, width: int) -> None:
+    def __init__(self, width: int, inputs: int) -> None:
         super().__init__()
-        self.conv1 = nn.Conv2d(3, width, 7, 2, 3, bias=False)
+        self.conv1 = nn.Conv2d(inputs, width, 7, 2, 3, bias=False)
         self.bn1 = nn.BatchNorm2d(width)
         self.layer1 = nn.Sequential(_Basic(width, width, 1), _Basic(width, width, 1))
         self.layer2 = nn.Sequential(_Basic(width, 2 * width, 2), _Basic(2 * width, 2 * width, 1))

@@ -1,7 +1,7 @@
-"""The paper's touch to touch: latent diffusion conditioned on the encoded source image.
+"""The paper's generator: latent diffusion conditioned on the encoded source image (T2T) or target depth (T2D2).
 
 Parts and tensors have the names of the published checkpoint: `first_stage_model` (autoencoder), `cond_stage_model`
-(encoder of the source image), `model.diffusion_model` (denoiser) and `scale_factor`, which scales latents to unit
+(encoder of the condition), `model.diffusion_model` (denoiser) and `scale_factor`, which scales latents to unit
 standard deviation.
 """
 
@@ -23,6 +23,10 @@ BETA_RANGE = 0.0015, 0.0155  # first and last beta; their square roots are evenl
 LATENT_LIMIT = 5.0  # standard deviations; latents of the data stay within
 
 TrainedPart = Literal["both", "autoencoder", "denoiser"]
+Condition = Literal["image", "reprojected", "depth"]
+"""What the network is conditioned on: the source's image as published, the source's image resampled to the target's
+view, or the target depth.
+"""
 
 
 class LatentTrainingOutput(NamedTuple):
@@ -38,6 +42,7 @@ class LatentTrainingOutput(NamedTuple):
 class LatentDiffusion(nn.Module):
     """Latent diffusion of three-channel images in -1..1 of side `side`; defaults are those of the paper.
 
+    `condition` has `condition_inputs` channels (`stages.touch.image_condition`, `stages.touch.depth_condition`).
     `raw_condition`: trained on changes of 0..255 normalised by statistics of 0..1, as the published weights were.
     `half_turn`: the output has to be rotated by 180 degrees for the target's camera. `trained_with_condition_dropout`:
     whether guidance can act. `generated_*` and `true_*` are mean and standard deviation (mm) of generated and true
@@ -52,13 +57,15 @@ class LatentDiffusion(nn.Module):
         self, *, side: int = 256, width: int = 192, channel_multipliers: str = "1 2 2 4 4", blocks: int = 2,
         attention: str = "1 2 4 8", heads: int = 8, groups: int = 32, autoencoder_width: int = 128,
         autoencoder_multipliers: str = "1 2 4 4", autoencoder_blocks: int = 2, condition_channels: int = 64,
-        raw_condition: bool = False, trained_with_condition_dropout: bool = True,
+        condition: Condition = "image", condition_inputs: int = 3, raw_condition: bool = False,
+        trained_with_condition_dropout: bool = True,
         half_turn: bool = False, generated_mean_mm: float = 0.0, generated_std_mm: float = 0.0,
         true_mean_mm: float = 0.0,
         true_std_mm: float = 0.0,
     ) -> None:  # fmt: skip
         super().__init__()
-        self.side, self.raw_condition, self.half_turn = side, bool(raw_condition), bool(half_turn)
+        self.side, self.condition, self.half_turn = side, condition, bool(half_turn)
+        self.raw_condition = bool(raw_condition)
         self.trained_with_condition_dropout = bool(trained_with_condition_dropout)
         self.generated_stats, self.true_stats = (generated_mean_mm, generated_std_mm), (true_mean_mm, true_std_mm)
         self.first_stage_model = AutoencoderKl(
@@ -67,7 +74,7 @@ class LatentDiffusion(nn.Module):
             blocks=autoencoder_blocks,
             groups=groups,
         )
-        self.cond_stage_model = ConditionEncoder(width=condition_channels)
+        self.cond_stage_model = ConditionEncoder(width=condition_channels, inputs=condition_inputs)
         self.model = nn.ModuleDict({"diffusion_model": LatentUnet(
             inputs=LATENT_CHANNELS + condition_channels, width=width,
             channel_multipliers=_parse_integers(channel_multipliers), blocks=blocks,
@@ -86,12 +93,14 @@ class LatentDiffusion(nn.Module):
         noises: Tensor,
         part: TrainedPart = "both",
     ) -> LatentTrainingOutput:
-        """Training step: target and source images, times (n,), conditioning flags (n,), noise (2, n, 4, ...).
+        """Training step: target and condition images, times (n,), conditioning flags (n,), noise (2, n, 4, ...).
 
-        With `part` only the autoencoder or only the denoiser is trained.
+        A target of 8 channels is the mean and log variance of its latents, which trains a denoiser faster. With `part`
+        only the autoencoder or only the denoiser is trained.
         """
         with torch.set_grad_enabled(torch.is_grad_enabled() and part != "denoiser"):
-            mean, log_variance = self.first_stage_model.encode(target)
+            is_encoded = target.shape[1] == 2 * LATENT_CHANNELS
+            mean, log_variance = target.chunk(2, dim=1) if is_encoded else self.first_stage_model.encode(target)
             latents = sample_latents(mean, log_variance, noises[0])
             decoded = None if part == "denoiser" else self.first_stage_model.decode(latents)
         if self.training and part != "denoiser":

@@ -1,20 +1,36 @@
-"""Task: another sensor's image by latent diffusion, the paper's touch to touch.
+"""Task: a target's image by latent diffusion, the paper's touch to touch and touch to depth to touch.
 
-Autoencoder, condition encoder and denoiser are trained at once; the denoiser's gradient does not reach the latents.
+Autoencoder, condition encoder and denoiser are trained at once or one after the other; the denoiser's gradient does not
+reach the latents.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from pipeline.base.arrays import Floats
+from pipeline.base.errors import SettingProblem
 from pipeline.base.params import setting
-from pipeline.networks.square_images import SIDE, decode_image, encode_image, normalise
-from pipeline.training.task import VALIDATION_SEED, folder_setting, presses_setting, seed_setting
-from pipeline.training.touch_squares import Direction, TouchSquares, simulate_touch_squares
+from pipeline.networks import network_factory
+from pipeline.networks.square_images import SIDE, decode_image, encode_image
+from pipeline.networks.weights import load_weights
+from pipeline.sensors.spec import load_sensor
+from pipeline.training.condition_squares import SquareRequest
+from pipeline.training.denoising import TargetSensor
+from pipeline.training.distributed import unwrap_network
+from pipeline.training.task import (
+    VALIDATION_SEED,
+    augmentation_setting,
+    folder_setting,
+    presses_setting,
+    seed_setting,
+)
 from pipeline.training.vqvae import METRIC_UNITS
 
 if TYPE_CHECKING:
@@ -22,6 +38,7 @@ if TYPE_CHECKING:
 
     from pipeline.training.task import Example, Split
 
+Condition = Literal["image", "reprojected", "depth"]
 TrainedPart = Literal["both", "autoencoder", "denoiser"]
 _LATENT_CHANNELS, _LATENT_DOWNSAMPLING, _N_TIMES = 4, 8, 1000
 
@@ -30,40 +47,60 @@ _LATENT_CHANNELS, _LATENT_DOWNSAMPLING, _N_TIMES = 4, 8, 1000
 class LatentTask:
     """Settings of the examples and weights of the loss."""
 
-    direction: Direction = setting("gel_to_bubble", "Direction", choices=Direction)
+    target: TargetSensor = setting("soft_bubble", "Target", choices=TargetSensor)
+    condition: Condition = setting(
+        "image", "Condition", choices=Condition, help="must equal `condition` of the network; image in the paper's T2T"
+    )
     n_presses: int = presses_setting()
     press_seed: int = seed_setting()
     folder: str = folder_setting()
+    augmentation_share: float = augmentation_setting()
     side: int = setting(SIDE, "Image side", unit="px", low=32, high=512, step=32, help="256 in the paper")
     trained_part: TrainedPart = setting(
         "both", "Trained part", choices=TrainedPart, help="training the autoencoder before the denoiser is faster"
     )
+    autoencoder: str = setting(
+        "", "Autoencoder", help="weights that encode every target once, to train a denoiser; empty = in every step"
+    )
     condition_dropout: float = setting(
-        0.1, "Condition dropout", low=0.0, high=1.0, help="examples without a source, for guidance"
+        0.1, "Condition dropout", low=0.0, high=1.0, help="examples without a condition, for guidance"
     )
     reconstruction_weight: float = setting(4.0, "Reconstruction weight", low=0.0, high=100.0)
     kl_weight: float = setting(1e-4, "KL weight", low=0.0, high=100.0)
 
+    @property
+    def kind(self) -> str:
+        """Kind of the target."""
+        return load_sensor(self.target).kind
+
     def sample(self, rng: np.random.Generator) -> Example:
-        """Images of both sides of a touch; noise and time are sampled with the loss."""
-        index = int(rng.integers(self.n_presses))
-        return self._make_example(simulate_touch_squares("training", self.press_seed, index, self.folder))
+        """The condition and the target's image; noise and time are sampled with the loss."""
+        index, augmented = int(rng.integers(self.n_presses)), bool(rng.random() < self.augmentation_share)
+        made = self._request.make_example("training", self.press_seed, index, rng, augmented)
+        condition, target = made[0], encode_image(made[1], self.kind)
+        return {"source": condition, "target": _encode(self.autoencoder, target) if self.autoencoder else target}
 
     def make_validation_example(self, split: Split, index: int) -> Example:
         """A training object in a new pose, or an unseen tool; with its own time and noise."""
         rng, side = np.random.default_rng([5, index]), self.side // _LATENT_DOWNSAMPLING
+        condition, target = self._request.make_example(split, VALIDATION_SEED, index, rng)
         return {
-            **self._make_example(simulate_touch_squares(split, VALIDATION_SEED, index, self.folder)),
+            "source": condition, "target": encode_image(target, self.kind),
             "time": np.array([rng.integers(_N_TIMES)], np.float32),
             "noises": rng.standard_normal((2, _LATENT_CHANNELS, side, side)).astype(np.float32),
-        }
+        }  # fmt: skip
+
+    @property
+    def _request(self) -> SquareRequest:
+        return SquareRequest(target=self.target, condition=self.condition, side=self.side, folder=self.folder)
 
     def compute_loss(self, network: nn.Module, batch: Mapping[str, Tensor]) -> tuple[Tensor, dict[str, Any]]:
         """Mean absolute errors of reconstruction and noise, and KL divergence of the latents from a unit normal."""
         import torch
 
-        n, device = len(batch["target"]), batch["target"].device
-        side = batch["target"].shape[-1] // _LATENT_DOWNSAMPLING
+        if unwrap_network(network).condition != self.condition:
+            raise SettingProblem("condition must be the same in [network] and in [settings]")
+        n, device, side = len(batch["target"]), batch["target"].device, self.side // _LATENT_DOWNSAMPLING
         time = torch.randint(_N_TIMES, (n,)).to(device)
         has_condition = (torch.rand(n) >= self.condition_dropout).float().to(device)
         noises = torch.randn(2, n, _LATENT_CHANNELS, side, side).to(device)
@@ -82,7 +119,7 @@ class LatentTask:
         """Mean absolute errors of the autoencoder's reconstruction and of the predicted noise."""
         import torch
 
-        kind: str = "bubble" if self.direction == "gel_to_bubble" else "gel"
+        kind = self.kind
         unit, factor = METRIC_UNITS[kind]
         rows: list[tuple[float, float]] = []
         for example in held_out:
@@ -96,17 +133,16 @@ class LatentTask:
         names = (f"reconstruction error, {unit}", "noise error")
         return dict(zip(names, np.mean(rows, axis=0).tolist(), strict=True))
 
-    def _make_example(self, touch: TouchSquares) -> Example:
-        source, source_kind, target, target_kind = touch.get_pair(self.direction)
-        source = normalise(source, source_kind)
-        if source_kind == "bubble":
-            source = np.repeat(source, 3, axis=0)
-        return {"source": _resize(source, self.side), "target": _resize(encode_image(target, target_kind), self.side)}
+
+def _encode(file: str, target: Floats) -> Floats:
+    """(8, side / 8, side / 8): mean and log variance of the latents of an image (3, side, side) in -1..1."""
+    import torch
+
+    with torch.inference_mode():
+        moments = _load_autoencoder(file).encode(torch.from_numpy(target.copy())[None])
+    return torch.cat(moments, dim=1)[0].numpy()
 
 
-def _resize(square: Any, side: int) -> Any:
-    import cv2
-
-    if square.shape[-1] == side:
-        return square
-    return np.stack([cv2.resize(channel, (side, side), interpolation=cv2.INTER_CUBIC) for channel in square])
+@lru_cache(maxsize=1)
+def _load_autoencoder(file: str) -> Any:
+    return network_factory.load_network(load_weights(Path(file))).first_stage_model

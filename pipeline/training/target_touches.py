@@ -26,8 +26,9 @@ from pipeline.training.source_observation import SourceObservation, simulate_sou
 from pipeline.values.pixel_index import make_pixel_index
 from pipeline.values.results import TargetDepth
 
-VERSION = 2  # part of the seeds: incremented when the same number gives another touch
+VERSION = 3  # part of the seeds: incremented when the same number gives another touch
 CATALOGUE_SHARE, SMALL_SHARE = 0.4, 0.6  # of all objects; of the random bodies
+TRAINING_DEPTH_MM = (0.15, 1.0)  # of the deepest point over a gel; data sets begin at 0.3 mm, other recordings lower
 DEEPER_MM = (0.0, 11.0)  # range of a bubble's approach where it is not that of the data sets
 _TOLERANCE_UM = 5.0  # of the physical render: residuals are tenths of a millimetre
 _AS_RECORDED_SHARE = 0.6  # bubbles that come as close as in the data sets
@@ -65,7 +66,8 @@ def _simulate_sample(target: str, split: DataSplit, seed: int, index: int) -> Ta
     nominal = _load_working_sensor(target)
     instance = _vary_instance(nominal, split, rng)
     _, mesh = sample_object(split, rng, index, catalogue_share=CATALOGUE_SHARE, small_share=SMALL_SHARE)
-    press = simulate_press(mesh, poses.sample_press_pose(mesh, rng), instance, seed=None)
+    depth_mm = TRAINING_DEPTH_MM if split == "training" else poses.DEPTH_RANGE_MM
+    press = simulate_press(mesh, poses.sample_press_pose(mesh, rng, depth_mm=depth_mm), instance, seed=None)
     vertices = rigid.apply(press.sensor_from_object, mesh.vertices_mm)
     surface = lattice.render_mesh_depth(vertices, mesh.triangles, instance.camera)
     observation = simulate_source_observation(rng, surface, nominal, gel_share=_GEL_SHARE[nominal.kind])

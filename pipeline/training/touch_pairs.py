@@ -24,11 +24,12 @@ from pipeline.simulation.press import move_bubble_closer, simulate_press
 from pipeline.stages.touch.depth_condition import make_working_sensor
 from pipeline.training.object_sampling import DATA_SPLITS, DataSplit, sample_object
 from pipeline.training.sample_cache import SampleCache
-from pipeline.training.target_touches import CATALOGUE_SHARE, DEEPER_MM, SMALL_SHARE
+from pipeline.training.target_touches import CATALOGUE_SHARE, DEEPER_MM, SMALL_SHARE, TRAINING_DEPTH_MM
 
-VERSION = 3  # part of the seeds: incremented when the same number gives another pair
+VERSION = 4  # part of the seeds: incremented when the same number gives another pair
 GEL, BUBBLE = "gelslim", "soft_bubble"
 _AS_RECORDED_SHARE = 0.5  # bubbles that come as close as in the data sets
+_ABOVE_SHARE, _ABOVE_MM = 0.06, (-4.0, 0.0)  # training presses that only a bubble feels: share, depth over the gel
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,14 +63,20 @@ def place_nominal_sensors(deeper_mm: float) -> tuple[SensorSpec, SensorSpec]:
     return gel, move_bubble_closer(bubble, deeper_mm)
 
 
-def simulate_touch_pair(split: DataSplit, seed: int, index: int, folder: str = "") -> TouchPair | None:
-    """Pair `index` of a seed, the same on every call; None where the gel has no contact."""
+def simulate_touch_pair(
+    split: DataSplit, seed: int, index: int, folder: str = "", *, bubble_alone: bool = False
+) -> TouchPair | None:
+    """Pair `index` of a seed, the same on every call; None where the gel has no contact.
+
+    With `bubble_alone` contact on the bubble is enough.
+    """
 
     def make() -> TouchPair:
         return _simulate_pair(split, np.random.default_rng([VERSION, 13, DATA_SPLITS.index(split), seed, index]), index)
 
     pair = _pairs.get(f"pair_{split}_{seed}_{index}", folder, make)
-    return pair if pair.gel_contact.any() else None
+    has_contact = pair.gel_contact.any() or (bubble_alone and pair.bubble_contact.any())
+    return pair if has_contact else None
 
 
 def _simulate_pair(split: DataSplit, rng: np.random.Generator, index: int) -> TouchPair:
@@ -80,7 +87,10 @@ def _simulate_pair(split: DataSplit, rng: np.random.Generator, index: int) -> To
     )
     bubble = bubble.with_camera(make_symmetric_camera(bubble.camera))
     _, mesh = sample_object(split, rng, index, catalogue_share=CATALOGUE_SHARE, small_share=SMALL_SHARE)
-    pose = poses.sample_press_pose(mesh, rng)
+    depth_mm = poses.DEPTH_RANGE_MM if split != "training" else TRAINING_DEPTH_MM
+    if split == "training" and rng.random() < _ABOVE_SHARE:
+        depth_mm = _ABOVE_MM
+    pose = poses.sample_press_pose(mesh, rng, depth_mm=depth_mm)
     on_gel = simulate_press(mesh, pose, gel, seed=int(rng.integers(1 << 31)))
     on_bubble = simulate_press(mesh, pose, bubble, seed=None)
     change = on_gel.image.astype(np.float32) - optics.render_reference(gel).astype(np.float32)

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pipeline.base.arrays import Floats
 from pipeline.base.errors import SettingProblem
 from pipeline.sensors import alignment
 from pipeline.stages.touch.image_condition import build_image_condition
+from pipeline.training.condition_squares import sample_depth_noise
 from pipeline.training.denoising import DenoisingTask
 from pipeline.training.object_sampling import DataSplit
 from pipeline.training.task import (
@@ -25,8 +25,6 @@ from pipeline.training.touch_residual import MAX_EMPTY, flip_example, make_resid
 
 if TYPE_CHECKING:
     from pipeline.training.task import Example, Split
-
-_NOISE_MM, _GRAIN_PX = 0.4, 0.8  # of one depth frame of a bubble
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,18 +63,9 @@ class TouchToTouchTask(DenoisingTask):
             change = pair.change_grey + rng.normal(0.0, 1.0, pair.change_grey.shape).astype(np.float32)
             source, target, truth, contact = gel, bubble, pair.bubble_mm, pair.bubble_contact
         else:
-            change = pair.bubble_mm + _sample_depth_noise(rng, pair.bubble_mm.shape)
+            change = pair.bubble_mm + sample_depth_noise(rng, pair.bubble_mm.shape)
             source, target, truth, contact = bubble, gel, pair.gel_mm, pair.gel_contact
         condition = build_image_condition(
             change, source.camera, source, target, alignment.resolve_alignment(source, target)
         )
         return make_residual_example(condition, truth, contact, np.zeros(contact.shape, np.bool_), self.kind)
-
-
-def _sample_depth_noise(rng: np.random.Generator, shape: tuple[int, ...]) -> Floats:
-    """Noise in mm of the difference of two depth frames."""
-    import cv2
-
-    white = rng.standard_normal(shape).astype(np.float32)
-    grains = np.asarray(cv2.GaussianBlur(white, (0, 0), _GRAIN_PX), np.float32)
-    return grains * np.float32(np.sqrt(2.0) * _NOISE_MM * rng.uniform(0.7, 1.2) / grains.std())

@@ -1,4 +1,8 @@
-"""Input of the T2D2 denoiser, for training and inference: physical render, contact, view, and fine relief."""
+"""Input of the T2D2 networks, for training and inference.
+
+The compact denoiser gets physical render, contact, view, and fine relief on the working grid; latent diffusion gets the
+target depth, its contact mask and the source's view as a square.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +13,7 @@ import numpy as np
 from pipeline.base.arrays import Floats, Mask, freeze
 from pipeline.base.memo import Memo
 from pipeline.engine.digests import compute_cached_digest
+from pipeline.networks.square_images import resize_to_square
 from pipeline.sensors.spec import SensorSpec
 
 CONDITION_CHANNELS = 6
@@ -50,3 +55,9 @@ def build_depth_condition(
         physical_mm / scale.coarse_mm, np.where(contact, indentation_mm, 0.0) / scale.coarse_mm, relief / scale.fine_mm,
         contact, in_view, physical_contact,
     ]).astype(np.float32))  # fmt: skip
+
+
+def build_depth_square(kind: str, indentation_mm: Floats, contact: Mask, in_view: Mask, side: int) -> Floats:
+    """(3, side, side) of the target depth's fields (rows, cols): indentation in contact, contact, the source's view."""
+    indentation = np.where(contact, indentation_mm, np.float32(0.0)) / np.float32(_SCALES[kind].coarse_mm)
+    return resize_to_square(np.stack([indentation, contact, in_view], axis=-1).astype(np.float32), side)

@@ -1,4 +1,4 @@
-"""Input of the T2T denoiser: the change of the source frame, resampled to the target's view.
+"""Input of the T2T networks: the change of the source frame, resampled to the target's view.
 
 Source and target see one plane, the gel's surface at rest: the object is there when both are in contact. A gel's
 difference image is sampled finer than the target's pixels and folded into channels, so that edges finer than a bubble's
@@ -30,6 +30,7 @@ _GREY_UNIT, _MM_UNIT, _RELIEF_UNIT_MM = (
     1.0,
 )  # units of gel changes (grey), bubble changes and bubble relief (mm)
 _SMOOTHING_PX, _TOP_PERCENTILE = 1.2, 99.5  # of a bubble's relief: smoothing; percentile that is its top
+_MAX_HEIGHT_MM = np.float32(3.0)  # of a bubble's surface above a gel's
 _SOURCE_PX_MM = 0.085  # a gel's image is averaged to about this pixel size before resampling
 
 
@@ -70,6 +71,42 @@ def reproject_square(square_change: Floats, source: SensorSpec, target: SensorSp
     return freeze(np.ascontiguousarray(resampled.transpose(2, 0, 1)))
 
 
+REPROJECTED_CHANNELS = {"gel": 5, "bubble": 3}  # by source kind, of `build_reprojected_square`
+
+
+def build_reprojected_square(
+    square_change: Floats, source: SensorSpec, target: SensorSpec, alignment: Alignment
+) -> Floats:
+    """(REPROJECTED_CHANNELS, side, side): what `reproject_square` gives, how sensors overlap, and the source's view.
+
+    Sensors overlap by how far the gel's surface at rest lies inside the bubble's. A gel's change comes with the
+    overlap; a bubble's relief comes with the height of its surface above the gel's.
+    """
+    side = square_change.shape[-1]
+    source_square, target_square = (one.with_camera(one.camera.resize(side, side)) for one in (source, target))
+    sampling_map = _get_sampling_map(source, source_square.camera, target_square, alignment, 1)
+    change = reproject_square(square_change, source, target, alignment)
+    overlap_mm = _compute_overlap_mm(source_square, target_square, alignment, sampling_map)
+    inside = sampling_map.inside.astype(np.float32)
+    if source.kind == "gel":
+        return freeze(np.concatenate([change, (overlap_mm / np.float32(_MM_UNIT))[None], inside[None]]))
+    height_mm = _resample(_smooth(square_change[0]), sampling_map) - overlap_mm
+    height = np.clip(np.where(sampling_map.inside, height_mm, -_MAX_HEIGHT_MM), -_MAX_HEIGHT_MM, _MAX_HEIGHT_MM)
+    return freeze(np.concatenate([height[None], change, inside[None]]).astype(np.float32))
+
+
+def _compute_overlap_mm(
+    source: SensorSpec, target: SensorSpec, alignment: Alignment, sampling_map: _SamplingMap
+) -> Floats:
+    """(rows, cols) of the target: how far the gel's surface at rest lies inside the bubble's surface at rest."""
+    points = _find_rest_plane(source, target, target.camera, alignment)
+    if target.kind == "bubble":
+        plane_z_mm = rigid.apply(alignment.target_from_source, points)[:, 2].reshape(target.camera.shape)
+        return (target.rest_depth_mm - plane_z_mm).astype(np.float32)
+    rest_mm = _resample(source.rest_depth_mm.astype(np.float32), sampling_map)
+    return (rest_mm - points[:, 2].reshape(target.camera.shape)).astype(np.float32)
+
+
 @dataclass(frozen=True, slots=True)
 class _SamplingMap:
     """Source pixel of every fine target pixel; the source is first averaged to `size`."""
@@ -85,12 +122,15 @@ _sampling_maps: Memo[tuple[str, ...], _SamplingMap] = Memo(4)  # one per recordi
 
 def _compute_relief(change: Floats, sampling_map: _SamplingMap) -> Floats:
     """Distance of a smoothed bubble behind its top within the target's view, which is what a gel would feel."""
-    import cv2
-
-    smooth = np.asarray(cv2.GaussianBlur(change, (0, 0), _SMOOTHING_PX), np.float32)
-    resampled, inside = _resample(smooth, sampling_map), sampling_map.inside
+    resampled, inside = _resample(_smooth(change), sampling_map), sampling_map.inside
     top = np.float32(np.percentile(resampled[inside], _TOP_PERCENTILE)) if inside.any() else np.float32(0.0)
     return np.where(inside, np.clip((resampled - top) / np.float32(_RELIEF_UNIT_MM), -3.0, 1.0), np.float32(-3.0))
+
+
+def _smooth(field: Floats) -> Floats:
+    import cv2
+
+    return np.asarray(cv2.GaussianBlur(field, (0, 0), _SMOOTHING_PX), np.float32)
 
 
 def _resample(field: Floats, sampling_map: _SamplingMap) -> Floats:
@@ -130,16 +170,7 @@ def _project_to_source(
 ) -> tuple[Doubles, Doubles, Mask]:
     """(x, y) in px of the source image for every fine target pixel, and whether it lies inside."""
     camera = target.camera.scale(float(upsampling))
-    from_target = rigid.invert(rigid.validate_rigid(alignment.target_from_source, "the alignment T_S->T"))
-    if target.kind == "gel":
-        rest_mm = float(np.median(target.rest_depth_mm))
-        points = rigid.apply(from_target, camera.back_project(np.full(camera.shape, rest_mm)).reshape(-1, 3))
-    else:
-        origin = from_target[:3, 3]
-        directions = camera.back_project(np.ones(camera.shape)).reshape(-1, 3) @ from_target[:3, :3].T
-        rest_mm = float(np.median(source.rest_depth_mm))
-        with np.errstate(divide="ignore", invalid="ignore"):
-            points = origin + directions * ((rest_mm - origin[2]) / directions[:, 2])[:, None]
+    points = _find_rest_plane(source, target, camera, alignment)
     with np.errstate(divide="ignore", invalid="ignore"):
         x = source_camera.fx_px * points[:, 0] / points[:, 2] + source_camera.cx_px
         y = source_camera.fy_px * points[:, 1] / points[:, 2] + source_camera.cy_px
@@ -155,6 +186,19 @@ def _project_to_source(
         np.where(inside, y, 0.0).reshape(camera.shape),
         inside.reshape(camera.shape),
     )
+
+
+def _find_rest_plane(source: SensorSpec, target: SensorSpec, camera: Camera, alignment: Alignment) -> Doubles:
+    """(pixels, 3): where pixels of the target's `camera` meet the gel's surface at rest, in the source's frame."""
+    from_target = rigid.invert(rigid.validate_rigid(alignment.target_from_source, "the alignment T_S->T"))
+    if target.kind == "gel":
+        rest_mm = float(np.median(target.rest_depth_mm))
+        return rigid.apply(from_target, camera.back_project(np.full(camera.shape, rest_mm)).reshape(-1, 3))
+    origin = from_target[:3, 3]
+    directions = camera.back_project(np.ones(camera.shape)).reshape(-1, 3) @ from_target[:3, :3].T
+    rest_mm = float(np.median(source.rest_depth_mm))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return origin + directions * ((rest_mm - origin[2]) / directions[:, 2])[:, None]
 
 
 def _fold_pixels(fine: Floats, upsampling: int) -> Floats:

@@ -1,4 +1,9 @@
-"""Touch by latent diffusion: the paper's touch to touch, with its three steps from images back to mm."""
+"""Touch by latent diffusion, the paper's generator: touch to touch (T2T), and touch to depth to touch (T2D2).
+
+Both sample the target's image from noise. T2T is conditioned on the source's image: as published in the source's own
+view, or resampled to the target's (`image_condition.build_reprojected_square`). T2D2 is conditioned on the target depth
+D_T'' and its mask M_T''. Images become mm in the paper's three steps.
+"""
 
 from __future__ import annotations
 
@@ -29,17 +34,19 @@ from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import photometric as depth
 from pipeline.stages.touch import physical_render
+from pipeline.stages.touch.depth_condition import build_depth_square
 from pipeline.stages.touch.depth_limit import check_depth_limit
+from pipeline.stages.touch.image_condition import build_reprojected_square
 from pipeline.stages.touch.touch_from_change import make_touch_from_change
 from pipeline.values.frames import TactileFrame
-from pipeline.values.results import GeneratedTouch
+from pipeline.values.results import GeneratedTouch, TargetDepth
 
 if TYPE_CHECKING:
     from torch import Tensor, nn
 
 _DRAFT_STEPS = 4
 RawCondition = Literal["as trained", "yes", "no"]
-NOTE = "image only, sampled from the source image: no depth, alignment or membrane is used"
+NOTE = "image only, sampled from {}: the membrane is not known"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,7 +60,7 @@ class LatentParams:
     )  # fmt: skip
     guidance: float = setting(
         2.54, "Guidance scale", unit="x", low=0.0, high=MAX_WEIGHT, step=0.1,
-        help="strength of the source condition; 1 is unguided and costs half",
+        help="strength of the condition; 1 is unguided and costs half",
         source="Ho and Salimans 2022",
     )  # fmt: skip
     sampler: Solver = setting(
@@ -89,17 +96,37 @@ def make_draft_params(params: LatentParams) -> LatentParams:
 
 
 def select_weights(source: SensorSpec, target: SensorSpec, file: Path | None) -> Weights | NoWeights:
-    """The weights of this pair of sensors in this direction."""
-    return weights_registry.load_for_task(
-        latent_diffusion_files.TASK, f"latent_{source.name}_to_{target.name}", file, latent_diffusion_files.read_weights
-    )
+    """The weights of touch to touch for this pair of sensors in this direction."""
+    return _load_weights(f"latent_{source.name}_to_{target.name}", file, is_t2d2=False)
+
+
+def select_t2d2_weights(source: SensorSpec, target: SensorSpec, file: Path | None) -> Weights | NoWeights:  # noqa: ARG001 - any source
+    """The weights of touch to depth to touch for this target, for any source."""
+    return _load_weights(f"latent_t2d2_{target.name}", file, is_t2d2=True)
+
+
+def _load_weights(name: str, file: Path | None, *, is_t2d2: bool) -> Weights | NoWeights:
+    found = weights_registry.load_for_task(latent_diffusion_files.TASK, name, file, latent_diffusion_files.read_weights)
+    if isinstance(found, NoWeights) or (found.config.get("condition") == "depth") == is_t2d2:
+        return found
+    given, wanted = ("a source image", "a target depth") if is_t2d2 else ("a target depth", "a source image")
+    return NoWeights(why=f"the weights {found.name!r} generate a touch from {given}, not from {wanted}")
+
+
+def build_image_square(
+    square_change: Floats, condition: str, source: SensorSpec, target: SensorSpec, alignment: Alignment
+) -> Floats:
+    """(channels, side, side) of the source's change as a square, for T2T; `condition` is that of the network."""
+    if condition == "reprojected":
+        return build_reprojected_square(square_change, source, target, alignment)
+    return np.broadcast_to(normalise(square_change, source.kind), (3, *square_change.shape[1:]))
 
 
 def generate_touch(
     frame: TactileFrame,
     source: SensorSpec,
     calibration: Calibration | None,
-    alignment: Alignment,  # only for warnings; not an input of the network
+    alignment: Alignment,
     target: SensorSpec,
     network: nn.Module,
     params: LatentParams,
@@ -115,25 +142,53 @@ def generate_touch(
     square = resize_to_square(compute_change(source.kind, frame.image, frame.reference), net.side)
     if params.raw_condition == "yes" or (params.raw_condition == "as trained" and net.raw_condition):
         square = square * np.float32(source.sensor_kind.full_change)
-    condition = normalise(square, source.kind)
-    encoded, notes = sample_image(net, np.broadcast_to(condition, (3, *condition.shape[1:])), params, progress)
+    condition = build_image_square(square, net.condition, source, target, alignment)
+    touch = _sample_touch(condition, target, net, params, progress)
+    warnings = (
+        *depth.warn_of_mismatch(frame, source, calibration),
+        *check_depth_limit(touch, source, target, alignment),
+    )
+    return replace(touch, notes=(*warnings, NOTE.format("the source image"), *touch.notes))
+
+
+def generate_touch_from_depth(
+    view: TargetDepth, target: SensorSpec, network: nn.Module, params: LatentParams, progress: Progress = SILENT
+) -> GeneratedTouch:
+    """Generate what `target` would record of a target depth; deterministic per seed."""
+    net: Any = network
+    condition = build_depth_square(target.kind, view.indentation_mm, view.contact, view.in_view, net.side)
+    touch = _sample_touch(condition, target, net, params, progress)
+    return replace(touch, notes=(NOTE.format("the target depth"), *touch.notes))
+
+
+def skip_without_contact(
+    view: TargetDepth,
+    target: SensorSpec,
+    weights: Weights | NoWeights,  # noqa: ARG001 - the method's arguments
+    params: LatentParams,  # noqa: ARG001 - the method's arguments
+) -> GeneratedTouch | None:
+    """The reference touch if the target depth has no contact, else None."""
+    return physical_render.skip_without_contact(view, target, physical_render.PhysicalRenderParams())
+
+
+def _sample_touch(
+    condition: Floats, target: SensorSpec, net: Any, params: LatentParams, progress: Progress
+) -> GeneratedTouch:
+    """Sample an image and add it to the target's reference image."""
+    encoded, notes = sample_image(net, condition, params, progress)
     generated = decode_image(encoded, target.kind, map_twice=params.double_mapping)
     if target.kind == "bubble" and params.renormalise_depth:
         generated = _renormalise_depth(generated, net.generated_stats, net.true_stats)
     if net.half_turn:
         generated = generated[:, ::-1, ::-1]
-    touch = make_touch_from_change(target, resize_from_square(np.ascontiguousarray(generated), target.camera.shape))
-    warnings = (
-        *depth.warn_of_mismatch(frame, source, calibration),
-        *check_depth_limit(touch, source, target, alignment),
-    )
-    return replace(touch, notes=(*warnings, NOTE, *notes))
+    change = resize_from_square(np.ascontiguousarray(generated), target.camera.shape)
+    return make_touch_from_change(target, change, notes)
 
 
 def sample_image(
     net: Any, condition: Floats, params: LatentParams, progress: Progress = SILENT
 ) -> tuple[Floats, tuple[str, ...]]:
-    """Sample an image (3, side, side) in -1..1 for a condition of the same shape; also returns notes."""
+    """Sample an image (3, side, side) in -1..1 for a condition (channels, side, side); also returns notes."""
     import torch
 
     from pipeline.networks.latent_diffusion import LATENT_LIMIT, compute_alphas_cumprod

@@ -57,11 +57,25 @@ T2T = Method(
     draft=make_draft_params,
     version=5,
 )
+LATENT_T2D2 = Method(
+    stage="touch",
+    name="latent_t2d2",
+    title="T2D2, latent diffusion (the paper's)",
+    help="200 steps from noise, conditioned on the target depth and its mask",
+    run=skip_if_exact(
+        latent_diffusion.skip_without_contact,
+        fall_back_without_weights(latent_diffusion.generate_touch_from_depth, fallback=PHYSICS),
+    ),
+    params=LatentParams,
+    reads=(*PHYSICS.reads, "touch_weights"),
+    weights=latent_diffusion.select_t2d2_weights,
+    draft=latent_diffusion.make_draft_params,
+)
 LATENT = Method(
     stage="touch",
     name="latent",
-    title="T2T, latent diffusion",
-    help="the paper's method: 200 steps from noise, conditioned on the encoded source image",
+    title="T2T, latent diffusion (the paper's)",
+    help="200 steps from noise, conditioned on the encoded source image",
     run=fall_back_without_weights(latent_diffusion.generate_touch, fallback=t2t.PHYSICS_FROM_FRAME),
     params=LatentParams,
     reads=(*t2t.READS, "touch_weights"),
@@ -162,7 +176,7 @@ STAGE = Stage(
     title="Generated touch",
     legend="target's membrane",
     sensor_role="target",
-    methods=(PHYSICS, T2D2, T2T, LATENT, VQVAE),
+    methods=(PHYSICS, T2D2, LATENT_T2D2, T2T, LATENT, VQVAE),
     make_preview=_make_preview,
     make_layers=_make_layers,
     trace_point=_trace_point,

@@ -1,19 +1,27 @@
-"""Touch by latent diffusion: seeds, guidance, cancelling, conversion to mm, and two quirks of the released code."""
+"""Touch by latent diffusion, from the source's image and from the target depth: seeds, guidance, cancelling, conversion to mm, and two quirks of the released code."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
 
+from pipeline.base.arrays import freeze
 from pipeline.base.progress import Cancelled
+from pipeline.engine.graph import Graph
 from pipeline.networks.guidance import NO_CONDITION_DROPOUT
 from pipeline.networks.latent_diffusion import LatentDiffusion
 from pipeline.networks.square_images import MAX_IMPRINT_MM, MIN_IMPRINT_MM, decode_image, encode_image, normalise
+from pipeline.networks.weights import NoWeights, Weights, save_weights
+from pipeline.sensors.spec import load_sensor
 from pipeline.stages.touch import latent_diffusion
+from pipeline.stages.touch.depth_condition import build_depth_square
 from pipeline.stages.touch.latent_diffusion import LatentParams, sample_image
+from pipeline.translation.catalogue import BUILT_IN
+from pipeline.values.results import TargetDepth
 
 SHOWN = np.random.default_rng(0).normal(size=(3, 32, 32)).astype(np.float32)
 
@@ -110,7 +118,6 @@ def test_generated_imprints_are_renormalised():
 def test_the_condition_is_scaled_as_in_training(monkeypatch, setting, trained_raw, times):
     from pipeline.physics import optics
     from pipeline.sensors import alignment
-    from pipeline.sensors.spec import load_sensor
     from pipeline.values.frames import TactileFrame
 
     gel, bubble = load_sensor("gelslim"), load_sensor("soft_bubble")
@@ -124,10 +131,89 @@ def test_the_condition_is_scaled_as_in_training(monkeypatch, setting, trained_ra
         lambda _net, shown, *_: (seen.append(shown) or np.zeros((3, 32, 32), np.float32), ()),
     )
     network = SimpleNamespace(
-        side=32, raw_condition=trained_raw, half_turn=False, generated_stats=(0.0, 0.0), true_stats=(0.0, 0.0)
+        side=32,
+        condition="image",
+        raw_condition=trained_raw,
+        half_turn=False,
+        generated_stats=(0.0, 0.0),
+        true_stats=(0.0, 0.0),
     )
     frame = TactileFrame(sensor="gelslim", image=image, reference=rest)
     params = LatentParams(raw_condition=setting)
     latent_diffusion.generate_touch(frame, gel, None, alignment.resolve_alignment(gel, bubble), bubble, network, params)
     plain = latent_diffusion.resize_to_square(latent_diffusion.compute_change("gel", image, rest), 32)
     assert np.allclose(seen[0], normalise(times * plain, "gel"), atol=1e-4)
+
+
+@pytest.fixture(scope="module")
+def contact_view():
+    """A target depth on a GelSlim: a square that a source sees in the middle of half the image."""
+    gel = load_sensor("gelslim")
+    indentation, in_view = np.zeros(gel.camera.shape, np.float32), np.zeros(gel.camera.shape, np.bool_)
+    indentation[140:180, 190:240], in_view[:, 100:320] = 0.5, True
+    return TargetDepth(
+        depth_mm=freeze((gel.rest_depth_mm - indentation).astype(np.float32)), contact=freeze(indentation > 0),
+        indentation_mm=freeze(indentation), camera=gel.camera, in_view=freeze(in_view),
+        source_index=freeze(np.full(gel.camera.shape, -1, np.int32)),
+    )  # fmt: skip
+
+
+def make_depth_weights(**config):
+    torch.manual_seed(0)
+    config = {
+        "side": 32, "width": 8, "channel_multipliers": "1 2", "blocks": 1, "attention": "2", "heads": 2, "groups": 4,
+        "autoencoder_width": 8, "autoencoder_multipliers": "1 1 2 2", "autoencoder_blocks": 1, "condition_channels": 4,
+        "condition": "depth", **config,
+    }  # fmt: skip
+    net = LatentDiffusion(**config)
+    with torch.no_grad():
+        net.model["diffusion_model"].out[2].weight.normal_(0, 0.02)
+    tensors = {name: tensor.numpy() for name, tensor in net.state_dict().items()}
+    return Weights(name="test", kind="latent", config=config, tensors=tensors, card={"task": "latent"})
+
+
+def run_from_depth(view, weights, **params):
+    graph = Graph(BUILT_IN.methods("t2d2", {"touch": "latent_t2d2"}))
+    given = {"target_depth": view, "target": load_sensor("gelslim"), "touch_weights": weights}
+    return graph.evaluate(["touch"], given, {"touch": LatentParams(steps=5, **params)})["touch"]
+
+
+def test_a_touch_from_depth_has_the_bytes_of_its_seed(contact_view):
+    weights = make_depth_weights()
+    first, again, other = (run_from_depth(contact_view, weights, seed=seed).output for seed in (1, 1, 2))
+    assert first.image.shape == (*contact_view.camera.shape, 3)
+    assert np.array_equal(first.image, again.image)
+    assert not np.array_equal(first.image, other.image)
+    assert first.membrane is None
+
+
+def test_the_condition_from_depth_is_depth_mask_and_view(contact_view):
+    """D_T'' in contact, M_T'' and the source's view as area means, whose sums are those of the fields."""
+    view = contact_view
+    square = build_depth_square("gel", view.indentation_mm, view.contact, view.in_view, 32)
+    assert square.shape == (3, 32, 32)
+    assert square[1].mean() == pytest.approx(view.contact.mean(), rel=1e-4)
+    assert square[2].mean() == pytest.approx(view.in_view.mean(), rel=1e-4)
+    assert np.allclose(square[0], square[0].max() * square[1] / square[1].max(), atol=1e-6)
+    assert not (square[1] > square[2] + 1e-6).any()
+
+
+def test_a_target_depth_without_contact_or_weights_is_left_to_physics(contact_view):
+    empty = np.zeros(contact_view.camera.shape, np.bool_)
+    still = replace(contact_view, contact=freeze(empty), indentation_mm=freeze(empty.astype(np.float32)))
+    assert run_from_depth(still, make_depth_weights()).state == "skipped"
+    found = run_from_depth(contact_view, NoWeights(why="none are shipped"))
+    assert "physical render is used instead" in found.fallback
+    assert found.output.membrane.contact.any()
+
+
+def test_weights_of_the_other_condition_are_refused(tmp_path):
+    gel, bubble = load_sensor("gelslim"), load_sensor("soft_bubble")
+    depth_file, image_file = tmp_path / "depth.safetensors", tmp_path / "image.safetensors"
+    save_weights(depth_file, make_depth_weights())
+    save_weights(image_file, make_depth_weights(condition="image"))
+    refused = latent_diffusion.select_weights(bubble, gel, depth_file)
+    assert isinstance(refused, NoWeights)
+    assert "from a target depth" in refused.why
+    assert isinstance(latent_diffusion.select_t2d2_weights(bubble, gel, image_file), NoWeights)
+    assert isinstance(latent_diffusion.select_t2d2_weights(bubble, gel, depth_file), Weights)

@@ -57,10 +57,10 @@ def test_recipes_of_touch_to_depth_to_touch_use_no_pairs(monkeypatch):
 
 
 def test_a_stored_touch_equals_the_simulated_one(folder):
-    first = simulate_target_touch("gelslim", "unseen_tools", 7, 0, folder)
+    first = simulate_target_touch("gelslim", "unseen_tools", 7, 1, folder)
     for again in range(2):
         target_touches._samples.clear()
-        found = simulate_target_touch("gelslim", "unseen_tools", 7, 0, folder if again else "")
+        found = simulate_target_touch("gelslim", "unseen_tools", 7, 1, folder if again else "")
         for name in (
             "observed_mm",
             "observed",
@@ -134,11 +134,11 @@ def test_a_mirrored_pair_is_that_of_the_mirrored_object(monkeypatch):
     monkeypatch.setattr(touch_pairs.variation, "vary_sensor", lambda sensor, seed, strength=1.0: sensor)
     mesh, pose = shapes.make_shape("letters").mesh, rigid.translation(1.0, -2.0, -0.6)
     monkeypatch.setattr(touch_pairs, "sample_object", lambda *_, **__: ("", mesh))
-    monkeypatch.setattr(touch_pairs.poses, "sample_press_pose", lambda *_: pose)
+    monkeypatch.setattr(touch_pairs.poses, "sample_press_pose", lambda *_, **__: pose)
     pair = touch_pairs._simulate_pair("unseen_tools", np.random.default_rng(0), 0)
     turned = replace(mesh, vertices_mm=freeze(rigid.apply(pose, mesh.vertices_mm) @ over))
     monkeypatch.setattr(touch_pairs, "sample_object", lambda *_, **__: ("", turned))
-    monkeypatch.setattr(touch_pairs.poses, "sample_press_pose", lambda *_: np.eye(4))
+    monkeypatch.setattr(touch_pairs.poses, "sample_press_pose", lambda *_, **__: np.eye(4))
     true = touch_pairs._simulate_pair("unseen_tools", np.random.default_rng(0), 0)
 
     class Both:
@@ -158,7 +158,7 @@ def test_a_mirrored_pair_is_that_of_the_mirrored_object(monkeypatch):
 
 def test_uncertainty_alone_is_trained_on_the_error(task):
     """With all but the last layer frozen, as in recipes, the predicted touch stays and its predicted error changes."""
-    example = task.make_validation_example("unseen_tools", 0)
+    example = task.make_validation_example("unseen_tools", 2)
     batch = {name: torch.from_numpy(np.stack([a, a])) for name, a in example.items()}
     net = build_network(
         "residual_denoiser",
