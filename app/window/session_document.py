@@ -18,7 +18,8 @@ from app.window import dialogs
 from app.window.logs import describe_error, log
 from app.window.main_window import MainWindow
 from app.window.screenshots import write_screenshot
-from pipeline.base.errors import TouchError
+from pipeline.base.errors import FileProblem, TouchError
+from pipeline.base.fingerprints import compute_fingerprint
 from pipeline.calibration.calibration_file import is_calibration_file
 from pipeline.translation.cross_section import SectionLine
 
@@ -34,6 +35,7 @@ class SessionDocument(QObject):
         self.undo_stack.setUndoLimit(MAX_UNDO_STEPS)
         self.saved_session = session  # as last saved or opened
         self.session_file: Path | None = None
+        self._file_fingerprint = ""  # of the session file as this window left it
         self.section: SectionLine | None = None  # section line through all images
 
     @abstractmethod
@@ -117,16 +119,23 @@ class SessionDocument(QObject):
         with self._problems_in_banner():
             opened = load_session(path)
             self.saved_session, self.session_file = opened, path
+            self._file_fingerprint = compute_fingerprint(path)
             self.restore_session(opened, "open session")
             for sentence in describe_changed_files(path, opened):
                 log.warning("%s", sentence)
                 self.window.banner.show_problem(sentence)
 
     def save_session(self, path: Path) -> None:
-        """Write the session file."""
+        """Write the session file; refused where another window or program has changed it meanwhile."""
         with self._problems_in_banner():
+            if path == self.session_file and compute_fingerprint(path) not in (self._file_fingerprint, ""):
+                raise FileProblem(
+                    "another window has saved this session meanwhile; save yours under another name, or open it again",
+                    path,
+                )
             save_session(self.session_to_save, path, fingerprint_files(self.session))
             self.saved_session, self.session_file = self.session, path
+            self._file_fingerprint = compute_fingerprint(path)
             self.undo_stack.setClean()
             self.window.setWindowModified(False)
             log.info("session saved: '%s'", path)

@@ -7,16 +7,19 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import glob
+import fcntl
+import functools
+import hashlib
 import itertools
 import json
 import os
+import platform
 import shutil
 import stat
 import tempfile
 import tomllib
 import uuid
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Collection, Generator, Iterable, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -28,43 +31,48 @@ from pipeline.base.errors import FileProblem
 MOST_BYTES = 2 << 30  # of one image or mesh
 MOST_TEXT_BYTES = 16 << 20  # of a description, an alignment or a session, which are a few kB
 _MAX_TRIES = 10  # of replacing a folder while other processes do
-_numbers = itertools.count()
 
 
 @contextlib.contextmanager
 def open_atomic(path: Path, what: str) -> Generator[BinaryIO, None, None]:
     """Yield a temporary file that replaces `path` when the block succeeds and is removed otherwise.
 
-    Raises FileProblem "cannot write `what`" with the system's reason, also for an OSError of the block itself, and
-    where `path` is no regular file.
+    A link stays a link to the new file, and a replaced file leaves its permissions. Raises FileProblem "cannot write
+    `what`" with the system's reason, also for an OSError of the block itself, and where `path` is no regular file.
     """
-    part = path.with_name(f".tactoscope-{os.getpid()}-{next(_numbers)}.part")
+    place = Path(os.path.realpath(path))
+    part = place.with_name(_name_part())
     try:
-        if path.exists() and not path.is_file():
+        if place.exists() and not place.is_file():
             raise FileProblem(f"cannot write {what} (a folder or a device of this name is there)", path)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        _remove_leftovers(path.parent)
-        with part.open("w+b") as file:
+        _remove_leftovers(place.parent)
+        with _create_part(part), (part / place.name).open("w+b") as file:
+            if place.exists():
+                os.fchmod(file.fileno(), stat.S_IMODE(place.stat().st_mode))
             yield file
             file.flush()
             os.fsync(file.fileno())
-        part.replace(path)
+            (part / place.name).replace(place)
     except OSError as error:
         raise FileProblem(f"cannot write {what} ({describe_os_error(error)})", path) from error
     finally:
-        with contextlib.suppress(OSError):
-            part.unlink(missing_ok=True)
+        _remove(part)
 
 
-def write_folder(folder: Path, fill: Callable[[Path], None]) -> None:
-    """Have `fill` write into a new folder that replaces `folder` once it is complete."""
-    ours = f".{folder.name}.{uuid.getnode():x}-"  # other machines may write into the same folder
-    part, before = (folder.with_name(f"{ours}{os.getpid()}-{next(_numbers)}.part") for _ in range(2))
+def write_folder(folder: Path, fill: Callable[[Path], None], own: Collection[str] = ()) -> None:
+    """Have `fill` write into a new folder that replaces `folder` once it is complete.
+
+    What is there is replaced only if it is empty or holds `own[0]` and nothing but files named in `own`. Raises
+    FileProblem.
+    """
+    part, before = (folder.with_name(_name_part()) for _ in range(2))
+    _require_own(folder, own)
     try:
-        _remove_leftovers(folder.parent, f"{glob.escape(ours)}*.part")
-        part.mkdir(parents=True)
-        fill(part)
-        _replace_folder(part, folder, before)
+        _remove_leftovers(folder.parent)
+        with _create_part(part):
+            fill(part)
+            _require_own(folder, own)
+            _replace_folder(part, folder, before)
     except FileProblem as error:
         raise error.relocate(folder, instead_of=part) from error
     except OSError as error:
@@ -72,6 +80,55 @@ def write_folder(folder: Path, fill: Callable[[Path], None]) -> None:
     finally:
         for rest in (part, before):
             _remove(rest)
+
+
+def _require_own(folder: Path, own: Collection[str]) -> None:
+    """Raise FileProblem where `folder` holds files that this program did not write there."""
+    found = {entry.name for entry in folder.iterdir()} if folder.is_dir() else set[str]()
+    foreign = sorted(found - set(own)) or ([] if not found or next(iter(own), "") in found else sorted(found))
+    if foreign:
+        raise FileProblem(
+            f"this folder holds other files ({foreign[0]!r}) that would be lost; move them or choose another folder",
+            folder,
+        )
+
+
+def require_separate(out: Path, inputs: Iterable[Path]) -> None:
+    """Raise FileProblem if writing `out` would replace one of `inputs`, or a file in a folder among them."""
+    for path in inputs:
+        with contextlib.suppress(OSError, ValueError):  # what does not exist is not replaced
+            is_same = out.samefile(path)
+            is_part = path.is_dir() and out.is_file() and out.resolve().is_relative_to(path.resolve())
+            if is_same or is_part:
+                raise FileProblem("this would replace what is read; choose another output", out)
+
+
+def _name_part() -> str:
+    """Return a new name that no other process, container or machine gives to its temporary files."""
+    return f".tactoscope-{_get_boot()}-{uuid.uuid4().hex}.part"
+
+
+@functools.cache
+def _get_boot() -> str:
+    """Return a digest of this machine's name and start: the locks of its processes can be seen from here."""
+    with contextlib.suppress(OSError):
+        boot = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii")
+        return hashlib.sha256(boot.encode()).hexdigest()[:12]
+    return hashlib.sha256(f"{platform.node()} {uuid.getnode()}".encode()).hexdigest()[:12]
+
+
+@contextlib.contextmanager
+def _create_part(part: Path) -> Generator[None, None, None]:
+    """Make a new folder that is locked while the context lasts, where the file system can."""
+    part.mkdir(parents=True)
+    descriptor = os.open(part, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        with contextlib.suppress(OSError):
+            fcntl.flock(descriptor, fcntl.LOCK_EX)
+        part.mkdir(exist_ok=True)  # another process may have taken it for a leftover before it was locked
+        yield
+    finally:
+        os.close(descriptor)
 
 
 def _replace_folder(part: Path, folder: Path, before: Path) -> None:
@@ -129,8 +186,6 @@ def open_lock(path: Path) -> BinaryIO:
 
     Raises FileProblem.
     """
-    import fcntl
-
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         lock = path.open("wb")
@@ -246,14 +301,16 @@ def describe_os_error(error: Exception) -> str:
     return os.strerror(number) if number else str(error).partition("\n")[0]
 
 
-def _remove_leftovers(folder: Path, pattern: str = ".tactoscope-*.part") -> None:
-    """Remove temporary files of processes that were killed."""
-    for rest in folder.glob(pattern):
-        with contextlib.suppress(PermissionError, ValueError, OverflowError):  # another user's
+def _remove_leftovers(folder: Path) -> None:
+    """Remove temporary files of processes of this machine that were killed: their locks are free."""
+    for rest in folder.glob(f".tactoscope-{_get_boot()}-*.part"):
+        with contextlib.suppress(OSError):  # being written, another user's, or gone
+            descriptor = os.open(rest, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
             try:
-                os.kill(int(rest.name.split("-")[-2]), 0)
-            except ProcessLookupError:
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 _remove(rest)
+            finally:
+                os.close(descriptor)
 
 
 def _remove(path: Path) -> None:
@@ -261,7 +318,8 @@ def _remove(path: Path) -> None:
     if path.is_dir():
         shutil.rmtree(path, ignore_errors=True)
     else:
-        path.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            path.unlink(missing_ok=True)
 
 
 def _to_json(value: object) -> object:

@@ -11,12 +11,16 @@ import io
 import logging
 import os
 import sys
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from pathlib import Path
 
 from cyclopts import App, CycloptsError
 
 from pipeline import __version__
 from pipeline.base import error_log
 from pipeline.base.errors import TouchError
+from pipeline.base.files import require_separate
 from pipeline.base.text import hint_decimal_comma
 from pipeline.cli.terminal import print_error
 
@@ -28,6 +32,7 @@ _USER_FILE_ERRORS = frozenset(
     (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT, errno.ELOOP, errno.ENAMETOOLONG, errno.EIO)
 )
 
+_OUTPUTS = ("out", "json", "plots", "record", "to", "tour")  # options of what commands write
 # Command -> (module:function, help). The first sentence is listed by `tactoscope --help`.
 _COMMANDS = {
     "inspect": (
@@ -126,7 +131,9 @@ def run_app(app: App, tokens: list[str] | None = None) -> int:
             stream.reconfigure(errors="backslashreplace")
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # hides its messages about font caches
     try:
-        code = app(tokens, exit_on_error=False, print_error=False, result_action="return_value")
+        command, bound, _ = app.parse_args(tokens, exit_on_error=False, print_error=False)
+        _refuse_lossy_outputs(bound.arguments)
+        code = command(*bound.args, **bound.kwargs)
     except (CycloptsError, TouchError) as error:
         text = str(error)
         print_error(text.removesuffix(".") + hint_decimal_comma(text) if text.endswith("into float.") else text)
@@ -144,3 +151,20 @@ def run_app(app: App, tokens: list[str] | None = None) -> int:
         print_error(error_log.log_error(error))
         return EXIT_UNEXPECTED
     return code if isinstance(code, int) else 0
+
+
+def _refuse_lossy_outputs(arguments: Mapping[str, object]) -> None:
+    """Raise FileProblem where a command would write over what it reads."""
+    inputs = [path for name, value in arguments.items() if name not in _OUTPUTS for path in _list_paths(value)]
+    for name in _OUTPUTS:
+        for out in _list_paths(arguments.get(name)):
+            require_separate(out, inputs)
+
+
+def _list_paths(value: object) -> list[Path]:
+    """Return every path in an option, and every text that may be one, such as `touch=weights.safetensors`."""
+    if isinstance(value, (str, Path)):
+        return [Path(str(value).rpartition("=")[2] if isinstance(value, str) else value)]
+    if is_dataclass(value):
+        value = [getattr(value, f.name) for f in fields(value)]
+    return [path for part in value for path in _list_paths(part)] if isinstance(value, (list, tuple)) else []

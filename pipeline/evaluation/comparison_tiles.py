@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.base.arrays import Image
-from pipeline.base.errors import FileProblem
 from pipeline.base.files import open_atomic, write_folder, write_json
 from pipeline.previews.layers import Layer
 from pipeline.previews.tile import Tile
@@ -36,8 +35,6 @@ def write_tiles(folder: Path, tiles: Sequence[Tile]) -> None:
 
     The same tiles give the same bytes: times are left out. Raises FileProblem.
     """
-    if folder.exists() and not (folder / TABLE_FILE).exists():
-        raise FileProblem("this folder holds something else than a comparison; choose another folder", folder)
 
     def fill(part: Path) -> None:
         entries: list[object] = []
@@ -53,7 +50,8 @@ def write_tiles(folder: Path, tiles: Sequence[Tile]) -> None:
             )
         write_json(part / TABLE_FILE, {"tiles": entries}, "the comparison")
 
-    write_folder(folder, fill)
+    old = sorted(entry.name for entry in folder.glob("[0-9][0-9]_*.png")) if folder.is_dir() else []
+    write_folder(folder, fill, (TABLE_FILE, *old))
 
 
 def _encode_png(pixels: Image) -> bytes:

@@ -11,12 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.files import write_arrays, write_folder, write_json
+from pipeline.base.fingerprints import compute_fingerprint
 from pipeline.engine.graph import StageResult
 from pipeline.geometry.camera import Camera
 from pipeline.metrics.stage_metrics import METRICS
 from pipeline.reporting.frame_report import FrameReport
 from pipeline.translation.translate import Translation
 from pipeline.values.frames import TactileFrame
+
+FRAME_FILES = ("frame.json", "stages.npz", "sheet.png")  # of one frame's folder
 
 
 def collect_stage_arrays(frame: TactileFrame, results: Mapping[str, StageResult]) -> dict[str, NDArray[Any]]:
@@ -57,9 +60,10 @@ def write_frame(out: Path, frame: TactileFrame, report: FrameReport, translation
     def fill(part: Path) -> None:
         write_arrays(part / "stages.npz", collect_stage_arrays(frame, report.results))
         write_sheet(part / "sheet.png", frame, report, translation)
-        write_json(part / "frame.json", {"key": key or None, **_to_json(report)})
+        digests = {name: compute_fingerprint(part / name) for name in FRAME_FILES[1:]}
+        write_json(part / "frame.json", {"key": key or None, "files": digests, **_to_json(report)})
 
-    write_folder(folder, fill)
+    write_folder(folder, fill, FRAME_FILES)
     return folder
 
 

@@ -13,11 +13,12 @@ import numpy as np
 
 from pipeline import __version__
 from pipeline.base.arrays import freeze
+from pipeline.base.fingerprints import compute_fingerprint
 from pipeline.base.stage_warnings import StageWarning
 from pipeline.engine.digests import compute_digest
 from pipeline.engine.graph import StageResult
 from pipeline.reporting.frame_report import FrameReport
-from pipeline.reporting.report import frame_folder
+from pipeline.reporting.report import FRAME_FILES, frame_folder
 from pipeline.translation.translate import Translation
 from pipeline.values.results import ObjectPose
 
@@ -57,7 +58,8 @@ def load_finished_frame(out: Path, index: int, key: str) -> FinishedFrame | None
     folder = frame_folder(out, index)
     with contextlib.suppress(Exception):  # a frame that cannot be read is made again
         record = json.loads((folder / "frame.json").read_text(encoding="utf-8"))
-        if record["key"] == key and (folder / "sheet.png").stat().st_size:
+        digests = {name: compute_fingerprint(folder / name) for name in FRAME_FILES[1:]}
+        if record["key"] == key and record["files"] == digests:
             return FinishedFrame(report=_report(record), key=key, pose=_pose(folder / "stages.npz"))
     return None
 

@@ -121,6 +121,20 @@ def test_notes_and_undoing_a_save_are_unsaved_changes(bubble_window, tmp_path):
     assert bubble_window.window.isWindowModified(), "the file still has the note"
 
 
+def test_two_windows_on_one_session_lose_no_note(bubble_window, tmp_path):
+    path = tmp_path / "a.touch.json"
+    bubble_window.save_session(path)
+    bubble_window.change("note", notes={1: "mine"})
+    other = path.read_text().replace('"notes": {}', '"notes": {"2": "theirs"}')
+    path.write_text(other)
+    bubble_window.save_session(path)
+    assert "nother window has saved this session" in bubble_window.window.banner.text
+    assert path.read_text() == other
+    assert bubble_window.window.isWindowModified()
+    bubble_window.save_session(tmp_path / "b.touch.json")
+    assert load_session(tmp_path / "b.touch.json").notes == {1: "mine"}
+
+
 def test_a_session_reports_changed_files(bubble_window, touch_file, tmp_path):
     own = tmp_path / "own.h5"
     own.write_bytes(touch_file.read_bytes())

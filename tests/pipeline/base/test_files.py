@@ -21,6 +21,7 @@ from pipeline.base.files import (
     read_cached_arrays,
     read_json,
     read_toml,
+    require_separate,
     set_aside,
     write_arrays,
     write_folder,
@@ -44,14 +45,14 @@ def test_a_folder_appears_whole(tmp_path):
 
 
 def test_a_folder_that_fails_half_way_leaves_the_old_one_and_nothing_else(tmp_path):
-    write_folder(tmp_path / "frame", lambda part: (part / "a").write_text("old"))
+    write_folder(tmp_path / "frame", lambda part: (part / "a").write_text("old"), ("a",))
 
     def interrupted(part):
         (part / "a").write_text("half")
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        write_folder(tmp_path / "frame", interrupted)
+        write_folder(tmp_path / "frame", interrupted, ("a",))
     assert [p.name for p in tmp_path.iterdir()] == ["frame"]
     assert (tmp_path / "frame" / "a").read_text() == "old"
 
@@ -71,10 +72,10 @@ def test_two_that_write_one_folder_at_once_both_end_and_leave_a_whole_one(tmp_pa
 
     def slower(part):
         (part / "a").write_text("slower")
-        write_folder(frame, lambda own: (own / "a").write_text("quicker"))
+        write_folder(frame, lambda own: (own / "a").write_text("quicker"), ("a", "b"))
         (part / "b").write_text("slower")
 
-    write_folder(frame, slower)
+    write_folder(frame, slower, ("a", "b"))
     assert {p.name: p.read_text() for p in frame.iterdir()} == {"a": "slower", "b": "slower"}
     assert [p.name for p in tmp_path.iterdir()] == [frame.name]
 
@@ -85,6 +86,71 @@ def test_what_a_killed_process_left_of_a_folder_goes_when_it_is_written_again(tm
     assert len(list(tmp_path.iterdir())) == 1
     write_folder(tmp_path / "frame", lambda part: (part / "a").write_text("new"))
     assert [p.name for p in tmp_path.iterdir()] == ["frame"]
+
+
+_WRITING = """
+import sys
+from pathlib import Path
+from pipeline.base.files import open_atomic
+with open_atomic(Path(sys.argv[1]), "it") as file:
+    file.write(b"slow")
+    print("begun", flush=True)
+    sys.stdin.read()
+"""
+
+
+def test_a_file_that_another_process_writes_is_no_leftover(tmp_path, monkeypatch):
+    """Whatever its number: in containers every process has the same one."""
+    command = [sys.executable, "-c", _WRITING, tmp_path / "a"]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other:
+        assert other.stdout.readline() == b"begun\n"
+        monkeypatch.setattr(os, "kill", lambda *_: (_ for _ in ()).throw(ProcessLookupError))
+        monkeypatch.setattr(os, "getpid", lambda: other.pid)
+        write_json(tmp_path / "b", {})
+        write_json(tmp_path / "a", {})
+    assert other.returncode == 0
+    assert (tmp_path / "a").read_bytes() == b"slow"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a", "b"]
+
+
+def test_a_replaced_file_keeps_its_permissions_and_a_link_stays_one(tmp_path):
+    path, link = tmp_path / "a", tmp_path / "link"
+    path.write_text("old")
+    path.chmod(0o600)
+    link.symlink_to("a")
+    write_json(link, {"new": 1})
+    assert link.is_symlink()
+    assert json.loads(path.read_text()) == {"new": 1}
+    assert path.stat().st_mode & 0o777 == 0o600
+
+
+def test_a_folder_is_replaced_only_where_all_of_it_is_known(tmp_path):
+    folder = tmp_path / "frame"
+    folder.mkdir()
+    write_folder(folder, lambda part: (part / "a").write_text("1"), ("a", "b"))
+    write_folder(folder, lambda part: (part / "b").write_text("2"), ("a", "b"))
+    for own in (("a", "b"), ("b",)):  # the first of them is missing, or another file is there
+        (folder / "c").write_text("mine") if own == ("b",) else None
+        with pytest.raises(FileProblem, match="holds other files"):
+            write_folder(folder, lambda part: (part / "a").write_text("3"), own)
+    assert (folder / "b").read_text() == "2"
+
+
+def test_what_is_read_is_not_written_over(tmp_path):
+    (tmp_path / "folder").mkdir()
+    for name in ("a.npz", "folder/frame.png"):
+        (tmp_path / name).write_text("mine")
+    (tmp_path / "link").symlink_to("a.npz")
+    for out, path in (("a.npz", "link"), ("folder", "folder"), ("folder/frame.png", "folder"), ("a.npz", "./a.npz")):
+        with pytest.raises(FileProblem, match="would replace what is read"):
+            require_separate(tmp_path / out, [tmp_path / path])
+    for out, path in (
+        ("b.npz", "a.npz"),
+        ("folder/new.png", "folder"),
+        ("folder", "folder/frame.png"),
+        ("a.npz", "no"),
+    ):
+        require_separate(tmp_path / out, [tmp_path / path])
 
 
 def test_json_says_null_for_what_is_not_a_number(tmp_path):

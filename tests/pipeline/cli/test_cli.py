@@ -353,3 +353,18 @@ def test_what_a_refusal_advises_the_command_knows(tmp_path, said, capsys):
         run_app(build_app(), [command, "--help"])
         shown = capsys.readouterr().out
         assert all(option in shown for option in ("--depth-unit", "--reference", "--sensor"))
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["export", "{}", "--target", "gelslim", "--out", "{}"],
+        ["attribute", "{}", "--target", "gelslim", "--json", "{}"],
+        ["compare", "other.h5", "--target", "gelslim", "--weights", "touch={}", "--out", "{}"],
+    ],
+)
+def test_no_command_writes_over_what_it_reads(tmp_path, said, words):
+    path = tmp_path / "recording.npz"
+    path.write_bytes(b"mine")
+    assert "this would replace what is read" in said(*(word.format(path) for word in words))
+    assert path.read_bytes() == b"mine"

@@ -53,5 +53,5 @@ def test_what_is_wrong_with_a_sweep_is_one_sentence(tmp_path, capsys, pairs, say
 def test_a_folder_with_something_else_in_it_stays(tmp_path, capsys):
     (tmp_path / "mine.txt").write_text("mine")
     assert run_app(build_app(), ["compare", *_ONE, "--variant", "--set cloud.stride=4", "--out", str(tmp_path)]) == 2
-    assert "something else" in capsys.readouterr().err
+    assert "holds other files ('mine.txt')" in capsys.readouterr().err
     assert (tmp_path / "mine.txt").read_text() == "mine"

@@ -96,7 +96,16 @@ def test_an_interrupted_run_continues(typed, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "changed", ["a setting", "the picture", "the reference", "the sheet is empty", "the arrays are cut short"]
+    "changed",
+    [
+        "a setting",
+        "the picture",
+        "the reference",
+        "the sheet is empty",
+        "the sheet is cut",
+        "64 bytes are zeroed",
+        "the arrays are cut short",
+    ],
 )
 def test_a_frame_with_other_inputs_or_incomplete_files_is_computed_again(changed, typed, touches, tmp_path):
     typed("--frame", "2")
@@ -113,12 +122,39 @@ def test_a_frame_with_other_inputs_or_incomplete_files_is_computed_again(changed
             cv2.imwrite(str(touches / "background.png"), np.where(picture < 255, picture + 1, picture))
         case "the sheet is empty":
             (frame / "sheet.png").write_bytes(b"")
+        case "the sheet is cut":
+            (frame / "sheet.png").write_bytes((frame / "sheet.png").read_bytes()[:3])
+        case "64 bytes are zeroed":
+            with (frame / "stages.npz").open("r+b") as file:
+                file.seek(1000)
+                file.write(bytes(64))
         case _:
             (frame / "stages.npz").write_bytes((frame / "stages.npz").read_bytes()[:5000])
     code, out, _ = typed(*more)
     assert code == 0
     assert RESUMED not in out
     assert times(tmp_path / "out") != before
+
+
+def test_a_frame_folder_with_other_files_stays(typed, tmp_path):
+    typed("--frame", "2")
+    note = tmp_path / "out" / "frame_0002" / "note.txt"
+    note.write_text("mine")
+    code, _, err = typed("--frame", "2", "--set", "target_depth.jump_mm=2")
+    assert code == 2
+    assert "holds other files ('note.txt')" in err
+    assert note.read_text() == "mine"
+
+
+def test_a_recording_is_never_the_output(touches, capsys):
+    presses = touches.parent / "presses"
+    presses.mkdir()
+    touches.rename(presses / "frame_0000")
+    before = sorted(path.name for path in presses.rglob("*"))
+    words = ["--target", "gelslim", "--sensor", "gelsight_mini", "--all", "--out", str(presses)]
+    for recording in (presses, presses / "frame_0000"):
+        assert run_app(build_app(), ["translate", str(recording), *words]) == 2, capsys.readouterr()
+        assert set(before) <= {path.name for path in presses.rglob("*")}
 
 
 def test_following_continues_from_the_pose_on_disk(tmp_path, capsys):
@@ -137,7 +173,7 @@ def test_following_continues_from_the_pose_on_disk(tmp_path, capsys):
     assert run_app(build_app(), [*asked, str(tmp_path / "once")]) == 0, capsys.readouterr().err
     assert run_app(build_app(), [*asked, str(tmp_path / "again")]) == 0
     for index in (3, 4):  # both after a touch with a pose
-        (tmp_path / "again" / f"frame_{index:04d}" / "frame.json").unlink()
+        (tmp_path / "again" / f"frame_{index:04d}" / "frame.json").write_text("{}")
     assert run_app(build_app(), [*asked, str(tmp_path / "again")]) == 0
     assert f"4 of them {RESUMED}" in capsys.readouterr().out
     with (
