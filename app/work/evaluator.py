@@ -106,7 +106,7 @@ class Evaluator:
             report.deliver(InitialFrame(index=index))
         started_s = time.perf_counter()
         loaded = self._previews.load_frame(translation, index, session.display)
-        inputs, truth = translation.build_inputs(loaded.frame), loaded.ground_truth
+        inputs, truth = translation.build_inputs(loaded.frame, progress=report), loaded.ground_truth
         ms = 1e3 * (time.perf_counter() - started_s)
         source = SourcePreview(
             frame=loaded.frame, ground_truth=truth, preview=loaded.preview, layers=(loaded.layer,), read_ms=ms

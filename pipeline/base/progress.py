@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Generator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import Protocol
 
 
@@ -25,6 +28,22 @@ class SilentProgress:
 
 
 SILENT = SilentProgress()
+_reading: ContextVar[Progress] = ContextVar("reading", default=SILENT)
+
+
+@contextmanager
+def reading_reported_to(progress: Progress) -> Generator[None]:
+    """Send `report_reading` within the block, on this thread, to `progress`."""
+    token = _reading.set(progress)
+    try:
+        yield
+    finally:
+        _reading.reset(token)
+
+
+def report_reading(fraction: float, text: str) -> None:
+    """Report how much of a large file is read; raises `Cancelled` to stop."""
+    _reading.get().step(fraction, text)
 
 
 class SubProgress:

@@ -230,7 +230,7 @@ def _translate_frame(
         finished = load_finished_frame(out, index, key)
         if finished is not None:
             return True, finished
-        inputs = translation.read_inputs(index, previous.pose if previous else None)
+        inputs = translation.read_inputs(index, previous.pose if previous else None, progress)
         results = graph.evaluate(translation.stages, inputs, params, progress)
         truth = translation.read_ground_truth(index)
         results = {name: add_truth_warnings(result, truth) for name, result in results.items()}

@@ -21,13 +21,9 @@ _LAST = "depth_head.scratch.output_conv2.2.weight"
 
 def read_weights(path: Path) -> Weights:
     """Read the weights in a file of any of these kinds; raises FileProblem for any other file."""
-    if path.suffix == SUFFIX:
-        metadata, tensors = load_tensors(path)
-        if is_tactoscope_file(metadata):
-            return _check_kind(load_weights(path), path)
-    else:
-        tensors = read_tensors(path)
-    tensors = {name.removeprefix("module."): tensor for name, tensor in tensors.items()}
+    if path.suffix == SUFFIX and is_tactoscope_file(load_tensors(path)[0]):
+        return _check_kind(load_weights(path), path)
+    tensors = read_tensors(path).tensors
     if "pretrained.cls_token" not in tensors or _LAST not in tensors:
         raise FileProblem("not Depth Anything V2 weights: tensors pretrained.* and depth_head.* are missing", path)
     width = tensors["pretrained.cls_token"].shape[-1]

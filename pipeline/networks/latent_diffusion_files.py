@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from pathlib import Path
 
 import numpy as np
 
-from pipeline.base.arrays import Floats
 from pipeline.base.errors import FileProblem
 from pipeline.base.params import Value
 from pipeline.networks.tensor_files import read_tensors
@@ -30,28 +30,37 @@ def read_weights(path: Path) -> Weights:
     """
     if path.suffix == SUFFIX and is_tactoscope_file(load_tensors(path)[0]):
         return load_weights(path)
-    tensors_in_file = read_tensors(path)
-    if not set(_REQUIRED_TENSORS) <= tensors_in_file.keys():
-        raise FileProblem(
-            f"not latent diffusion weights under their original names: {', '.join(_REQUIRED_TENSORS)} are missing",
-            path,
-        )
-    unet, first, condition_channels = (tensors_in_file[name].shape[0] for name in _REQUIRED_TENSORS)
+    tensors = read_tensors(path, lambda names: _select(names, path)).tensors
+    unet, first, condition_channels = (tensors[name].shape[0] for name in _REQUIRED_TENSORS)
     config: dict[str, Value] = {
         "side": 256, "width": unet, "autoencoder_width": first, "condition_channels": condition_channels,
         "raw_condition": True, "half_turn": True, "trained_with_condition_dropout": False,
     }  # fmt: skip
-    tensors = {name: _get_averaged(tensors_in_file, name) for name in tensors_in_file if _is_used(name)}
-    tensors["scale_factor"] = np.asarray(tensors_in_file.get("scale_factor", np.float32(1.0)), np.float32).reshape(())
+    tensors["scale_factor"] = np.asarray(tensors.get("scale_factor", 1.0), np.float32).reshape(())
     return Weights(name=path.stem, kind=KIND, config=config, tensors=tensors, card={"task": TASK, "file": path.name})
+
+
+def _select(names: Collection[str], path: Path) -> dict[str, str]:
+    """Tensors that sampling needs, the denoiser's averaged; raises FileProblem."""
+    missing = [name for name in _REQUIRED_TENSORS if name not in names]
+    if missing:
+        raise FileProblem(
+            f"not latent diffusion weights under their original names: {', '.join(missing)} missing", path
+        )
+    return {name: _get_averaged(names, name) for name in names if _is_used(name)}
 
 
 def _is_used(name: str) -> bool:
     if name.startswith(_CONDITION):
         return not name.startswith((f"{_CONDITION}features.", f"{_CONDITION}resnet.fc."))
-    return name.startswith(_UNET) or (name.startswith(_FIRST) and not name.startswith(f"{_FIRST}loss."))
+    return (
+        name == "scale_factor"
+        or name.startswith(_UNET)
+        or (name.startswith(_FIRST) and not name.startswith(f"{_FIRST}loss."))
+    )
 
 
-def _get_averaged(tensors_in_file: dict[str, Floats], name: str) -> Floats:
-    """The averaged tensor if the file has one, else the tensor."""
-    return tensors_in_file.get(_AVERAGE + name.removeprefix("model.").replace(".", ""), tensors_in_file[name])
+def _get_averaged(names: Collection[str], name: str) -> str:
+    """The name of the averaged tensor if the file has one, else of the tensor."""
+    averaged = _AVERAGE + name.removeprefix("model.").replace(".", "")
+    return averaged if averaged in names else name

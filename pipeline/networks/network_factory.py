@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import importlib
+import warnings
 from collections.abc import Callable, Container, Mapping
 from typing import TYPE_CHECKING, Any
 
+from pipeline.base.arrays import Floats
 from pipeline.base.errors import ModelMissing
 from pipeline.base.memo import Memo
 from pipeline.base.params import Value
@@ -92,7 +94,10 @@ def use_channels_last(net: nn.Module) -> nn.Module:
 
 
 def _build_with_weights(weights: Weights) -> nn.Module:
-    net = build_network(weights.kind, weights.config)
+    from pipeline.networks.uninitialised import WithoutInitialisation
+
+    with WithoutInitialisation():
+        net = build_network(weights.kind, weights.config)
     expected: dict[str, Any] = net.state_dict()
     mismatched = expected.keys() ^ weights.tensors.keys()
     mismatched |= {
@@ -106,7 +111,7 @@ def _build_with_weights(weights: Weights) -> nn.Module:
             f"the weights {weights.name!r} do not fit the network {weights.kind!r}: {len(mismatched)} tensors are "
             f"missing, unexpected or of another shape, such as {examples}"
         )
-    copy_tensors(net, weights.tensors)
+    _share_tensors(net, weights.tensors)
     return use_channels_last(net).eval().requires_grad_(requires_grad=False)
 
 
@@ -125,6 +130,18 @@ def initialise_from(net: nn.Module, weights: Weights) -> int:
         )
     copy_tensors(net, {name: weights.tensors[name] for name in matching})
     return len(matching)
+
+
+def _share_tensors(net: nn.Module, tensors: Mapping[str, Floats]) -> None:
+    """Make frozen arrays a network's tensors, without a copy where they have its type and order."""
+    import torch
+
+    shared: dict[str, Any] = {}
+    for name, tensor in net.state_dict().items():
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # "not writable": nothing writes to a loaded network
+            shared[name] = torch.from_numpy(tensors[name]).to(tensor.dtype)
+    net.load_state_dict(shared, assign=True)
 
 
 def copy_tensors(net: nn.Module, tensors: Mapping[str, Any]) -> None:

@@ -3,46 +3,107 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pipeline.base.arrays import Floats
 from pipeline.base.errors import FileProblem
-from pipeline.base.files import read_bytes
+from pipeline.base.files import read_bytes, require_file
+from pipeline.base.progress import report_reading
+from pipeline.base.torch_archive import SIGNATURE, StoredTensor, TorchArchive, open_torch_archive
 from pipeline.networks.weights import SUFFIX, load_tensors
 
 _WRAPPED = ("model", "state_dict", "model_state_dict")  # keys of the tensor table in training checkpoints
+_DISTRIBUTED = "module."  # prefix of torch's DistributedDataParallel
+Selection = Callable[[Collection[str]], Mapping[str, str]]  # names in the file -> name wanted: name in the file
 
 
-def read_tensors(path: Path) -> dict[str, Floats]:
-    """All tensors of a file by name, as float32; raises FileProblem if it is not a table of finite tensors."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TensorTable:
+    """Tensors of a file by name, and what else the file holds."""
+
+    tensors: dict[str, Floats]
+    other_keys: frozenset[str]  # beside the table, such as "optimizer"; empty for a bare table
+
+
+def select_all(names: Collection[str]) -> Mapping[str, str]:
+    """Every tensor under its name, without the prefix of distributed training."""
+    return {name.removeprefix(_DISTRIBUTED): name for name in names}
+
+
+def read_tensors(path: Path, select: Selection = select_all) -> TensorTable:
+    """The selected tensors as float32; of a torch archive no others are read.
+
+    `select` may raise FileProblem. Raises FileProblem if the file is not a table of finite tensors.
+    """
     if path.suffix == SUFFIX:
-        return load_tensors(path)[1]
-    return _read_torch_file(path)
+        return _take(load_tensors(path)[1], select, frozenset(), path)
+    require_file(path, "the weights", most_bytes=1 << 50)
+    with path.open("rb") as file:
+        is_archive = file.read(len(SIGNATURE)) == SIGNATURE
+    if not is_archive:
+        table, others = _find_table(_read_legacy_file(path), path)
+        return _take({name: np.asarray(t.float().numpy()) for name, t in table.items()}, select, others, path)
+    with open_torch_archive(path) as archive:
+        table, others = _find_table(archive.content, path)
+        return TensorTable(tensors=_read_selected(archive, table, select(table.keys())), other_keys=others)
 
 
-def _read_torch_file(path: Path) -> dict[str, Floats]:
-    content = read_bytes(path, "the weights")
+def _read_selected(
+    archive: TorchArchive, table: Mapping[str, StoredTensor], wanted: Mapping[str, str]
+) -> dict[str, Floats]:
+    total, done = sum(table[stored].n_stored for stored in wanted.values()), 0
+    tensors: dict[str, Floats] = {}
+    for name, stored in wanted.items():
+        tensors[name] = _convert(archive.read(table[stored]), archive.path)
+        done += table[stored].n_stored
+        report_reading(done / max(total, 1), f"reading {archive.path.name}")
+    return tensors
+
+
+def _take(tensors: Mapping[str, NDArray[Any]], select: Selection, others: frozenset[str], path: Path) -> TensorTable:
+    taken = {name: _convert(tensors[stored], path) for name, stored in select(tensors.keys()).items()}
+    return TensorTable(tensors=taken, other_keys=others)
+
+
+def _find_table(content: Any, path: Path) -> tuple[dict[str, Any], frozenset[str]]:
+    """The table of tensors, and the keys beside it in a training checkpoint; raises FileProblem if there is none."""
+    others = frozenset[str]()
+    for key in _WRAPPED:
+        if isinstance(content, Mapping) and isinstance(content.get(key), Mapping):
+            others |= {str(other) for other in cast("Mapping[Any, Any]", content)} - {key}
+            content = content[key]
+    named = cast("Mapping[Any, Any]", content).items() if isinstance(content, Mapping) else ()
+    table = {str(name): tensor for name, tensor in named if hasattr(tensor, "shape")}
+    if not table:
+        raise FileProblem("the weights are not a table of named tensors; save the network's state_dict", path)
+    return table, others
+
+
+def _convert(tensor: NDArray[Any], path: Path) -> Floats:
+    """The tensor as float32; filters in channels-last order, in which networks use them, so that none copies them."""
+    values = np.asarray(tensor, np.float32)
+    if not np.isfinite(values).all():
+        raise FileProblem("the weights contain NaN or infinity; download them again", path)
+    if values.ndim != 4:
+        return np.ascontiguousarray(values).reshape(values.shape)
+    return np.ascontiguousarray(values.transpose(0, 2, 3, 1)).transpose(0, 3, 1, 2)
+
+
+def _read_legacy_file(path: Path) -> Any:
+    """What torch before 1.6 saved, if it consists of tensors and plain values."""
     import torch
 
     try:
-        loaded: Any = torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
+        return torch.load(io.BytesIO(read_bytes(path, "the weights")), map_location="cpu", weights_only=True)
+    except FileProblem:
+        raise
     except Exception as error:  # torch's errors for damaged files have no common base
         raise FileProblem(
             "cannot read the weights: the file is truncated, damaged, not a torch file, or contains code", path
         ) from error
-    for key in _WRAPPED:
-        if isinstance(loaded, Mapping) and isinstance(loaded.get(key), Mapping):
-            loaded = loaded[key]
-    if not isinstance(loaded, Mapping):
-        raise FileProblem("the weights are not a table of named tensors", path)
-    tensors: dict[str, Floats] = {}
-    for name, tensor in cast("Mapping[Any, Any]", loaded).items():
-        if isinstance(tensor, torch.Tensor):
-            tensors[str(name)] = np.array(tensor.float().numpy(), order="C")
-    if not all(np.isfinite(tensor).all() for tensor in tensors.values()):
-        raise FileProblem("the weights contain NaN or infinity; download them again", path)
-    return tensors

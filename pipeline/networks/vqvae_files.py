@@ -17,7 +17,7 @@ def read_weights(path: Path) -> Weights:
     """Read Tactoscope weights or a state of the released `VQ-VAE-small`; raises FileProblem for any other file."""
     if path.suffix == SUFFIX and is_tactoscope_file(load_tensors(path)[0]):
         return load_weights(path)
-    tensors = {name.removeprefix("module."): tensor for name, tensor in read_tensors(path).items()}
+    tensors = read_tensors(path).tensors
     if not {_FIRST, _LAST, _CODES} <= tensors.keys():
         raise FileProblem(
             f"not VQ-VAE weights under their original names: {_FIRST}, {_CODES} or {_LAST} is missing", path

@@ -13,6 +13,7 @@ import numpy as np
 from pipeline.base.arrays import Image
 from pipeline.base.errors import SettingProblem
 from pipeline.base.frame_lists import check_frame_index
+from pipeline.base.progress import SILENT, Progress, reading_reported_to
 from pipeline.calibration.calibration_file import load as load_calibration
 from pipeline.calibration.calibration_table import Calibration
 from pipeline.engine.graph import Graph, Method, StageResult
@@ -108,15 +109,21 @@ class Translation:
         """Return the graph of the route, with the cache of `like` if given."""
         return Graph(self.methods) if like is None else like.with_methods(self.methods)
 
-    def read_inputs(self, index: int, previous: ObjectPose | None = None) -> Mapping[str, object]:
+    def read_inputs(
+        self, index: int, previous: ObjectPose | None = None, progress: Progress = SILENT
+    ) -> Mapping[str, object]:
         """Return the graph's inputs for frame `index`; raises FileProblem if that frame is damaged.
 
-        `previous` is the pose of the frame before, where a sequence is followed.
+        `previous` is the pose of the frame before, where a sequence is followed. `progress` shows how weights are read.
         """
-        return self.build_inputs(self.stream.frame(self.check_index(index)), previous)
+        return self.build_inputs(self.stream.frame(self.check_index(index)), previous, progress)
 
-    def build_inputs(self, frame: TactileFrame, previous: ObjectPose | None = None) -> Mapping[str, object]:
+    def build_inputs(
+        self, frame: TactileFrame, previous: ObjectPose | None = None, progress: Progress = SILENT
+    ) -> Mapping[str, object]:
         """Return the graph's inputs for a frame at hand."""
+        with reading_reported_to(progress):
+            weights = self._weights()
         return {
             "frame": replace(frame, context_frames=self.load_context_images()),
             "source": self.source,
@@ -127,7 +134,7 @@ class Translation:
             ),
             "mesh": self.mesh,
             "previous": previous,
-            **self._weights(),
+            **weights,
         }
 
     @property

@@ -129,7 +129,7 @@ def test_other_files_are_refused(small, tmp_path, fault):
         "list": ("table", [1, 2]),
         "wide": ("1536", tensors | {"pretrained.cls_token": torch.zeros(1, 1, 1536)}),
         "nan": ("NaN", tensors | {"pretrained.norm.bias": torch.full((384,), torch.nan)}),
-        "code": ("code", {"x": pytest.approx}), "missing": ("No such file", {}),
+        "code": ("table of named tensors", {"x": pytest.approx}), "missing": ("No such file", {}),
     }  # fmt: skip
     torch.save(wrong[fault][1], path)
     if fault == "cut":
