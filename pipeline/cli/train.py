@@ -22,7 +22,7 @@ from pipeline.networks.weights import SUFFIX, Weights
 from pipeline.training.export import export_run
 from pipeline.training.loop import TrainingRun
 from pipeline.training.loop import train as train_run
-from pipeline.training.recipe import load_recipe, override_training
+from pipeline.training.recipe import list_shipped_recipes, load_recipe, override_pairs, override_training
 from pipeline.training.task import TASKS
 
 WEIGHTS_FILE = f"weights{SUFFIX}"
@@ -35,15 +35,17 @@ train_app = App(name="train")
 def train(
     what: _NetworkName,
     *,
-    recipe: str,
+    recipe: str = "",
     out: Path,
+    pairs: Path | None = None,
+    hold_out: str = "",
     resume: Flag = False,
     minutes: float | None = None,
     steps: int | None = None,
     seed: int | None = None,
     workers: int = 1,
 ) -> int:
-    """Train on examples that are simulated on the fly.
+    """Train on examples that are simulated on the fly, or on recorded pairs.
 
     Ctrl-C and SIGTERM keep the state, a kill loses a minute at most; the same command with --resume continues. Under
     `torchrun` each process takes one device and all train together.
@@ -51,9 +53,14 @@ def train(
     Parameters
     ----------
     recipe
-        Name of a shipped recipe, or a .toml file.
+        Name of a shipped recipe, or a .toml file; with --pairs the default starts from shipped weights.
     out
         Folder for the state, `curve.csv`, `figures.csv`, `curve.png` and `weights.safetensors`.
+    pairs
+        Recording or folder of both sensors, such as touch2touch's `data`: trained on instead of simulated touches.
+    hold_out
+        Pairs that only validate: `tool` for a quarter of the tools, names of tools separated by commas, `lab` or
+        `paper` for published lists of tools, or a split.json; default: the splits of the folder, else `tool`.
     resume
         Continue the training in that folder.
     minutes
@@ -72,9 +79,16 @@ def train(
         raise SettingProblem(f"--minutes must lie above 0 and at most a million, got {minutes:g}")
     if minutes is not None and steps is not None:
         raise SettingProblem("give either --minutes or --steps, not both")
+    if not recipe and pairs is None:
+        raise SettingProblem(f"name a recipe with --recipe: {', '.join(list_shipped_recipes(what))}")
+    if hold_out and pairs is None:
+        raise SettingProblem("--hold-out needs --pairs")
+    chosen = load_recipe(recipe or f"{what}_pairs", what)
+    if pairs is not None:
+        chosen = override_pairs(chosen, os.fspath(pairs), hold_out)
     pace = {name: value for name, value in (("steps", steps), ("seed", seed)) if value is not None}
     run = TrainingRun(
-        recipe=override_training(load_recipe(recipe, what), **pace), folder=out, resume=resume, max_minutes=minutes,
+        recipe=override_training(chosen, **pace), folder=out, resume=resume, max_minutes=minutes,
         n_workers=workers, command=shlex.join(["tactoscope", *sys.argv[1:]]),
     )  # fmt: skip
     run_with_progress_bar(run)

@@ -13,7 +13,7 @@ import numpy as np
 
 from pipeline.base.errors import NotConverged, SettingProblem
 from pipeline.base.processes import worker_pool
-from pipeline.training.task import SPLITS, Split, Task
+from pipeline.training.task import SPLITS, HasFewExamples, Split, Task
 
 if TYPE_CHECKING:
     from pipeline.training.task import Example
@@ -48,11 +48,13 @@ class ExampleSource:
                 future.cancel()
 
     def make_validation_set(self, n: int) -> dict[Split, list[Example]]:
-        """The first `n` validation examples of every split."""
+        """The first `n` validation examples of every split, or as many as there are; without splits that have none."""
         made: dict[Split, list[Example]] = {}
         for split in SPLITS:
-            starts = range(0, n, _CHUNK)
-            parts = [range(start, min(start + _CHUNK, n)) for start in starts]
+            count = min(n, self._task.count_validation_examples(split)) if isinstance(self._task, HasFewExamples) else n
+            if not count:
+                continue
+            parts = [range(start, min(start + _CHUNK, count)) for start in range(0, count, _CHUNK)]
             if self._pool is None:
                 made[split] = [
                     example for part in parts for example in make_validation_examples(self._task, split, part)

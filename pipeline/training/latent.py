@@ -21,9 +21,11 @@ from pipeline.networks import network_factory
 from pipeline.networks.square_images import SIDE, decode_image, encode_image
 from pipeline.networks.weights import load_weights
 from pipeline.sensors.spec import load_sensor
+from pipeline.stages.touch.latent_diffusion import build_image_square
 from pipeline.training.condition_squares import SquareRequest
 from pipeline.training.denoising import TargetSensor
 from pipeline.training.distributed import unwrap_network
+from pipeline.training.recorded_pairs import RecordedPair
 from pipeline.training.task import (
     VALIDATION_SEED,
     augmentation_setting,
@@ -31,6 +33,7 @@ from pipeline.training.task import (
     presses_setting,
     seed_setting,
 )
+from pipeline.training.touch_squares import list_pair_sensors, read_square_pair
 from pipeline.training.vqvae import METRIC_UNITS
 
 if TYPE_CHECKING:
@@ -82,17 +85,42 @@ class LatentTask:
 
     def make_validation_example(self, split: Split, index: int) -> Example:
         """A training object in a new pose, or an unseen tool; with its own time and noise."""
-        rng, side = np.random.default_rng([5, index]), self.side // _LATENT_DOWNSAMPLING
+        rng = np.random.default_rng([5, index])
         condition, target = self._request.make_example(split, VALIDATION_SEED, index, rng)
-        return {
-            "source": condition, "target": encode_image(target, self.kind),
-            "time": np.array([rng.integers(_N_TIMES)], np.float32),
-            "noises": rng.standard_normal((2, _LATENT_CHANNELS, side, side)).astype(np.float32),
-        }  # fmt: skip
+        return self._add_noise({"source": condition, "target": encode_image(target, self.kind)}, rng)
 
     @property
     def _request(self) -> SquareRequest:
         return SquareRequest(target=self.target, condition=self.condition, side=self.side, folder=self.folder)
+
+    @property
+    def pair_sensors(self) -> tuple[str, str]:
+        """Names of source and target; raises SettingProblem where the target's depth is the condition."""
+        if self.condition == "depth":
+            raise SettingProblem("touch to depth to touch trains on the target's touches alone, not on pairs")
+        return list_pair_sensors(self.kind)
+
+    def prepare_pair(self, pair: RecordedPair) -> Example:
+        """Condition and target image of a recorded touch."""
+        squares = read_square_pair(pair, self.side)
+        condition = build_image_square(squares.source, self.condition, pair.source, pair.target, pair.alignment)
+        return {"source": np.array(condition, np.float32), "target": encode_image(squares.target, self.kind)}
+
+    def make_pair_example(self, prepared: Example, rng: np.random.Generator, *, is_validation: bool) -> Example:
+        """The arrays of a simulated example."""
+        if is_validation:
+            return self._add_noise(prepared, rng)
+        target = prepared["target"]
+        return {**prepared, "target": _encode(self.autoencoder, target) if self.autoencoder else target}
+
+    def _add_noise(self, example: Example, rng: np.random.Generator) -> Example:
+        """The example with a time and noise, so that every validation is of the same ones."""
+        side = self.side // _LATENT_DOWNSAMPLING
+        return {
+            **example,
+            "time": np.array([rng.integers(_N_TIMES)], np.float32),
+            "noises": rng.standard_normal((2, _LATENT_CHANNELS, side, side)).astype(np.float32),
+        }
 
     def compute_loss(self, network: nn.Module, batch: Mapping[str, Tensor]) -> tuple[Tensor, dict[str, Any]]:
         """Mean absolute errors of reconstruction and noise, and KL divergence of the latents from a unit normal."""

@@ -17,13 +17,13 @@ import numpy as np
 from pipeline.base.errors import FileProblem, NotConverged
 from pipeline.base.files import prepare_folder
 from pipeline.base.progress import SILENT, Cancelled, Progress
-from pipeline.networks import weights_registry
 from pipeline.networks.network_factory import build_network, initialise_from, use_channels_last
 from pipeline.training import curves, optimising, state
 from pipeline.training.cached_examples import iterate_cached_batches, to_channels_last
 from pipeline.training.distributed import ProcessGroup, join_process_group, wrap_precision
 from pipeline.training.examples import ExampleSource, open_example_source
-from pipeline.training.recipe import Recipe
+from pipeline.training.recipe import Recipe, load_initial_weights
+from pipeline.training.recorded_pairs import use_pairs
 from pipeline.training.recorded_touches import mix_recordings
 from pipeline.training.state import TrainingState
 from pipeline.training.task import HasNotes
@@ -70,6 +70,7 @@ def train(run: TrainingRun, progress: Progress = SILENT) -> TrainingState:
     prepare_folder(run.folder)
     settings = run.recipe.training
     task = mix_recordings(run.recipe.settings, run.recipe.recordings, run.recipe.recorded_share)
+    task = use_pairs(task, run.recipe.pairs)
     for note in task.collect_notes() if isinstance(task, HasNotes) else ():
         log.warning("%s", note)
     with (
@@ -113,7 +114,7 @@ class _Training:
     def _load_initial_weights(self) -> None:
         file = self._recipe.training.initial_weights
         if file:
-            weights = weights_registry.select_reader(str(self._recipe.network["kind"]))(Path(file))
+            weights = load_initial_weights(file, str(self._recipe.network["kind"]))
             n = initialise_from(self._network, weights)
             log.warning("%d tensors start from %s, %d are random", n, file, len(self._network.state_dict()) - n)
 

@@ -10,6 +10,10 @@ from typing import Any, Literal, TypeVar, cast
 from pipeline.base.errors import FileProblem, SettingProblem
 from pipeline.base.files import read_toml
 from pipeline.base.params import Value, list_settings, replace_value, setting
+from pipeline.networks import weights_registry
+from pipeline.networks.weights import NoWeights, Weights
+from pipeline.training.hold_out import HOLD_OUT_HELP
+from pipeline.training.recorded_pairs import PairFolder
 from pipeline.training.recorded_touches import RecordingSource
 from pipeline.training.task import TASKS, Task, import_task_class
 
@@ -65,6 +69,8 @@ class _Data:
     """[data]."""
 
     recorded_share: float = setting(0.2, "Recorded share", low=0.0, high=1.0)
+    pairs: str = setting("", "Pairs", help="file or folder of recorded pairs, which replace simulated ones")
+    hold_out: str = setting("", "Held out", help=HOLD_OUT_HELP)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,6 +89,7 @@ class Recipe:
     validation: Validation = field(default_factory=Validation)
     recordings: tuple[RecordingSource, ...] = ()  # of the user, a share of the examples
     recorded_share: float = 0.0
+    pairs: PairFolder = field(default_factory=PairFolder)
 
     @property
     def plain_values(self) -> dict[str, Any]:
@@ -93,6 +100,8 @@ class Recipe:
         if self.recordings:
             recordings = [_list_values(recording) for recording in self.recordings]
             plain["data"] = {"recorded_share": self.recorded_share, "recordings": recordings}
+        if self.pairs.path:
+            plain["data"] = {"pairs": self.pairs.path, "hold_out": self.pairs.hold_out}
         return plain
 
 
@@ -138,23 +147,50 @@ def _make_recipe(name: str, data: Mapping[str, Any], folder: Path) -> Recipe:
     task = data.get("task")
     if not isinstance(task, str):
         raise SettingProblem(f"it must name its task, one of {', '.join(TASKS)}")
-    if not isinstance(tables["network"].get("kind"), str):
-        raise SettingProblem("[network] must name its kind")
+    settings = import_task_class(task)()
+    network = _check_plain(tables["network"])
+    if not network:
+        network = _read_network(str(data.get("initial_weights", "")))
+        settings = _fill(
+            settings, {key: network[key] for key in list_settings(settings) if key in network}, "[network] "
+        )
+    if not isinstance(network.get("kind"), str):
+        raise SettingProblem("[network] must name its kind, or be left out for that of initial_weights")
     factors = tables["optimiser"].pop("rate_factors", {})
     valid = isinstance(factors, dict) and all(
         isinstance(value, (int, float)) and value >= 0 for value in cast("dict[str, Any]", factors).values()
     )
     if not valid:
         raise SettingProblem("[optimiser.rate_factors] must map prefixes of parameter names to factors")
+    recordings = _pop_recordings(tables["data"], folder)
+    values = _fill(_Data(), tables["data"], "[data] ")
     return Recipe(
-        name=name, task=task, settings=_fill(import_task_class(task)(), tables["settings"], "[settings] "),
-        network=_check_plain(tables["network"]), training=_fill(TrainingSettings(), top, ""),
+        name=name, task=task, settings=_fill(settings, tables["settings"], "[settings] "),
+        network=network, training=_fill(TrainingSettings(), top, ""),
         optimiser=_fill(Optimiser(), tables["optimiser"], "[optimiser] "),
         rate_factors={key: float(value) for key, value in factors.items()},
         validation=_fill(Validation(), tables["validation"], "[validation] "),
-        recordings=_pop_recordings(tables["data"], folder),
-        recorded_share=_fill(_Data(), tables["data"], "[data] ").recorded_share,
+        recordings=recordings, recorded_share=values.recorded_share,
+        pairs=PairFolder(path=str(folder / values.pairs) if values.pairs else "", hold_out=values.hold_out),
     )  # fmt: skip
+
+
+def _read_network(initial_weights: str) -> Mapping[str, Value]:
+    """The network of the weights that a recipe starts from; {} without such weights."""
+    if not initial_weights:
+        return {}
+    weights = load_initial_weights(initial_weights)
+    return {"kind": weights.kind, **weights.config}
+
+
+def load_initial_weights(name: str, kind: str = "") -> Weights:
+    """Weights of a file, or shipped ones by name (without a suffix); raises FileProblem and SettingProblem."""
+    if Path(name).suffix:
+        return weights_registry.select_reader(kind)(Path(name))
+    weights = weights_registry.load_shipped(name)
+    if isinstance(weights, NoWeights):
+        raise SettingProblem(weights.why)
+    return weights
 
 
 def _pop_recordings(table: dict[str, Any], folder: Path) -> tuple[RecordingSource, ...]:
@@ -195,6 +231,11 @@ def _fill(part: P, table: Mapping[str, Any], where: str) -> P:
         except SettingProblem as error:
             raise SettingProblem(f"{where}{error}") from error
     return part
+
+
+def override_pairs(recipe: Recipe, path: str, hold_out: str) -> Recipe:
+    """The recipe trained on recorded pairs."""
+    return replace(recipe, pairs=PairFolder(path=path, hold_out=hold_out))
 
 
 def override_training(recipe: Recipe, **values: int | str) -> Recipe:

@@ -1,95 +1,231 @@
-"""Training pairs of touch to touch from a user's recording of both sensors.
+"""Recorded pairs of two sensors as training examples: folders of a data set, with validation pairs held out.
 
-The condition is computed as in use. The target's touch is the recording's truth, or the depth estimated from its frame.
+Both fingers of a grasp are pairs of their own and have one role. Pairs are read when they are drawn.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from pipeline.base.arrays import Floats, Mask
 from pipeline.base.errors import FileProblem, SettingProblem
+from pipeline.base.memo import Memo
+from pipeline.inspection.synchrony import compare_streams
 from pipeline.recordings import open_recording
 from pipeline.sensors import alignment as alignments
 from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import SensorSpec, load_sensor
-from pipeline.stages.depth import photometric as depth
-from pipeline.stages.touch import t2t
-from pipeline.stages.touch.depth_condition import make_working_sensor
-from pipeline.stages.touch.residual_render import resample_to_grid
-from pipeline.values.frames import Stream
+from pipeline.training.hold_out import Role, assign_roles
+from pipeline.training.task import Split, Task
+from pipeline.values.frames import Grasp, Recording, Stream, TactileFrame, Truth
+
+if TYPE_CHECKING:
+    from torch import Tensor, nn
+
+    from pipeline.training.task import Example
+
+_MAX_UNTOUCHED = 1000  # pairs in a row that a task cannot use
+_MAX_NAMES = 5  # in a note
+_SEED = 29  # of validation examples
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TrainingPair:
-    """A pair on the target's working grid."""
+class PairFolder:
+    """Recorded pairs that a recipe trains on."""
 
-    condition: Floats  # (channels, rows, cols), see `stages.touch.image_condition`
-    indentation_mm: Floats  # (rows, cols) of the target
-    contact: Mask  # (rows, cols)
+    path: str = ""  # file or folder; "" = none
+    hold_out: str = ""  # as `hold_out.HOLD_OUT_HELP` says
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class RecordedPairs:
-    """The pairs of a recording."""
+class RecordedPair:
+    """The frames of one touch by both sensors."""
 
-    pairs: tuple[TrainingPair, ...]  # in its order
-    notes: tuple[str, ...]  # what was assumed or left out
+    source: SensorSpec
+    target: SensorSpec
+    source_frame: TactileFrame
+    target_frame: TactileFrame
+    target_truth: Truth | None
+    alignment: Alignment
+
+
+class LearnsFromPairs(Protocol):
+    """Further methods of a task that trains on recorded pairs."""
+
+    @property
+    def pair_sensors(self) -> tuple[str, str]:
+        """Names of source and target."""
+        ...
+
+    def prepare_pair(self, pair: RecordedPair) -> Any:
+        """What examples of a pair are made of; None where the task cannot use it. The result is cached."""
+        ...
+
+    def make_pair_example(self, prepared: Any, rng: np.random.Generator, *, is_validation: bool) -> Example:
+        """An example with the arrays of a simulated one; augmented unless it validates."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PairPlace:
+    """Where a pair is: streams of one recording, and the frame."""
+
+    recording: Recording
+    source_stream: Stream
+    target_stream: Stream
+    index: int
+    grasp: Grasp
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PairSet:
+    """All pairs of two sensors in a file or folder."""
+
+    source: SensorSpec
+    target: SensorSpec
+    places: Mapping[Role, tuple[PairPlace, ...]]
+    notes: tuple[str, ...]
+
+    def load(self, place: PairPlace) -> RecordedPair:
+        """Read the frames of a pair; raises FileProblem."""
+        recording, one, other = place.recording, place.source_stream, place.target_stream
+        transform = recording.target_from_source(one.name, other.name)
+        return RecordedPair(
+            source=self.source, target=self.target, source_frame=one.frame(place.index),
+            target_frame=other.frame(place.index), target_truth=other.truth(place.index),
+            alignment=alignments.resolve_alignment(self.source, self.target, transform),
+        )  # fmt: skip
 
 
 @lru_cache(maxsize=4)
-def load_recorded_pairs(path: str, source_name: str, target_name: str) -> RecordedPairs:
-    """Every moment of a recording at which both sensors are touched.
+def open_pairs(folder: PairFolder, source_name: str, target_name: str) -> PairSet:
+    """The pairs of a recording, a data set's folder, or a folder of `.h5` recordings, by role.
 
-    Raises FileProblem where there is none, SettingProblem where one of the sensors has no stream.
+    Raises SettingProblem where a sensor has no stream, FileProblem where nothing is paired.
     """
-    recording, source, target = open_recording(Path(path)), load_sensor(source_name), load_sensor(target_name)
-    try:
-        one, other = recording.stream_of_sensor(source_name), recording.stream_of_sensor(target_name)
-        if one is None or other is None:
-            raise SettingProblem(f"{path!r} holds no pairs of {source.title} and {target.title}")
-        target_from_source = recording.target_from_source(one.name, other.name)
-        alignment = alignments.resolve_alignment(source, target, target_from_source)
-        n = min(one.n_frames, other.n_frames)
-        pairs = [_make_pair(one, other, index, source, target, alignment) for index in range(n)]
-        no_reference = [s.title for s, of in ((source, one), (target, other)) if n and of.frame(0).reference is None]
-    finally:
-        recording.close()
-    touched = tuple(pair for pair in pairs if pair is not None)
-    if not touched:
-        raise FileProblem("both sensors are touched at no moment of this recording", path)
-    notes = {
-        f"{source.title} has {one.n_frames} frames, {target.title} {other.n_frames}: the first {n} of each are paired "
-        "in order": one.n_frames != other.n_frames,
-        "the recording has no target_from_source: the sensors' descriptions are used": target_from_source is None,
-        f"the recording has no reference image of {' and '.join(no_reference)}: the nominal one is used": no_reference,
-        f"{n - len(touched)} of {n} moments are left out, where not both sensors are touched": len(touched) < n,
-    }
-    return RecordedPairs(pairs=touched, notes=tuple(note for note, holds in notes.items() if holds))
-
-
-def _make_pair(
-    one: Stream, other: Stream, index: int, source: SensorSpec, target: SensorSpec, alignment: Alignment
-) -> TrainingPair | None:
-    """The pair of a moment; None where one of the sensors is untouched."""
-    frame, target_frame, truth = one.frame(index), other.frame(index), other.truth(index)
-    if depth.skip_without_contact(frame, source, None, depth.DepthParams()) is not None:
-        return None
-    if truth is not None and truth.indentation_mm is not None and truth.contact is not None:
-        touch, contact = truth.indentation_mm, truth.contact
-    else:
-        if depth.skip_without_contact(target_frame, target, None, depth.DepthParams()) is not None:
-            return None
-        estimate = depth.estimate_depth(target_frame, target, None, depth.DepthParams())
-        touch, contact = np.nan_to_num(estimate.indentation_mm), estimate.contact
-    if not contact.any():
-        return None
-    shape = make_working_sensor(target).camera.shape
-    return TrainingPair(
-        condition=t2t.build_condition(frame, source, alignment, target),
-        indentation_mm=resample_to_grid(touch, shape), contact=resample_to_grid(contact, shape) > 0.5,
+    source, target, path = load_sensor(source_name), load_sensor(target_name), Path(folder.path)
+    files = sorted(path.glob("*.h5")) if path.is_dir() else []
+    notes: dict[str, None] = {}
+    found: list[tuple[Recording, Grasp, int]] = []
+    for file in files or [path]:
+        recording = open_recording(file)
+        streams = _match_streams(recording, source_name, target_name)
+        if not streams:
+            raise SettingProblem(f"{str(file)!r} holds no pairs of {source.title} and {target.title}")
+        n = min(stream.n_frames for pair in streams for stream in pair)
+        grasps = recording.grasps or tuple(Grasp(tool=file.stem, number=k) for k in range(n))
+        problems = [(k, recording.find_pair_problem(k)) for k in range(n)]
+        wrong = {k: problem for k, problem in problems if problem}
+        found += [(recording, grasps[k], k) for k in range(n) if k not in wrong]
+        notes |= dict.fromkeys(_describe_recording(recording, streams, [grasps[k].name for k in wrong]))
+    if not found:
+        raise FileProblem("both sensors are recorded at no moment", path)
+    hold_out = assign_roles([grasp for _, grasp, _ in found], folder.hold_out)
+    places: dict[Role, list[PairPlace]] = {}
+    for (recording, grasp, index), role in zip(found, hold_out.roles, strict=True):
+        places.setdefault(role, []).extend(
+            PairPlace(recording=recording, source_stream=one, target_stream=other, index=index, grasp=grasp)
+            for one, other in _match_streams(recording, source_name, target_name)
+        )
+    return PairSet(
+        source=source, target=target, notes=(*hold_out.notes, *notes),
+        places={role: _shuffle(of_role) for role, of_role in places.items()},
     )  # fmt: skip
+
+
+def _shuffle(places: Sequence[PairPlace]) -> tuple[PairPlace, ...]:
+    """Mix the tools, so that the first pairs are of all of them."""
+    return tuple(places[k] for k in np.random.default_rng(0).permutation(len(places)))
+
+
+def _match_streams(recording: Recording, source: str, target: str) -> list[tuple[Stream, Stream]]:
+    """Streams of both sensors in their order: right finger with right finger."""
+    ones, others = ([s for s in recording.streams if s.sensor == name] for name in (source, target))
+    return list(zip(ones, others, strict=False))
+
+
+def _describe_recording(
+    recording: Recording, streams: Sequence[tuple[Stream, Stream]], wrong: Sequence[str]
+) -> list[str]:
+    one, other = streams[0]
+    notes = list(recording.notes)
+    if wrong:
+        more = ", ..." if len(wrong) > _MAX_NAMES else ""
+        notes.append(f"{len(wrong)} wrong pairs are left out: {', '.join(wrong[:_MAX_NAMES])}{more}; see inspect")
+    if one.n_frames != other.n_frames:
+        n = min(one.n_frames, other.n_frames)
+        notes.append(f"{one.name} has {one.n_frames} frames, {other.name} {other.n_frames}: the first {n} are paired")
+    if recording.target_from_source(one.name, other.name) is None:
+        notes.append("the recording has no target_from_source: the sensors' descriptions are used")
+    for stream in (one, other):
+        if stream.n_frames and stream.frame(0).reference is None:
+            notes.append(f"{stream.name} has no reference image: the nominal one is used")
+    synchrony = compare_streams(one, other)
+    if synchrony is not None and synchrony.warning is not None:
+        notes.append(str(synchrony.warning))
+    return notes
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PairTask:
+    """A task on recorded pairs; loss and metrics are the task's."""
+
+    task: Any  # a Task that is LearnsFromPairs
+    folder: PairFolder
+
+    def sample(self, rng: np.random.Generator) -> Example:
+        """An example of a pair that is trained on."""
+        places = self._pairs.places["training"]
+        order = (places[int(rng.integers(len(places)))] for _ in range(_MAX_UNTOUCHED))
+        return self._make_example(order, rng, is_validation=False)
+
+    def make_validation_example(self, split: Split, index: int) -> Example:
+        """An example of a held-out pair."""
+        places = self._pairs.places[split]
+        order = (places[(index + k) % len(places)] for k in range(len(places)))
+        return self._make_example(order, np.random.default_rng([_SEED, index]), is_validation=True)
+
+    def count_validation_examples(self, split: Split) -> int:
+        """Number of held-out pairs of a split."""
+        return len(self._pairs.places.get(split, ()))
+
+    def collect_notes(self) -> tuple[str, ...]:
+        """What was held out, assumed or left out."""
+        return self._pairs.notes
+
+    def compute_loss(self, network: nn.Module, batch: Mapping[str, Tensor]) -> tuple[Tensor, dict[str, Any]]:
+        """The task's."""
+        return self.task.compute_loss(network, batch)
+
+    def evaluate(self, network: nn.Module, held_out: Sequence[Example]) -> dict[str, float]:
+        """The task's."""
+        return self.task.evaluate(network, held_out)
+
+    @property
+    def _pairs(self) -> PairSet:
+        return open_pairs(self.folder, *self.task.pair_sensors)
+
+    def _make_example(self, order: Any, rng: np.random.Generator, *, is_validation: bool) -> Example:
+        for place in order:
+            key = self.task, self.folder, str(place.recording.path), place.source_stream.name, place.index
+            (prepared,) = _prepared.get_or_make(key, lambda p=place: (self.task.prepare_pair(self._pairs.load(p)),))
+            if prepared is not None:
+                return self.task.make_pair_example(prepared, rng, is_validation=is_validation)
+        raise FileProblem("both sensors are touched in no pair that was tried", self.folder.path)
+
+
+_prepared: Memo[tuple[Any, ...], tuple[Any]] = Memo(most_bytes=1 << 30)
+
+
+def use_pairs(task: Task, folder: PairFolder) -> Task:
+    """`task` on recorded pairs; `task` itself without a folder. Raises SettingProblem for a task that cannot."""
+    if not folder.path:
+        return task
+    if not hasattr(task, "make_pair_example"):
+        raise SettingProblem(f"the task {type(task).__name__} does not train on pairs; train t2t, latent or vqvae")
+    return PairTask(task=task, folder=folder)

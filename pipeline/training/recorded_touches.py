@@ -24,7 +24,7 @@ from pipeline.recordings import open_recording
 from pipeline.sensors.spec import SensorSpec, load_sensor
 from pipeline.stages.depth.photometric import DepthParams, estimate_depth
 from pipeline.training.task import Split, Task
-from pipeline.values.frames import Stream, TactileFrame
+from pipeline.values.frames import Stream, TactileFrame, Truth
 
 if TYPE_CHECKING:
     from torch import Tensor, nn
@@ -124,11 +124,21 @@ def load_touch(recording: RecordingSource, index: int) -> LabelledTouch:
     frame, truth = stream.frame(number), stream.truth(number)
     assert truth is not None
     assert truth.indentation_mm is not None
-    assert truth.contact is not None
     return LabelledTouch(
         frame=frame, source=source if frame.camera is None else source.with_camera(frame.camera),
-        indentation_mm=truth.indentation_mm, contact=truth.contact,
+        indentation_mm=truth.indentation_mm, contact=derive_contact(truth, source),
     )  # fmt: skip
+
+
+def derive_contact(truth: Truth, sensor: SensorSpec) -> Mask:
+    """The contact of a truth; where none is stored, the indentation beyond the sensor's smallest.
+
+    Public sets store the overlap of object and gel, which is 0 outside the contact.
+    """
+    if truth.contact is not None:
+        return truth.contact
+    assert truth.indentation_mm is not None
+    return freeze(np.nan_to_num(truth.indentation_mm) > sensor.limits.contact_min_mm)
 
 
 @lru_cache(maxsize=32)
@@ -144,11 +154,7 @@ def _open(of: RecordingSource) -> tuple[Stream, SensorSpec]:
 def _list_frames_with_truth(recording: RecordingSource) -> tuple[int, ...]:
     stream, _ = _open(recording)
     truths = (stream.truth(index) for index in range(stream.n_frames))
-    return tuple(
-        index
-        for index, truth in enumerate(truths)
-        if truth is not None and truth.indentation_mm is not None and truth.contact is not None
-    )
+    return tuple(index for index, truth in enumerate(truths) if truth is not None and truth.indentation_mm is not None)
 
 
 @lru_cache(maxsize=8)

@@ -64,6 +64,15 @@ class HasNotes(Protocol):
         ...
 
 
+@runtime_checkable
+class HasFewExamples(Protocol):
+    """Further method of a task whose validation examples are limited."""
+
+    def count_validation_examples(self, split: Split) -> int:
+        """Number of validation examples of a split; 0 = none."""
+        ...
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TaskEntry:
     """One line of the table."""
@@ -81,9 +90,6 @@ TASKS: dict[str, TaskEntry] = {
     "bubble_depth": TaskEntry(subcommand="depth", import_path="pipeline.training.bubble_depth:BubbleDepthTask"),
     "touch_residual": TaskEntry(subcommand="t2d2", import_path="pipeline.training.touch_residual:TouchResidualTask"),
     "touch_to_touch": TaskEntry(subcommand="t2t", import_path="pipeline.training.touch_to_touch:TouchToTouchTask"),
-    "pair_fine_tuning": TaskEntry(
-        subcommand="t2t", import_path="pipeline.training.pair_fine_tuning:PairFineTuningTask"
-    ),
 }
 
 

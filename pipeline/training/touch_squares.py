@@ -14,19 +14,31 @@ import numpy as np
 
 from pipeline.base.arrays import Doubles, Floats, freeze
 from pipeline.base.errors import SettingProblem
-from pipeline.networks.square_images import compute_change, resize_to_square
+from pipeline.networks.square_images import SIDE, compute_change, resize_to_square
 from pipeline.sensors.spec import SensorSpec, load_sensor
 from pipeline.simulation import poses, variation
 from pipeline.simulation.datasets import BUBBLE_DEEPER_MM
 from pipeline.simulation.press import move_bubble_closer, render_sensor_image, simulate_press
 from pipeline.training.object_sampling import DATA_SPLITS, DataSplit, sample_object
+from pipeline.training.recorded_pairs import RecordedPair
 from pipeline.training.sample_cache import SampleCache
+from pipeline.training.touch_pairs import BUBBLE, GEL
 
 Direction = Literal["gel_to_bubble", "bubble_to_gel"]
 VERSION = 3  # part of the seeds: incremented when the same number gives another touch
 _CATALOGUE_SHARE = 0.6  # training objects in training; the others are random bodies
 _GEL_DOWNSAMPLING = 3  # of the gel's contact, which is still finer than a square
 _MAX_EMPTY = 100  # presses in a row without a contact on both sensors
+
+
+@dataclass(frozen=True, slots=True)
+class SquarePair:
+    """Changes (channels, side, side) of a source and a target, each with the kind of its sensor."""
+
+    source: Floats
+    source_kind: str
+    target: Floats
+    target_kind: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,11 +52,11 @@ class TouchSquares:
     alignment_from_object: Doubles  # (4, 4) mm
     object_name: str  # of the catalogue; "" = a random body
 
-    def get_pair(self, direction: Direction) -> tuple[Floats, str, Floats, str]:
-        """(source, its kind, target, its kind): the source as any instance records it, the target nominal and exact."""
+    def get_pair(self, direction: Direction) -> SquarePair:
+        """The source as any instance records it, the target nominal and exact."""
         if direction == "gel_to_bubble":
-            return self.gel_change, "gel", self.exact_imprint_mm, "bubble"
-        return self.bubble_imprint_mm, "bubble", self.nominal_gel_change, "gel"
+            return SquarePair(self.gel_change, "gel", self.exact_imprint_mm, "bubble")
+        return SquarePair(self.bubble_imprint_mm, "bubble", self.nominal_gel_change, "gel")
 
 
 _touches = SampleCache(TouchSquares)
@@ -62,6 +74,20 @@ def simulate_touch_squares(split: DataSplit, seed: int, index: int, folder: str 
         if touch.exact_imprint_mm.any() and touch.gel_change.any():
             return touch
     raise SettingProblem(f"no contact in {_MAX_EMPTY} presses from {index} on; choose another press_seed")
+
+
+def read_square_pair(pair: RecordedPair, side: int = SIDE) -> SquarePair:
+    """Squares of a recorded pair; a missing reference is the described one."""
+    changes: list[Floats] = []
+    for frame, sensor in ((pair.source_frame, pair.source), (pair.target_frame, pair.target)):
+        reference = sensor.render_reference() if frame.reference is None else frame.reference
+        changes.append(resize_to_square(compute_change(sensor.kind, frame.image, reference), side))
+    return SquarePair(changes[0], pair.source.kind, changes[1], pair.target.kind)
+
+
+def list_pair_sensors(target_kind: str) -> tuple[str, str]:
+    """Names of source and target."""
+    return (GEL, BUBBLE) if target_kind == "bubble" else (BUBBLE, GEL)
 
 
 def _simulate_squares(split: DataSplit, seed: int, index: int) -> TouchSquares:

@@ -11,8 +11,10 @@ from pipeline.base.errors import SettingProblem
 from pipeline.sensors import alignment
 from pipeline.stages.touch.image_condition import build_image_condition
 from pipeline.training.condition_squares import sample_depth_noise
+from pipeline.training.conditioned_touch import ConditionedTouch, condition_recorded_pair, jitter_touch
 from pipeline.training.denoising import DenoisingTask
 from pipeline.training.object_sampling import DataSplit
+from pipeline.training.recorded_pairs import RecordedPair
 from pipeline.training.task import (
     VALIDATION_SEED,
     augmentation_setting,
@@ -20,8 +22,14 @@ from pipeline.training.task import (
     presses_setting,
     seed_setting,
 )
-from pipeline.training.touch_pairs import TouchPair, mirror_pair, place_nominal_sensors, simulate_touch_pair
+from pipeline.training.touch_pairs import (
+    TouchPair,
+    mirror_pair,
+    place_nominal_sensors,
+    simulate_touch_pair,
+)
 from pipeline.training.touch_residual import MAX_EMPTY, flip_example, make_residual_example
+from pipeline.training.touch_squares import list_pair_sensors
 
 if TYPE_CHECKING:
     from pipeline.training.task import Example, Split
@@ -48,6 +56,23 @@ class TouchToTouchTask(DenoisingTask):
     def make_validation_example(self, split: Split, index: int) -> Example:
         """A training object in a new pose, or an unseen tool."""
         return self._make_example(self._get_pair(split, VALIDATION_SEED, index), np.random.default_rng([17, index]))
+
+    @property
+    def pair_sensors(self) -> tuple[str, str]:
+        """Names of source and target."""
+        return list_pair_sensors(self.kind)
+
+    def prepare_pair(self, pair: RecordedPair) -> ConditionedTouch | None:
+        """Condition and true touch of a recorded pair."""
+        return condition_recorded_pair(pair)
+
+    def make_pair_example(
+        self, prepared: ConditionedTouch, rng: np.random.Generator, *, is_validation: bool
+    ) -> Example:
+        """A recorded pair, moved, rotated and brightened a little unless it validates."""
+        touch = prepared if is_validation else jitter_touch(prepared, rng)
+        no_contact = np.zeros(touch.contact.shape, np.bool_)
+        return make_residual_example(touch.condition, touch.indentation_mm, touch.contact, no_contact, self.kind)
 
     def _get_pair(self, split: DataSplit, seed: int, index: int) -> TouchPair:
         """Pair `index`, or the next one with contact on the gel."""

@@ -15,8 +15,16 @@ from pipeline.networks.square_images import denormalise, normalise
 from pipeline.sensors import alignment
 from pipeline.stages.touch.image_condition import reproject_square
 from pipeline.training.distributed import unwrap_network
+from pipeline.training.recorded_pairs import RecordedPair
 from pipeline.training.task import VALIDATION_SEED, folder_setting, presses_setting, seed_setting
-from pipeline.training.touch_squares import Direction, TouchSquares, load_nominal_sensors, simulate_touch_squares
+from pipeline.training.touch_squares import (
+    Direction,
+    SquarePair,
+    list_pair_sensors,
+    load_nominal_sensors,
+    read_square_pair,
+    simulate_touch_squares,
+)
 
 if TYPE_CHECKING:
     from torch import Tensor, nn
@@ -47,15 +55,32 @@ class VqVaeTask:
     def sample(self, rng: np.random.Generator) -> Example:
         """A pair of normalised squares, mirrored together."""
         touch = simulate_touch_squares("training", self.press_seed, int(rng.integers(self.n_presses)), self.folder)
-        example = self._make_example(touch)
+        return self._mirror(self._make_example(touch.get_pair(self.direction)), rng)
+
+    def make_validation_example(self, split: Split, index: int) -> Example:
+        """A training object in a new pose, or an unseen tool."""
+        touch = simulate_touch_squares(split, VALIDATION_SEED, index, self.folder)
+        return self._make_example(touch.get_pair(self.direction))
+
+    @property
+    def pair_sensors(self) -> tuple[str, str]:
+        """Names of source and target."""
+        return list_pair_sensors("bubble" if self.direction == "gel_to_bubble" else "gel")
+
+    def prepare_pair(self, pair: RecordedPair) -> SquarePair:
+        """Both changes as squares."""
+        return read_square_pair(pair)
+
+    def make_pair_example(self, prepared: SquarePair, rng: np.random.Generator, *, is_validation: bool) -> Example:
+        """Normalised squares of a recorded pair, mirrored together."""
+        example = self._make_example(prepared)
+        return example if is_validation else self._mirror(example, rng)
+
+    def _mirror(self, example: Example, rng: np.random.Generator) -> Example:
         for axis in (-1, -2):
             if rng.random() < self.mirror_share / 2:
                 example = {name: np.ascontiguousarray(np.flip(a, axis)) for name, a in example.items()}
         return example
-
-    def make_validation_example(self, split: Split, index: int) -> Example:
-        """A training object in a new pose, or an unseen tool."""
-        return self._make_example(simulate_touch_squares(split, VALIDATION_SEED, index, self.folder))
 
     def compute_loss(self, network: nn.Module, batch: Mapping[str, Tensor]) -> tuple[Tensor, dict[str, Any]]:
         """Mean squared errors of the output, of the codes from the encoder and of the encoder from its codes."""
@@ -87,10 +112,12 @@ class VqVaeTask:
         names = (f"error, {unit}", f"error where touched, {unit}")
         return dict(zip(names, np.mean(rows, axis=0).tolist(), strict=True))
 
-    def _make_example(self, touch: TouchSquares) -> Example:
-        source, source_kind, target, target_kind = touch.get_pair(self.direction)
-        shown = _reproject(source, self.direction) if self.reprojects_input else normalise(source, source_kind)
-        return {"source": shown, "target": normalise(target, target_kind)}
+    def _make_example(self, pair: SquarePair) -> Example:
+        if self.reprojects_input:
+            shown = _reproject(pair.source, self.direction)
+        else:
+            shown = normalise(pair.source, pair.source_kind)
+        return {"source": shown, "target": normalise(pair.target, pair.target_kind)}
 
 
 def _reproject(change: Floats, direction: Direction) -> Floats:

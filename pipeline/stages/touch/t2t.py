@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from torch import nn
 
 SHIPPED_WEIGHTS = {("gelslim", "bubble"): "t2t_bubble", ("soft_bubble", "gel"): "t2t_gelslim"}
-TASKS = "touch_to_touch", "pair_fine_tuning"  # training tasks: simulated pairs, and fine-tuning on recorded pairs
+TASK = "touch_to_touch"
 _MAX_ERROR_RATIO = 3.0  # error over expected error; 5 of 70 held-out touches exceed it
 NETWORK_ONLY_WARNING = (
     "physics finds no contact in the source image: this contact is the network's alone; check the source"
@@ -60,7 +60,7 @@ def select_weights(source: SensorSpec, target: SensorSpec, file: Path | None) ->
     name = SHIPPED_WEIGHTS.get((source.name, target.kind))
     if file is None and (name is None or not t2d2.has_trained_pixel_size(target)):
         return NoWeights(why=f"the shipped weights are not trained on pairs of {source.title} and {target.title}")
-    return weights_registry.load_for_task(TASKS, name or "", file)
+    return weights_registry.load_for_task(TASK, name or "", file)
 
 
 def generate_touch(

@@ -1,0 +1,138 @@
+"""Recorded pairs as training examples: folders in the layout of the published set, and recordings."""
+
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.base.errors import SettingProblem
+from pipeline.recordings import open_recording
+from pipeline.recordings.hdf5_writer import RecordingWriter
+from pipeline.sensors.spec import load_sensor
+from pipeline.stages.touch.depth_condition import make_working_sensor
+from pipeline.stages.touch.residual_render import resample_to_grid
+from pipeline.training.conditioned_touch import ConditionedTouch, jitter_touch
+from pipeline.training.latent import LatentTask
+from pipeline.training.loop import TrainingRun, train
+from pipeline.training.recipe import load_recipe, override_pairs
+from pipeline.training.recorded_pairs import PairFolder, PairTask, open_pairs, use_pairs
+from pipeline.training.touch_pose import TouchPoseTask
+from pipeline.training.touch_to_touch import TouchToTouchTask
+from pipeline.training.vqvae import VqVaeTask
+from tests.pipeline.recordings.touch2touch_files import write_grasps
+
+SAMPLE = Path(__file__).parents[3] / "sample_data" / "recordings" / "first_touch.h5"
+TOOLS = ("hex", "peg", "rod", "star")
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    """The sample's touches as grasps of four tools, in a folder of the published layout."""
+    root = tmp_path_factory.mktemp("touch2touch") / "data"
+    for k, tool in enumerate(TOOLS):
+        write_grasps(SAMPLE, root / "train", tool, first=10 * k)
+    return root
+
+
+def test_both_fingers_of_a_grasp_have_one_role(data):
+    pairs = open_pairs(PairFolder(path=str(data), hold_out="rod"), "gelslim", "soft_bubble")
+    names = {role: {p.grasp.name for p in places} for role, places in pairs.places.items()}
+    assert set(names) == {"training", "unseen_grasps", "unseen_tools"}
+    assert not names["training"] & names["unseen_grasps"]
+    assert {name.split()[0] for name in names["unseen_tools"]} == {"rod"}
+    for places in pairs.places.values():
+        streams = [(p.source_stream.name, p.target_stream.name) for p in places]
+        assert set(streams) == {("gelslim right", "soft_bubble right"), ("gelslim left", "soft_bubble left")}
+        assert len(places) == 2 * len({p.grasp.name for p in places})
+
+
+@pytest.mark.parametrize("task", [
+    TouchToTouchTask(), TouchToTouchTask(target="gelslim"), LatentTask(side=64), LatentTask(target="gelslim", condition="reprojected"),
+    VqVaeTask(reprojects_input=True), VqVaeTask(direction="bubble_to_gel", mirror_share=0.5),
+], ids=lambda task: f"{type(task).__name__} to {task.pair_sensors[1]}")  # fmt: skip
+def test_examples_of_pairs_have_the_arrays_of_simulated_ones(task, data):
+    pairs = use_pairs(task, PairFolder(path=str(data), hold_out="rod"))
+    one, again = (pairs.make_validation_example("unseen_tools", 1) for _ in range(2))
+    assert all(np.array_equal(one[key], again[key]) for key in one)
+    simulated = task.make_validation_example("unseen_tools", 1)
+    assert {k: (a.shape, a.dtype) for k, a in one.items()} == {k: (a.shape, a.dtype) for k, a in simulated.items()}
+    sampled = pairs.sample(np.random.default_rng(0))
+    assert sampled.keys() <= one.keys()
+    assert all(a.shape == one[key].shape for key, a in sampled.items())
+    assert all(np.isfinite(a).all() for a in one.values())
+
+
+@pytest.mark.parametrize(("target", "channels"), [("soft_bubble", 13), ("gelslim", 3)])
+def test_truth_of_a_recording_is_what_is_trained_on(target, channels):
+    pairs = PairTask(task=TouchToTouchTask(target=target), folder=PairFolder(path=str(SAMPLE)))
+    example = pairs.make_validation_example("unseen_grasps", 0)
+    with closing(open_recording(SAMPLE)) as recording:
+        stream = recording.stream_of_sensor(target)
+        truths = [stream.truth(k) for k in range(stream.n_frames)]
+    shape = make_working_sensor(load_sensor(target)).camera.shape
+    assert example["condition"].shape == (channels, *shape)
+    touch = example["residual"][0] * (3.0 if target == "soft_bubble" else 0.2)
+    assert min(float(np.abs(touch - resample_to_grid(t.indentation_mm, shape)).max()) for t in truths) < 1e-4
+    assert example["contact"][0].any()
+
+
+def test_one_tool_has_no_unseen_tools_and_training_does_without(tmp_path):
+    recipe = tmp_path / "few.toml"
+    recipe.write_text("\n".join([
+        'task = "touch_to_touch"', "batch = 2", "steps = 3", "[network]", 'kind = "residual_denoiser"', "inputs = 13",
+        "unit_mm = 3.0", "base_channels = 8", "levels = 2", "max_channels = 16", "sigma_max = 10.0",
+        "noise_correlation = 0.125", "[validation]", "n_evaluations = 1", "n_examples = 2",
+    ]))  # fmt: skip
+    chosen = override_pairs(load_recipe(str(recipe), "t2t"), str(SAMPLE), "")
+    state = train(TrainingRun(recipe=chosen, folder=tmp_path / "run", n_workers=0))
+    assert state.step == 3
+    assert {row["split"] for row in state.metrics} == {"unseen_grasps"}
+    assert chosen.plain_values["data"] == {"pairs": str(SAMPLE), "hold_out": ""}
+
+
+@pytest.mark.parametrize("what", ["t2t", "vqvae", "latent"])
+def test_recipes_of_pairs_start_from_shipped_weights(what):
+    recipe = load_recipe(f"{what}_pairs", what)
+    assert recipe.network["kind"] in ("residual_denoiser", "vqvae", "latent")
+    assert recipe.training.initial_weights
+    assert hasattr(recipe.settings, "make_pair_example")
+
+
+def test_condition_and_touch_of_a_pair_are_jittered_together():
+    y, x = np.mgrid[:20, :28]
+    touch = 6.0 * np.exp(-((x - 10) ** 2 + (y - 10) ** 2) / 20.0).astype(np.float32)
+    condition = np.stack([touch / 6.0] * 12 + [np.ones_like(touch)]).astype(np.float32)
+    pair = ConditionedTouch(condition=condition, indentation_mm=touch, contact=touch > 2.0)
+    for seed in range(5):
+        other = jitter_touch(pair, np.random.default_rng(seed))
+        assert np.corrcoef(other.condition[0].ravel(), other.indentation_mm.ravel())[0, 1] > 0.999
+        assert not np.array_equal(other.indentation_mm, pair.indentation_mm)
+        assert np.array_equal(other.contact, other.contact & (other.indentation_mm > 1.0))
+        assert (other.condition[-1] == 1.0).all(), "the mask is brightened"
+
+
+def test_what_holds_no_pairs_and_tasks_without_pairs_are_refused():
+    folder = PairFolder(path=str(SAMPLE.with_name("digit_gelslim.h5")))
+    with pytest.raises(SettingProblem, match="no pairs of"):
+        open_pairs(folder, "gelslim", "soft_bubble")
+    with pytest.raises(SettingProblem, match="does not train on pairs"):
+        use_pairs(TouchPoseTask(), folder)
+
+
+def test_notes_name_what_was_held_out_and_assumed(tmp_path):
+    path = tmp_path / "odd.h5"
+    with closing(open_recording(SAMPLE)) as sample, RecordingWriter(path, depth_step_mm=0.05) as writer:
+        for name, indices in {"gelslim": [0, 3], "soft_bubble": [0, 3, 4]}.items():
+            stream = sample.stream(name)
+            for index in indices:
+                frame = stream.frame(index)
+                writer.append(name, replace(frame, reference=None) if name == "gelslim" else frame, stream.truth(index))
+    notes = "; ".join(PairTask(task=TouchToTouchTask(), folder=PairFolder(path=str(path))).collect_notes())
+    for words in (
+        "1 grasps are trained on, 1 validate as unseen grasps, 0 validate as unseen tools",
+        "gelslim has 2 frames, soft_bubble 3: the first 2 are paired", "no target_from_source",
+        "gelslim has no reference image",
+    ):  # fmt: skip
+        assert words in notes, notes
