@@ -23,6 +23,7 @@ NETWORK_CLASSES: dict[str, str] = {  # kind -> module:class; importing a module 
     "residual_denoiser": "pipeline.networks.residual_denoiser:ResidualDenoiser",
     "gel_depth": "pipeline.networks.gel_depth:GelDepthNetwork",
     "latent": "pipeline.networks.latent_diffusion:LatentDiffusion",
+    "unet": "pipeline.networks.unet:UNet",
     "touch_pose": "pipeline.networks.touch_pose:TouchPose",
     "vqvae": "pipeline.networks.vqvae:VqVae",
 }

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from pipeline.base.arrays import Floats, freeze
 from pipeline.base.errors import FileProblem
-from pipeline.base.files import open_atomic, read_bytes, write_text
+from pipeline.base.files import open_atomic, read_bytes, require_file, write_text
 from pipeline.base.params import Value
+from pipeline.base.torch_archive import SIGNATURE
 from pipeline.engine.digests import UNDIGESTED, compute_digest
 
 SUFFIX = ".safetensors"
@@ -104,6 +105,7 @@ def _read_entries(path: Path) -> tuple[dict[str, str], dict[str, Mapping[str, An
     """Header and raw tensors of a safetensors file: name -> dtype, shape, data; raises FileProblem."""
     from safetensors import SafetensorError, deserialize
 
+    _refuse_torch_archive(path)
     content = read_bytes(path, _WHAT)
     try:
         entries = deserialize(content)
@@ -113,6 +115,17 @@ def _read_entries(path: Path) -> tuple[dict[str, str], dict[str, Mapping[str, An
         raise FileProblem(f"cannot read {_WHAT}: the file is truncated, damaged or not safetensors", path) from error
     metadata = cast("dict[str, Any]", header.get("__metadata__") or {})
     return {str(k): str(v) for k, v in metadata.items()}, dict(entries)
+
+
+def _refuse_torch_archive(path: Path) -> None:
+    require_file(path, _WHAT, most_bytes=1 << 50)
+    with path.open("rb") as file:
+        if file.read(len(SIGNATURE)) == SIGNATURE:
+            raise FileProblem(
+                f"{_WHAT} are a PyTorch file, which this method does not read; choose one that does, such as "
+                "depth=unet, depth=depth_anything, touch=latent or touch=vqvae",
+                path,
+            )
 
 
 def _convert_entries(entries: Mapping[str, Mapping[str, Any]], path: Path) -> dict[str, Floats]:

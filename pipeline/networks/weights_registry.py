@@ -11,8 +11,9 @@ from typing import Any
 
 from pipeline.base.errors import FileProblem
 from pipeline.base.memo import Memo
-from pipeline.networks import depth_anything_files, latent_diffusion_files, vqvae_files
+from pipeline.networks import depth_anything_files, latent_diffusion_files, unet_files, vqvae_files
 from pipeline.networks.weights import SUFFIX, NoWeights, Weights, load_weights
+from pipeline.networks.weights_description import get_description_path
 
 _SOURCE, _WHEEL = Path(__file__).parents[2] / "sample_data" / "weights", Path(__file__).parent / "shipped"
 WEIGHTS_FOLDER = _SOURCE if _SOURCE.is_dir() else _WHEEL
@@ -34,7 +35,7 @@ def load_shipped(name: str) -> Weights | NoWeights:
 
 def select_reader(kind: str) -> Callable[[Path], Weights]:
     """Return the function that reads weights of this kind of network; it raises FileProblem."""
-    files = (depth_anything_files, latent_diffusion_files, vqvae_files)
+    files = (depth_anything_files, latent_diffusion_files, unet_files, vqvae_files)
     return {module.KIND: module.read_weights for module in files}.get(kind, load_weights)
 
 
@@ -42,13 +43,19 @@ def load_file(path: Path, read: Callable[[Path], Weights] = load_weights) -> Wei
     """The weights of a file, cached until the file changes."""
     try:
         try:
-            status = path.stat()
+            stamps = [_stamp(file) for file in (path, get_description_path(path)) if file == path or file.is_file()]
         except (OSError, ValueError):
             return read(path)  # raises the FileProblem
-        key = (read.__module__, read.__qualname__, path, status.st_mtime_ns, status.st_size)
+        key = (read.__module__, read.__qualname__, path, *stamps)
         return _read.get_or_make(key, lambda: read(path))
     except FileProblem as problem:
         return NoWeights(why=str(problem))
+
+
+def _stamp(path: Path) -> tuple[int, int]:
+    """Modification time and size of a file; raises OSError or ValueError."""
+    status = path.stat()
+    return status.st_mtime_ns, status.st_size
 
 
 def load_for_task(

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from pipeline.base.params import NoParams
 from pipeline.engine.graph import Method, skip_if_exact
-from pipeline.stages.depth import depth_anything, network, photometric
+from pipeline.stages.depth import depth_anything, network, photometric, unet
 from pipeline.stages.depth_map_stage import make_depth_stage
 from pipeline.stages.network_fallback import fall_back_without_weights
 
@@ -42,9 +43,22 @@ DEPTH_ANYTHING = Method(
     reads=(*PHYSICS.reads, "depth_weights"),
     weights=depth_anything.select_weights,
 )
-
+UNET = Method(
+    stage="depth",
+    name="unet",
+    title="U-Net",
+    help="the lab's networks, with weights that you give: depth of a gel (gelslim_depth) or contact of a bubble",
+    run=fall_back_without_weights(unet.estimate_depth, fallback=PHYSICS),
+    params=NoParams,
+    reads=(*PHYSICS.reads, "depth_weights"),
+    weights=unet.select_weights,
+)
 
 # The network comes first: its error is smaller (`benchmarks/simulated_depth.py`, `benchmarks/bubble_network.py`).
 STAGE = make_depth_stage(
-    name="depth", title="Depth", legend="membrane", sensor_role="source", methods=(NETWORK, PHYSICS, DEPTH_ANYTHING)
+    name="depth",
+    title="Depth",
+    legend="membrane",
+    sensor_role="source",
+    methods=(NETWORK, PHYSICS, DEPTH_ANYTHING, UNET),
 )
