@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict
@@ -13,6 +14,7 @@ from rich.console import Console
 from rich.table import Table
 
 from pipeline.base.cluster import connect_cluster
+from pipeline.base.errors import SettingProblem
 from pipeline.base.files import prepare_folder, prepare_folder_for, write_json
 from pipeline.base.machine import describe_machine, format_machine
 from pipeline.base.progress import Progress, SubProgress
@@ -28,13 +30,15 @@ from pipeline.evaluation.paper_tables import (
     evaluate_tables,
     parse_direction,
 )
-from pipeline.evaluation.published_results import PAPER_DIRECTIONS, MeanStd
+from pipeline.evaluation.published_results import MeanStd
+from pipeline.evaluation.recorded_folders import find_trained_hold_out
 from pipeline.evaluation.recorded_touch import REGIONS
 from pipeline.evaluation.table_rows import TableRow
 from pipeline.evaluation.time_error_sweep import SweepPoint, check_sweep_parameters, draw_sweep_plots, sweep_parameters
 from pipeline.evaluation.touch_metrics import TOUCH_METRICS
 from pipeline.sensors.spec import load_sensor
-from pipeline.translation.catalogue import with_method
+from pipeline.training.recorded_pairs import PairFolder
+from pipeline.translation.catalogue import BUILT_IN, with_method
 
 _POSE_TITLES = {"signed_distances": "registration", "network": "network"}
 _REGION_METRICS = {  # columns of the second table, each with a value per region
@@ -46,6 +50,9 @@ _REGION_METRICS = {  # columns of the second table, each with a value per region
 def evaluate(
     *,
     split: Literal["unseen_grasps", "unseen_tools"],
+    recordings: Path | None = None,
+    hold_out: str | None = None,
+    weights: Annotated[tuple[str, ...], Parameter(negative="")] = (),
     json: Path | None = None,
     grasps: int = 5,
     vary: float = 1.0,
@@ -65,6 +72,12 @@ def evaluate(
     ----------
     split
         Test split: new grasps of training objects, or objects that no method was trained on.
+    recordings
+        Recorded pairs of both sensors in place of simulated touches: a file or folder, as for `train --pairs`.
+    hold_out
+        Pairs to score, as for `train --hold-out`; default: those that the training of the weights held out.
+    weights
+        `method=FILE`, repeatable: weights of a touch method, or of a stage such as `depth`.
     json
         File for all metrics of all rows.
     grasps
@@ -72,7 +85,7 @@ def evaluate(
     vary
         Variation between source sensor instances, 1 = as measured between real ones.
     directions
-        `source:target`, repeatable; default: the paper's four.
+        `source:target`, repeatable; default: the paper's four, as far as they are recorded.
     only
         `recorded`, `no_contact`, `mean` or a touch method, repeatable; default: all.
     stage_methods
@@ -95,11 +108,14 @@ def evaluate(
     chosen: dict[str, str] = {}
     for assignment in stage_methods:
         chosen = with_method(chosen, assignment)
+    files = parse_weights(weights)
+    trained = find_trained_hold_out(files) if recordings is not None and hold_out is None else hold_out
     judges = () if poses == "none" else split_list(poses)
     request = EvaluationRequest(
         split=split, held_out=HeldOutOptions(grasps=grasps, sensor_variation=vary, folder=folder),
-        directions=tuple(parse_direction(text) for text in directions) or PAPER_DIRECTIONS, candidates=only,
-        methods=chosen, settings=settings,
+        directions=tuple(parse_direction(text) for text in directions), candidates=_add_baselines(only, recordings),
+        methods=chosen, settings=settings, weights=files,
+        pairs=PairFolder(path=os.fspath(recordings) if recordings else "", hold_out=trained or ""),
         pose_methods=tuple(name for name in judges if name in POSE_METHODS or name != "network"),
     )  # fmt: skip
     if json is not None:
@@ -115,7 +131,7 @@ def evaluate(
         table = evaluate_tables(request, SubProgress(progress, 0.0, 0.5 if swept else 1.0), job_mapper)
         if swept:
             points = sweep_parameters(request, swept, SubProgress(progress, 0.5, 0.5), job_mapper)
-    _print_tables(table)
+    _print_tables(table, is_recorded=recordings is not None)
     if swept:
         _print_sweep(points)
     print_line(format_machine(machine))
@@ -138,7 +154,26 @@ class _InterruptibleBar:
         self._bar.step(fraction, text)
 
 
-def _print_tables(table: EvaluationTable) -> None:
+def parse_weights(assignments: Sequence[str]) -> dict[str, Path]:
+    """Touch method or stage -> file of `name=FILE`; raises SettingProblem."""
+    known = {*(m.name for m in BUILT_IN.stage("touch").methods), *(stage.name for stage in BUILT_IN.stages)}
+    files: dict[str, Path] = {}
+    for assignment in assignments:
+        name, equals, file = (part.strip() for part in assignment.partition("="))
+        if not equals or name not in known:
+            raise SettingProblem(
+                f"weights are given by method=FILE, got {assignment!r}; names are {', '.join(sorted(known))}"
+            )
+        files[name] = Path(file)
+    return files
+
+
+def _add_baselines(only: tuple[str, ...], recordings: Path | None) -> tuple[str, ...]:
+    """Recorded pairs are always compared with the untouched image, the mean touch and physics."""
+    return tuple(dict.fromkeys((*only, *BASELINES, "physics"))) if only and recordings is not None else only
+
+
+def _print_tables(table: EvaluationTable, *, is_recorded: bool) -> None:
     console, judges = Console(width=200), list(dict.fromkeys(name for row in table.rows for name in row.pose_errors))
     split = table.split.replace("_", " ")
     first = Table(
@@ -152,7 +187,7 @@ def _print_tables(table: EvaluationTable) -> None:
             for name in judges
             for what in ("translation, mm", "rotation, deg")
         ),
-        title=f"{split}: ours, simulated (the paper's, real)",
+        title=f"{split}: ours, {'recorded' if is_recorded else 'simulated'} [95 % interval] (the paper's)",
     )
     second = Table(
         "transfer", "model", *_REGION_METRICS.values(), "kernel (floor)", "ms a touch",
@@ -178,7 +213,7 @@ def _paper_cells(row: TableRow, judges: Sequence[str]) -> list[str]:
     cells = [_format_transfer(row), f"{row.title} ({paper.model})" if paper and paper.model else row.title]
     for name, published in (("psnr_db", paper and paper.psnr_db), ("ssim", paper and paper.ssim)):
         ours = row.metrics.get(name, {}).get("all")
-        text = "-" if ours is None else f"{ours:.2f}"
+        text = "-" if ours is None else f"{ours:.2f}{_format_interval(row, name, 'all')}"
         cells.append(f"{text} ({published:.2f})" if published else text)
     fid = f"; {paper.fid:.1f}" if paper and paper.fid else ""
     cells.append("-" if sets is None else f"{sets.frechet:.2f} ({sets.frechet_floor:.2f}{fid})")
@@ -201,11 +236,18 @@ def _region_cells(row: TableRow) -> list[str]:
         row.title,
         *(
             " / ".join(_format_number(row.metrics.get(n, {}).get(region)) for region in REGIONS)
+            + _format_interval(row, n, "all")
             for n in _REGION_METRICS
         ),
         "-" if sets is None else f"{sets.kernel:.3f} ({sets.kernel_floor:.3f})",
         f"{row.ms:.0f}" if row.ms else "-",
     ]
+
+
+def _format_interval(row: TableRow, metric: str, region: str) -> str:
+    """The 95 % interval of a metric, with a leading space; "" where it is not known."""
+    interval = row.intervals.get(metric, {}).get(region)
+    return "" if interval is None else f" [{_format_number(interval[0])}, {_format_number(interval[1])}]"
 
 
 def _format_number(value: float | None) -> str:

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
 from pipeline.base.arrays import Floats, freeze
 from pipeline.base.errors import SettingProblem
 from pipeline.engine.graph import Method
+from pipeline.evaluation.held_out import PressRecordings
 from pipeline.evaluation.published_results import PAPER_MODELS
 from pipeline.networks.square_images import compute_change
 from pipeline.networks.weights import NoWeights
@@ -44,9 +46,17 @@ class CandidateSet:
 
 
 def select_candidates(
-    source: SensorSpec, target: SensorSpec, only: Sequence[str] = (), catalogue: Catalogue = BUILT_IN
+    source: SensorSpec,
+    target: SensorSpec,
+    only: Sequence[str] = (),
+    weights: Mapping[str, Path] = MappingProxyType({}),
+    catalogue: Catalogue = BUILT_IN,
 ) -> CandidateSet:
-    """Baselines, then the catalogue's methods in its order; `only` names some of all. Raises SettingProblem."""
+    """Baselines, then the catalogue's methods in its order; `only` names some of all.
+
+    `weights` (method -> file) replace shipped ones. Raises SettingProblem for an unknown name, or for a file that its
+    method cannot use.
+    """
     methods: tuple[Method, ...] = catalogue.stage("touch").methods
     unknown = set(only) - {*_TITLES, *(m.name for m in methods)}
     if unknown:
@@ -55,7 +65,10 @@ def select_candidates(
     candidates = [Candidate(name=name, title=title) for name, title in _TITLES.items()]
     excluded: list[str] = []
     for method in methods:
-        found = None if method.weights is None else method.weights(source, target, None)
+        file = weights.get(method.name)
+        found = None if method.weights is None else method.weights(source, target, file)
+        if isinstance(found, NoWeights) and file is not None and (not only or method.name in only):
+            raise SettingProblem(f"--weights {method.name}={file}: {found.why}")
         if isinstance(found, NoWeights):
             excluded.append(f"{source.name} to {target.name} by {method.name}: {found.why}")
         else:
@@ -69,14 +82,14 @@ def select_candidates(
 
 
 @lru_cache(maxsize=8)
-def compute_mean_change(recordings: tuple[Path, ...], target: str) -> Floats:
+def compute_mean_change(recordings: tuple[PressRecordings, ...], target: str) -> Floats:
     """Mean change from the reference (rows, cols, channels) of a sensor's frames over recordings of other touches."""
     total, count = None, 0
-    for path in recordings:
-        recording = open_recording(path)
+    for of in recordings:
+        recording = open_recording(of.target)
         try:
-            stream = recording.stream(target)
-            for index in range(stream.n_frames):
+            stream = recording.stream(of.target_stream or target)
+            for index in of.frames or range(stream.n_frames):
                 frame = stream.frame(index)
                 assert frame.reference is not None
                 one = compute_change("bubble" if frame.is_depth else "gel", frame.image, frame.reference).astype(

@@ -35,11 +35,16 @@ class HeldOutOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PressRecordings:
-    """The same presses of one object, recorded by varied sensor instances and by the described ones."""
+    """The same presses of one object by both sensors: simulated by two instances each, or recorded as pairs."""
 
     object_name: str
     source: Path
     target: Path
+    source_stream: str = ""  # name of the stream; "" = the first one of the sensor
+    target_stream: str = ""
+    frames: tuple[int, ...] = ()  # () = all
+    frame_names: tuple[str, ...] = ()  # touches of one grasp have one name; () = every frame is a touch of its own
+    mesh: Path | None = None  # of the object, in metres; None = the recording's
 
 
 def select_sensors(source: str, target: str) -> tuple[str, ...]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 from pipeline.base.errors import SettingProblem
@@ -11,14 +12,21 @@ from pipeline.base.params import list_settings
 from pipeline.base.progress import SILENT, Progress, SubProgress
 from pipeline.evaluation import touch_features
 from pipeline.evaluation.candidates import BASELINES, RECORDED, select_candidates
-from pipeline.evaluation.held_out import HeldOutOptions, load_or_simulate, select_sensors
+from pipeline.evaluation.held_out import HeldOutOptions, PressRecordings, load_or_simulate, select_sensors
 from pipeline.evaluation.published_results import COMPARISON_NOTE, PAPER_DIRECTIONS, Split
+from pipeline.evaluation.recorded_folders import open_directions, require_touches, select_recorded
 from pipeline.evaluation.table_rows import TableRow, build_rows
 from pipeline.evaluation.touch_scoring import ScoredTouch, ScoringJob, score_recording
 from pipeline.networks.weights import NoWeights, Weights
 from pipeline.sensors.spec import SensorSpec, load_sensor
+from pipeline.training.recorded_pairs import PairFolder
 from pipeline.translation.catalogue import BUILT_IN
 
+_Touches = dict[tuple[str, str], tuple[tuple[PressRecordings, ...], tuple[PressRecordings, ...]]]
+REAL_NOTE = (
+    "touches are recorded pairs; where a target's truth is not recorded, its contact and indentation are estimated "
+    "from its own frame; a Frechet distance uses our own encoder, trained on simulated touches"
+)
 JobMapper = Callable[[Callable[..., Any], Sequence[ScoringJob], Progress], Sequence[list[ScoredTouch]]]
 MEAN_TOUCH_GRASPS = 3  # per training object, for the mean touch
 POSE_METHODS = tuple(m.name for m in BUILT_IN.stage("pose").methods if m.name in ("signed_distances", "network"))
@@ -30,11 +38,13 @@ class EvaluationRequest:
 
     split: Split
     held_out: HeldOutOptions = field(default_factory=HeldOutOptions)
-    directions: tuple[tuple[str, str], ...] = PAPER_DIRECTIONS
+    directions: tuple[tuple[str, str], ...] = ()  # () = the paper's, as far as they are recorded
     candidates: tuple[str, ...] = ()  # () = all
     methods: Mapping[str, str] = field(default_factory=dict)
     settings: tuple[str, ...] = ()
     pose_methods: tuple[str, ...] = POSE_METHODS
+    weights: Mapping[str, Path] = field(default_factory=dict)  # touch method or stage -> file
+    pairs: PairFolder = field(default_factory=PairFolder)  # recorded pairs in place of simulated touches
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,32 +64,16 @@ def evaluate_tables(
     Raises SettingProblem for an unknown direction, method or candidate, and the errors of methods.
     """
     _check_settings(request)
+    touches, notes = _collect_touches(request, SubProgress(progress, 0.0, 0.15))
     candidate_sets = [
-        select_candidates(load_sensor(source), load_sensor(target), request.candidates)
-        for source, target in request.directions
+        select_candidates(load_sensor(source), load_sensor(target), request.candidates, request.weights)
+        for source, target in touches
     ]
-    sensor_sets = dict.fromkeys(select_sensors(*direction) for direction in request.directions)
-    recordings = {
-        sensors: load_or_simulate(
-            request.split,
-            request.held_out,
-            SubProgress(progress, 0.1 * k / len(sensor_sets), 0.1 / len(sensor_sets)),
-            sensors,
-        )
-        for k, sensors in enumerate(sensor_sets)
-    }
-    training = load_or_simulate(
-        "training",
-        replace(request.held_out, grasps=MEAN_TOUCH_GRASPS, sensor_variation=0.0),
-        SubProgress(progress, 0.1, 0.05),
-    )
     rows: list[TableRow] = []
-    notes: list[str] = [COMPARISON_NOTE]
     whole = SubProgress(progress, 0.15, 0.85)
-    for index, ((source, target), candidate_set) in enumerate(zip(request.directions, candidate_sets, strict=True)):
-        part = SubProgress(
-            whole, index / len(request.directions), 1.0 / len(request.directions), f"{source} to {target}"
-        )
+    for index, ((source, target), candidate_set) in enumerate(zip(touches, candidate_sets, strict=True)):
+        part = SubProgress(whole, index / len(touches), 1.0 / len(touches), f"{source} to {target}")
+        held_out, training = touches[source, target]
         pose_methods, missing = _select_pose_methods(request.pose_methods, load_sensor(source), load_sensor(target))
         notes += [*candidate_set.excluded, *missing]
         jobs = [
@@ -88,12 +82,13 @@ def evaluate_tables(
                 source=source,
                 target=target,
                 candidates=candidate_set.candidates,
-                training_recordings=tuple(u.target for u in training),
+                training_recordings=training,
+                weights=request.weights,
                 methods=request.methods,
                 settings=request.settings,
                 pose_methods=pose_methods,
             )
-            for one in recordings[select_sensors(source, target)]
+            for one in held_out
         ]
         scored = _run_jobs(jobs, part) if work is None else work(score_recording, jobs, part)
         rows += build_rows(
@@ -102,8 +97,36 @@ def evaluate_tables(
     return EvaluationTable(
         split=request.split,
         rows=tuple(_remove_duplicates(rows)),
-        notes=(*_describe_conditions(request), *dict.fromkeys(notes)),
+        notes=(*_describe_conditions(request, touches), *dict.fromkeys(notes)),
     )
+
+
+def _collect_touches(request: EvaluationRequest, progress: Progress) -> tuple[_Touches, list[str]]:
+    """Direction -> (touches to score, touches of the mean touch); and notes on them."""
+    if request.pairs.path:
+        opened = open_directions(request.pairs, request.directions)
+        for pairs in opened.values():
+            require_touches(pairs, request.split)
+        notes = [REAL_NOTE, *(note for pairs in opened.values() for note in pairs.notes)]
+        sets = {d: (select_recorded(p, request.split), select_recorded(p, "training")) for d, p in opened.items()}
+        return sets, notes
+    directions = request.directions or PAPER_DIRECTIONS
+    sensor_sets = dict.fromkeys(select_sensors(*direction) for direction in directions)
+    recordings = {
+        sensors: load_or_simulate(
+            request.split,
+            request.held_out,
+            SubProgress(progress, 0.67 * k / len(sensor_sets), 0.67 / len(sensor_sets)),
+            sensors,
+        )
+        for k, sensors in enumerate(sensor_sets)
+    }
+    training = load_or_simulate(
+        "training",
+        replace(request.held_out, grasps=MEAN_TOUCH_GRASPS, sensor_variation=0.0),
+        SubProgress(progress, 0.67, 0.33),
+    )
+    return {d: (recordings[select_sensors(*d)], training) for d in directions}, [COMPARISON_NOTE]
 
 
 def _select_pose_methods(
@@ -144,13 +167,22 @@ def _remove_duplicates(rows: Sequence[TableRow]) -> list[TableRow]:
     return list(unique.values())
 
 
-def _describe_conditions(request: EvaluationRequest) -> list[str]:
+def _describe_conditions(request: EvaluationRequest, touches: _Touches) -> list[str]:
     """Notes on the conditions of the evaluation."""
-    notes = [
-        f"{request.split.replace('_', ' ')}: {request.held_out.grasps} grasps of each object; source sensor "
-        f"instances vary by {request.held_out.sensor_variation:g}, targets are as described"
-    ]
-    for target in dict.fromkeys(target for _, target in request.directions):
+    split = request.split.replace("_", " ")
+    if request.pairs.path:
+        counts = [(sum(len(set(r.frame_names)) for r in held_out if r.source_stream == held_out[0].source_stream),
+                   sum(len(r.frames) for r in held_out)) for held_out, _ in touches.values()]  # fmt: skip
+        notes = [
+            f"{split}: {n_pairs} pairs of {n_grasps} grasps in {request.pairs.path}"
+            for n_grasps, n_pairs in dict.fromkeys(counts)
+        ]
+    else:
+        notes = [
+            f"{split}: {request.held_out.grasps} grasps of each object; source sensor "
+            f"instances vary by {request.held_out.sensor_variation:g}, targets are as described"
+        ]
+    for target in dict.fromkeys(target for _, target in touches):
         encoder = touch_features.load_encoder_weights(load_sensor(target))
         if isinstance(encoder, Weights):
             notes.append(f"encoder of {target}: {encoder.name}, {encoder.content_digest[:12]}")

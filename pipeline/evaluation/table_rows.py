@@ -12,7 +12,7 @@ import numpy as np
 from pipeline.base.arrays import Doubles
 from pipeline.evaluation.candidates import RECORDED, Candidate
 from pipeline.evaluation.published_results import MeanStd, PaperRow, Split, find_paper_row
-from pipeline.evaluation.touch_metrics import pool_metrics
+from pipeline.evaluation.touch_metrics import bootstrap_metrics, pool_metrics
 from pipeline.evaluation.touch_scoring import ScoredTouch
 from pipeline.metrics import set_distances
 
@@ -46,6 +46,7 @@ class TableRow:
     title: str
     n_touches: int
     metrics: Mapping[str, Mapping[str, float]]  # TOUCH_METRICS name -> region -> value
+    intervals: Mapping[str, Mapping[str, tuple[float, float]]]  # the same -> 95 % interval over grasps, where known
     pose_errors: Mapping[str, PoseErrors]  # pose method -> errors
     set_distances: SetDistances | None  # None = no encoder for this target, or too few touches
     ms: float  # median time per touch
@@ -69,6 +70,7 @@ def build_rows(
         rows.append(TableRow(
             source=row_source, target=target, candidate=candidate.name, title=candidate.title,
             n_touches=len(touches), metrics=pool_metrics([touch.metrics for touch in touches]),
+            intervals=bootstrap_metrics([touch.metrics for touch in touches], [touch.touch_name for touch in touches]),
             pose_errors=_pool_pose_errors(touches),
             set_distances=None if is_recorded or true is None else _compare_sets(_stack_features(touches), true),
             ms=statistics.median(touch.ms for touch in touches),

@@ -25,6 +25,8 @@ TOUCH_METRICS: Mapping[str, Metric] = {
     "iou": Metric(unit="", better="higher", meaning="overlap of contact"),
     "correlation": Metric(unit="", better="higher", meaning="with the true change, both less the mean touch"),
 }
+MIN_GRASPS = 5  # for an interval
+_N_DRAWS, _INTERVAL = 1000, (2.5, 97.5)  # percentiles
 _SQUARED = {"psnr_db": "squared", "psnr_exact_db": "squared_exact"}  # metric -> squared error that it is computed from
 
 
@@ -90,6 +92,36 @@ def pool_metrics(touches: Sequence[TouchMetrics]) -> dict[str, dict[str, float]]
                 value = float(values.mean())
             pooled.setdefault(name, {})[region] = value
     return pooled
+
+
+def bootstrap_metrics(
+    touches: Sequence[TouchMetrics], grasps: Sequence[str]
+) -> dict[str, dict[str, tuple[float, float]]]:
+    """Metric -> region -> 95 % interval of the pooled value, over draws of grasps with replacement.
+
+    `grasps` names the grasp of each touch, whose fingers are drawn together. Fewer than `MIN_GRASPS` give no interval.
+    """
+    names = list(dict.fromkeys(grasps))
+    if len(names) < MIN_GRASPS:
+        return {}
+    counts = np.random.default_rng(0).multinomial(len(names), np.full(len(names), 1.0 / len(names)), _N_DRAWS)
+    weights = counts[:, [names.index(grasp) for grasp in grasps]].astype(np.float64)  # (draws, touches)
+    intervals: dict[str, dict[str, tuple[float, float]]] = {}
+    for name in TOUCH_METRICS:
+        summed = _SQUARED.get(name)
+        for source, region in dict.fromkeys(key for one in touches for key in one.values):
+            if source != (summed or name):
+                continue
+            values = np.array([one.values.get((source, region), np.nan) for one in touches])
+            shares = [one.n_pixels.get(region, 0) if summed else 1.0 for one in touches]
+            of_touch = weights * np.where(np.isfinite(values), shares, 0.0)
+            total = of_touch.sum(axis=1)
+            means = (of_touch @ np.nan_to_num(values))[total > 0] / total[total > 0]
+            if summed:
+                means = np.array([_psnr_db(float(mean), touches[0].peak_value) for mean in means])
+            low, high = np.percentile(means, _INTERVAL)
+            intervals.setdefault(name, {})[region] = float(low), float(high)
+    return intervals
 
 
 def _psnr_db(squared: float, peak: float) -> float:

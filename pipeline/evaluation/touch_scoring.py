@@ -7,7 +7,10 @@ from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import numpy as np
+
 from pipeline.base.arrays import Floats
+from pipeline.base.errors import SettingProblem
 from pipeline.base.params import list_settings
 from pipeline.base.progress import SILENT, Progress
 from pipeline.engine.cache import Cache
@@ -15,13 +18,20 @@ from pipeline.engine.graph import Graph, StageResult
 from pipeline.evaluation import touch_features
 from pipeline.evaluation.candidates import BASELINES, MEAN_TOUCH, NO_CONTACT, RECORDED, Candidate, compute_mean_change
 from pipeline.evaluation.held_out import PressRecordings
-from pipeline.evaluation.recorded_touch import RecordedTouch, build_recorded_touch, compute_generated_change
+from pipeline.evaluation.recorded_touch import (
+    RecordedTouch,
+    build_recorded_touch,
+    build_without_truth,
+    compute_generated_change,
+)
 from pipeline.evaluation.touch_metrics import TouchMetrics, compute_touch_metrics
 from pipeline.recordings import open_recording
 from pipeline.stages.touch.physical_render import make_reference_touch
 from pipeline.stages.touch.touch_from_change import make_touch_from_change
+from pipeline.training.recorded_touches import derive_contact
 from pipeline.translation.catalogue import default_params, with_setting
 from pipeline.translation.translate import Request, Translation, open_translation
+from pipeline.values.frames import TactileFrame, Truth
 from pipeline.values.results import DepthMap, GeneratedTouch, ObjectPose, TargetDepth
 
 _CACHE_BYTES = 64 * 1024 * 1024  # one frame's stages by every candidate
@@ -35,7 +45,8 @@ class ScoringJob:
     source: str
     target: str
     candidates: tuple[Candidate, ...]
-    training_recordings: tuple[Path, ...] = ()  # for the mean touch
+    training_recordings: tuple[PressRecordings, ...] = ()  # for the mean touch
+    weights: Mapping[str, Path] = field(default_factory=dict)  # touch method or stage -> file in place of shipped ones
     methods: Mapping[str, str] = field(default_factory=dict)  # stage -> method, without touch
     settings: tuple[str, ...] = ()  # stage.parameter=value
     pose_methods: tuple[str, ...] = ()  # pose methods that judge the touches
@@ -56,25 +67,27 @@ class ScoredTouch:
 
 def score_recording(job: ScoringJob, progress: Progress = SILENT) -> list[ScoredTouch]:
     """Every touch of the job by every candidate, in the order of the recording."""
+    of = job.recordings
     translation = open_translation(Request(
-        recording=job.recordings.source, target=job.target, source=job.source, methods=tuple(job.methods.items())
+        recording=of.source, target=job.target, source=job.source, stream=of.source_stream, mesh=of.mesh,
+        mesh_unit="m" if of.mesh else "auto", methods=tuple(job.methods.items()),
     ))  # fmt: skip
-    with closing(translation), closing(open_recording(job.recordings.target)) as other:
-        streams = translation.recording.stream(job.source), other.stream(job.target)
+    with closing(translation), closing(open_recording(of.target)) as other:
+        streams = translation.stream, other.stream(of.target_stream or job.target)
         both = replace(translation.recording, streams=streams)
         return list(_score_touches(job, replace(translation, recording=both), progress))
 
 
 def _score_touches(job: ScoringJob, translation: Translation, progress: Progress) -> Iterator[ScoredTouch]:
     mean = compute_mean_change(job.training_recordings, job.target) if job.training_recordings else None
-    for index in range(translation.n_frames):
-        progress.step(
-            index / translation.n_frames, f"{job.recordings.object_name} {index + 1} of {translation.n_frames}"
-        )
+    indices = job.recordings.frames or range(translation.n_frames)
+    for k, index in enumerate(indices):
+        progress.step(k / len(indices), f"{job.recordings.object_name} {k + 1} of {len(indices)}")
         other = translation.read_target_observation(index)
         assert other is not None
-        true = build_recorded_touch(*other)
-        scorer = _TouchScorer(job, translation, index, true, mean)
+        names = job.recordings.frame_names
+        name = names[k] if names else f"{job.recordings.object_name} {index}"
+        scorer = _TouchScorer(job, translation, index, name, other, mean)
         for candidate in job.candidates:
             yield scorer.score_candidate(candidate)
 
@@ -83,10 +96,12 @@ class _TouchScorer:
     """Scores candidates on one recorded touch, with a cache of what they have in common."""
 
     def __init__(
-        self, job: ScoringJob, translation: Translation, index: int, true: RecordedTouch, mean: Floats | None
-    ) -> None:
-        self._job, self._translation, self._index, self._true, self._mean = job, translation, index, true, mean
+        self, job: ScoringJob, translation: Translation, index: int, name: str,
+        observed: tuple[TactileFrame, Truth | None], mean: Floats | None,
+    ) -> None:  # fmt: skip
+        self._job, self._translation, self._index, self._name, self._mean = job, translation, index, name, mean
         self._cache = Graph((), cache=Cache(_CACHE_BYTES))
+        self._true = self._read_recorded_touch(*observed)
         self._ms: dict[str, float] = {}
         target_depth = self._evaluate("physics", {}, "target_depth")["target_depth"].output
         assert isinstance(target_depth, TargetDepth)
@@ -106,7 +121,7 @@ class _TouchScorer:
             metrics = replace(metrics, values={})
         return ScoredTouch(
             candidate=candidate.name,
-            touch_name=f"{self._job.recordings.object_name} {self._index}",
+            touch_name=self._name,
             metrics=metrics,
             ms=sum(self._ms[result.method.key] for result in results.values() if result.method is not None),
             pose_errors=self._compute_pose_errors(candidate, {**given, "touch": touch, "touch_depth": touch_depth}),
@@ -117,7 +132,11 @@ class _TouchScorer:
     def _evaluate(self, touch: str, given: Mapping[str, object], stage: str, pose: str = "") -> dict[str, StageResult]:
         """Results up to a stage with one touch and pose method; remembers the times of computed stages."""
         chosen = {**self._job.methods, "touch": touch} | ({"pose": pose} if pose else {})
-        like = replace(self._translation, request=replace(self._translation.request, methods=tuple(chosen.items())))
+        files = {stage: file for stage, file in self._job.weights.items() if stage in chosen or stage == "depth"}
+        if touch in self._job.weights:
+            files["touch"] = self._job.weights[touch]
+        request = replace(self._translation.request, methods=tuple(chosen.items()), weights=tuple(files.items()))
+        like = replace(self._translation, request=request)
         graph, params = like.build_graph(like=self._cache), default_params(like.methods)
         for assignment in self._job.settings:
             if _has_setting(assignment, params):
@@ -140,14 +159,31 @@ class _TouchScorer:
                 else {"touch": make_reference_touch(target)}
             )
         if candidate.name == RECORDED:
-            read = self._translation.with_target_as_source()
-            read = replace(read, request=replace(read.request, methods=tuple(self._job.methods.items())))
-            inputs = read.read_inputs(self._index)
-            depth = read.build_graph(like=self._cache).evaluate(["depth"], inputs, default_params(read.methods))[
-                "depth"
-            ]
-            return {"touch": make_touch_from_change(target, self._true.change), "touch_depth": depth.output}
+            depth = self._estimate_target_depth()
+            return {"touch": make_touch_from_change(target, self._true.change), "touch_depth": depth}
         return {}
+
+    def _estimate_target_depth(self) -> DepthMap:
+        """Depth of the target's own frame."""
+        read = self._translation.with_target_as_source()
+        read = replace(read, request=replace(read.request, methods=tuple(self._job.methods.items())))
+        inputs = read.read_inputs(self._index)
+        result = read.build_graph(like=self._cache).evaluate(["depth"], inputs, default_params(read.methods))["depth"]
+        assert isinstance(result.output, DepthMap)
+        return result.output
+
+    def _read_recorded_touch(self, frame: TactileFrame, truth: Truth | None) -> RecordedTouch:
+        """The recorded touch with its truth, or with the depth of its own frame where no truth is recorded."""
+        if truth is not None and truth.indentation_mm is not None:
+            return build_recorded_touch(frame, replace(truth, contact=derive_contact(truth, self._translation.target)))
+        depth = self._estimate_target_depth()
+        recorded = build_without_truth(frame)
+        if recorded.contact.shape != depth.contact.shape:
+            raise SettingProblem(
+                f"frame {frame.index} of {frame.sensor} has {recorded.contact.shape} pixels, but "
+                f"{depth.contact.shape} are described"
+            )
+        return replace(recorded, indentation_mm=np.nan_to_num(depth.indentation_mm), contact=depth.contact)
 
     def _measure_touch_depth(self, touch: GeneratedTouch) -> DepthMap | None:
         """The touch's own membrane if it has one, else depth estimated from its image as from a frame of the target."""

@@ -8,6 +8,7 @@ Layouts of the published sets: `<split>/{bubbles,gelslims}/data/..._<tool>/data_
 from __future__ import annotations
 
 import json
+import os
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
@@ -100,10 +101,19 @@ def list_grasps(root: Path) -> GraspFolder:
         *_count("files are left out, which hold neither a bubble's imprint nor a GelSlim's image",
                 [str(p.relative_to(root)) for p in others]),
     ]  # fmt: skip
+    meshes = {g.grasp.tool: find_tool_mesh(g) for g in listed}
+    listed = [replace(g, grasp=replace(g.grasp, mesh_file=meshes[g.grasp.tool])) for g in listed]
     ordered = sorted(
         listed, key=lambda g: (not is_training_split(g.grasp.split), g.grasp.split, g.grasp.tool, g.grasp.number)
     )
     return GraspFolder(tuple(ordered), sensors, (_describe_splits(ordered), *notes))
+
+
+def find_tool_mesh(grasp: GraspFiles) -> Path | None:
+    """The mesh of a grasp's tool in a folder `tools_stls` above its files; None where there is none."""
+    first = next(iter(grasp.files.values()))
+    candidates = (folder / "tools_stls" / f"{grasp.grasp.tool}.stl" for folder in Path(os.path.realpath(first)).parents)
+    return next((p for p in candidates if p.is_file()), None)
 
 
 def is_training_split(split: str) -> bool:

@@ -6,7 +6,6 @@ the full 224 x 171 image, or `gelslim`, `gelslim_ref` (2, 3, 320, 427). Index 0 
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
@@ -22,7 +21,7 @@ from pipeline.geometry.camera import make_camera
 from pipeline.geometry.meshes import Mesh, load_mesh
 from pipeline.recordings import torch_files
 from pipeline.recordings.formats import RecordingFiles
-from pipeline.recordings.grasp_files import BUBBLE, GEL, GraspFiles, list_grasps, parse_tool
+from pipeline.recordings.grasp_files import BUBBLE, GEL, GraspFiles, find_tool_mesh, list_grasps, parse_tool
 from pipeline.recordings.index_check import with_index_check
 from pipeline.values.frames import Grasp, Recording, Stream, TactileFrame, Truth
 
@@ -182,11 +181,6 @@ def _parse_transforms(rows: Any) -> list[Doubles]:
 
 
 def _load_tool_mesh(grasps: Sequence[GraspFiles]) -> Mesh | None:
-    """The mesh of the only tool, if the folder `tools_stls` lies above the grasps; else None."""
-    tools = {g.grasp.tool for g in grasps}
-    if len(tools) != 1:
-        return None
-    name, first = f"{next(iter(tools))}.stl", next(iter(grasps[0].files.values()))
-    candidates = (folder / "tools_stls" / name for folder in Path(os.path.realpath(first)).parents)
-    file = next((p for p in candidates if p.is_file()), None)
+    """The mesh of the only tool; None where there are several or it has none."""
+    file = find_tool_mesh(grasps[0]) if len({g.grasp.tool for g in grasps}) == 1 else None
     return None if file is None else load_mesh(file, unit="m")

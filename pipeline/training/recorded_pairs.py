@@ -34,6 +34,10 @@ _MAX_NAMES = 5  # in a note
 _SEED = 29  # of validation examples
 
 
+class NoPairs(SettingProblem):
+    """A recording does not hold both sensors."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PairFolder:
     """Recorded pairs that a recipe trains on."""
@@ -106,7 +110,7 @@ class PairSet:
 def open_pairs(folder: PairFolder, source_name: str, target_name: str) -> PairSet:
     """The pairs of a recording, a data set's folder, or a folder of `.h5` recordings, by role.
 
-    Raises SettingProblem where a sensor has no stream, FileProblem where nothing is paired.
+    Raises NoPairs where a sensor has no stream, FileProblem where nothing is paired.
     """
     source, target, path = load_sensor(source_name), load_sensor(target_name), Path(folder.path)
     files = sorted(path.glob("*.h5")) if path.is_dir() else []
@@ -116,7 +120,7 @@ def open_pairs(folder: PairFolder, source_name: str, target_name: str) -> PairSe
         recording = open_recording(file)
         streams = _match_streams(recording, source_name, target_name)
         if not streams:
-            raise SettingProblem(f"{str(file)!r} holds no pairs of {source.title} and {target.title}")
+            raise NoPairs(f"{str(file)!r} holds no pairs of {source.title} and {target.title}")
         n = min(stream.n_frames for pair in streams for stream in pair)
         grasps = recording.grasps or tuple(Grasp(tool=file.stem, number=k) for k in range(n))
         problems = [(k, recording.find_pair_problem(k)) for k in range(n)]

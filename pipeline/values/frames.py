@@ -83,6 +83,7 @@ class Grasp:
     tool: str = ""  # name of the object; "" = not known
     split: str = ""  # folder or list of the data set that it belongs to, such as "train"; "" = none
     number: int = 0
+    mesh_file: Path | None = None  # of the tool, in metres; None = not there
 
     @property
     def name(self) -> str:
