@@ -6,13 +6,13 @@ predicts contact from the decoder's finest features.
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Literal, get_args
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from pipeline.networks.depth_anything_input import PATCH_PX
+from pipeline.networks.depth_anything_input import PATCH_PX, ImageContent
 from pipeline.networks.dinov2 import ENCODER_SIZES, DinoV2Encoder
 
 DECODER_CHANNELS = {"vits": 64, "vitb": 128, "vitl": 256}
@@ -23,8 +23,9 @@ MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)  # ImageNet statistics 
 class DepthAnything(nn.Module):
     """Indentation and contact from an image of whole patches; see `forward`.
 
-    `answer` is the scale of the depth head: "metric" is a share of `largest_mm`, "relative" is >= 0 and has no unit.
-    `side` is the shorter side (px) of the training images, `image_content` what they showed.
+    `answer` is what the depth head predicts: "metric" is indentation and "distance" is distance from the camera, both
+    as a share of `largest_mm`; "relative" is >= 0 and has no unit. `side` is the shorter side (px) of the training
+    images, `image_content` what they showed (`prepare_image`).
     """
 
     def __init__(
@@ -32,16 +33,16 @@ class DepthAnything(nn.Module):
         *,
         encoder: str = "vits",
         contact: bool = True,
-        answer: Literal["metric", "relative"] = "metric",
+        answer: Literal["metric", "distance", "relative"] = "metric",
         largest_mm: float = 0.0,
         side: int = 518,
-        image_content: Literal["image", "difference"] = "image",
+        image_content: ImageContent = "image",
     ) -> None:
         super().__init__()
         if (
             encoder not in ENCODER_SIZES
-            or answer not in ("metric", "relative")
-            or image_content not in ("image", "difference")
+            or answer not in ("metric", "distance", "relative")
+            or image_content not in get_args(ImageContent)
         ):
             raise ValueError(f"no encoder {encoder!r}, answer {answer!r} or image content {image_content!r}")
         self.answer, self.largest_mm, self.side, self.image_content = (
@@ -69,7 +70,8 @@ class DepthAnything(nn.Module):
         mean, std = (image.new_tensor(v)[:, None, None] for v in (MEAN, STD))
         tokens = self.pretrained((image - mean) / std, window or (0, 0, rows, cols))
         raw_depth, features = self.depth_head(tokens, rows, cols)
-        depth = torch.sigmoid(raw_depth) if (answer or self.answer) == "metric" else functional.relu(raw_depth)
+        is_relative = (answer or self.answer) == "relative"
+        depth = functional.relu(raw_depth) if is_relative else torch.sigmoid(raw_depth)
         contact = None if self.mask_head is None else self.mask_head(features, (rows * PATCH_PX, cols * PATCH_PX))
         return depth[:, 0], None if contact is None else contact[:, 0]
 

@@ -5,7 +5,7 @@ Loads no torch, since it is also used to make training examples.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,14 +13,23 @@ from numpy.typing import NDArray
 from pipeline.base.arrays import Floats
 
 PATCH_PX = 14  # of DINOv2
+ImageContent = Literal["image", "difference", "frame"]
 
 
-def prepare_image(image: NDArray[Any], reference: NDArray[Any], image_content: str) -> Floats:
+def prepare_image(
+    image: NDArray[Any], reference: NDArray[Any], image_content: str, value_range: tuple[float, float] | None = None
+) -> Floats:
     """Image (rows, cols, 3) scaled so that its minimum is 0 and its maximum 1: the frame, or its change.
 
-    A depth frame always gives its change toward the camera in three equal channels, 0 where there is no measurement.
+    A depth frame gives its change toward the camera in three equal channels, 0 where there is no measurement; with
+    "frame" the depth itself, that of the reference where there is none. `value_range` replaces minimum and maximum of
+    the frame for "frame": the paper's lab scales both fingers of a grasp alike.
     """
-    if image.ndim == 2:
+    if image.ndim == 2 and image_content == "frame":
+        depth = np.where(np.isfinite(image), image, reference).astype(np.float32)
+        filled = np.where(np.isfinite(depth), depth, np.nanmax(depth, initial=0.0))
+        shown = np.repeat(filled[:, :, None], 3, axis=2)
+    elif image.ndim == 2:
         moved = np.nan_to_num(reference.astype(np.float32) - image.astype(np.float32), nan=0.0, posinf=0.0, neginf=0.0)
         shown = np.repeat(moved[:, :, None], 3, axis=2)
     else:
@@ -28,6 +37,8 @@ def prepare_image(image: NDArray[Any], reference: NDArray[Any], image_content: s
         if image_content == "difference":
             shown = shown - reference.astype(np.float32)
     low, high = float(shown.min()), float(shown.max())
+    if image_content == "frame" and value_range is not None:
+        low, high = value_range
     return (shown - low) / max(high - low, 1e-6)
 
 

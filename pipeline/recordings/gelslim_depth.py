@@ -48,6 +48,7 @@ def read(path: Path) -> Recording:
                 sensor="gelslim", image=torch_files.convert_to_rgb(image, "tactile_image", path),
                 reference=torch_files.convert_to_rgb(reference, "base_tactile_image", path),
                 index=index, origin=f"{path} [{_FINGERS[finger]}]",
+                grasp_range=(float(images[index].min()), float(images[index].max())),
             )  # fmt: skip
 
         def truth(index: int) -> Truth | None:

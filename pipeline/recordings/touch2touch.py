@@ -143,7 +143,14 @@ def _bubble_frame(tensors: Mapping[str, Any], finger: int, index: int, file: Pat
         sensor="soft_bubble", image=freeze(((reference - imprint) * _MM_PER_M).astype(np.float32)),
         reference=freeze((reference * _MM_PER_M).astype(np.float32)), index=index,
         origin=f"{file} [{_FINGERS[finger]}]", camera=full.crop(_TOP, _LEFT, *_BUBBLE),
+        grasp_range=_compute_range(_MM_PER_M * (tensors["bubble_depth_ref"] - tensors["bubble_imprint"])),
     )  # fmt: skip
+
+
+def _compute_range(values: Any) -> tuple[float, float] | None:
+    """Least and largest value of both fingers; None where nothing is measured."""
+    finite = values[values.isfinite()]
+    return (float(finite.min()), float(finite.max())) if len(finite) else None
 
 
 def _gelslim_frame(tensors: Mapping[str, Any], finger: int, index: int, file: Path) -> TactileFrame:
@@ -152,7 +159,7 @@ def _gelslim_frame(tensors: Mapping[str, Any], finger: int, index: int, file: Pa
     return TactileFrame(
         sensor="gelslim", image=torch_files.convert_to_rgb(images[finger], "gelslim", file),
         reference=torch_files.convert_to_rgb(references[finger], "gelslim_ref", file), index=index,
-        origin=f"{file} [{_FINGERS[finger]}]",
+        origin=f"{file} [{_FINGERS[finger]}]", grasp_range=_compute_range(images),
     )  # fmt: skip
 
 

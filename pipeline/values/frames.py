@@ -29,6 +29,7 @@ class TactileFrame:
     time_s: float = math.nan
     origin: str = ""  # file and frame, for messages
     camera: Camera | None = None  # intrinsics of the recording; None = the sensor's
+    grasp_range: tuple[float, float] | None = None  # least and largest value in all fingers; None = one finger
     context_frames: tuple[Image, ...] = ()  # other touches of the same instance, to estimate its illumination
 
     @property

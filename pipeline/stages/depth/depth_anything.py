@@ -24,7 +24,8 @@ from pipeline.stages.depth import photometric
 from pipeline.values.frames import TactileFrame
 from pipeline.values.results import DepthMap
 
-OutputKind = Literal["as trained", "metric", "relative"]
+OutputKind = Literal["as trained", "metric", "distance", "relative"]
+_USUAL_DISTANCE_MM = 120.0  # largest distance in the tests of MMintLab/depth_anything_v2; it trained up to 200, too
 _MARGIN_PATCHES = 2  # patches around the contact's bounding box
 _NOT_SHIPPED = NoWeights(
     why="no weights of Depth Anything V2 are shipped; give yours as --weights FILE, such as depth_anything_v2_vits.pth"
@@ -39,14 +40,15 @@ class DepthAnythingParams:
     shorter_side_px: int = setting(0, "Shorter side", unit="px", low=0, high=1400, step=14,
                         help="of the image that the network sees; 0 = as it was trained",
                         source="Yang et al. 2024: 518 px, in patches of 14")  # fmt: skip
-    max_indentation_mm: float = setting(
-        0.0, "Largest indentation", unit="mm", low=0.0, high=100.0, step=0.1,
-        help="indentation of an output of 1; 0 = as the weights say, else the sensor's limit",
+    largest_mm: float = setting(
+        0.0, "Largest output", unit="mm", low=0.0, high=1000.0, step=0.1,
+        help="indentation or distance of an output of 1; 0 = as the weights say, else the sensor's limit or 120 mm",
         source="Yang et al. 2024, metric head: a sigmoid times the largest depth",
     )  # fmt: skip
     output_kind: OutputKind = setting(
         "as trained", "Output", choices=OutputKind,
-        help="metric: a share of the largest indentation; relative: without unit, fitted to the physical estimate",
+        help="metric: a share of the largest indentation; distance: from the camera, a share of the largest; "
+        "relative: without unit, fitted to the physical estimate",
         source="Yang et al. 2024, both heads; relative depth up to scale and shift: Ranftl et al. 2022",
     )  # fmt: skip
     crop_to_contact: bool = setting(
@@ -81,16 +83,25 @@ def estimate_depth(
     progress.step(0.5, "running the network")
     assert frame.reference is not None  # checked by the physical estimate
     image = resize_to_patches(
-        prepare_image(frame.image, frame.reference, network.image_content), params.shorter_side_px or network.side
+        prepare_image(frame.image, frame.reference, network.image_content, frame.grasp_range),
+        params.shorter_side_px or network.side,
     )
     shape = (image.shape[0] // PATCH_PX, image.shape[1] // PATCH_PX)
+    rest = physical.depth_mm + physical.indentation_mm
     window = _compute_patch_window(physical.contact, shape) if params.crop_to_contact else (0, 0, *shape)
     kind = str(network.answer) if params.output_kind == "as trained" else params.output_kind
     output, contact_mask = _run_network(network, image, window, physical.contact.shape, kind)
     notes = [_describe_window(window, shape)]
     if kind == "metric":
-        largest_mm = params.max_indentation_mm or network.largest_mm or source.limits.indentation_max_mm
-        indentation = largest_mm * output
+        indentation = (params.largest_mm or network.largest_mm or source.limits.indentation_max_mm) * output
+    elif kind == "distance":
+        distance_mm = (params.largest_mm or network.largest_mm or _USUAL_DISTANCE_MM) * output
+        if not (params.largest_mm or network.largest_mm):
+            text = (
+                f"the weights do not state their largest distance, {_USUAL_DISTANCE_MM:g} mm is assumed: depths may be"
+            )
+            notes.append(StageWarning(f"{text} off by a factor; write largest_mm into a TOML beside the weights"))
+        indentation = _convert_distance(distance_mm, rest, source.limits.indentation_max_mm, notes)
     else:
         indentation = _fit_to_physical(output, physical.indentation_mm, notes)
     inside = _mask_window(window, shape, physical.contact.shape)
@@ -99,7 +110,6 @@ def estimate_depth(
     contact = (indentation > least if contact_mask is None else contact_mask) & inside & np.isfinite(physical.depth_mm)
     if contact_mask is None:
         notes.append(f"these weights predict no contact: it is where the indentation exceeds {least:g} mm")
-    rest = physical.depth_mm + physical.indentation_mm
     return replace(
         physical, indentation_mm=freeze(indentation), depth_mm=freeze((rest - indentation).astype(np.float32)),
         contact=freeze(contact), notes=(*notes, *physical.notes), error=None,
@@ -120,12 +130,11 @@ def _run_network(
         output, contact = network(shown, whole, kind)
 
     def resample_to_frame(field: Any) -> Floats:
-        import cv2
-
-        filled = np.zeros(image.shape[:2], np.float32)
-        filled[top * PATCH_PX : (top + rows) * PATCH_PX, left * PATCH_PX : (left + cols) * PATCH_PX] = field[0].numpy()
-        size = (shape[1], shape[0])
-        return np.asarray(cv2.resize(filled, size, interpolation=cv2.INTER_LINEAR), np.float32)
+        filled = torch.zeros((1, 1, *image.shape[:2]))
+        area = slice(top * PATCH_PX, (top + rows) * PATCH_PX), slice(left * PATCH_PX, (left + cols) * PATCH_PX)
+        filled[0, 0, area[0], area[1]] = field[0]
+        # As published, corners are aligned.
+        return torch.nn.functional.interpolate(filled, shape, mode="bilinear", align_corners=True)[0, 0].numpy()
 
     return resample_to_frame(output), None if contact is None else resample_to_frame(torch.sigmoid(contact)) > 0.5
 
@@ -163,6 +172,19 @@ def _fit_to_physical(output: Floats, physical_mm: Floats, notes: list[str]) -> F
         notes.append(StageWarning(text))
         scale, shift = 0.0, 0.0
     return (scale * output + shift).astype(np.float32)
+
+
+def _convert_distance(distance_mm: Floats, rest_mm: Floats, most_mm: float, notes: list[str]) -> Floats:
+    """Indentation of a surface at this distance from the camera: rest - distance where that is 0 to `most_mm`, else 0.
+
+    The lab's truth is the object alone: where there is none it is 0 m, and beyond the membrane nothing is touched.
+    """
+    indentation = rest_mm - distance_mm
+    is_touched = (indentation > 0.0) & (indentation <= most_mm)
+    if not is_touched.any():
+        text = "no distance lies within the membrane's reach, so nothing is touched; check largest_mm of the weights"
+        notes.append(StageWarning(text))
+    return np.where(is_touched | np.isnan(indentation), indentation, 0.0).astype(np.float32)
 
 
 def _describe_window(window: PatchWindow, shape: tuple[int, int]) -> str:

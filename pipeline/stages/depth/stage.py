@@ -40,6 +40,7 @@ DEPTH_ANYTHING = Method(
     help="the paper's network, with weights that you give",
     run=fall_back_without_weights(depth_anything.estimate_depth, fallback=PHYSICS),
     params=depth_anything.DepthAnythingParams,
+    version=2,
     reads=(*PHYSICS.reads, "depth_weights"),
     weights=depth_anything.select_weights,
 )

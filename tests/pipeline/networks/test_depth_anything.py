@@ -109,7 +109,7 @@ def test_all_file_kinds_are_read_as_float32(small, tmp_path, kind):
     assert all(tensor.dtype == np.float32 for tensor in weights.tensors.values())
     assert weights.config["encoder"] == "vits"
     assert (weights.config["contact"], weights.config["answer"]) == (
-        (False, "relative") if kind == "bare" else (True, "metric")
+        (False, "relative") if kind == "bare" else (True, "distance")
     )
     ready = load_network(weights)
     assert all(p.dtype == torch.float32 for p in ready.parameters())

@@ -74,7 +74,7 @@ def test_a_metric_output_becomes_an_indentation_on_the_frames_pixels(opened, fra
     assert shape[2] / shape[3] == pytest.approx(rows / cols, rel=0.13)
     assert whole == (0, 0, shape[2] // 14, shape[3] // 14)
     assert sense == "metric"
-    assert asked(opened, frame, network, max_indentation_mm=3.0).indentation_mm.max() == pytest.approx(1.5)
+    assert asked(opened, frame, network, largest_mm=3.0).indentation_mm.max() == pytest.approx(1.5)
     asked(opened, frame, network, shorter_side_px=84)
     assert min(network.shown[-1][0][2:]) == 84
 
