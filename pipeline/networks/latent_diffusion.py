@@ -22,7 +22,10 @@ N_TIMESTEPS = 1000
 BETA_RANGE = 0.0015, 0.0155  # first and last beta; their square roots are evenly spaced
 LATENT_LIMIT = 5.0  # standard deviations; latents of the data stay within
 
+_DOWNSAMPLING = 8  # image pixels per latent, along each side
 TrainedPart = Literal["both", "autoencoder", "denoiser"]
+EncoderKind = Literal["resnet", "fold"]
+"""How a condition enters the latents' grid: encoded, as published, or its pixels folded into channels."""
 Condition = Literal["image", "reprojected", "depth"]
 """What the network is conditioned on: the source's image as published, the source's image resampled to the target's
 view, or the target depth.
@@ -42,7 +45,8 @@ class LatentTrainingOutput(NamedTuple):
 class LatentDiffusion(nn.Module):
     """Latent diffusion of three-channel images in -1..1 of side `side`; defaults are those of the paper.
 
-    `condition` has `condition_inputs` channels (`stages.touch.image_condition`, `stages.touch.depth_condition`).
+    `condition` (`stages.touch.image_condition`, `stages.touch.depth_condition`) has `condition_inputs` channels, which
+    `condition_encoder` brings to the latents' grid; only "resnet" has `condition_channels`.
     `raw_condition`: trained on changes of 0..255 normalised by statistics of 0..1, as the published weights were.
     `half_turn`: the output has to be rotated by 180 degrees for the target's camera. `trained_with_condition_dropout`:
     whether guidance can act. `generated_*` and `true_*` are mean and standard deviation (mm) of generated and true
@@ -57,10 +61,9 @@ class LatentDiffusion(nn.Module):
         self, *, side: int = 256, width: int = 192, channel_multipliers: str = "1 2 2 4 4", blocks: int = 2,
         attention: str = "1 2 4 8", heads: int = 8, groups: int = 32, autoencoder_width: int = 128,
         autoencoder_multipliers: str = "1 2 4 4", autoencoder_blocks: int = 2, condition_channels: int = 64,
-        condition: Condition = "image", condition_inputs: int = 3, raw_condition: bool = False,
-        trained_with_condition_dropout: bool = True,
-        half_turn: bool = False, generated_mean_mm: float = 0.0, generated_std_mm: float = 0.0,
-        true_mean_mm: float = 0.0,
+        condition: Condition = "image", condition_inputs: int = 3, condition_encoder: EncoderKind = "resnet",
+        raw_condition: bool = False, trained_with_condition_dropout: bool = True, half_turn: bool = False,
+        generated_mean_mm: float = 0.0, generated_std_mm: float = 0.0, true_mean_mm: float = 0.0,
         true_std_mm: float = 0.0,
     ) -> None:  # fmt: skip
         super().__init__()
@@ -74,7 +77,11 @@ class LatentDiffusion(nn.Module):
             blocks=autoencoder_blocks,
             groups=groups,
         )
-        self.cond_stage_model = ConditionEncoder(width=condition_channels, inputs=condition_inputs)
+        self.cond_stage_model: nn.Module = nn.PixelUnshuffle(_DOWNSAMPLING)
+        if condition_encoder == "resnet":
+            self.cond_stage_model = ConditionEncoder(width=condition_channels, inputs=condition_inputs)
+        else:
+            condition_channels = condition_inputs * _DOWNSAMPLING**2
         self.model = nn.ModuleDict({"diffusion_model": LatentUnet(
             inputs=LATENT_CHANNELS + condition_channels, width=width,
             channel_multipliers=_parse_integers(channel_multipliers), blocks=blocks,

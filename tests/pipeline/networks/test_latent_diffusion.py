@@ -91,6 +91,17 @@ def test_autoencoder_and_denoiser_can_be_trained_separately():
     assert torch.equal(net.scale_factor, scale)
 
 
+def test_a_folded_condition_keeps_every_pixel_in_its_cell():
+    net = small(condition_encoder="fold", condition_inputs=2).eval()
+    assert not [name for name in net.state_dict() if name.startswith("cond_stage_model")]
+    image = torch.zeros(1, 2, 32, 32)
+    image[0, 1, 9, 18] = 1.0
+    folded = net.cond_stage_model(image)
+    assert folded.shape == (1, 128, 4, 4)
+    assert folded.nonzero().tolist() == [[0, 64 + 1 * 8 + 2, 1, 2]]
+    assert net.predict_noise(torch.zeros(1, 4, 4, 4), torch.tensor([5]), folded).shape == (1, 4, 4, 4)
+
+
 def test_an_unconditioned_example_ignores_its_source():
     net = small().eval()
     one = batch()

@@ -37,7 +37,9 @@ def make_batch(task, n=2):
 
 def make_network(condition, inputs=3):
     torch.manual_seed(0)
-    return build_network("latent", {**SMALL, "condition": condition, "condition_inputs": inputs}).train()
+    encoder = "fold" if condition == "depth" else "resnet"
+    config = {**SMALL, "condition": condition, "condition_inputs": inputs, "condition_encoder": encoder}
+    return build_network("latent", config).train()
 
 
 @pytest.mark.parametrize(
@@ -68,7 +70,16 @@ def test_targets_encoded_once_are_the_latents_of_every_step(folder, tmp_path):
     net = make_network("depth").eval()
     file = tmp_path / "autoencoder.safetensors"
     tensors = {name: tensor.numpy() for name, tensor in net.state_dict().items()}
-    save_weights(file, Weights(name="a", kind="latent", config=SMALL, tensors=tensors, card={"task": "latent"}))
+    save_weights(
+        file,
+        Weights(
+            name="a",
+            kind="latent",
+            config={**SMALL, "condition_encoder": "fold"},
+            tensors=tensors,
+            card={"task": "latent"},
+        ),
+    )
     task = LatentTask(target="gelslim", condition="depth", n_presses=1, folder=folder, side=32)
     plain, encoded = make_batch(task), make_batch(replace(task, autoencoder=str(file)))
     assert encoded["target"].shape == (2, 8, 4, 4)
