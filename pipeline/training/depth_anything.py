@@ -14,7 +14,8 @@ from pipeline.networks.depth_anything_input import prepare_image, resize_to_patc
 from pipeline.sensors.spec import load_sensor
 from pipeline.simulation import poses, shapes, variation
 from pipeline.simulation.press import render_sensor_image, simulate_press
-from pipeline.training.recorded_touches import LabelledTouch
+from pipeline.training.recorded_pairs import RecordedPair
+from pipeline.training.recorded_touches import LabelledTouch, derive_contact
 
 if TYPE_CHECKING:
     from torch import Tensor, nn
@@ -51,6 +52,24 @@ class DepthAnythingTask:
         reference = known.frame.reference
         assert reference is not None
         return self._make_example(known.frame.image, reference, known.indentation_mm, known.contact)
+
+    @property
+    def pair_sensors(self) -> tuple[str, str]:
+        """The sensor, which is paired with its own truth."""
+        return self.sensor, self.sensor
+
+    def prepare_pair(self, pair: RecordedPair) -> Example | None:
+        """The example of a recorded touch; None where its depth is not recorded."""
+        frame, truth = pair.source_frame, pair.target_truth
+        if truth is None or truth.indentation_mm is None:
+            return None
+        reference = pair.source.render_reference() if frame.reference is None else frame.reference
+        contact = derive_contact(truth, pair.source)
+        return self._make_example(frame.image, reference, np.nan_to_num(truth.indentation_mm), contact)
+
+    def make_pair_example(self, prepared: Example, rng: np.random.Generator, *, is_validation: bool) -> Example:  # noqa: ARG002 - deterministic
+        """The example of a recorded touch."""
+        return prepared
 
     def make_validation_example(self, split: Split, index: int) -> Example:
         """A training object in a new pose, or an unseen tool."""

@@ -5,6 +5,7 @@ Both fingers of a grasp are pairs of their own and have one role. Pairs are read
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -17,6 +18,7 @@ from pipeline.base.errors import FileProblem, SettingProblem
 from pipeline.base.memo import Memo
 from pipeline.inspection.synchrony import compare_streams
 from pipeline.recordings import open_recording
+from pipeline.recordings.grasp_files import is_grasp_folder
 from pipeline.sensors import alignment as alignments
 from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import SensorSpec, load_sensor
@@ -31,6 +33,8 @@ if TYPE_CHECKING:
 
 _MAX_UNTOUCHED = 1000  # pairs in a row that a task cannot use
 _MAX_NAMES = 5  # in a note
+_SUFFIXES = (".h5", ".hdf5", ".pt")
+_SPLIT_NAME = re.compile(r"^(?P<tool>.+)_(?P<split>train|val|validation|test)$")  # of files of gelslim_depth
 _SEED = 29  # of validation examples
 
 
@@ -108,21 +112,23 @@ class PairSet:
 
 @lru_cache(maxsize=4)
 def open_pairs(folder: PairFolder, source_name: str, target_name: str) -> PairSet:
-    """The pairs of a recording, a data set's folder, or a folder of `.h5` recordings, by role.
+    """The pairs of a recording, a data set's folder, or a folder of recordings, by role.
+
+    A sensor with itself gives its touches with their truth.
 
     Raises NoPairs where a sensor has no stream, FileProblem where nothing is paired.
     """
     source, target, path = load_sensor(source_name), load_sensor(target_name), Path(folder.path)
-    files = sorted(path.glob("*.h5")) if path.is_dir() else []
+    files = _list_recordings(path)
     notes: dict[str, None] = {}
     found: list[tuple[Recording, Grasp, int]] = []
-    for file in files or [path]:
+    for file in files:
         recording = open_recording(file)
         streams = _match_streams(recording, source_name, target_name)
         if not streams:
             raise NoPairs(f"{str(file)!r} holds no pairs of {source.title} and {target.title}")
         n = min(stream.n_frames for pair in streams for stream in pair)
-        grasps = recording.grasps or tuple(Grasp(tool=file.stem, number=k) for k in range(n))
+        grasps = recording.grasps or _name_grasps(file, n)
         problems = [(k, recording.find_pair_problem(k)) for k in range(n)]
         wrong = {k: problem for k, problem in problems if problem}
         found += [(recording, grasps[k], k) for k in range(n) if k not in wrong]
@@ -147,6 +153,20 @@ def _shuffle(places: Sequence[PairPlace]) -> tuple[PairPlace, ...]:
     return tuple(places[k] for k in np.random.default_rng(0).permutation(len(places)))
 
 
+def _list_recordings(path: Path) -> list[Path]:
+    """The recordings of a folder that is not one recording itself, else the path."""
+    if not path.is_dir() or is_grasp_folder(path):
+        return [path]
+    return sorted(file for file in path.rglob("*") if file.suffix in _SUFFIXES) or [path]
+
+
+def _name_grasps(file: Path, n: int) -> tuple[Grasp, ...]:
+    """Grasps of a recording of one tool, which its name tells, perhaps with the split: `<tool>_train.pt`."""
+    match = _SPLIT_NAME.match(file.stem)
+    tool, split = (match["tool"], match["split"]) if match else (file.stem, "")
+    return tuple(Grasp(tool=tool, split=split, number=k) for k in range(n))
+
+
 def _match_streams(recording: Recording, source: str, target: str) -> list[tuple[Stream, Stream]]:
     """Streams of both sensors in their order: right finger with right finger."""
     ones, others = ([s for s in recording.streams if s.sensor == name] for name in (source, target))
@@ -164,12 +184,12 @@ def _describe_recording(
     if one.n_frames != other.n_frames:
         n = min(one.n_frames, other.n_frames)
         notes.append(f"{one.name} has {one.n_frames} frames, {other.name} {other.n_frames}: the first {n} are paired")
-    if recording.target_from_source(one.name, other.name) is None:
+    if one.sensor != other.sensor and recording.target_from_source(one.name, other.name) is None:
         notes.append("the recording has no target_from_source: the sensors' descriptions are used")
     for stream in (one, other):
         if stream.n_frames and stream.frame(0).reference is None:
             notes.append(f"{stream.name} has no reference image: the nominal one is used")
-    synchrony = compare_streams(one, other)
+    synchrony = compare_streams(one, other) if one.sensor != other.sensor else None
     if synchrony is not None and synchrony.warning is not None:
         notes.append(str(synchrony.warning))
     return notes
@@ -220,7 +240,9 @@ class PairTask:
             (prepared,) = _prepared.get_or_make(key, lambda p=place: (self.task.prepare_pair(self._pairs.load(p)),))
             if prepared is not None:
                 return self.task.make_pair_example(prepared, rng, is_validation=is_validation)
-        raise FileProblem("both sensors are touched in no pair that was tried", self.folder.path)
+        raise FileProblem(
+            "no pair that was tried is touched on both sides and has what is trained on", self.folder.path
+        )
 
 
 _prepared: Memo[tuple[Any, ...], tuple[Any]] = Memo(most_bytes=1 << 30)
@@ -231,5 +253,7 @@ def use_pairs(task: Task, folder: PairFolder) -> Task:
     if not folder.path:
         return task
     if not hasattr(task, "make_pair_example"):
-        raise SettingProblem(f"the task {type(task).__name__} does not train on pairs; train t2t, latent or vqvae")
+        raise SettingProblem(
+            f"the task {type(task).__name__} does not train on pairs; train t2t, latent, vqvae or depth_anything"
+        )
     return PairTask(task=task, folder=folder)

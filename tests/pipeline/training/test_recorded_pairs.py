@@ -14,13 +14,17 @@ from pipeline.sensors.spec import load_sensor
 from pipeline.stages.touch.depth_condition import make_working_sensor
 from pipeline.stages.touch.residual_render import resample_to_grid
 from pipeline.training.conditioned_touch import ConditionedTouch, jitter_touch
+from pipeline.training.depth_anything import DepthAnythingTask
 from pipeline.training.latent import LatentTask
 from pipeline.training.loop import TrainingRun, train
 from pipeline.training.recipe import load_recipe, override_pairs
 from pipeline.training.recorded_pairs import PairFolder, PairTask, open_pairs, use_pairs
+from pipeline.training.recorded_touches import derive_contact
 from pipeline.training.touch_pose import TouchPoseTask
 from pipeline.training.touch_to_touch import TouchToTouchTask
 from pipeline.training.vqvae import VqVaeTask
+from pipeline.values.frames import Truth
+from tests.pipeline.recordings.test_tensors import depth_dictionary, saved
 from tests.pipeline.recordings.touch2touch_files import write_grasps
 
 SAMPLE = Path(__file__).parents[3] / "sample_data" / "recordings" / "first_touch.h5"
@@ -62,6 +66,20 @@ def test_examples_of_pairs_have_the_arrays_of_simulated_ones(task, data):
     assert sampled.keys() <= one.keys()
     assert all(a.shape == one[key].shape for key, a in sampled.items())
     assert all(np.isfinite(a).all() for a in one.values())
+
+
+def test_depth_trains_on_the_published_depth_files_with_contact_from_indentation(tmp_path):
+    for tool, split in (("hex", "train"), ("hex", "val"), ("peg", "test")):
+        saved(tmp_path / f"{tool}_{split}.pt", depth_dictionary())
+    pairs = use_pairs(DepthAnythingTask(side=28), PairFolder(path=str(tmp_path)))
+    assert pairs.collect_notes()[0] == (
+        "3 grasps are trained on, 3 validate as unseen grasps, 3 validate as unseen tools (peg)"
+    )
+    example = pairs.make_validation_example("unseen_tools", 0)
+    simulated = DepthAnythingTask(side=28).make_validation_example("unseen_tools", 0)
+    assert {k: (a.shape, a.dtype) for k, a in example.items()} == {k: (a.shape, a.dtype) for k, a in simulated.items()}
+    truth = Truth(indentation_mm=np.array([[0.0, 0.01, 1.5, np.nan]], np.float32))
+    assert derive_contact(truth, load_sensor("gelslim")).tolist() == [[False, False, True, False]]
 
 
 @pytest.mark.parametrize(("target", "channels"), [("soft_bubble", 13), ("gelslim", 3)])
