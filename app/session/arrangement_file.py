@@ -6,12 +6,19 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, cast
 
-from app.session.layout import Layout, from_plain
+import msgspec
+
+from app.session.layout import Layout
 from pipeline.base.errors import FileProblem
 from pipeline.base.files import read_json, set_aside, write_json
+from pipeline.base.typed_data import convert, to_plain
 
 ARRANGEMENTS_FILE = "arrangements.json"
 _KIND, _VERSION = "tactoscope arrangements", 1
+
+
+class _ArrangementFile(msgspec.Struct):
+    arrangements: tuple[Layout, ...]
 
 
 def load_arrangements(path: Path) -> tuple[Layout, ...]:
@@ -26,10 +33,7 @@ def load_arrangements(path: Path) -> tuple[Layout, ...]:
             "is renamed",
             path,
         )
-    try:
-        layouts = tuple(from_plain(one) for one in cast("dict[str, Any]", data)["arrangements"])
-    except (KeyError, TypeError, ValueError) as error:
-        raise FileProblem(f"the arrangements cannot be used ({error}); save them again", path) from error
+    layouts = convert(data, _ArrangementFile, "the arrangements", path).arrangements
     if any(layout.arrangement is None for layout in layouts):
         raise FileProblem("an arrangement has no name; save them again", path)
     return layouts
@@ -41,4 +45,4 @@ def save_arrangements(path: Path, layouts: Sequence[Layout]) -> None:
         load_arrangements(path)
     except FileProblem:
         set_aside(path)
-    write_json(path, {_KIND: _VERSION, "arrangements": [layout.plain for layout in layouts]}, "the arrangements")
+    write_json(path, {_KIND: _VERSION, "arrangements": to_plain(layouts)}, "the arrangements")

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
-from typing import Any, Literal, cast, get_args
+from typing import Annotated, Literal, get_args
+
+from msgspec import Meta
+
+from pipeline.base.typed_data import Name
 
 LayoutName = Literal["stages", "inspect", "align", "sweep", "demo", "compare"]
 Dims = Literal["2D", "3D", "both"]
@@ -14,18 +18,19 @@ LAYOUT_NAMES: tuple[LayoutName, ...] = get_args(LayoutName)
 _LARGE_COLUMNS: Mapping[str, tuple[str, ...]] = {
     "align": ("target_depth",), "demo": ("source", "touch"), "sweep": (), "compare": (),
 }  # fmt: skip
-_MAX_PANES = 3
+_Panes = Annotated[tuple[tuple[Name, Dims], ...], Meta(min_length=1, max_length=3)]  # stage and views of each
+_Size = Annotated[int, Meta(ge=0, le=100_000)]  # px
 
 
 @dataclass(frozen=True, slots=True)
 class Arrangement:
     """A named arrangement of the user: the state of everything in the window that can be dragged."""
 
-    name: str
+    name: Annotated[Name, Meta(min_length=1)]
     _: KW_ONLY
-    only_stage: str = ""  # the only stage of the Stages layout, "" = all
-    dock_state: str = ""  # docks and tool bars: QMainWindow.saveState in base64
-    splitter_sizes_px: Mapping[str, tuple[int, ...]] = field(default_factory=dict)  # of splitters that were dragged
+    only_stage: Name = ""  # the only stage of the Stages layout, "" = all
+    dock_state: Annotated[str, Meta(max_length=100_000)] = ""  # docks and tool bars, see `app.window.dock_state`
+    splitter_sizes_px: Mapping[Name, tuple[_Size, ...]] = field(default_factory=dict)  # of splitters that were dragged
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,7 +38,7 @@ class Layout:
     """Layout by name, with the panes of the Inspect layout."""
 
     name: LayoutName = "stages"
-    panes: tuple[tuple[str, Dims], ...] = (("depth", "both"), ("touch_depth", "both"))  # stage and views
+    panes: _Panes = (("depth", "both"), ("touch_depth", "both"))
     arrangement: Arrangement | None = None  # the user's arrangement it was opened from
 
     def resolve_panes(self, available: Sequence[str]) -> tuple[tuple[str, Dims], ...]:
@@ -75,58 +80,3 @@ class Layout:
         while len(panes) < count and spare:
             panes.append((spare.pop(0), "both"))
         return replace(self, panes=tuple(panes))
-
-    @property
-    def plain(self) -> dict[str, object]:
-        """JSON form for the session file."""
-        data: dict[str, object] = {"name": self.name, "panes": [list(pane) for pane in self.panes]}
-        one = self.arrangement
-        if one is not None:
-            sizes_px = {key: list(sizes) for key, sizes in one.splitter_sizes_px.items()}
-            data["arrangement"] = {
-                "name": one.name, "only_stage": one.only_stage, "dock_state": one.dock_state,
-                "splitter_sizes_px": sizes_px,
-            }  # fmt: skip
-        return data
-
-
-def from_plain(data: object) -> Layout:
-    """Parse the JSON form; None gives the default layout. Raises ValueError that names the wrong key."""
-    if data is None:
-        return Layout()
-    table = cast("Mapping[str, Any]", data) if isinstance(data, dict) else {}
-    name, panes = table.get("name"), table.get("panes")
-    if name not in LAYOUT_NAMES:
-        raise ValueError(f"name must be one of {', '.join(LAYOUT_NAMES)}, got {name!r}")
-    pairs = cast("list[Any]", panes) if isinstance(panes, list) else []
-    for pair in pairs:
-        if not (isinstance(pair, list) and len(cast("list[Any]", pair)) == 2 and pair[1] in DIMS):
-            raise ValueError(f"panes must be pairs of a stage and 2D, 3D or both, got {pair!r}")
-    if not 1 <= len(pairs) <= _MAX_PANES:
-        raise ValueError(f"there must be one to {_MAX_PANES} panes, got {len(pairs)}")
-    return Layout(
-        name=name,
-        panes=tuple((str(stage), dims) for stage, dims in pairs),
-        arrangement=_parse_arrangement(table.get("arrangement")),
-    )
-
-
-def _parse_arrangement(data: object) -> Arrangement | None:
-    if data is None:
-        return None
-    table = cast("Mapping[str, Any]", data) if isinstance(data, dict) else {}
-    texts = {key: table.get(key, "") for key in ("name", "only_stage", "dock_state")}
-    if not texts["name"] or not all(isinstance(text, str) for text in texts.values()):
-        raise ValueError(f"an arrangement needs a name, and texts for only_stage and dock_state, got {data!r}")
-    sizes_px = table.get("splitter_sizes_px", {})
-    if not isinstance(sizes_px, dict):
-        raise ValueError(f"splitter_sizes_px must map splitters to whole numbers of pixels, got {sizes_px!r}")
-    parsed = {str(key): _parse_sizes(sizes) for key, sizes in cast("Mapping[Any, Any]", sizes_px).items()}
-    return Arrangement(**texts, splitter_sizes_px=parsed)
-
-
-def _parse_sizes(data: object) -> tuple[int, ...]:
-    sizes: list[Any] = cast("list[Any]", data) if isinstance(data, list) else [None]
-    if not all(type(size) is int for size in sizes):
-        raise ValueError(f"splitter_sizes_px must map splitters to whole numbers of pixels, got {data!r}")
-    return tuple(sizes)

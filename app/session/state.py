@@ -6,16 +6,17 @@ import os
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any, cast, get_args
+from typing import Annotated, Any, cast
+
+import msgspec
+from msgspec import Meta
 
 from app.session.comparison_settings import ComparisonSettings
-from app.session.comparison_settings import from_plain as comparison_from_plain
 from app.session.layout import Layout
-from app.session.layout import from_plain as layout_from_plain
-from app.session.view_state import parse_cameras, parse_section_line
 from pipeline.base.errors import FileProblem, SettingProblem
 from pipeline.base.files import read_json, write_json
 from pipeline.base.params import list_settings, replace_value
+from pipeline.base.typed_data import FileName, Name, Note, Number, Plain, convert, to_plain
 from pipeline.engine.graph import Method
 from pipeline.previews.display_params import DisplayParams
 from pipeline.recordings.formats import DepthUnit
@@ -27,6 +28,8 @@ SESSION_SUFFIX = ".touch.json"
 DISPLAY_KEY = "display"  # key of the display parameters in `Session.params`
 AUTO_FRAME = -1  # frame number that stands for the first frame with contact, detected when the recording opens
 _VERSION = 3  # of the session file
+_N_CAMERA = 10  # numbers of a 3D view: position (3), focal point (3), view-up (3), view angle
+_SectionMm = Annotated[float, Meta(ge=-1000.0, le=1000.0)]  # of the section line's ends; beyond any sensor
 PATH_FIELDS = ("recording", "reference", "calibration", "mesh", "alignment")
 _TEXT_FIELDS = ("source", "target", "stream", "route", "mesh_unit")
 REQUEST_FIELDS = (*PATH_FIELDS, *_TEXT_FIELDS, "depth_unit")  # fields that a session and a request share
@@ -121,7 +124,7 @@ def _plain(session: Session, folder: Path) -> dict[str, Any]:
     for name in PATH_FIELDS:
         value: Path | None = getattr(session, name)
         data[name] = None if value is None else _relative(value, folder)
-    data["offsets"], data["layout"] = asdict(session.offsets), session.layout.plain
+    data["offsets"], data["layout"] = asdict(session.offsets), to_plain(session.layout)
     data["methods"] = dict(session.methods)
     data["weights"] = {stage: _relative(file, folder) for stage, file in session.weights.items()}
     data["params"] = {
@@ -129,10 +132,38 @@ def _plain(session: Session, folder: Path) -> dict[str, Any]:
         for key, params in session.params.items()
     }
     data["notes"] = {str(frame): text for frame, text in sorted(session.notes.items())}
-    data["comparison"], data["cameras"] = session.comparison.plain, {n: list(c) for n, c in session.cameras.items()}
+    data["comparison"], data["cameras"] = to_plain(session.comparison), {n: list(c) for n, c in session.cameras.items()}
     data["section"] = None if session.section is None else session.section.plain
     data["variant"] = None if session.variant is None else _plain(replace(session.variant, variant=None), folder)
     return data
+
+
+class _SessionFile(msgspec.Struct, kw_only=True):
+    """A session file; what has a default may be left out."""
+
+    frame: Annotated[int, Meta(ge=0)]
+    cameras_linked: bool
+    source: Name
+    target: Name
+    stream: Name
+    route: Name
+    mesh_unit: Name
+    depth_unit: DepthUnit = "auto"
+    recording: FileName | None = None
+    reference: FileName | None = None
+    calibration: FileName | None = None
+    mesh: FileName | None = None
+    alignment: FileName | None = None
+    offsets: object = None
+    layout: Layout | None = None
+    methods: dict[Name, Name] = {}
+    weights: dict[Name, FileName] = {}
+    params: dict[Name, dict[Name, Plain]] = {}
+    notes: dict[Annotated[int, Meta(ge=0)], Note] = {}
+    comparison: ComparisonSettings | None = None
+    variant: dict[str, object] | None = None
+    cameras: dict[Name, Annotated[tuple[Number, ...], Meta(min_length=_N_CAMERA, max_length=_N_CAMERA)]] = {}
+    section: tuple[_SectionMm, _SectionMm, _SectionMm, _SectionMm] | None = None
 
 
 def load_session(path: Path, catalogue: Catalogue = BUILT_IN) -> Session:
@@ -143,39 +174,35 @@ def load_session(path: Path, catalogue: Catalogue = BUILT_IN) -> Session:
 def _parse_session(data: object, path: Path, catalogue: Catalogue) -> Session:
     if not isinstance(data, dict) or "tactoscope session" not in data:
         raise FileProblem("this is not a session file", path)
-    version = data["tactoscope session"]
+    version = cast("dict[str, Any]", data)["tactoscope session"]
     if version != _VERSION:
         raise FileProblem(f"the session has version {version!r}, this program reads {_VERSION}", path)
-    table = cast("dict[str, Any]", data)
-    texts = {name: _read_field(table, name, str, path) for name in _TEXT_FIELDS}
-    unit = table.get("depth_unit", "auto")
-    if unit not in get_args(DepthUnit):
-        raise FileProblem(f"depth_unit must be one of {', '.join(get_args(DepthUnit))}, got {unit!r}", path,
-                          field="depth_unit")  # fmt: skip
-    methods = cast("dict[str, str]", table.get("methods", {}))
+    said = convert(cast("object", data), _SessionFile, "the session", path)
     try:
-        catalogue.methods(texts["route"], methods)
-    except (SettingProblem, TypeError, ValueError) as error:
+        catalogue.methods(said.route, said.methods)
+    except SettingProblem as error:
         raise FileProblem(f"the session's route or methods cannot be used ({error})", path, field="route") from error
-    frame = _read_field(table, "frame", int, path)
-    if frame < 0:
-        raise FileProblem(f"frame must not be negative, got {frame}", path, field="frame")
+    try:
+        offsets = parse_offsets(said.offsets)
+    except ValueError as error:
+        raise FileProblem(f"the session's offsets cannot be used ({error})", path, field="offsets") from error
+    files = {name: getattr(said, name) for name in PATH_FIELDS}
     return Session(
-        **{name: _path(table, name, path) for name in PATH_FIELDS},
-        **texts,
-        depth_unit=unit,
-        frame=frame,
-        offsets=_offsets(table, path),
-        layout=_layout(table, path),
-        cameras_linked=_read_field(table, "cameras_linked", bool, path),
-        methods=methods,
-        weights=_weights(table, path),
-        params=_params(table.get("params", {}), path, catalogue),
-        notes=_notes(table, path),
-        comparison=_comparison(table, path),
-        variant=None if table.get("variant") is None else _parse_session(table["variant"], path, catalogue),
-        cameras=parse_cameras(table, path),
-        section=parse_section_line(table, path),
+        **{name: None if file is None else path.parent / file for name, file in files.items()},
+        **{name: getattr(said, name) for name in _TEXT_FIELDS},
+        depth_unit=said.depth_unit,
+        frame=said.frame,
+        offsets=offsets,
+        layout=said.layout or Layout(),
+        cameras_linked=said.cameras_linked,
+        methods=said.methods,
+        weights={stage: path.parent / file for stage, file in said.weights.items()},
+        params=_params(said.params, path, catalogue),
+        notes=said.notes,
+        comparison=said.comparison or ComparisonSettings(),
+        variant=None if said.variant is None else _parse_session({**said.variant, "variant": None}, path, catalogue),
+        cameras=said.cameras,
+        section=None if said.section is None else SectionLine(begin_mm=said.section[:2], end_mm=said.section[2:]),
     )
 
 
@@ -189,71 +216,18 @@ def _relative(value: Path, folder: Path) -> str:
     return relative if relative.count("..") <= 3 else full
 
 
-def _read_field(data: Mapping[str, Any], name: str, kind: type, path: Path) -> Any:
-    if name not in data:
-        raise FileProblem(f"the session lacks {name}", path, field=name)
-    value = data[name]
-    if not isinstance(value, kind) or (kind is int and isinstance(value, bool)):
-        raise FileProblem(f"{name} must be of type {kind.__name__}, got {value!r}", path, field=name)
-    return value
-
-
-def _path(data: Mapping[str, Any], name: str, path: Path) -> Path | None:
-    if data.get(name) is None:
-        return None
-    return path.parent / str(_read_field(data, name, str, path))
-
-
-def _weights(data: Mapping[str, Any], path: Path) -> Mapping[str, Path]:
-    files = data.get("weights", {})
-    if not isinstance(files, dict) or not all(isinstance(name, str) for name in cast("dict[str, Any]", files).values()):
-        raise FileProblem("weights must map stages to files", path, field="weights")
-    return {stage: path.parent / name for stage, name in cast("dict[str, str]", files).items()}
-
-
-def _notes(data: Mapping[str, Any], path: Path) -> Mapping[int, str]:
-    notes = data.get("notes", {})
-    entries = cast("dict[str, Any]", notes) if isinstance(notes, dict) else {"": None}
-    if not all(frame.isdigit() and isinstance(text, str) for frame, text in entries.items()):
-        raise FileProblem("notes must map frames to texts", path, field="notes")
-    return {int(frame): str(text) for frame, text in entries.items()}
-
-
-def _offsets(data: Mapping[str, Any], path: Path) -> Offsets:
-    try:
-        return parse_offsets(data.get("offsets"))
-    except ValueError as error:
-        raise FileProblem(f"the session's offsets cannot be used ({error})", path, field="offsets") from error
-
-
-def _layout(data: Mapping[str, Any], path: Path) -> Layout:
-    try:
-        return layout_from_plain(data.get("layout"))
-    except ValueError as error:
-        raise FileProblem(f"the session's layout cannot be used ({error})", path, field="layout") from error
-
-
-def _comparison(data: Mapping[str, Any], path: Path) -> ComparisonSettings:
-    try:
-        return comparison_from_plain(data.get("comparison"))
-    except ValueError as error:
-        raise FileProblem(f"the comparison settings cannot be used ({error})", path, field="comparison") from error
-
-
-def _params(data: object, path: Path, catalogue: Catalogue) -> Mapping[str, object]:
-    if not isinstance(data, dict):
-        raise FileProblem("params must map methods to their parameters", path, field="params")
+def _params(data: Mapping[str, Mapping[str, Plain]], path: Path, catalogue: Catalogue) -> Mapping[str, object]:
     defaults: dict[str, object] = {m.key: m.params() for stage in catalogue.stages for m in stage.methods}
     defaults[DISPLAY_KEY] = DisplayParams()
     params: dict[str, object] = {}
-    for key, values in cast("dict[str, Any]", data).items():
-        if key not in defaults or not isinstance(values, dict):
+    for key, values in data.items():
+        if key not in defaults:
             raise FileProblem(f"params.{key} is not a method with parameters", path, field=f"params.{key}")
         params[key] = defaults[key]
-        for name, value in cast("dict[str, Any]", values).items():
+        for name, value in values.items():
             try:
                 params[key] = replace_value(params[key], name, value)
-            except (SettingProblem, TypeError) as error:
+            except SettingProblem as error:
                 where = f"params.{key}.{name}"
                 raise FileProblem(f"{where} cannot be used ({error})", path, field=where) from error
     return params

@@ -6,18 +6,19 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from pipeline.base.text import escape_text
+from pipeline.base.text import escape_text, shorten_text
 
 
 class TouchError(Exception):
     """Root of all errors that a user can solve; the text is shown without a traceback.
 
-    Control characters from files and names are escaped, so that it stays one sentence on any terminal.
+    Control characters from files and names are escaped, so that it stays one sentence on any terminal; of a long text
+    the start and the end are shown.
     """
 
     def __init__(self, text: str) -> None:
         """One sentence: what, where, what to try."""
-        super().__init__(escape_text(text))
+        super().__init__(shorten_text(escape_text(text)))
 
 
 class FileProblem(TouchError):

@@ -19,6 +19,7 @@ import stat
 import tempfile
 import tomllib
 import uuid
+import zipfile
 from collections.abc import Callable, Collection, Generator, Iterable, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -30,6 +31,7 @@ from pipeline.base.errors import FileProblem
 
 MOST_BYTES = 2 << 30  # of one image or mesh
 MOST_TEXT_BYTES = 16 << 20  # of a description, an alignment or a session, which are a few kB
+_MOST_ARRAY_BYTES = 1 << 30  # of all arrays of an .npz, which is read as a whole
 _MAX_TRIES = 10  # of replacing a folder while other processes do
 
 
@@ -234,9 +236,15 @@ def read_arrays(path: Path, what: str) -> dict[str, NDArray[Any]]:
         with path.open("rb") as file:
             if file.read(6) == b"\x93NUMPY":
                 return {path.stem: np.load(path, allow_pickle=False, mmap_mode="r")}
+            with zipfile.ZipFile(file) as archive:
+                n_bytes = sum(entry.file_size for entry in archive.infolist())
+            if n_bytes > _MOST_ARRAY_BYTES:
+                raise FileProblem(f"cannot read {what} (its arrays unfold to {n_bytes:.3g} bytes)", path)
             file.seek(0)
             opened: Any = np.load(file, allow_pickle=False)
             return {key: opened[key] for key in opened.files}
+    except FileProblem:
+        raise
     except Exception as error:  # zip and zlib errors have no common root
         if any(words in str(error) for words in ("allow_pickle", "Object arrays", "Python objects")):
             raise FileProblem(

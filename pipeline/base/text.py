@@ -5,12 +5,19 @@ from __future__ import annotations
 import re
 import unicodedata
 
+MOST_LETTERS = 500  # of a sentence; a file may hold texts of any length
+
 
 def escape_text(text: str) -> str:
     r"""Return `text` on one line: control and direction marks and undecodable bytes become escapes such as `\x1b`."""
     if text.isprintable():
         return text
     return "".join(c if c.isprintable() or unicodedata.category(c) == "Zs" else _escape_character(c) for c in text)
+
+
+def shorten_text(text: str, most: int = MOST_LETTERS) -> str:
+    """Return the start and the end of a text with more than `most` letters."""
+    return text if len(text) <= most else f"{text[: most * 2 // 3]}…{text[-(most // 3) :]}"
 
 
 def hint_decimal_comma(text: str) -> str:

@@ -55,11 +55,13 @@ def load(path: Path) -> Calibration:
     """The calibration in a file; raises FileProblem with the field that is missing or damaged."""
     fields = read_arrays(path, "the calibration")
     try:
+        if any(array.dtype.kind not in "biufU" for array in fields.values()):
+            raise CalibrationError("it holds arrays that are neither numbers nor texts")
         return _decode(fields)
     except KeyError as error:
         field = str(error.args[0])
         raise FileProblem(f"the calibration lacks {field!r}; calibrate again", path, field=field) from error
-    except (CalibrationError, ValueError, TypeError) as error:
+    except (CalibrationError, ValueError, TypeError, ArithmeticError) as error:
         raise FileProblem(f"the calibration is damaged ({error}); calibrate again", path) from error
 
 

@@ -29,6 +29,7 @@ NETWORK_CLASSES: dict[str, str] = {  # kind -> module:class; importing a module 
 }
 ONNX_KINDS = frozenset({"compact_unet", "gel_depth"})  # answered by OpenCV, without torch
 _MAX_BYTES = 2 << 30  # of cached networks; the largest takes 1.3 GB
+_MOST_COUNT = 1024  # of channels, levels, steps or pixels that a small network may state
 _loaded_networks: Memo[str, nn.Module] = Memo(
     4, most_bytes=_MAX_BYTES, weigh=lambda net: sum(p.numel() * p.element_size() for p in net.parameters())
 )
@@ -42,7 +43,7 @@ def build_network(kind: str, config: Mapping[str, Value]) -> nn.Module:
     module, _, name = NETWORK_CLASSES[kind].partition(":")
     try:
         return getattr(importlib.import_module(module), name)(**config)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, LookupError, ArithmeticError, RuntimeError) as error:
         raise ModelMissing(f"cannot build network {kind!r}: {error}") from error
 
 
@@ -98,7 +99,11 @@ def _build_with_weights(weights: Weights) -> nn.Module:
     from pipeline.networks.uninitialised import WithoutInitialisation
 
     with WithoutInitialisation():
-        net = build_network(weights.kind, weights.config)
+        shapes = [side for tensor in weights.tensors.values() for side in tensor.shape]
+    most = max(_MOST_COUNT, len(weights.tensors), *shapes)
+    if any(abs(value) > most for value in weights.config.values() if isinstance(value, (int, float))):
+        raise ModelMissing(f"the weights {weights.name!r} state a network that their tensors cannot fill")
+    net = build_network(weights.kind, weights.config)
     expected: dict[str, Any] = net.state_dict()
     mismatched = expected.keys() ^ weights.tensors.keys()
     mismatched |= {

@@ -9,9 +9,11 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, cast
+from typing import Annotated, Any, cast
 
+import msgspec
 import numpy as np
+from msgspec import Meta
 from numpy.typing import NDArray
 
 from pipeline.base.arrays import Floats, freeze
@@ -19,6 +21,7 @@ from pipeline.base.errors import FileProblem
 from pipeline.base.files import open_atomic, read_bytes, require_file, write_text
 from pipeline.base.params import Value
 from pipeline.base.torch_archive import SIGNATURE
+from pipeline.base.typed_data import Name, Plain, convert
 from pipeline.engine.digests import UNDIGESTED, compute_digest
 
 SUFFIX = ".safetensors"
@@ -64,6 +67,14 @@ class Weights:
         return sum(tensor.size for tensor in self.tensors.values())
 
 
+class _Header(msgspec.Struct):
+    """Header of a file of weights."""
+
+    kind: Name
+    config: dict[Name, Plain]
+    card: dict[Name, Annotated[str, Meta(max_length=1_000_000)]]
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NoWeights:
     """Input of a method that has no usable weights."""
@@ -79,15 +90,11 @@ def load_weights(path: Path) -> Weights:
     if not is_tactoscope_file(metadata):
         raise FileProblem("these weights do not name their network; use a file written by Tactoscope", path)
     try:
-        config, card = (cast("dict[str, Any]", json.loads(metadata[key])) for key in ("config", "card"))
-        kind = metadata["kind"]
-        plain = all(isinstance(value, (bool, int, float, str)) for value in config.values())
-    except (KeyError, ValueError, AttributeError) as error:
+        said = {**metadata, **{key: json.loads(metadata.get(key, "null")) for key in ("config", "card")}}
+    except (ValueError, RecursionError) as error:
         raise FileProblem(f"{_WHAT} are damaged: their header cannot be read", path) from error
-    if not plain:
-        raise FileProblem(f"{_WHAT} are damaged: their header holds values that are not plain settings", path)
-    card = {str(key): str(value) for key, value in card.items()}
-    return Weights(name=path.stem, kind=kind, config=config, tensors=tensors, onnx=onnx, card=card)
+    header = convert(said, _Header, _WHAT, path)
+    return Weights(name=path.stem, kind=header.kind, config=header.config, tensors=tensors, onnx=onnx, card=header.card)
 
 
 def is_tactoscope_file(metadata: Mapping[str, str]) -> bool:

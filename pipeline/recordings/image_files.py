@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pipeline.base.arrays import Image, freeze
 from pipeline.base.errors import FileProblem
 from pipeline.base.files import read_bytes
+from pipeline.base.native_stderr import silence_native_libraries
 from pipeline.recordings.formats import IMAGE_SUFFIXES
 
 NO_REFERENCE_NOTE = "no reference image was found; name one with --reference"
@@ -48,11 +49,12 @@ def read_raw_pixels(path: Path) -> NDArray[np.generic]:
     if not _is_whole(data):
         raise FileProblem("the image ends too early; it is cut short or still being written", path)
     try:
-        pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION)
+        with silence_native_libraries():
+            pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION)
     except cv2.error:
         pixels = None
     if pixels is None:
-        raise FileProblem("the image cannot be decoded; it is damaged or not an image", path)
+        raise FileProblem("the image cannot be decoded; it is damaged, too large or not an image", path)
     return cast("NDArray[np.generic]", pixels)
 
 

@@ -13,6 +13,8 @@ import numpy as np
 
 from pipeline.base.arrays import Image, freeze
 from pipeline.base.errors import FileProblem
+from pipeline.base.files import require_file
+from pipeline.base.native_stderr import silence_native_libraries
 from pipeline.base.stage_warnings import StageWarning
 from pipeline.base.text import is_utf8_encodable
 from pipeline.recordings import difference_images, image_files
@@ -25,6 +27,7 @@ from pipeline.values.frames import Recording, Stream, TactileFrame
 
 _MAX_CANDIDATES = 16  # frames searched for a reference: seeking in a long video is slow
 _MAX_FRAMES = 10_000_000  # an hour at 2,700 Hz
+_LEAST_FRAME_BYTES = 8  # of one frame in a file: its entry in the index
 
 
 def read(files: RecordingFiles, options: ReadOptions) -> Recording:
@@ -101,16 +104,19 @@ class _Video:
             raise FileProblem("the name of a video must be UTF-8; rename it", path)
         self._cv2: Any = cv2
         self._path, self._lock, self._next = path, threading.Lock(), 0
-        self._capture: Any = cv2.VideoCapture(str(path))
-        self.n_frames = int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT)) if self._capture.isOpened() else 0
-        if not 1 <= self.n_frames <= _MAX_FRAMES:
+        require_file(path, "the video", most_bytes=1 << 50)
+        most_frames = min(_MAX_FRAMES, path.stat().st_size // _LEAST_FRAME_BYTES)
+        with silence_native_libraries():
+            self._capture: Any = cv2.VideoCapture(str(path))
+            self.n_frames = int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT)) if self._capture.isOpened() else 0
+        if not 1 <= self.n_frames <= most_frames:
             self._capture.release()
             raise FileProblem("the video cannot be opened; it is damaged or cannot be decoded", path)
         self.rate_hz = float(self._capture.get(cv2.CAP_PROP_FPS)) or float("nan")
 
     def frame(self, index: int) -> Image:
         """(rows, cols, 3) RGB."""
-        with self._lock:
+        with self._lock, silence_native_libraries():
             if index != self._next:
                 self._capture.set(self._cv2.CAP_PROP_POS_FRAMES, index)
             read, pixels = self._capture.read()

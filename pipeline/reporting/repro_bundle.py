@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -26,7 +27,9 @@ from pipeline import __version__
 from pipeline.base.errors import FileProblem
 from pipeline.base.files import read_arrays, read_json, write_arrays, write_folder, write_json
 from pipeline.base.progress import SILENT, Progress
+from pipeline.base.typed_data import FileName, Name, Note, convert
 from pipeline.engine.graph import StageResult
+from pipeline.recordings.formats import DepthUnit
 from pipeline.recordings.hdf5_writer import RecordingWriter
 from pipeline.reporting.export_request import format_options
 from pipeline.reporting.frame_report import FrameReport
@@ -44,6 +47,30 @@ _VERSION = 1
 _VERSION_KEY = "tactoscope bundle"
 _WORDS = ("source", "target", "stream", "route", "mesh_unit", "depth_unit")
 _FILES = ("recording", "mesh", "calibration", "alignment")
+
+
+class _RequestFile(msgspec.Struct):
+    source: Name
+    target: Name
+    stream: Name
+    route: Name
+    mesh_unit: Name
+    depth_unit: DepthUnit
+    recording: FileName
+    mesh: FileName | None = None
+    calibration: FileName | None = None
+    alignment: FileName | None = None
+    methods: dict[Name, Name] = {}
+    weights: dict[Name, FileName] = {}
+
+
+class _BundleFile(msgspec.Struct):
+    """What is read of `bundle.json`."""
+
+    request: _RequestFile
+    settings: tuple[Name, ...]
+    note: Note = ""
+    metrics: dict[Name, float | None] = {}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -114,13 +141,13 @@ def write_bundle(
 def replay_bundle(folder: Path, progress: Progress = SILENT) -> ReplayResult:
     """Translate a bundle's frame again and compare it with the recorded results; raises TouchError."""
     said = _read(folder)
-    request = _request(said, folder)
-    frame, results, metrics = _translate(request, tuple(map(str, said["settings"])), None, progress)
+    request = _request(said.request, folder)
+    frame, results, metrics = _translate(request, said.settings, None, progress)
     now, kept = collect_stage_arrays(frame, results), read_arrays(folder / "expected.npz", "the expected results")
     stages = dict.fromkeys(name.partition(".")[0] for name in (*kept, *now))
     return ReplayResult(
-        note=str(said.get("note", "")), metrics=metrics,
-        expected_metrics={k: float("nan") if v is None else float(v) for k, v in said.get("metrics", {}).items()},
+        note=said.note, metrics=metrics,
+        expected_metrics={k: float("nan") if v is None else v for k, v in said.metrics.items()},
         agreements=tuple(_agreement(stage, now, kept) for stage in stages),
     )  # fmt: skip
 
@@ -216,7 +243,7 @@ def _gap(now: NDArray[Any] | None, kept: NDArray[Any] | None) -> float:
     return float(np.nanmax(np.abs(now.astype(np.float64) - kept))) / spread
 
 
-def _read(folder: Path) -> dict[str, Any]:
+def _read(folder: Path) -> _BundleFile:
     path = folder / "bundle.json"
     said: object = read_json(path, "the repro bundle")
     known = cast("dict[str, Any]", said) if isinstance(said, dict) else {}
@@ -224,21 +251,20 @@ def _read(folder: Path) -> dict[str, Any]:
         raise FileProblem("this folder holds no repro bundle; `tactoscope bundle` writes one", folder)
     if known[_VERSION_KEY] != _VERSION:
         raise FileProblem(f"the repro bundle has version {known[_VERSION_KEY]!r}, this program reads {_VERSION}", path)
-    if not isinstance(known.get("request"), dict) or not isinstance(known.get("settings"), list):
-        raise FileProblem("the repro bundle lacks its request or its settings", path, field="request")
-    return known
+    return convert(known, _BundleFile, "the repro bundle", path)
 
 
-def _request(said: Mapping[str, Any], folder: Path) -> Request:
-    asked = cast("dict[str, Any]", said["request"])
-    words = {name: str(asked.get(name, "")) for name in _WORDS}
+def _request(asked: _RequestFile, folder: Path) -> Request:
+    def inside(name: str) -> Path:
+        return folder / Path(name).name
+
+    words = {name: getattr(asked, name) for name in _WORDS}
     for side in ("source", "target"):
         if words[side].endswith(".toml"):
-            words[side] = str(folder / Path(words[side]).name)
-    files = {name: None if asked.get(name) is None else folder / Path(str(asked[name])).name for name in _FILES}
-    methods = tuple((str(stage), str(name)) for stage, name in dict(asked.get("methods", {})).items())
-    weights = tuple((str(stage), folder / Path(str(f)).name) for stage, f in dict(asked.get("weights", {})).items())
-    return Request(**cast("Any", files), **cast("Any", words), methods=methods, weights=weights)
+            words[side] = str(inside(words[side]))
+    files = {name: None if getattr(asked, name) is None else inside(getattr(asked, name)) for name in _FILES}
+    weights = tuple((stage, inside(name)) for stage, name in asked.weights.items())
+    return Request(**cast("Any", files), **cast("Any", words), methods=tuple(asked.methods.items()), weights=weights)
 
 
 def _name(path: Path | None) -> str | None:

@@ -98,5 +98,5 @@ def open_window(qtbot) -> Iterator[Callable[..., SessionController]]:
 def bubble_window(open_window, touch_file) -> SessionController:
     """A window on frame 2 of the recording, through all stages."""
     controller = open_window(touch_file, target="gelslim", frame=2)
-    assert wait_until_shown(controller, 60), controller.window.banner.text
+    assert wait_until_shown(controller, 240), controller.window.banner.text
     return controller

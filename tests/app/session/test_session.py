@@ -62,7 +62,7 @@ def test_paths_are_relative_to_the_session_file(tmp_path):
         ({"comparison": {"tab": "sideways"}}, "comparison"),
         ({"comparison": {"seeds": "three"}}, "comparison"),
         ({"cameras": {"depth": [1.0, 2.0]}}, "cameras"),
-        ({"variant": {"tactoscope session": 3}}, "source"),
+        ({"variant": {"tactoscope session": 3}}, "frame"),
         ({"frame": -1}, "frame"),
         ({"route": "sideways"}, "route"),
         ({"target": 4}, "target"),
@@ -129,5 +129,5 @@ def test_the_depth_unit_is_saved_and_an_unknown_one_is_refused(tmp_path):
     save_session(Session(target="gelslim", depth_unit="0.1mm"), path)
     assert load_session(path).depth_unit == "0.1mm"
     path.write_text(path.read_text().replace("0.1mm", "inch"))
-    with pytest.raises(FileProblem, match="depth_unit must be one of"):
+    with pytest.raises(FileProblem, match="depth_unit: Invalid"):
         load_session(path)

@@ -7,12 +7,14 @@ import json
 import pytest
 
 from app.session.arrangement_file import ARRANGEMENTS_FILE
-from app.session.layout import Arrangement, Layout, from_plain
+from app.session.layout import Arrangement, Layout
 from app.session.preferences import Preferences
 from app.session.state import Session, load_session, save_session
 from app.window import dialogs
 from app.window.arrangements import ArrangementController
 from app.window.tour import wait_until_shown
+from pipeline.base.errors import FileProblem
+from pipeline.base.typed_data import convert
 
 LIMIT_S = 240
 
@@ -118,5 +120,5 @@ def test_a_session_stores_its_arrangement(tmp_path):
     save_session(Session(layout=layout), tmp_path / "a.touch.json")
     assert load_session(tmp_path / "a.touch.json").layout == layout
     for wrong in ({"name": ""}, {"name": "a", "dock_state": 3}, {"name": "a", "splitter_sizes_px": {"x": ["y"]}}, 5):
-        with pytest.raises(ValueError, match=r"arrangement|splitter_sizes_px"):
-            from_plain({**Layout().plain, "arrangement": wrong})
+        with pytest.raises(FileProblem, match=r"the layout cannot be used \(arrangement"):
+            convert({"arrangement": wrong}, Layout, "the layout", tmp_path)

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from PyQt6.QtCore import QSize, Qt
 
-from app.session.layout import Layout, from_plain
+from app.session.layout import Layout
 from app.session.sample import SAMPLE_RECORDING
 from app.session.state import load_session
 from app.window.tour import wait_until_shown
+from pipeline.base.errors import FileProblem
+from pipeline.base.typed_data import convert
 from widgets.pane_splitter import PaneSplitter
 
 LIMIT_S = 240
@@ -150,14 +154,14 @@ def test_a_session_stores_the_layout(window, open_window, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("data", "fact"),
+    ("data", "field"),
     [({"name": "mine", "panes": []}, "name"), ({"name": "inspect", "panes": [["depth", "4D"]]}, "panes"),
-     ({"name": "inspect", "panes": []}, "one to"), ([], "name")],
+     ({"name": "inspect", "panes": []}, "panes"), ({"name": "stages", "panes": "depth"}, "panes")],
 )  # fmt: skip
-def test_an_invalid_layout_names_the_key(data, fact):
-    with pytest.raises(ValueError, match=fact):
-        from_plain(data)
-    assert from_plain(None) == Layout()
+def test_an_invalid_layout_names_the_key(data, field):
+    with pytest.raises(FileProblem, match=rf"the layout cannot be used \({field}") as caught:
+        convert(data, Layout, "the layout", Path("a"))
+    assert caught.value.field == field
 
 
 def test_a_stage_outside_the_route_is_replaced():

@@ -1,0 +1,242 @@
+"""Whatever a file holds: it is read, or refused in one sentence. `--cases 100` draws 2,300."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import shutil
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from app.session.arrangement_file import load_arrangements, save_arrangements
+from app.session.comparison_settings import ComparisonSettings
+from app.session.file_fingerprints import describe_changed_files, fingerprint_files
+from app.session.layout import Arrangement, Layout
+from app.session.state import Session, load_session, save_session
+from pipeline.base.errors import TouchError
+from pipeline.calibration import calibration_file
+from pipeline.networks import network_factory
+from pipeline.networks.weights import Weights, load_weights, save_weights
+from pipeline.previews.display_params import DisplayParams
+from pipeline.recordings import open_recording
+from pipeline.recordings.hdf5_writer import RecordingWriter
+from pipeline.reporting import repro_bundle
+from pipeline.sensors.alignment_files import load_alignment
+from pipeline.sensors.descriptions import find_descriptions
+from pipeline.sensors.spec import load_sensor
+from pipeline.training.recipe import RECIPES_FOLDER, load_recipe
+from pipeline.translation.cross_section import SectionLine
+from pipeline.values.frames import TactileFrame
+from tests.stability.hostile import spoil_bytes, spoil_value, to_toml
+from tests.stability.rows import cases
+
+ROOT = Path(__file__).parents[2]
+ALIGNMENT = ROOT / "sample_data" / "alignments" / "digit_to_gelslim.toml"
+LONGEST_SENTENCE = 600  # letters, and the path
+
+
+def try_all(read: Callable[[], object], make: Callable[[np.random.Generator], None], share: float) -> None:
+    """Read as many spoilt files as the size asks for: each is read or refused in a short sentence."""
+    for seed in range(cases(share)):
+        rng = np.random.default_rng(seed)
+        make(rng)
+        try:
+            read()
+        except TouchError as error:
+            sentence = str(error)
+        except Exception as error:
+            raise AssertionError(f"seed {seed}: {type(error).__name__}: {error}") from error
+        else:
+            sentence = ""
+        assert len(sentence) < LONGEST_SENTENCE, (seed, sentence[:300])
+
+
+def rich_session(folder: Path) -> Session:
+    """A session with something in every field."""
+    recording = folder / "a.h5"
+    shutil.copyfile(ROOT / "sample_data" / "recordings" / "no_contact.h5", recording)
+    one = Session(
+        recording=recording, source="digit", target="gelslim", reference=recording, alignment=ALIGNMENT,
+        methods={"target_depth": "paper"}, weights={"touch": folder / "w.safetensors"}, params={"display": DisplayParams()},
+        layout=Layout(arrangement=Arrangement("mine", dock_state="AAAA", splitter_sizes_px={"split_a": (1, 2)})),
+        notes={1: "slipped"}, comparison=ComparisonSettings(seeds=4), cameras={"depth": (1.0,) * 10},
+        section=SectionLine(begin_mm=(0.0, 0.0), end_mm=(1.0, 1.0)),
+    )  # fmt: skip
+    return dataclasses.replace(one, variant=dataclasses.replace(one, frame=2))
+
+
+def test_sessions(tmp_path):
+    path = tmp_path / "a.touch.json"
+    session = rich_session(tmp_path)
+    save_session(session, path, fingerprint_files(session))
+    content = path.read_bytes()
+    plain = json.loads(content)
+
+    def make(rng: np.random.Generator) -> None:
+        path.write_bytes(
+            spoil_bytes(content, rng) if rng.random() < 0.2 else json.dumps(spoil_value(plain, rng)).encode()
+        )
+
+    def read() -> None:
+        describe_changed_files(path, load_session(path))
+
+    try_all(read, make, 4.0)
+
+
+def test_arrangements(tmp_path):
+    path = tmp_path / "arrangements.json"
+    save_arrangements(path, [rich_session(tmp_path).layout])
+    plain = json.loads(path.read_text())
+    try_all(
+        lambda: load_arrangements(path), lambda rng: path.write_text(json.dumps(spoil_value(plain, rng))) and None, 2.0
+    )
+
+
+def test_repro_bundles(tmp_path, monkeypatch):
+    folder = tmp_path / "bundle"
+    folder.mkdir()
+    shutil.copyfile(ROOT / "sample_data" / "recordings" / "no_contact.h5", folder / "frame.h5")
+    arrays = {"depth.indentation_mm": np.zeros((3, 4), np.float32), "depth.contact": np.zeros((3, 4), bool)}
+    np.savez(folder / "expected.npz", **arrays)
+    whole = (folder / "expected.npz").read_bytes()
+    plain = {
+        "tactoscope bundle": 1, "note": "it slips", "frame": 0, "settings": ["cloud.stride=2"], "metrics": {"depth.rmse_mm": 0.1},
+        "request": {"source": "digit", "target": "gelslim", "stream": "", "route": "t2d2", "mesh_unit": "auto",
+                    "depth_unit": "auto", "recording": "frame.h5", "mesh": None, "calibration": None, "alignment": None,
+                    "methods": {"target_depth": "paper"}, "weights": {"touch": "w.safetensors"}},
+    }  # fmt: skip
+    monkeypatch.setattr(repro_bundle, "collect_stage_arrays", lambda *_: arrays)
+
+    def opened(request: Any, settings: tuple[str, ...], *_: object) -> tuple[None, dict[str, Any], dict[str, float]]:
+        from pipeline.translation.catalogue import with_settings
+        from pipeline.translation.translate import open_translation
+
+        translation = open_translation(request)
+        with_settings(translation.methods, settings)
+        translation.close()
+        return None, {}, {}
+
+    monkeypatch.setattr(repro_bundle, "_translate", opened)
+
+    def make(rng: np.random.Generator) -> None:
+        (folder / "bundle.json").write_text(json.dumps(spoil_value(plain, rng) if rng.random() < 0.8 else plain))
+        (folder / "expected.npz").write_bytes(whole if rng.random() < 0.7 else spoil_bytes(whole, rng))
+
+    try_all(lambda: repro_bundle.replay_bundle(folder), make, 2.0)
+
+
+@pytest.mark.filterwarnings("ignore:Initializing zero-element tensors")
+def test_weights(tmp_path):
+    path = tmp_path / "w.safetensors"
+    config = {"inputs": 4, "outputs": 2, "base_channels": 8, "levels": 2}
+    network = network_factory.build_network("compact_unet", config)
+    tensors = {name: tensor.numpy() for name, tensor in network.state_dict().items()}
+    save_weights(
+        path, Weights(name="w", kind="compact_unet", config=config, tensors=tensors, card={"data": "simulated"})
+    )
+    content = path.read_bytes()
+    length = int.from_bytes(content[:8], "little")
+    header = json.loads(content[8 : 8 + length])
+    header["__metadata__"] |= {key: json.loads(header["__metadata__"][key]) for key in ("config", "card")}
+
+    def make(rng: np.random.Generator) -> None:
+        if rng.random() < 0.3:
+            path.write_bytes(spoil_bytes(content, rng, head=length + 8))
+            return
+        spoilt = {**header, "__metadata__": spoil_value(header["__metadata__"], rng)}
+        texts = spoilt["__metadata__"]
+        spoilt["__metadata__"] = {k: v if isinstance(v, str) else json.dumps(v) for k, v in texts.items()}
+        text = json.dumps(spoilt).encode()
+        path.write_bytes(len(text).to_bytes(8, "little") + text + content[8 + length :])
+
+    try_all(lambda: network_factory.load_network(load_weights(path)), make, 1.0)
+
+
+@pytest.mark.parametrize("kind", ["sensor", "alignment", "recipe"])
+def test_descriptions(tmp_path, kind):
+    source = {"sensor": find_descriptions()["digit"], "alignment": ALIGNMENT, "recipe": RECIPES_FOLDER / "bubble.toml"}
+    read = {"sensor": lambda p: load_sensor(str(p)), "recipe": lambda p: load_recipe(str(p)),
+            "alignment": lambda p: load_alignment(p, source="digit", target="gelslim")}  # fmt: skip
+    path, content = tmp_path / "a.toml", source[kind].read_bytes()
+    plain = tomllib.loads(content.decode())
+
+    def make(rng: np.random.Generator) -> None:
+        text = spoil_bytes(content, rng) if rng.random() < 0.2 else to_toml(spoil_value(plain, rng)).encode()
+        path.write_bytes(text)
+
+    try_all(lambda: read[kind](path), make, 2.0)
+
+
+def test_calibrations(tmp_path, monkeypatch):
+    whole, path = tmp_path / "whole.npz", tmp_path / "a.npz"
+    calibration_file.save(_calibration(), whole)
+    with np.load(whole) as opened:
+        arrays = {key: opened[key] for key in opened.files}
+    junk = (
+        np.float64("nan"), np.int64(-1), np.int64(2**62), "a text", np.zeros(0), np.zeros((2, 0, 3)), np.zeros(5, complex), True,
+        np.full((3, 3), np.inf), np.zeros(2, "M8[s]"), np.zeros((4, 4, 4), np.uint8), np.arange(3.0), np.zeros(1, [("a", "f4")]),
+    )  # fmt: skip
+
+    def make(rng: np.random.Generator) -> None:
+        if rng.random() < 0.3:
+            path.write_bytes(spoil_bytes(whole.read_bytes(), rng))
+            return
+        key = sorted(arrays)[int(rng.integers(len(arrays)))]
+        np.savez(path, **{**arrays, key: junk[int(rng.integers(len(junk)))]})
+
+    try_all(lambda: calibration_file.load(path), make, 2.0)
+
+
+def _calibration() -> Any:
+    from pipeline.calibration import slope_model
+    from pipeline.calibration.calibration_table import Calibration
+
+    exponents = len(slope_model.list_exponents(2))
+    model = slope_model.SlopeModel(
+        colour_degree=2, position_degree=0, coefficients=np.zeros((1, 1, exponents, 2), np.float32), slope_max=1.0
+    )
+    return Calibration(
+        sensor="digit", rows=240, cols=320, pixel_mm=0.1, model=model, residual=0.1, origin="balls", presses=()
+    )
+
+
+@pytest.mark.parametrize("suffix", [".h5", ".png", ".avi", ".npy", ".npz", ".tiff"])
+def test_headers(tmp_path, suffix, capfd):
+    path = tmp_path / f"a{suffix}"
+    image = np.random.default_rng(1).integers(0, 255, (24, 32, 3), dtype=np.uint8)
+    depth = np.full((3, 24, 32), 40.0, np.float32)
+    if suffix == ".h5":
+        with RecordingWriter(path) as writer:
+            for index in range(2):
+                frame = TactileFrame(sensor="digit", image=image, reference=image, index=index, time_s=0.1 * index)
+                writer.append("one", frame)
+    elif suffix == ".avi":
+        video = cv2.VideoWriter(os.fspath(path), cv2.VideoWriter.fourcc(*"MJPG"), 10, (32, 24))
+        for _ in range(3):
+            video.write(image)
+        video.release()
+    elif suffix in (".npy", ".npz"):
+        (np.save if suffix == ".npy" else np.savez)(path, depth)
+    else:
+        cv2.imwrite(os.fspath(path), image)
+    content = path.read_bytes()
+
+    def read() -> None:
+        recording = open_recording(path)
+        try:
+            stream = recording.streams[0]
+            for index in range(min(3, stream.n_frames)):
+                stream.frame(index)
+                stream.truth(index)
+        finally:
+            recording.close()
+
+    try_all(read, lambda rng: path.write_bytes(spoil_bytes(content, rng, head=4096)) and None, 1.0)
+    assert capfd.readouterr().err == "", "only this program speaks"
