@@ -15,11 +15,11 @@ from app.window.tour import wait_until_shown
 def test_a_recording_opens_on_a_touched_frame_whatever_comes_first(open_window, touch_file):
     """The sample begins untouched; so does what is opened later."""
     controller = open_window(SAMPLE_RECORDING, frame=AUTO_FRAME)
-    assert wait_until_shown(controller, 60), controller.window.banner.text
+    assert wait_until_shown(controller, 240), controller.window.banner.text
     assert controller.latest_frame.results["depth"].output.contact.any()
     assert controller.window.timeline.frame == controller.session.frame == controller.latest_frame.index > 0
     controller.open_path(touch_file)
-    assert wait_until_shown(controller, 60), controller.window.banner.text
+    assert wait_until_shown(controller, 240), controller.window.banner.text
     assert controller.session.frame == 2  # pressed deepest
     assert controller.latest_frame.results["depth"].output.contact.any()
 

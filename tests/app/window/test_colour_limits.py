@@ -84,7 +84,7 @@ def test_a_pixel_outside_a_smaller_image_is_unpinned(bubble_window):
     controller.probe.toggle_pin("target_depth", 100, 400)
     assert controller.window.columns["target_depth"].view.crosshair == (100, 400)
     controller.change("another target", target="digit")  # 240 pixels wide
-    assert wait_until_shown(controller, 60)
+    assert wait_until_shown(controller, 240)
     assert controller.window.columns["target_depth"].view.crosshair is None
     assert "pinned" not in controller.window.trace.text
 

@@ -15,7 +15,7 @@ LIMIT_MS = 240_000
 @pytest.fixture
 def window(open_window, qtbot):
     controller = open_window(SAMPLE_RECORDING, source="gelslim", target="soft_bubble", frame=5)
-    assert wait_until_shown(controller, 60), controller.window.banner.text
+    assert wait_until_shown(controller, 240), controller.window.banner.text
     return controller
 
 

@@ -22,7 +22,7 @@ _UP, _DOWN = Qt.SortOrder.AscendingOrder, Qt.SortOrder.DescendingOrder
 @pytest.fixture
 def window(open_window):
     controller = open_window(SAMPLE_RECORDING, source="digit", target="gelslim", frame=5)
-    assert wait_until_shown(controller, 60), controller.window.banner.text
+    assert wait_until_shown(controller, 240), controller.window.banner.text
     return controller
 
 
@@ -45,12 +45,12 @@ def test_every_frame_with_truth_is_ranked_and_one_key_shows_the_worst(window, qt
     window.window.actions_by_name["worst_frame"].trigger()
     assert window.session.frame == ranked[0]
     window.choose_frame(0)  # untouched: it has no error, so the worst of all comes first
-    assert wait_until_shown(window, 60)
+    assert wait_until_shown(window, 240)
     window.window.actions_by_name["worse_frame"].trigger()
     assert window.session.frame == ranked[0]
     window.window.actions_by_name["better_frame"].trigger()
     assert window.session.frame == ranked[1]
-    assert wait_until_shown(window, 60)
+    assert wait_until_shown(window, 240)
     assert window.latest_frame.index == ranked[1]
 
 

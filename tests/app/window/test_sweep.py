@@ -31,7 +31,7 @@ def swept(bubble_window, qtbot):
     """A sweep of cloud density and largest triangle jump, two values each."""
     instrument = bubble_window
     instrument.window.actions_by_name["layout_sweep"].trigger()
-    assert wait_until_shown(instrument, 60)
+    assert wait_until_shown(instrument, 240)
     page = instrument.window.comparison.sweep
     for which, (words, values) in enumerate((("cloud.stride", "1, 4"), ("target_depth.jump_mm", "1, 2"))):
         page.axes[which].setCurrentText(words)
