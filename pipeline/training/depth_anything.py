@@ -1,4 +1,10 @@
-"""Task: Depth Anything V2 for one sensor, trained as in the paper: SiLog of the depth, cross entropy of the contact."""
+"""Task: Depth Anything V2 for one sensor, trained as in the paper: SiLog of the depth, cross entropy of the contact.
+
+With `answer` "metric", SiLog is of the indentation, image by image and in contact: small differences count. "distance"
+is that of the lab's fork (MMintLab/depth_anything_v2): of the distance from the camera over all pixels, with one mean
+for the whole batch. It still differs from the fork in a small constant under the root, which keeps the gradient
+finite, and in truth from simulated membranes.
+"""
 
 from __future__ import annotations
 
@@ -9,11 +15,13 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from pipeline.base.arrays import Floats, Image, Mask
+from pipeline.base.errors import SettingProblem
 from pipeline.base.params import setting
 from pipeline.networks.depth_anything_input import prepare_image, resize_to_patches
-from pipeline.sensors.spec import load_sensor
+from pipeline.sensors.spec import SensorSpec, load_sensor
 from pipeline.simulation import poses, shapes, variation
 from pipeline.simulation.press import render_sensor_image, simulate_press
+from pipeline.training.distributed import unwrap_network
 from pipeline.training.recorded_pairs import RecordedPair
 from pipeline.training.recorded_touches import LabelledTouch, derive_contact
 
@@ -23,6 +31,7 @@ if TYPE_CHECKING:
     from pipeline.training.task import Example, Split
 
 ImageContent = Literal["image", "difference"]
+Answer = Literal["metric", "distance"]
 _OFFSET_MM = 0.1  # added to the indentation before the logarithm, which bounds it at zero
 _SILOG_SHARE = 0.5  # of the squared mean that does not count, as in the paper
 _SILOG_EPS = 1e-8  # under the root: the gradient of a perfect prediction is zero instead of NaN
@@ -36,7 +45,10 @@ class DepthAnythingTask:
     side: int = setting(140, "Shorter side", unit="px", low=28, high=1400, step=14)
     image_content: ImageContent = setting("image", "Image content", choices=ImageContent)
     largest_mm: float = setting(
-        2.0, "Largest indentation", unit="mm", low=0.01, high=100.0, help="that the network's output 1 stands for"
+        2.0, "Largest depth", unit="mm", low=0.01, high=1000.0, help="that the network's output 1 stands for"
+    )
+    answer: Answer = setting(
+        "metric", "Answer", choices=Answer, help="must equal `answer` of the network; distance in the lab's fork"
     )
     vary: float = setting(1.0, "Sensor variation", low=0.0, high=variation.MAX_STRENGTH)
     silog_weight: float = setting(1.0, "SiLog weight", low=0.0, high=100.0)
@@ -51,7 +63,7 @@ class DepthAnythingTask:
         """A touch that the user recorded."""
         reference = known.frame.reference
         assert reference is not None
-        return self._make_example(known.frame.image, reference, known.indentation_mm, known.contact)
+        return self._make_example(known.source, known.frame.image, reference, known.indentation_mm, known.contact)
 
     @property
     def pair_sensors(self) -> tuple[str, str]:
@@ -65,7 +77,7 @@ class DepthAnythingTask:
             return None
         reference = pair.source.render_reference() if frame.reference is None else frame.reference
         contact = derive_contact(truth, pair.source)
-        return self._make_example(frame.image, reference, np.nan_to_num(truth.indentation_mm), contact)
+        return self._make_example(pair.source, frame.image, reference, np.nan_to_num(truth.indentation_mm), contact)
 
     def make_pair_example(self, prepared: Example, rng: np.random.Generator, *, is_validation: bool) -> Example:  # noqa: ARG002 - deterministic
         """The example of a recorded touch."""
@@ -83,30 +95,41 @@ class DepthAnythingTask:
         press = simulate_press(mesh, poses.make_paper_grid(mesh, n=1, seed=seeds[1])[0], sensor, seed=seeds[2])
         flat = np.zeros(sensor.camera.shape, np.float32)
         reference = render_sensor_image(sensor, flat, sensor.rest_depth_mm, seeds[3])
-        return self._make_example(press.image, reference, press.indentation_mm, press.contact)
+        return self._make_example(sensor, press.image, reference, press.indentation_mm, press.contact)
 
     def _make_example(
-        self, image: Image | Floats, reference: Image | Floats, indentation_mm: Floats, contact: Mask
+        self,
+        sensor: SensorSpec,
+        image: Image | Floats,
+        reference: Image | Floats,
+        indentation_mm: Floats,
+        contact: Mask,
     ) -> Example:
         shown = prepare_image(image, reference, self.image_content)
+        rest_mm = sensor.rest_depth_mm.astype(np.float32)
         parts: list[Floats] = [
-            resize_to_patches(p, self.side) for p in (shown, indentation_mm, contact.astype(np.float32))
+            resize_to_patches(p, self.side) for p in (shown, indentation_mm, contact.astype(np.float32), rest_mm)
         ]
         return {
             "image": np.ascontiguousarray(parts[0].transpose(2, 0, 1)),
-            "indentation_mm": parts[1], "contact": (parts[2] > 0.5).astype(np.float32),
+            "indentation_mm": parts[1], "contact": (parts[2] > 0.5).astype(np.float32), "rest_mm": parts[3],
         }  # fmt: skip
 
     def compute_loss(self, network: nn.Module, batch: Mapping[str, Tensor]) -> tuple[Tensor, dict[str, Any]]:
-        """SiLog in contact, cross entropy of the contact, and the absolute error in mm."""
+        """SiLog, cross entropy of the contact, and the absolute error in mm."""
+        import torch
         from torch.nn import functional
 
+        if unwrap_network(network).answer != self.answer:
+            raise SettingProblem("answer must be the same in [network] and in [settings]")
         depth, logit = network(batch["image"])
         predicted, truth, contact = self.largest_mm * depth, batch["indentation_mm"], batch["contact"]
+        fields = predicted + _OFFSET_MM, truth + _OFFSET_MM, contact
+        if self.answer == "distance":
+            truth = batch["rest_mm"] - truth
+            fields = tuple(field.flatten(0, 1)[None] for field in (predicted, truth, torch.ones_like(truth)))
         terms: dict[str, Any] = {
-            "silog": compute_silog_loss(
-                predicted + _OFFSET_MM, truth + _OFFSET_MM, contact, share=_SILOG_SHARE, least=_OFFSET_MM / 2
-            ),
+            "silog": compute_silog_loss(*fields, share=_SILOG_SHARE, least=_OFFSET_MM / 2),
             "contact": functional.binary_cross_entropy_with_logits(logit, contact),
             "metric": (predicted - truth).abs().mean(),
         }
@@ -122,7 +145,9 @@ class DepthAnythingTask:
         for example in held_out:
             depth, logit = network(torch.from_numpy(example["image"])[None].to(device))
             predicted, contact = (logit[0] > 0).cpu().numpy(), example["contact"] > 0.5
-            error = np.abs(self.largest_mm * depth[0].cpu().numpy() - example["indentation_mm"])
+            predicted_mm = self.largest_mm * depth[0].cpu().numpy()
+            indentation_mm = example["rest_mm"] - predicted_mm if self.answer == "distance" else predicted_mm
+            error = np.abs(indentation_mm - example["indentation_mm"])
             errors, n_contact = errors + float((error * contact).sum()), n_contact + float(contact.sum())
             both, either = both + float((predicted & contact).sum()), either + float((predicted | contact).sum())
         return {
