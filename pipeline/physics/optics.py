@@ -137,7 +137,7 @@ def _render_light(sensor: SensorSpec, optics: Optics, height_mm: Floats) -> Floa
     render_light(height_mm, *_prepare_scene(sensor), *_make_buffers(cols), light, np.empty((0, 0), np.uint8))
     light = light.reshape(rows, cols, 3)
     if _casts_shadow(optics, height_mm):
-        apply_shadows(light, sensor, height_mm, sensor.pixel_mm)
+        apply_shadows(light, optics, sensor.camera, height_mm, sensor.pixel_mm)
     return light
 
 
@@ -172,12 +172,11 @@ def _casts_shadow(optics: Optics, height_mm: Floats) -> bool:
     return optics.shadow > 0 and float(height_mm.max()) > _NO_SHADOW_MM
 
 
-def apply_shadows(light: Floats, sensor: SensorSpec, height_mm: Floats, pixel_mm: float) -> None:
+def apply_shadows(light: Floats, optics: Optics, camera: Camera, height_mm: Floats, pixel_mm: float) -> None:
     """Darken `light` (rows, cols, 3) in place by the shadows that an indentation casts, LED by LED."""
     from pipeline.physics.optics_kernels import darken
 
-    optics = require_optics(sensor)
-    leds = pack_leds(optics, sensor.camera)[0][: len(optics.leds)]
+    leds = pack_leds(optics, camera)[0][: len(optics.leds)]
     all_leds = np.maximum(leds[:, 3:].sum(axis=0), 1e-6)
     sinks = np.full(len(leds), math.tan(math.radians(optics.shadow_deg)))
     for led, cover in zip(leds, iterate_led_shadows(height_mm, leds[:, :2], sinks, pixel_mm), strict=True):

@@ -17,7 +17,7 @@ import numpy as np
 
 from pipeline.base.arrays import Doubles, Floats
 from pipeline.calibration import near_led_prior, slope_model
-from pipeline.physics import optics
+from pipeline.physics.optics import apply_shadows, pack_leds, require_optics
 from pipeline.sensors.parts import Led, Optics
 from pipeline.sensors.reference_light import compute_reference_light
 from pipeline.sensors.spec import SensorSpec
@@ -37,7 +37,8 @@ _REFERENCE_BLUR_PX = 3.0  # of the brightness that the gain of near LEDs is comp
 class LedLight:
     """Distant LEDs over one patch."""
 
-    source: SensorSpec  # with the optics that are rendered
+    source: SensorSpec
+    optics: Optics  # that are rendered: fitted, or the source's own
     patch: ImagePatch
     step_rule: StepRule
     gain: Floats  # (rows, cols, 3) of the light over the described one; 1 but for near LEDs
@@ -46,7 +47,7 @@ class LedLight:
     @property
     def blur_px(self) -> float:
         """Standard deviation of the lens blur, in image pixels."""
-        return optics.require_optics(self.source).blur_px
+        return self.optics.blur_px
 
     @property
     def max_depth_mm(self) -> float:
@@ -57,12 +58,12 @@ class LedLight:
         """Render the light of a surface (rows, cols) with these slopes."""
         from pipeline.stages.depth.illumination.illumination_kernels import N_LINES, TILE_PX, render_led_light
 
-        described, camera, patch = optics.require_optics(self.source), self.source.camera, self.patch
+        camera, patch = self.source.camera, self.patch
         size = np.array([camera.cols, camera.rows], np.float32)
-        place = (patch.x_px, patch.y_px, size, *optics.pack_leds(described, camera), np.float32(described.vignette))
+        place = (patch.x_px, patch.y_px, size, *pack_leds(self.optics, camera), np.float32(self.optics.vignette))
         share = np.ones_like(patch.reference)
-        if described.shadow > 0:
-            optics.apply_shadows(share, self.source, np.ascontiguousarray(surface_mm, np.float32), patch.pixel_mm)
+        if self.optics.shadow > 0:
+            apply_shadows(share, self.optics, camera, np.ascontiguousarray(surface_mm, np.float32), patch.pixel_mm)
         out = RenderedChange(*(np.empty_like(patch.change) for _ in range(3)))
         light = tuple(flatten_colours(a) for a in (patch.reference, self.gain, share))
         scratch = np.empty(N_LINES * TILE_PX, np.float32)
@@ -70,11 +71,13 @@ class LedLight:
         return out
 
 
-def make_led_light(source: SensorSpec, patch: ImagePatch, *, trusted: bool, near: bool = False) -> LedLight:
-    """Light of the sensor's optics; `near` scales it by what LEDs close to the gel change of it."""
+def make_led_light(
+    source: SensorSpec, optics: Optics, patch: ImagePatch, *, trusted: bool, near: bool = False
+) -> LedLight:
+    """Light of these optics of a sensor; `near` scales it by what LEDs close to the gel change of it."""
     ones = np.ones_like(patch.reference)
     return LedLight(
-        source=source, patch=patch, step_rule=TRUSTED_STEP if trusted else DESCRIBED_STEP,
+        source=source, optics=optics, patch=patch, step_rule=TRUSTED_STEP if trusted else DESCRIBED_STEP,
         gain=_compute_near_gain(source, patch) if near else ones, confidence=patch.unmarked_share * ones,
     )  # fmt: skip
 
@@ -129,7 +132,7 @@ def _compute_near_gain(source: SensorSpec, patch: ImagePatch) -> Floats:
     width = _REFERENCE_BLUR_PX / patch.downsampling
     here = np.asarray(cv2.GaussianBlur(patch.reference, (0, 0), width), np.float32)
     offset = np.float32(slope_model.OFFSET_GREY)
-    usual = compute_reference_light(source.camera, optics.require_optics(source)).reshape(-1, 3).mean(axis=0)
+    usual = compute_reference_light(source.camera, require_optics(source)).reshape(-1, 3).mean(axis=0)
     table, camera = near_led_prior.compute_gains(source), source.camera
     x = patch.x_px * np.float32((table.shape[1] - 1) / (camera.cols - 1))
     y = patch.y_px * np.float32((table.shape[0] - 1) / (camera.rows - 1))

@@ -7,7 +7,7 @@ light where none does. `docs/illumination.md` says which recordings need which.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -142,8 +142,10 @@ def make_light(illumination: Illumination, patch: ImagePatch, source: SensorSpec
     if illumination.model == "shadow_leds":
         leds = shadow_light.shift_leds(shadow_light.make_described_leds(source), parameters)
         return shadow_light.ShadowLight(source=source, patch=patch, leds=leds)
-    instance = replace(source, optics=get_optics(illumination, source))
-    return led_light.make_led_light(instance, patch, trusted=illumination.is_trusted, near=illumination.model == "near")
+    is_near = illumination.model == "near"
+    return led_light.make_led_light(
+        source, get_optics(illumination, source), patch, trusted=illumination.is_trusted, near=is_near
+    )
 
 
 def correct_surface(
@@ -154,7 +156,7 @@ def correct_surface(
     iterations = CONSTANTS.draft_iterations if draft else CONSTANTS.iterations
     light = make_light(illumination, patch, source)
     if illumination.is_trusted and not draft:
-        plain = led_light.make_led_light(replace(source, optics=get_optics(illumination, source)), patch, trusted=False)
+        plain = led_light.make_led_light(source, get_optics(illumination, source), patch, trusted=False)
         surface_mm, _ = refine_surface(surface_mm, patch, plain, integrate, iterations)
         iterations *= CONSTANTS.trusted_iteration_factor
     return refine_surface(surface_mm, patch, light, integrate, iterations)[0]
