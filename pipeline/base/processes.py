@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
+import sys
 import threading
 from concurrent.futures import ProcessPoolExecutor
 
@@ -25,12 +26,19 @@ def _initialise(nice: int) -> None:
     if nice and hasattr(os, "nice"):
         with contextlib.suppress(OSError):
             os.nice(nice)
-    os.environ["OMP_NUM_THREADS"] = "1"
+    limit_threads()
+
+
+def limit_threads() -> None:
+    """Let the libraries of this process compute on one thread each, so that sums do not depend on the machine."""
+    os.environ["OMP_NUM_THREADS"] = "1"  # read by torch when it is imported
     import cv2
     import numba
 
     cv2.setNumThreads(1)
     numba.set_num_threads(1)
+    if "torch" in sys.modules:
+        sys.modules["torch"].set_num_threads(1)
 
 
 def _end_with_parent() -> None:

@@ -18,8 +18,8 @@ from pipeline.base.errors import SettingProblem
 from pipeline.base.files import prepare_folder, prepare_folder_for, write_json
 from pipeline.base.machine import describe_machine, format_machine
 from pipeline.base.progress import Progress, SubProgress
-from pipeline.cli.interrupts import InterruptibleProgress, interruptible_progress
-from pipeline.cli.terminal import ProgressBar, create_progress_bar, print_line
+from pipeline.cli.interrupts import interruptible_progress
+from pipeline.cli.terminal import InterruptibleBar, ProgressBar, create_progress_bar, print_line
 from pipeline.cli.translation_options import StageSettings, split_list
 from pipeline.evaluation.candidates import BASELINES
 from pipeline.evaluation.held_out import HeldOutOptions
@@ -127,7 +127,7 @@ def evaluate(
     with ExitStack() as stack:
         interrupts, bar = stack.enter_context(interruptible_progress()), stack.enter_context(create_progress_bar())
         job_mapper = stack.enter_context(connect_cluster(scheduler)).map if scheduler else None
-        progress: Progress = _InterruptibleBar(ProgressBar(bar), interrupts)
+        progress: Progress = InterruptibleBar(ProgressBar(bar), interrupts)
         table = evaluate_tables(request, SubProgress(progress, 0.0, 0.5 if swept else 1.0), job_mapper)
         if swept:
             points = sweep_parameters(request, swept, SubProgress(progress, 0.5, 0.5), job_mapper)
@@ -140,18 +140,6 @@ def evaluate(
     for path in draw_sweep_plots(points, plots) if plots is not None and points else ():
         print_line(f"plot written: {path}")
     return 0
-
-
-class _InterruptibleBar:
-    """Progress bar that Ctrl-C ends at the next step."""
-
-    def __init__(self, bar: ProgressBar, interrupts: InterruptibleProgress) -> None:
-        self._bar, self._interrupts = bar, interrupts
-
-    def step(self, fraction: float, text: str) -> None:
-        """Show progress, or raise KeyboardInterrupt."""
-        self._interrupts.step(fraction, text)
-        self._bar.step(fraction, text)
 
 
 def parse_weights(assignments: Sequence[str]) -> dict[str, Path]:

@@ -75,6 +75,12 @@ _COMMANDS = {
         The touches are simulated, the paper's are real: compare difficulty, not quality. A method takes part if it has
         weights for the direction. Baselines are the reference image and the mean of other touches.""",
     ),
+    "task": (
+        "task:task",
+        """Run a closed-loop task on simulated touches: a controller made for one sensor reads another's translation.
+
+        The tasks are peg insertion, cup stacking and marble rolling, as in the paper; a TOML file adds a tool.""",
+    ),
     "simulate": (
         "simulate:simulate",
         """Simulate touches that several sensors record at once, with ground truth, as recordings.

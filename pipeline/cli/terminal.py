@@ -8,13 +8,15 @@ from typing import TYPE_CHECKING
 from pipeline.base.text import escape_text
 
 if TYPE_CHECKING:  # an error sentence is printed without loading rich
-    from rich.progress import Progress
+    from rich.progress import Progress as RichProgress
+
+    from pipeline.base.progress import Progress
 
 
 class ProgressBar:
     """A pipeline progress shown on the terminal."""
 
-    def __init__(self, bar: Progress) -> None:
+    def __init__(self, bar: RichProgress) -> None:
         self._bar, self._task = bar, bar.add_task("", total=1.0)
 
     def step(self, fraction: float, text: str) -> None:
@@ -22,7 +24,19 @@ class ProgressBar:
         self._bar.update(self._task, completed=fraction, description=text)
 
 
-def create_progress_bar() -> Progress:
+class InterruptibleBar:
+    """Progress bar that Ctrl-C ends at the next step."""
+
+    def __init__(self, bar: ProgressBar, interrupts: Progress) -> None:
+        self._bar, self._interrupts = bar, interrupts
+
+    def step(self, fraction: float, text: str) -> None:
+        """Show progress, or raise KeyboardInterrupt."""
+        self._interrupts.step(fraction, text)
+        self._bar.step(fraction, text)
+
+
+def create_progress_bar() -> RichProgress:
     """Progress bar on stderr that disappears when the work is done."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn

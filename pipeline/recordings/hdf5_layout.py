@@ -16,6 +16,7 @@
         symmetry/rotations   (n, 3, 3) rotations about the object's origin that map it onto itself, the identity first
         symmetry/axis        (3,) only where every rotation about it does so; no group `symmetry` = not known
     /pairings/<k>            (4, 4) target_from_source "mm"; source, target
+    /rollout                 only in rollouts of tasks: `pipeline/tasks/rollout_file.py`
 
 Every dataset has the attribute `unit` and a Fletcher-32 checksum per chunk; images are compressed. Lengths may be
 stored as integers: value = integer * `step_mm`, and `nan_code` is "no value". `coding` = "row differences" means that

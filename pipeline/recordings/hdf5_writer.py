@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from types import TracebackType
@@ -153,6 +153,16 @@ class RecordingWriter:
         self._append_truth(group, index, truth)
         if index == 0:
             self._file.flush()  # tables come before the frames, so that a truncated file keeps them
+
+    def write_group(
+        self, name: str, tables: Mapping[str, tuple[NDArray[Any], str]], attributes: Mapping[str, str]
+    ) -> None:
+        """Add a group next to the streams: datasets with their units, and texts as attributes."""
+        self._reserve(sum(values.nbytes for values, _ in tables.values()))
+        group = self._file.create_group(name)
+        group.attrs.update(attributes)
+        for key, (values, unit) in tables.items():
+            _write_dataset(group, key, values, unit)
 
     def _new_stream(self, name: str, frame: TactileFrame) -> Any:
         if "/" in name or name in ("", "."):

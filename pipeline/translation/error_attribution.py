@@ -86,7 +86,7 @@ def attribute_error(
     results, total = evaluate_metric(inputs, SubProgress(progress, 0.0, each))
     if total is None:
         return None
-    steps = tuple(_steps(translation, {name: truths[name] for name in before if name in truths}, results))
+    steps = tuple(list_substitutions(translation, {name: truths[name] for name in before if name in truths}, results))
     parts: list[ErrorShare] = []
     left = total
     for index, (of, title, value) in enumerate(steps, start=1):
@@ -101,10 +101,10 @@ def attribute_error(
     )
 
 
-def _steps(
+def list_substitutions(
     translation: Translation, truths: Mapping[str, object], results: Mapping[str, StageResult]
 ) -> Iterator[tuple[str, str, object]]:
-    """Yield (stage, title, truth) in running order."""
+    """Yield (stage, title, truth) in running order; the target depth first where the source sees it, then whole."""
     for name, value in truths.items():
         made = results[name].output if name in results else None
         if isinstance(value, TargetDepth) and isinstance(made, TargetDepth):

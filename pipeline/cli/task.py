@@ -1,0 +1,121 @@
+"""`tactoscope task`: closed-loop tasks through every touch, as success rates with intervals."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+from rich.console import Console
+from rich.table import Table
+
+from pipeline.base.cluster import connect_cluster
+from pipeline.base.files import prepare_folder, prepare_folder_for, write_json
+from pipeline.base.progress import Progress
+from pipeline.cli.interrupts import interruptible_progress
+from pipeline.cli.terminal import InterruptibleBar, ProgressBar, create_progress_bar, print_line
+from pipeline.cli.translation_options import Flag, split_list
+from pipeline.tasks.catalogue import load_task
+from pipeline.tasks.runner import Summary, make_jobs, run_jobs
+from pipeline.tasks.statistics import compute_wilson_interval
+from pipeline.tasks.task import ManipulationTask
+
+
+def task(
+    name: Annotated[str, Parameter(help="`insertion`, `stack`, `marble`, or a TOML file of a tool for insertion.")],
+    *,
+    trials: int = 0,
+    touch: str = "",
+    case: str = "",
+    tolerance_mm: str = "",
+    seed: int = 0,
+    vary: float = 1.0,
+    attribute: Flag = False,
+    jobs: int = 2,
+    json: Path | None = None,
+    record: Path | None = None,
+    scheduler: str = "",
+) -> int:
+    """Run the trials and print successes with 95 % intervals; the same seed gives the same bytes.
+
+    Parameters
+    ----------
+    trials
+        Trials per case; default: as many as in the paper.
+    touch
+        Touch methods, `true` (the target's own frame) and `none`, comma-separated, such as `t2t,vqvae,true`.
+    case
+        Objects, comma-separated; default: all of the task.
+    tolerance_mm
+        Clearances or tolerances in mm, comma-separated, such as `0.5,1`.
+    seed
+        Seed of starts, sensor instances and noise.
+    vary
+        Variation between sensor instances, 1 = as between real ones.
+    attribute
+        Attribute the error of every failed trial to stages, and run it again with the truth in place of each.
+    jobs
+        Number of processes.
+    json
+        File for every trial with its decisions.
+    record
+        Folder for one recording per rollout; the same command continues an interrupted run.
+    scheduler
+        Address of a Dask scheduler whose workers run the trials, such as `tcp://host:8786`.
+    """
+    planned = make_jobs(
+        name, cases=split_list(case), touches=split_list(touch),
+        tolerances_mm=[_parse_mm(text) for text in split_list(tolerance_mm)], n_trials=trials, seed=seed, vary=vary,
+        attribute=attribute, folder=None if record is None else record.resolve(),
+    )  # fmt: skip
+    if json is not None:
+        prepare_folder_for(json)
+    if record is not None:
+        prepare_folder(record)
+    chosen = load_task(planned[0].plan.task)
+    with ExitStack() as stack:
+        interrupts, bar = stack.enter_context(interruptible_progress()), stack.enter_context(create_progress_bar())
+        progress: Progress = InterruptibleBar(ProgressBar(bar), interrupts)
+        cluster = stack.enter_context(connect_cluster(scheduler)) if scheduler else None
+        if chosen.prepare is not None:
+            chosen.prepare(planned[0].plan, progress)
+        summaries = run_jobs(planned, jobs, cluster, progress)
+    _print_table(chosen, summaries)
+    if json is not None:
+        write_json(json, {"task": chosen.name, "seed": seed, "vary": vary, "rollouts": summaries}, "the rollouts")
+    return 0
+
+
+def _parse_mm(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
+
+
+def _print_table(chosen: ManipulationTask, summaries: Sequence[Summary]) -> None:
+    touches, tolerances, cases = (
+        list(dict.fromkeys(one[key] for one in summaries)) for key in ("touch", "tolerance_mm", "case")
+    )
+    table = Table("case", chosen.tolerance_title, *touches, title=f"{chosen.title}: successes (95 %); the paper's")
+    for case in [*cases, *(["all"] if len(cases) > 1 else [])]:
+        for tolerance in tolerances:
+            cells: list[str] = []
+            for touch in touches:
+                outcomes = [
+                    one["succeeds"]
+                    for one in summaries
+                    if one["touch"] == touch and one["tolerance_mm"] == tolerance and case in (one["case"], "all")
+                ]
+                low, high = compute_wilson_interval(sum(outcomes), len(outcomes))
+                published = chosen.published.get((case, touch), "")
+                cells.append(
+                    f"{sum(outcomes)}/{len(outcomes)} ({low:.0%}-{high:.0%})" + (f"; {published}" if published else "")
+                )
+            table.add_row(case, f"{tolerance:g}", *cells)
+    Console(width=200).print(table)
+    for one in [one for one in summaries if not one["succeeds"] and one["decisions"][0]["shares"]]:
+        print_line(f"{one['case']} {one['trial']} by {one['touch']} at {one['tolerance_mm']:g} mm: {one['cause']}")

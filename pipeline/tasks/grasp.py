@@ -1,0 +1,65 @@
+"""A grasp between two fingers: the frames of all sensors, and the held pose as each touch shows it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.geometry.meshes import Mesh
+from pipeline.sensors.spec import SensorSpec
+from pipeline.tasks.in_hand import FINGERS, PlanarPose, estimate_grasp, press_between_fingers
+from pipeline.tasks.task import TrialPlan
+from pipeline.tasks.touches import NONE, TRUE, Moment, make_pairing, place_sensor
+from pipeline.values.frames import Pairing, TactileFrame, Truth
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Grasp:
+    """A held object with its touches."""
+
+    mesh: Mesh
+    held: PlanarPose  # hand_from_object, the truth
+    moments: tuple[Moment, ...]  # of the left and the right finger
+    target: SensorSpec
+    frames: tuple[tuple[str, TactileFrame, Truth | None], ...]
+    pairings: tuple[Pairing, ...]
+
+    def estimate(self, touch: str, given: Sequence[dict[str, object]] | None = None) -> PlanarPose:
+        """The held pose by a touch; as planned for "none" and where no finger has a usable touch.
+
+        `given` holds values in place of stages, one mapping per finger.
+        """
+        if touch == NONE:
+            return PlanarPose()
+        values = given or [{} for _ in self.moments]
+        maps = [moment.measure_depth(touch, one) for moment, one in zip(self.moments, values, strict=True)]
+        return estimate_grasp(maps, self.mesh, self.target) or PlanarPose()
+
+
+def feel_grasp(
+    plan: TrialPlan, mesh: Mesh, held: PlanarPose, indentation_mm: float, rng: np.random.Generator, *, source: str,
+    target: str,
+) -> Grasp:  # fmt: skip
+    """Record a grasp with the sensors that the plan needs: the target only for truth."""
+    needs_target = plan.attribute or plan.record_frames or TRUE in plan.touches
+    needs_source = plan.record_frames or any(touch not in (TRUE, NONE) for touch in plan.touches)
+    moments: list[Moment] = []
+    frames: list[tuple[str, TactileFrame, Truth | None]] = []
+    pairings: list[Pairing] = []
+    target_spec = None
+    for finger in FINGERS:
+        places = [place_sensor(name, rng, plan.vary) for name in (source, target)]  # the same draws, whoever records
+        pose = press_between_fingers(mesh, held, finger, indentation_mm)
+        used = [place for place, need in zip(places, (needs_source, needs_target), strict=True) if need]
+        recorded = [place.record(mesh, pose, index=0, time_s=0.0) for place in used]
+        frames += [(f"{frame.sensor}_{finger}", frame, truth) for frame, truth in recorded]
+        pairings.append(make_pairing(finger, places[0].nominal, places[1].nominal))
+        target_spec = places[1].nominal
+        moments.append(Moment(mesh, recorded, places[0].nominal, places[1].nominal))
+    assert target_spec is not None
+    return Grasp(
+        mesh=mesh, held=held, moments=tuple(moments), target=target_spec, frames=tuple(frames),
+        pairings=tuple(pairings) if needs_source and needs_target else (),
+    )  # fmt: skip

@@ -1,0 +1,169 @@
+"""Insertion: a tool that two fingers hold in an unknown pose is aligned over its hole and lowered compliantly.
+
+The controller is made for soft bubbles and reads GelSlims through a translation (paper, downstream tasks). Clearance,
+lead-in, force limit and compliance are not in the paper and are chosen here.
+"""
+
+from __future__ import annotations
+
+import math
+import tomllib
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache, lru_cache, partial
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.base.arrays import Doubles
+from pipeline.base.errors import FileProblem
+from pipeline.base.files import read_bytes
+from pipeline.geometry import rigid
+from pipeline.geometry.meshes import Mesh
+from pipeline.simulation import shapes
+from pipeline.simulation.poses import DEPTH_RANGE_MM, sample_press_pose
+from pipeline.simulation.shapes.solids import transform_mesh
+from pipeline.tasks.attribution import correct_estimates, describe_decision, share_error
+from pipeline.tasks.descent import Descent, insert
+from pipeline.tasks.grasp import Grasp, feel_grasp
+from pipeline.tasks.in_hand import PlanarPose, project_to_plane
+from pipeline.tasks.peg import Peg, cut_peg
+from pipeline.tasks.task import Decision, ManipulationTask, Rollout, TrialPlan
+
+SOURCE, TARGET = "gelslim", "soft_bubble"
+LEAD_IN_MM = 0.5  # 45 degree chamfer of the hole
+FORCE_LIMIT_N = 15.0
+TOLERANCES_MM = (0.25, 0.5, 1.0, 2.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Tool:
+    """A tool and its hole; the tool frame has +x along the insertion and z along the fingers' normal."""
+
+    name: str
+    mesh: Mesh
+    depth_mm: float
+    lead_in_mm: float = LEAD_IN_MM
+    force_limit_n: float = FORCE_LIMIT_N
+
+    @property
+    def peg(self) -> Peg:
+        """The part that is inserted."""
+        return cut_peg(self.mesh, self.depth_mm)
+
+
+_TOOLS: dict[str, tuple[Doubles, float]] = {  # tool_from_shape, depth of the hole in mm
+    "hex_key": (rigid.rotation((0.0, 0.0, -0.5 * math.pi)), 8.0),  # the long arm
+    "screwdriver": (rigid.translation(10.0, 0.0, 0.0) @ rigid.rotation((0.0, -0.5 * math.pi, 0.0)), 5.0),
+    "spanner": (rigid.rotation((0.0, 0.0, -math.radians(195.0))), 8.0),  # the handle
+    "pencil": (np.eye(4), 8.0),
+}
+PAPER = {  # of 30; the paper's tools 1 to 3 are others
+    ("hex_key", "t2t"): "18/30", ("screwdriver", "t2t"): "10/30", ("spanner", "t2t"): "15/30",
+    ("pencil", "t2t"): "21/30", ("hex_key", "vqvae"): "9/30", ("screwdriver", "vqvae"): "8/30",
+    ("spanner", "vqvae"): "15/30", ("pencil", "vqvae"): "7/30",
+}  # fmt: skip
+
+
+@lru_cache(maxsize=8)
+def make_tool(case: str) -> Tool:
+    """A tool of the catalogue, or of a TOML file; raises FileProblem for a damaged one."""
+    if case not in _TOOLS:
+        return load_tool(Path(case))
+    tool_from_shape, depth_mm = _TOOLS[case]
+    mesh = transform_mesh(shapes.make_shape(case).mesh, tool_from_shape)
+    return Tool(name=case, mesh=mesh, depth_mm=depth_mm)
+
+
+def load_tool(path: Path) -> Tool:
+    """A user's tool: a TOML file with `mesh`, `depth_mm`, and if need be `mesh_unit`, `face`, `axis_deg` and limits.
+
+    The mesh is laid with `face` to the left finger and turned by `axis_deg` in the fingers' plane, so that its
+    inserted end points to +x. Raises FileProblem.
+    """
+    try:
+        read = tomllib.loads(read_bytes(path, "the task").decode())
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise FileProblem(f"the task is no TOML file ({error})", path) from error
+    known = {"mesh", "depth_mm", "mesh_unit", "face", "axis_deg", "lead_in_mm", "force_limit_n"}
+    for key in {*read} - known:
+        raise FileProblem(f"the task has an unknown key {key!r}; there are {', '.join(sorted(known))}", path, field=key)
+    for key in ("mesh", "depth_mm"):
+        if key not in read:
+            raise FileProblem(f"the task lacks {key!r}", path, field=key)
+    numbers = {"depth_mm": 0.0, "axis_deg": 0.0, "lead_in_mm": LEAD_IN_MM, "force_limit_n": FORCE_LIMIT_N}
+    for key, default in numbers.items():
+        value = read.get(key, default)
+        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+            raise FileProblem(f"{key} must be a number, got {value!r}", path, field=key)
+        numbers[key] = float(value)
+    if numbers["depth_mm"] <= 0.0 or numbers["lead_in_mm"] < 0.0 or numbers["force_limit_n"] <= 0.0:
+        raise FileProblem("depth_mm and force_limit_n must be above 0 and lead_in_mm not below", path)
+    shape = shapes.load_mesh_shape(
+        path.parent / str(read["mesh"]), str(read.get("mesh_unit", "auto")), str(read.get("face", "-z"))
+    )
+    mesh = transform_mesh(shape.mesh, rigid.rotation((0.0, 0.0, math.radians(numbers["axis_deg"]))))
+    tool = Tool(
+        name=path.stem, mesh=mesh, depth_mm=numbers["depth_mm"], lead_in_mm=numbers["lead_in_mm"],
+        force_limit_n=numbers["force_limit_n"],
+    )  # fmt: skip
+    assert tool.peg.depth_mm  # raises MeshProblem now and not in a trial
+    return tool
+
+
+def run(plan: TrialPlan) -> tuple[Rollout, ...]:
+    """One grasp, estimated through every touch, inserted at every clearance."""
+    tool = make_tool(plan.case)
+    rng = np.random.default_rng([plan.seed, zlib.crc32(tool.name.encode()), plan.index])
+    held = project_to_plane(sample_press_pose(tool.mesh, rng, tilt_deg=0.0))
+    grasp = feel_grasp(plan, tool.mesh, held, float(rng.uniform(*DEPTH_RANGE_MM)), rng, source=SOURCE, target=TARGET)
+    return tuple(rollout for touch in plan.touches for rollout in _insert_at_clearances(plan, tool, grasp, touch))
+
+
+def measure_miss_mm(peg: Peg, held: PlanarPose, believed: PlanarPose) -> float:
+    """How far the inserted part lies off the hole's axis in the fingers' plane: the larger of its two ends."""
+    y, z = 0.5 * (peg.points_mm.min(axis=0) + peg.points_mm.max(axis=0))[1:]
+    ends = np.array([(peg.tip_mm, y, z), (peg.tip_mm - peg.depth_mm, y, z)])
+    off = rigid.apply(rigid.invert(believed.matrix) @ held.matrix, ends) - ends
+    return float(np.abs(off[:, 1]).max())
+
+
+def _insert_at_clearances(plan: TrialPlan, tool: Tool, grasp: Grasp, touch: str) -> Iterator[Rollout]:
+    believed = grasp.estimate(touch)
+    error_mm = measure_miss_mm(tool.peg, grasp.held, believed)
+    correct = cache(partial(
+        correct_estimates, grasp.moments, touch, lambda given: grasp.estimate(touch, given), grasp.held
+    ))  # fmt: skip
+    for clearance_mm in plan.tolerances_mm:
+        descent = _lower(tool, grasp.held, clearance_mm, believed)
+        shares = ()
+        if plan.attribute and not descent.succeeds:
+            shares = share_error(error_mm, correct(), partial(_judge, tool, grasp.held, clearance_mm))
+        decision = Decision(
+            tick=0, error_mm=error_mm, estimate=believed.describe(), truth=grasp.held.describe(), shares=shares
+        )
+        yield Rollout(
+            case=tool.name, index=plan.index, touch=touch, tolerance_mm=clearance_mm, succeeds=descent.succeeds,
+            cause=f"{descent.cause}; {describe_decision(decision)}",
+            measures={"depth_mm": descent.depth_mm, "largest_force_n": descent.largest_force_n},
+            decisions=(decision,), ticks=descent.ticks, frames=grasp.frames, pairings=grasp.pairings, mesh=tool.mesh,
+        )  # fmt: skip
+
+
+def _lower(tool: Tool, held: PlanarPose, clearance_mm: float, believed: PlanarPose) -> Descent:
+    return insert(
+        tool.peg, held.matrix, believed.matrix, clearance_mm=clearance_mm, lead_in_mm=tool.lead_in_mm,
+        force_limit_n=tool.force_limit_n,
+    )  # fmt: skip
+
+
+def _judge(tool: Tool, held: PlanarPose, clearance_mm: float, believed: PlanarPose) -> tuple[float, bool]:
+    return measure_miss_mm(tool.peg, held, believed), _lower(tool, held, clearance_mm, believed).succeeds
+
+
+TASK = ManipulationTask(
+    name="insertion", title="Peg insertion", source=SOURCE, target=TARGET, cases=tuple(_TOOLS),
+    touches=("t2t", "vqvae", "true", "none"), tolerances_mm=TOLERANCES_MM, tolerance_title="clearance, mm", n_trials=30,
+    run=run, published=PAPER, load_case=lambda path: load_tool(path).name,
+)  # fmt: skip

@@ -1,0 +1,102 @@
+"""What a task is: trials of cases, each a rollout with decisions and an outcome. All values can be pickled."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from pipeline.base.arrays import Doubles
+from pipeline.base.progress import Progress
+from pipeline.geometry.meshes import Mesh
+from pipeline.values.frames import Pairing, TactileFrame, Truth
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrialPlan:
+    """One trial: the same seed, case and index give the same start, whatever the touch and the tolerance."""
+
+    task: str  # a name of the catalogue, or a TOML file
+    case: str
+    index: int
+    touches: tuple[str, ...]  # touch methods, "true" or "none"
+    tolerances_mm: tuple[float, ...]
+    seed: int
+    vary: float = 0.0  # of sensor instances, as in `tactoscope simulate`
+    attribute: bool = False
+    record_frames: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StageShare:
+    """Decrease of a decision's error when one more stage is replaced by ground truth, and the outcome from there."""
+
+    stage: str
+    title: str
+    share_mm: float
+    remaining_mm: float
+    succeeds: bool  # the rollout, run again from the decision with the truth so far
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Decision:
+    """One decision of the controller against the truth."""
+
+    tick: int  # of the rollout's tables
+    error_mm: float  # the task's own measure of how far off the decision is
+    estimate: Mapping[str, float] = field(default_factory=dict)
+    truth: Mapping[str, float] = field(default_factory=dict)
+    shares: tuple[StageShare, ...] = ()  # add up to `error_mm`; empty = not attributed
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Tick:
+    """One control tick."""
+
+    time_s: float
+    world_from_object: Doubles  # (4, 4) mm
+    world_from_hand: Doubles  # (4, 4) mm, as it is
+    commanded: Doubles  # (4, 4) mm, the hand as commanded
+    force_n: Doubles  # (3,) on the object, world axes
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rollout:
+    """One run of one trial with one touch and one tolerance."""
+
+    case: str
+    index: int
+    touch: str
+    tolerance_mm: float
+    succeeds: bool
+    cause: str  # one sentence
+    measures: Mapping[str, float]
+    decisions: tuple[Decision, ...]
+    ticks: tuple[Tick, ...] = ()
+    frames: tuple[tuple[str, TactileFrame, Truth | None], ...] = ()  # stream, frame, truth; the same index = one moment
+    pairings: tuple[Pairing, ...] = ()
+    mesh: Mesh | None = None
+
+    @property
+    def name(self) -> str:
+        """Usable as the name of a file."""
+        return f"{self.case}_{self.touch}_{self.tolerance_mm:g}mm_{self.index:03d}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ManipulationTask:
+    """A closed-loop task."""
+
+    name: str
+    title: str
+    source: str  # sensor that records
+    target: str  # sensor that the controller is made for
+    cases: tuple[str, ...]
+    touches: tuple[str, ...]  # by default
+    tolerances_mm: tuple[float, ...]  # by default; what is swept
+    tolerance_title: str
+    n_trials: int  # by default, as in the paper
+    run: Callable[[TrialPlan], tuple[Rollout, ...]]  # one rollout for each touch and tolerance, in this order
+    published: Mapping[tuple[str, str], str] = field(default_factory=dict)  # (case, touch) -> the paper's result
+    load_case: Callable[[Path], str] | None = None  # the name of a user's TOML file as a case; raises TouchError
+    prepare: Callable[[TrialPlan, Progress], None] | None = None  # once before the trials, such as training a policy

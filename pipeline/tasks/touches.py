@@ -1,0 +1,158 @@
+"""Touches of a task: what every sensor of a finger records at one moment, and its translation, without a file between.
+
+A finger is a place for a sensor: the source records there, and for truth the target records the same moment. The moment
+is a recording of one frame in memory, so that translation, ground truth and error attribution work as on files.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+
+from pipeline.base.arrays import Doubles
+from pipeline.base.errors import SettingProblem
+from pipeline.engine.cache import Cache
+from pipeline.engine.graph import Graph, StageResult
+from pipeline.geometry.meshes import Mesh
+from pipeline.networks.weights import NoWeights
+from pipeline.sensors.alignment import resolve_alignment
+from pipeline.sensors.spec import SensorSpec, load_sensor
+from pipeline.simulation.datasets import BUBBLE_DEEPER_MM
+from pipeline.simulation.press import move_bubble_closer, render_sensor_image, simulate_press
+from pipeline.simulation.variation import vary_sensor
+from pipeline.translation.catalogue import BUILT_IN
+from pipeline.translation.translate import Request, Translation
+from pipeline.values.frames import Pairing, Recording, Stream, TactileFrame, Truth
+from pipeline.values.results import DepthMap, GeneratedTouch
+
+TRUE, NONE = "true", "none"
+_CACHE_BYTES = 64 << 20  # all stages of a moment, with and without truth in their place
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SensorPlace:
+    """One sensor instance at a finger, and the seed of its noise."""
+
+    nominal: SensorSpec  # as the pipeline knows it
+    instance: SensorSpec  # as it is
+    seed: int
+
+    def record(
+        self, mesh: Mesh, finger_from_object: Doubles, *, index: int, time_s: float
+    ) -> tuple[TactileFrame, Truth | None]:
+        """The frame of the object at this pose in the finger's alignment frame; truth None: not converged."""
+        press = simulate_press(mesh, finger_from_object, self.instance, seed=self.seed + index)
+        frame = TactileFrame(
+            sensor=self.nominal.name, image=press.image, reference=self.render_reference(), index=index, time_s=time_s
+        )
+        return frame, press.truth if press.converged else None
+
+    def render_reference(self) -> np.ndarray:
+        """The reference image of the instance."""
+        flat = np.zeros(self.nominal.camera.shape, np.float32)
+        return cast("np.ndarray", render_sensor_image(self.instance, flat, self.instance.rest_depth_mm, self.seed - 1))
+
+
+def load_placed_sensor(name: str) -> SensorSpec:
+    """The nominal sensor; a bubble as near to the object as in the simulated data sets."""
+    spec = load_sensor(name)
+    return spec if spec.bubble is None else move_bubble_closer(spec, BUBBLE_DEEPER_MM)
+
+
+def place_sensor(name: str, rng: np.random.Generator, vary: float) -> SensorPlace:
+    """An instance of a sensor drawn by `rng`; `vary` as in `vary_sensor`."""
+    instance_seed, noise_seed = (int(seed) for seed in rng.integers(1 << 31, size=2))
+    nominal = load_placed_sensor(name)
+    return SensorPlace(nominal=nominal, instance=vary_sensor(nominal, instance_seed, vary), seed=1 + noise_seed)
+
+
+def check_touch(name: str, source: str, target: str) -> None:
+    """Raise SettingProblem unless `name` is "true", "none" or a touch method that can translate source to target."""
+    if name in (TRUE, NONE):
+        return
+    method = BUILT_IN.method("touch", name)
+    found = None if method.weights is None else method.weights(load_sensor(source), load_placed_sensor(target), None)
+    if isinstance(found, NoWeights):
+        raise SettingProblem(f"--touch {name} cannot translate {source} to {target}: {found.why}")
+
+
+class Moment:
+    """One moment of one finger: the frames at hand, and every translation of them, each computed once."""
+
+    def __init__(
+        self,
+        mesh: Mesh,
+        frames: Sequence[tuple[TactileFrame, Truth | None]],
+        source: SensorSpec,
+        target: SensorSpec,
+    ) -> None:
+        """`frames` holds one of the source, and for truth one of the target, of the same index."""
+        streams = tuple(_make_stream(*pair) for pair in frames)
+        self._recording = Recording(path=Path("moment"), format="moment", streams=streams, object_mesh=mesh)
+        self._source, self._target, self._mesh = source, target, mesh
+        self._graph = Graph((), cache=Cache(_CACHE_BYTES))
+
+    @property
+    def target(self) -> SensorSpec:
+        """The sensor that the task's controller reads."""
+        return self._target
+
+    def open_translation(self, touch: str) -> Translation:
+        """The translation of the source's frame by a touch method; of the target's own frame for "true"."""
+        methods = {} if touch == TRUE else {"touch": touch}
+        route = "t2d2"
+        if touch != TRUE:
+            method = BUILT_IN.method("touch", touch)
+            route = "t2d2" if "target_depth" in method.reads else "t2t"
+            if touch == "vqvae":
+                methods["touch_depth"] = "from_image"
+        source = self._target if touch == TRUE else self._source
+        return Translation(
+            request=Request(
+                recording=self._recording.path, target=self._target.name, route=route, methods=tuple(methods.items())
+            ),
+            recording=self._recording, stream=self._recording.stream(source.name), source=source, target=self._target,
+            alignment=resolve_alignment(source, self._target), calibration=None, mesh=self._mesh,
+        )  # fmt: skip
+
+    def evaluate(
+        self, touch: str, stage: str, given: Mapping[str, object] | None = None
+    ) -> tuple[Translation, dict[str, StageResult]]:
+        """The translation by `touch` and its results up to `stage`, with values `given` in place of stages."""
+        translation = self.open_translation(touch)
+        graph = translation.build_graph(like=self._graph)
+        inputs = {**translation.read_inputs(0), **(given or {})}
+        return translation, graph.evaluate([stage], inputs, {})
+
+    def measure_depth(self, touch: str, given: Mapping[str, object] | None = None) -> DepthMap:
+        """Depth of the touch that the controller gets: the target's own frame for "true", else the generated touch."""
+        stage = "depth" if touch == TRUE else "touch_depth"
+        output = self.evaluate(touch, stage, given)[1][stage].output
+        assert isinstance(output, DepthMap)
+        return output
+
+    def generate_touch(self, touch: str, given: Mapping[str, object] | None = None) -> GeneratedTouch:
+        """The generated touch of the source's frame."""
+        output = self.evaluate(touch, "touch", given)[1]["touch"].output
+        assert isinstance(output, GeneratedTouch)
+        return output
+
+
+def _make_stream(frame: TactileFrame, truth: Truth | None) -> Stream:
+    first = replace(frame, index=0)
+    return Stream(
+        name=frame.sensor, sensor=frame.sensor, n_frames=1, frame=lambda _index: first, truth=lambda _index: truth,
+        has_truth=truth is not None,
+    )  # fmt: skip
+
+
+def make_pairing(name: str, source: SensorSpec, target: SensorSpec) -> Pairing:
+    """The alignment of two sensors of one finger, by the names of their streams."""
+    return Pairing(
+        source=f"{source.name}_{name}", target=f"{target.name}_{name}",
+        target_from_source=resolve_alignment(source, target).target_from_source,
+    )  # fmt: skip
