@@ -23,6 +23,7 @@ from pipeline.cli.terminal import InterruptibleBar, ProgressBar, create_progress
 from pipeline.cli.translation_options import StageSettings, split_list
 from pipeline.evaluation.candidates import BASELINES
 from pipeline.evaluation.held_out import HeldOutOptions
+from pipeline.evaluation.paper_figures import draw_paper_figures
 from pipeline.evaluation.paper_tables import (
     POSE_METHODS,
     EvaluationRequest,
@@ -63,6 +64,7 @@ def evaluate(
     poses: str = "signed_distances,network",
     sweep: str = "",
     plots: Path | None = None,
+    figures: Path | None = None,
     folder: Path | None = None,
     scheduler: str = "",
 ) -> int:
@@ -98,6 +100,8 @@ def evaluate(
         `steps`, `guidance` or both, comma-separated: run time against error at many values.
     plots
         Folder for one plot of the sweep per direction.
+    figures
+        Folder for the paper's figures 4 and 5 of this split: touches by T2T and T2D2 beside the recorded ones.
     folder
         Folder of the simulated touches; default: the user's cache.
     scheduler
@@ -122,7 +126,10 @@ def evaluate(
         prepare_folder_for(json)
     if plots is not None:
         prepare_folder(plots)
+    if figures is not None:
+        prepare_folder(figures)
     machine = describe_machine()
+    drawn: list[Path] = []
     points: list[SweepPoint] = []
     with ExitStack() as stack:
         interrupts, bar = stack.enter_context(interruptible_progress()), stack.enter_context(create_progress_bar())
@@ -131,6 +138,8 @@ def evaluate(
         table = evaluate_tables(request, SubProgress(progress, 0.0, 0.5 if swept else 1.0), job_mapper)
         if swept:
             points = sweep_parameters(request, swept, SubProgress(progress, 0.5, 0.5), job_mapper)
+        if figures is not None:
+            drawn = draw_paper_figures(request, figures, progress)
     _print_tables(table, is_recorded=recordings is not None)
     if swept:
         _print_sweep(points)
@@ -139,6 +148,8 @@ def evaluate(
         write_json(json, _as_json(table, points, request, machine), "the tables")
     for path in draw_sweep_plots(points, plots) if plots is not None and points else ():
         print_line(f"plot written: {path}")
+    for path in drawn:
+        print_line(f"figure written: {path}")
     return 0
 
 

@@ -22,7 +22,7 @@ from pipeline.sensors.spec import SensorSpec, load_sensor
 from pipeline.training.recorded_pairs import PairFolder
 from pipeline.translation.catalogue import BUILT_IN
 
-_Touches = dict[tuple[str, str], tuple[tuple[PressRecordings, ...], tuple[PressRecordings, ...]]]
+DirectionTouches = dict[tuple[str, str], tuple[tuple[PressRecordings, ...], tuple[PressRecordings, ...]]]
 REAL_NOTE = (
     "touches are recorded pairs; where a target's truth is not recorded, its contact and indentation are estimated "
     "from its own frame; a Frechet distance uses our own encoder, trained on simulated touches"
@@ -64,7 +64,7 @@ def evaluate_tables(
     Raises SettingProblem for an unknown direction, method or candidate, and the errors of methods.
     """
     _check_settings(request)
-    touches, notes = _collect_touches(request, SubProgress(progress, 0.0, 0.15))
+    touches, notes = collect_touches(request, SubProgress(progress, 0.0, 0.15))
     candidate_sets = [
         select_candidates(load_sensor(source), load_sensor(target), request.candidates, request.weights)
         for source, target in touches
@@ -101,8 +101,8 @@ def evaluate_tables(
     )
 
 
-def _collect_touches(request: EvaluationRequest, progress: Progress) -> tuple[_Touches, list[str]]:
-    """Direction -> (touches to score, touches of the mean touch); and notes on them."""
+def collect_touches(request: EvaluationRequest, progress: Progress) -> tuple[DirectionTouches, list[str]]:
+    """Direction -> (touches to score, touches of the mean touch), simulated once if need be; and notes on them."""
     if request.pairs.path:
         opened = open_directions(request.pairs, request.directions)
         for pairs in opened.values():
@@ -167,7 +167,7 @@ def _remove_duplicates(rows: Sequence[TableRow]) -> list[TableRow]:
     return list(unique.values())
 
 
-def _describe_conditions(request: EvaluationRequest, touches: _Touches) -> list[str]:
+def _describe_conditions(request: EvaluationRequest, touches: DirectionTouches) -> list[str]:
     """Notes on the conditions of the evaluation."""
     split = request.split.replace("_", " ")
     if request.pairs.path:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from contextlib import closing
+from collections.abc import Generator, Iterator, Mapping
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -67,15 +67,22 @@ class ScoredTouch:
 
 def score_recording(job: ScoringJob, progress: Progress = SILENT) -> list[ScoredTouch]:
     """Every touch of the job by every candidate, in the order of the recording."""
-    of = job.recordings
+    with open_presses(job.recordings, job.source, job.target, job.methods) as translation:
+        return list(_score_touches(job, translation, progress))
+
+
+@contextmanager
+def open_presses(
+    of: PressRecordings, source: str, target: str, methods: Mapping[str, str]
+) -> Generator[Translation, None, None]:
+    """Translate presses of a source that also know what the target recorded of them."""
     translation = open_translation(Request(
-        recording=of.source, target=job.target, source=job.source, stream=of.source_stream, mesh=of.mesh,
-        mesh_unit="m" if of.mesh else "auto", methods=tuple(job.methods.items()),
+        recording=of.source, target=target, source=source, stream=of.source_stream, mesh=of.mesh,
+        mesh_unit="m" if of.mesh else "auto", methods=tuple(methods.items()),
     ))  # fmt: skip
     with closing(translation), closing(open_recording(of.target)) as other:
-        streams = translation.stream, other.stream(of.target_stream or job.target)
-        both = replace(translation.recording, streams=streams)
-        return list(_score_touches(job, replace(translation, recording=both), progress))
+        streams = translation.stream, other.stream(of.target_stream or target)
+        yield replace(translation, recording=replace(translation.recording, streams=streams))
 
 
 def _score_touches(job: ScoringJob, translation: Translation, progress: Progress) -> Iterator[ScoredTouch]:

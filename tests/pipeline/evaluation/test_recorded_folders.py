@@ -11,6 +11,9 @@ import pytest
 from pipeline.base.errors import SettingProblem
 from pipeline.cli.evaluate import parse_weights
 from pipeline.cli.main import EXIT_USER_ERROR, build_app, run_app
+from pipeline.evaluation import paper_figures
+from pipeline.evaluation.candidates import Candidate
+from pipeline.evaluation.paper_tables import EvaluationRequest
 from pipeline.evaluation.recorded_folders import find_trained_hold_out, select_recorded
 from pipeline.evaluation.touch_metrics import TouchMetrics, bootstrap_metrics, pool_metrics
 from pipeline.networks.weights import Weights, load_weights, save_weights
@@ -60,6 +63,25 @@ def test_the_tables_hold_the_pairs_that_the_training_held_out(data, trained, tmp
     error = {name: row["metrics"]["error_mm"]["all"] for name, row in rows.items()}
     assert error["physics"] < error["no_contact"]
     assert all(np.isfinite(value) for value in error.values())
+
+
+def test_figures_show_input_depth_touch_and_truth(data, tmp_path, monkeypatch):
+    physics = Candidate(name="physics", title="physics", paper_model="T2D2")
+    monkeypatch.setattr(paper_figures, "_select_models", lambda *_: {"T2D2": physics})
+    rows, draw = [], paper_figures._draw
+    monkeypatch.setattr(paper_figures, "_draw", lambda of, *more: (rows.append(of), draw(of, *more)))
+    request = EvaluationRequest(
+        split="unseen_tools", directions=(("gelslim", "soft_bubble"),), methods={"depth": "physics"},
+        pairs=PairFolder(path=str(data), hold_out="peg"),
+    )  # fmt: skip
+    paths = paper_figures.draw_paper_figures(request, tmp_path)
+    assert [path.name for path in paths] == ["figure_4_unseen_tools.png", "figure_5_unseen_tools.png"]
+    assert all(path.stat().st_size > 10_000 for path in paths)
+    assert {row.object_name for row in rows[0]} == {"peg"}
+    images = rows[0][0].images
+    assert set(images) == {"input", "target depth", "T2D2", "recorded touch"}
+    assert images["input"].shape == (320, 427, 3)
+    assert {images[name].shape for name in ("target depth", "T2D2", "recorded touch")} == {(140, 175, 3)}
 
 
 def test_selections_are_of_one_tool_and_finger_and_name_their_grasps(data):
