@@ -115,8 +115,10 @@ def show_window(
     from app.window.session_controller import SessionController
     from app.window.themes import apply_theme
     from pipeline.translation.catalogue import BUILT_IN
+    from widgets.plain_text_style import PlainTextStyle
 
-    QApplication.setStyle("Fusion")
+    if not isinstance(QApplication.style(), PlainTextStyle):
+        QApplication.setStyle(PlainTextStyle())
     theme = Preferences().theme if restore else "light"
     apply_theme(theme)
     catalogue = catalogue or BUILT_IN

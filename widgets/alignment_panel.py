@@ -164,7 +164,7 @@ class AlignmentPanel(QScrollArea):
 
     def show_origin(self, origin: str, *, edited: bool, from_file: bool) -> None:
         """Show the name of the open alignment, and whether it was edited."""
-        self._origin.setText(f"<b>{origin}</b>" + (", moved by" if edited else ""))
+        self._origin.setText(f"{origin}{', moved by' if edited else ''}")
         self._original.setVisible(from_file)
         self._reset.setEnabled(edited)
 

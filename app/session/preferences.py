@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import secrets
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal, cast, get_args
@@ -19,6 +20,16 @@ class Preferences:
     def __init__(self) -> None:
         kind, scope = QSettings.Format.IniFormat, QSettings.Scope.UserScope
         self._settings = QSettings(kind, scope, "Tactoscope", "Tactoscope")
+
+    @property
+    def signing_key(self) -> bytes:
+        """Secret of this user, made on first use: what it signs was written by the user's own program."""
+        value: object = self._settings.value("signing_key", "")
+        key = value if isinstance(value, str) else ""
+        if not key:
+            key = secrets.token_hex(32)
+            self._settings.setValue("signing_key", key)
+        return key.encode()
 
     @property
     def recent_files(self) -> tuple[Path, ...]:

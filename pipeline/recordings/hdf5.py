@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import io
+import mmap
+import os
 import struct
 from collections.abc import Callable
 from pathlib import Path
@@ -221,19 +224,45 @@ def _open_file(path: Path, notes: list[str]) -> Any:
             return _open_unclosed(path, notes)
         if "truncated file" not in str(error):
             raise FileProblem(f"the HDF5 file cannot be opened ({_shorten(error)})", path) from error
-    data = path.read_bytes()
     try:
-        full_size = layout.parse_file_size(data)
-        if full_size > 20 * len(data) + (64 << 20):
-            raise ValueError(f"{full_size} bytes cannot be right")
-        # HDF5 refuses a truncated file; padded to its full size, all complete chunks can be read.
-        # Not with zeros: their checksum is zero, so that a lost chunk would pass as valid.
-        image = h5py.h5f.open_file_image(data + b"\xa5" * (full_size - len(data)))
-        file = h5py.File(image)
+        padded = _PaddedFile(path)
+        if padded.full_size > 20 * padded.size + (64 << 20):
+            raise ValueError(f"{padded.full_size} bytes cannot be right")
+        file = h5py.File(padded, "r")
     except (OSError, ValueError, struct.error) as error:
         raise FileProblem("the HDF5 file is cut short before its table of contents", path) from error
-    notes.append(f"{TRUNCATED_NOTE}: {len(data)} of {full_size} bytes are there; frames beyond cannot be read")
+    notes.append(f"{TRUNCATED_NOTE}: {padded.size} of {padded.full_size} bytes are there; frames beyond cannot be read")
     return file
+
+
+class _PaddedFile(io.RawIOBase):
+    """A truncated file that reads as if it had its full size: HDF5 refuses it otherwise, and holds it in no memory.
+
+    The rest is not zeros: their checksum is zero, so that a lost chunk would pass as valid.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Raises ValueError or struct.error for a file without a head."""
+        with path.open("rb") as file:
+            self._data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+        self.size, self.full_size = len(self._data), layout.parse_file_size(self._data[:64])
+        self._at = 0
+
+    def readable(self) -> bool:
+        return True
+
+    def seekable(self) -> bool:
+        return True
+
+    def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
+        self._at = offset + {os.SEEK_SET: 0, os.SEEK_CUR: self._at, os.SEEK_END: self.full_size}[whence]
+        return self._at
+
+    def readinto(self, buffer: Any) -> int:
+        data = self._data[self._at : self._at + len(buffer)]
+        buffer[:] = data + b"\xa5" * (len(buffer) - len(data))
+        self._at += len(buffer)
+        return len(buffer)
 
 
 def _open_unclosed(path: Path, notes: list[str]) -> Any:

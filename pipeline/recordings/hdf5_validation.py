@@ -16,18 +16,20 @@ from pipeline.recordings import hdf5_layout as layout
 MAX_OBJECTS = 2_000  # groups and datasets; a recording of twenty sensors has three hundred
 MAX_FRAMES = 10_000_000
 MAX_VALUES = 1 << 26  # of one chunk, frame or table: a colour image of 22 megapixels
+MAX_ATTRIBUTES = 50  # of one part
 MAX_TEXT_LENGTH = 20_000  # letters of one attribute
 REAL_KINDS, FLOAT_KINDS, INTEGER_KINDS, UINT8_KINDS = "fiu", "f", "iu", "u"  # letters of `numpy.dtype.kind`
 
 
 def require_self_contained(file: Any, path: Path) -> None:
-    """Raise FileProblem for a part in another file, a link, or a chunk that is too large.
+    """Raise FileProblem for a part in another file, a link, a chunk that is too large, or an attribute that unfolds.
 
     An untrusted recording could otherwise show the content of any file that its reader may open.
     """
     import h5py
 
     groups, n_objects = [file], 0
+    _check_attributes(file, path)
     while groups:
         group = groups.pop()
         for key in group:
@@ -37,6 +39,7 @@ def require_self_contained(file: Any, path: Path) -> None:
             n_objects += 1
             if n_objects > MAX_OBJECTS:  # also for a group that holds itself
                 _refuse(f"it holds more than {MAX_OBJECTS} parts", path, key)
+            _check_attributes(part, path)
             if isinstance(part, h5py.Group):
                 groups.append(part)
             elif isinstance(part, h5py.Dataset):
@@ -44,6 +47,24 @@ def require_self_contained(file: Any, path: Path) -> None:
                     _refuse(f"{_name(group, key)} lies in another file, which is not opened", path, key)
                 if part.chunks and math.prod(part.chunks) * part.dtype.itemsize > 8 * MAX_VALUES:
                     _refuse(f"{_name(group, key)} has chunks that are too large", path, key)
+
+
+def _check_attributes(holder: Any, path: Path) -> None:
+    """Refuse attributes that unfold in memory: each may be one number or text, by the type that it declares."""
+    import h5py
+
+    for index in range(h5py.h5a.get_num_attrs(holder.id)):
+        attribute = h5py.h5a.open(holder.id, index=index)
+        kind, shape = attribute.get_type(), attribute.shape
+        is_plain = isinstance(kind, (h5py.h5t.TypeIntegerID, h5py.h5t.TypeFloatID, h5py.h5t.TypeStringID))
+        if (
+            not is_plain
+            or math.prod(shape or ()) > 1
+            or kind.get_size() > 4 * MAX_TEXT_LENGTH
+            or index >= MAX_ATTRIBUTES
+        ):
+            name = attribute.name.decode(errors="replace")
+            _refuse(f"the attribute {_name(holder, name)} is not one number or text", path, name)
 
 
 def require_dataset(group: Any, key: str, unit: str, kinds: str, shape: tuple[int | None, ...], path: Path) -> Any:

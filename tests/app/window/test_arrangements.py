@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import pytest
 
@@ -12,6 +13,7 @@ from app.session.preferences import Preferences
 from app.session.state import Session, load_session, save_session
 from app.window import dialogs
 from app.window.arrangements import ArrangementController
+from app.window.dock_state import restore_arrangement
 from app.window.tour import wait_until_shown
 from pipeline.base.errors import FileProblem
 from pipeline.base.typed_data import convert
@@ -102,6 +104,19 @@ def test_an_unreadable_arrangements_file_is_reported_and_kept(open_window, calle
     controller.window.actions_by_name["save_arrangement"].trigger()
     assert _file().with_name(ARRANGEMENTS_FILE + ".unread").read_text() == text
     assert len(json.loads(_file().read_text())["arrangements"]) == 1
+
+
+def test_no_bytes_of_a_file_reach_qt(bubble_window, monkeypatch):
+    window = bubble_window.window
+    own = window.capture_arrangement("own")
+    given = []
+    monkeypatch.setattr(type(window), "restoreState", lambda _self, state, *_: given.append(bytes(state)) or True)
+    damaged = own.dock_state[:-40] + "A" * 36 + own.dock_state[-4:]
+    for state in (damaged, own.dock_state.partition(":")[2], "é:AAAA", ":", "x" * 1000):
+        assert not restore_arrangement(window, replace(own, dock_state=state))
+    assert given == []
+    assert restore_arrangement(window, own)
+    assert len(given) == 1
 
 
 def test_drawers_of_another_version_are_reported(bubble_window):

@@ -13,12 +13,13 @@ from PyQt6.QtWidgets import QMessageBox
 
 from app.main import show_window
 from app.session import recovery
-from app.session.file_fingerprints import describe_changed_files
+from app.session.file_fingerprints import describe_changed_files, fingerprint_files
 from app.session.preferences import Preferences
 from app.session.state import Session, load_session
 from app.window.autosave import AUTOSAVE_DELAY_MS, AutosaveController
 from app.window.main_window import DEFAULT_SIZE
 from app.window.tour import wait_until_shown
+from pipeline.base.fingerprints import compute_fingerprint
 from widgets.welcome import WelcomePage
 
 LIMIT_S = 240
@@ -119,6 +120,13 @@ def test_notes_and_undoing_a_save_are_unsaved_changes(bubble_window, tmp_path):
     assert not bubble_window.window.isWindowModified()
     bubble_window.undo_stack.undo()
     assert bubble_window.window.isWindowModified(), "the file still has the note"
+
+
+def test_a_pipe_in_a_session_is_never_opened(tmp_path):
+    os.mkfifo(tmp_path / "w.safetensors")
+    assert compute_fingerprint(tmp_path / "w.safetensors") == ""
+    session = Session(target="gelslim", weights={"touch": tmp_path / "w.safetensors"})
+    assert fingerprint_files(session) == {"weights.touch": ""}
 
 
 def test_two_windows_on_one_session_lose_no_note(bubble_window, tmp_path):

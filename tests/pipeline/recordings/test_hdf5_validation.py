@@ -209,6 +209,13 @@ def test_a_recording_names_a_sensor_and_no_file(tmp_path: Path, small: Path, nam
     assert "is no sensor name" in refusal(path)
 
 
+@pytest.mark.parametrize("value", [["a text"] * 3000, np.zeros((300, 300)), np.zeros(1, [("a", "f4", 9)])])
+def test_an_attribute_that_unfolds_is_refused_by_its_type(tmp_path: Path, small: Path, value):
+    """One text, referred to thousands of times in a file of 8 MB, would fill gigabytes."""
+    path = edited(small, tmp_path, lambda file: file[STREAM].attrs.__setitem__("more", value))
+    assert "more is not one number or text" in refusal(path)
+
+
 def test_a_group_that_holds_itself_is_refused(tmp_path: Path, small: Path):
     path = edited(small, tmp_path, lambda file: file["streams"].__setitem__("again", file["streams"]))
     assert "parts" in refusal(path)
