@@ -29,7 +29,7 @@ OPEN_DIALOGS: Mapping[str, tuple[str, str]] = {  # command -> title and kinds of
     "set_variant_recording": ("Compare with recording", _RECORDINGS),
     "open_folder": ("Open folder of images", ""),
     "open_calibration": ("Open calibration", "Calibrations (*.npz);;All files (*)"),
-    "open_weights": ("Open weights", "Weights of a network (*.safetensors *.pth *.pt);;All files (*)"),
+    "open_weights": ("Open weights", "Weights of a network (*.safetensors *.ckpt *.pth *.pt);;All files (*)"),
     "open_reference": ("Open reference", "Images (*.png *.jpg *.jpeg *.bmp *.tif *.tiff);;All files (*)"),
     "open_alignment": ("Open alignment", f"Alignments (*{ALIGNMENT_SUFFIX});;All files (*)"),
     "open_session": ("Open session", f"Sessions (*{SESSION_SUFFIX});;All files (*)"),

@@ -236,7 +236,11 @@ def open_translation(request: Request, catalogue: Catalogue = BUILT_IN) -> Trans
         alignment=request.offsets.apply_to(_alignment(request, recording, stream, source, target)),
         calibration=None if request.calibration is None else load_calibration(request.calibration),
         mesh=mesh,
-        notes=(*recording.notes, *_about_symmetry(recording, stream, mesh), *_about_weights(request, methods)),
+        notes=(
+            *recording.notes,
+            *_about_symmetry(recording, stream, mesh),
+            *_about_weights(request, methods, catalogue),
+        ),
         symmetry=recording.symmetry if mesh is recording.object_mesh else None,
         catalogue=catalogue,
         load_context_images=_context_image_loader(request, recording, stream, source),
@@ -265,16 +269,22 @@ def _about_symmetry(recording: Recording, stream: Stream, mesh: Mesh | None) -> 
     return ("the object's symmetry is not known; pose errors count every turn as one",)
 
 
-def _about_weights(request: Request, methods: tuple[Method, ...]) -> tuple[str, ...]:
+def _about_weights(request: Request, methods: tuple[Method, ...], catalogue: Catalogue) -> tuple[str, ...]:
     """Return a warning about weights that no method reads."""
     learned = {method.stage for method in methods if method.weights is not None}
     return tuple(
         f"the weights {file.name!r} count for nothing: "
-        f"{f'the method of {slot} reads none' if slot else 'no method reads any'}; "
-        "choose one that does, such as --method depth=network"
+        f"{f'the method of {slot} reads none' if slot else 'no method reads any'}; {_suggest_methods(slot, catalogue)}"
         for slot, file in request.weights
         if (slot not in learned if slot else not learned)
     )
+
+
+def _suggest_methods(stage: str, catalogue: Catalogue) -> str:
+    """Return which methods of a stage, or of all for "", read weights."""
+    methods = [m for entry in catalogue.stages if stage in ("", entry.name) for m in entry.methods if m.weights]
+    names = ", ".join(f"{method.stage}={method.name}" for method in methods)
+    return f"choose one that does with --method: {names}" if names else "none of its methods does"
 
 
 def _alignment(

@@ -80,6 +80,7 @@ def test_few_cells(name):
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1200)
 @pytest.mark.parametrize("name", [*SHIPPED, WITHOUT_DROPOUT])
 def test_the_whole_matrix(name):
     check_cells(name, (1, 2, 3, 4, 5, 8, 20, 200, MAX_STEPS), (0.0, 1.0, 4.0, MAX_WEIGHT))

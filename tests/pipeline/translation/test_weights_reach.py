@@ -131,7 +131,9 @@ def test_weights_that_nobody_reads_are_told(tmp_path):
     notes = depth("physics", weights=(("", tmp_path / "w.safetensors"),))[1]
     assert any("'w.safetensors' count for nothing" in note for note in notes)
     notes = depth(weights=(("touch", tmp_path / "w.safetensors"),))[1]
-    assert any("the method of touch reads none" in note for note in notes)
+    (note,) = (note for note in notes if "the method of touch reads none" in note)
+    assert "touch=latent" in note
+    assert "depth=" not in note
 
 
 def test_a_file_may_be_given_for_a_stage_and_may_have_any_name(tmp_path, monkeypatch):
