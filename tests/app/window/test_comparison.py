@@ -9,7 +9,7 @@ from app.session.sample import SAMPLE_RECORDING
 from app.window.comparison import ComparisonController
 from app.window.tour import wait_until_shown
 from pipeline.networks import network_factory, weights_registry
-from pipeline.stages.touch.stage import PHYSICS, VQVAE
+from pipeline.stages.touch.stage import PHYSICS, T2D2
 from tests.app.window.command_runs import same_as_typed
 
 LIMIT_S, LIMIT_MS = 240, 240_000
@@ -17,8 +17,8 @@ LIMIT_S, LIMIT_MS = 240, 240_000
 
 @pytest.fixture
 def compared(open_window, qtbot, tmp_path, monkeypatch):
-    """*Compare* on a touched frame, with the weights of the small baseline alone."""
-    for name in ("vqvae_gelslim_to_soft_bubble.safetensors", "vqvae_gelslim_to_soft_bubble.md"):
+    """*Compare* on a touched frame, with the weights of one method alone."""
+    for name in ("t2d2_bubble.safetensors", "t2d2_bubble.md"):
         (tmp_path / name).symlink_to(weights_registry.WEIGHTS_FOLDER / name)
     monkeypatch.setattr(weights_registry, "WEIGHTS_FOLDER", tmp_path)
     instrument = open_window(SAMPLE_RECORDING, source="gelslim", target="soft_bubble", frame=5)
@@ -43,15 +43,18 @@ def _settled(qtbot, instrument, comparing, tiles):
 def test_every_method_is_compared_with_ground_truth_worst_first(compared, qtbot):
     instrument, comparing = compared
     page, tiles = instrument.window.comparison, _tiles(instrument)
-    assert [tile.title for tile in tiles] == ["truth", VQVAE.title, PHYSICS.title]
+    titles = [tile.title for tile in tiles]
+    assert titles[0] == "truth"
+    assert set(titles[1:]) == {PHYSICS.title, T2D2.title}
+    assert tiles[1].metrics["contact_error_mm"] > tiles[2].metrics["contact_error_mm"]
     assert all("contact" in tile.subtitle and "dB" in tile.subtitle and "ms" in tile.subtitle for tile in tiles[1:])
-    assert "left out: T2D2" in page.current_tab.message.text()
+    assert "left out: T2D2, latent" in page.current_tab.message.text()
     assert len({tile.preview.scale for tile in tiles}) == 1  # one colour scale
     assert instrument.latest_frame.results == {}  # nothing is worked out for columns that nobody sees
-    page.order_box.setCurrentText("in order")
+    page.order_box.setCurrentText("best first")
     page.choice_changed.emit()
     _settled(qtbot, instrument, comparing, tiles)
-    assert [tile.title for tile in _tiles(instrument)] == ["truth", PHYSICS.title, VQVAE.title]
+    assert [tile.title for tile in _tiles(instrument)] == ["truth", titles[2], titles[1]]
 
 
 def test_the_copied_command_makes_the_same_pictures_and_figures(compared, tmp_path, monkeypatch):
@@ -91,7 +94,7 @@ def test_one_key_shows_the_difference_and_all_views_pan_together(compared):
     assert {(v.view.canvas.centre.x(), v.view.canvas.centre.y(), v.view.canvas.scale) for v in views} == {(100, 60, 2)}
     views[2].view.pixel_hovered.emit(60, 100)
     assert all(v.view.crosshair == (60, 100) for v in views)
-    assert PHYSICS.title in instrument.window.readout.text()
+    assert views[2].tile.title in instrument.window.readout.text()
 
 
 def test_another_frame_is_followed_and_a_hidden_page_computes_nothing(compared, qtbot):
