@@ -7,7 +7,7 @@ from pipeline.calibration.calibration_table import Calibration
 
 CALIBRATION_ADVICE = "press a ball in sixteen places all over the image and run 'tactoscope calibrate balls'"
 UNCALIBRATED = "sensor not calibrated"
-_SIZE_RATIO_MAX = 1.6  # larger ratios (or smaller inverses) of measured to given diameter suggest a wrong size
+_SIZE_RATIO_MAX = 1.35  # real units without calibration have 0.75 to 1.25; beyond, a length is wrong
 UNCALIBRATED_NOTE = StageWarning(f"{UNCALIBRATED}: sizes and depths may be wrong by half; {CALIBRATION_ADVICE}")
 
 
@@ -34,7 +34,8 @@ def describe_size_mismatch(calibration: Calibration) -> str:
     if share is None or 1.0 / _SIZE_RATIO_MAX < share < _SIZE_RATIO_MAX:
         return ""
     return (f"the presses look like a ball of {share:.2g} times the given diameter, so all sizes may be wrong: "
-            "check that it is the diameter and not the radius, and the pixel width")  # fmt: skip
+            "check that it is the diameter and not the radius, and the pixel width: "
+            f"about {calibration.pixel_mm / share:.2g} mm would fit, not {calibration.pixel_mm:.2g} mm")  # fmt: skip
 
 
 def format_calibration(calibration: Calibration) -> list[str]:

@@ -16,7 +16,7 @@ from pipeline.calibration.calibration_table import Calibration
 from pipeline.calibration.quality_notes import format_calibration
 from pipeline.cli.terminal import ProgressBar, create_progress_bar, print_line
 from pipeline.recordings import open_recording
-from pipeline.sensors.spec import SensorSpec, load_sensor
+from pipeline.sensors.spec import load_sensor
 from pipeline.stages.depth.ball_calibration import calibrate_sensor
 from pipeline.stages.depth.photometric import describe_mismatch
 from pipeline.values.frames import TactileFrame
@@ -67,7 +67,7 @@ def balls(
         raise SettingProblem("--pattern is empty; '*' takes every image")
     prepare_folder_for(out)
     spec = load_sensor(sensor)
-    frames = _load_presses(presses, spec, reference, pattern)
+    frames = _load_presses(presses, sensor, reference, pattern)
     for mismatch in dict.fromkeys(describe_mismatch(frame, spec) for frame in frames[:_CHECKED_FRAMES]):
         if mismatch:
             print_line(f"warning: {mismatch}; this calibration will fit images of that kind only")
@@ -87,9 +87,9 @@ def balls(
     return 0
 
 
-def _load_presses(folder: Path, spec: SensorSpec, reference: Path, pattern: str) -> list[TactileFrame]:
+def _load_presses(folder: Path, sensor: str, reference: Path, pattern: str) -> list[TactileFrame]:
     """The press images that match `pattern`, all with the same reference image."""
-    stream = open_recording(folder, sensor=spec.name, reference=reference).stream()
+    stream = open_recording(folder, sensor=sensor, reference=reference).stream()
     frames = [stream.frame(i) for i in range(stream.n_frames)]
     frames = [frame for frame in frames if Path(frame.origin).match(pattern)]
     if not frames:

@@ -61,12 +61,6 @@ class MeasuredSurface:
     pixel_mm: float
     illumination: Illumination | None  # None where the calibration table contains its own light
 
-    def expand_to_frame(self) -> Floats:
-        """The surface as measured (rows, cols) in mm; zero outside the window."""
-        whole = np.zeros(self.source.camera.shape, np.float32)
-        whole[self.window.rows, self.window.cols] = self.surface_mm
-        return whole
-
     def relax_outside_contact(self, touched: Mask, distance: Floats | None = None) -> Floats:
         """The indentation (rows, cols) in mm for the contact `touched` (rows, cols); zero outside the window.
 

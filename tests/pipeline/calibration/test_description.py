@@ -28,10 +28,12 @@ def test_a_calibration_without_presses_is_called_uncalibrated_with_a_remedy(tabl
 
 def test_presses_that_look_like_another_size_give_a_warning(table):
     known = replace(table, presses=(PRESS,) * 4, expected_error=ERROR)
-    for ratio, odd in ((None, False), (0.7, False), (1.5, False), (2.0, True), (0.5, True)):
+    for ratio, odd in ((None, False), (0.8, False), (1.3, False), (1.5, True), (0.5, True)):
         told = replace(known, diameter_ratio=ratio)
         assert isinstance(quality_notes.describe_quality(told), StageWarning) is odd
         assert any("times the given diameter" in line for line in quality_notes.format_calibration(told)) is odd
+    wide = replace(known, pixel_mm=0.105, diameter_ratio=1.5)
+    assert "0.07 mm would fit" in quality_notes.describe_size_mismatch(wide)
 
 
 def test_a_table_that_presses_did_not_improve_is_called_uncalibrated(table):

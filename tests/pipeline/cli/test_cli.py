@@ -15,6 +15,7 @@ import pytest
 from pipeline.calibration import calibration_file, calibration_table
 from pipeline.cli import calibrate
 from pipeline.cli.main import EXIT_USER_ERROR, build_app, run_app
+from pipeline.sensors.descriptions import find_descriptions
 from pipeline.sensors.spec import load_sensor
 from tests.pipeline.cli.conftest import MINI, save
 
@@ -103,6 +104,17 @@ def test_calibrating_states_the_expected_error_and_what_one_ball_does_not_determ
     assert "expected error of a ball's diameter" in told
     assert ("do not determine the pixel width" in told) is not known
     assert calibration_file.load(out).expected_error is not None
+
+
+def test_a_sensor_described_by_a_file_of_ones_own_is_calibrated(touches, tmp_path):
+    (touches / "touch_0.png").unlink()
+    described = find_descriptions()["gelsight_mini"].read_text(encoding="utf-8")
+    (tmp_path / "mine.toml").write_text(described, encoding="utf-8")
+    command = ["calibrate", "balls", str(touches), "--sensor", str(tmp_path / "mine.toml"), "--diameter-mm", "8",
+               "--reference", str(touches / "background.png"), "--out", str(tmp_path / "mine.npz"),
+               "--pattern", "touch_*"]  # fmt: skip
+    assert run_app(build_app(), command) == 0
+    assert calibration_file.load(tmp_path / "mine.npz").sensor == "mine"
 
 
 def test_calibrating_on_images_with_swapped_colours_gives_a_warning(touches, tmp_path, capsys, monkeypatch):
