@@ -37,11 +37,12 @@ from pipeline.evaluation.recorded_touch import REGIONS
 from pipeline.evaluation.table_rows import TableRow
 from pipeline.evaluation.time_error_sweep import SweepPoint, check_sweep_parameters, draw_sweep_plots, sweep_parameters
 from pipeline.evaluation.touch_metrics import TOUCH_METRICS
+from pipeline.evaluation.touch_scoring import PAPER_GRASP
 from pipeline.sensors.spec import load_sensor
 from pipeline.training.recorded_pairs import PairFolder
 from pipeline.translation.catalogue import BUILT_IN, with_method
 
-_POSE_TITLES = {"signed_distances": "registration", "network": "network"}
+_POSE_TITLES = {"signed_distances": "registration", "network": "network", PAPER_GRASP: "the paper's protocol"}
 _REGION_METRICS = {  # columns of the second table, each with a value per region
     "error_mm": "error, mm", "iou": "contact IoU", "correlation": "correlation less the mean",
     "ssim_exact": "SSIM, no noise", "psnr_exact_db": "PSNR, no noise, dB",
@@ -95,7 +96,8 @@ def evaluate(
     settings
         `stage.parameter=value`, repeatable; a touch parameter applies to the methods that have it.
     poses
-        Pose methods to judge touches by, comma-separated; `none` leaves poses out.
+        Pose methods to judge touches by, comma-separated; `none` leaves poses out. `paper_grasp` is the paper's
+        released protocol: both fingers of a recorded grasp together.
     sweep
         `steps`, `guidance` or both, comma-separated: run time against error at many values.
     plots

@@ -16,7 +16,7 @@ from pipeline.evaluation.held_out import HeldOutOptions, PressRecordings, load_o
 from pipeline.evaluation.published_results import COMPARISON_NOTE, PAPER_DIRECTIONS, Split
 from pipeline.evaluation.recorded_folders import open_directions, require_touches, select_recorded
 from pipeline.evaluation.table_rows import TableRow, build_rows
-from pipeline.evaluation.touch_scoring import ScoredTouch, ScoringJob, score_recording
+from pipeline.evaluation.touch_scoring import PAPER_GRASP, ScoredTouch, ScoringJob, score_recording
 from pipeline.networks.weights import NoWeights, Weights
 from pipeline.sensors.spec import SensorSpec, load_sensor
 from pipeline.training.recorded_pairs import PairFolder
@@ -136,6 +136,9 @@ def _select_pose_methods(
     methods: list[str] = []
     missing: list[str] = []
     for name in names:
+        if name == PAPER_GRASP:
+            methods.append(name)
+            continue
         method = BUILT_IN.method("pose", name)
         known = None if method.weights is None else method.weights(source, target, None)
         if isinstance(known, NoWeights):

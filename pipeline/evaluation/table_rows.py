@@ -13,8 +13,9 @@ from pipeline.base.arrays import Doubles
 from pipeline.evaluation.candidates import RECORDED, Candidate
 from pipeline.evaluation.published_results import MeanStd, PaperRow, Split, find_paper_row
 from pipeline.evaluation.touch_metrics import bootstrap_metrics, pool_metrics
-from pipeline.evaluation.touch_scoring import ScoredTouch
+from pipeline.evaluation.touch_scoring import PAPER_GRASP, GraspFinger, ScoredTouch
 from pipeline.metrics import set_distances
+from pipeline.registration.grasp_pose import compute_grasp_pose_error
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -109,7 +110,28 @@ def _pool_pose_errors(touches: Sequence[ScoredTouch]) -> dict[str, PoseErrors]:
             pooled[method] = PoseErrors(
                 translation_mm=_mean_std(lengths_mm), rotation_deg=_mean_std(angles_deg), n_poses=len(lengths_mm)
             )
-    return pooled
+    return pooled | _pool_grasp_errors(touches)
+
+
+def _pool_grasp_errors(touches: Sequence[ScoredTouch]) -> dict[str, PoseErrors]:
+    """Errors of poses from the fingers of each grasp together; {} where no grasp frame is known."""
+    grasps: dict[str, list[GraspFinger]] = {}
+    for touch in touches:
+        if touch.finger is not None:
+            grasps.setdefault(touch.touch_name, []).append(touch.finger)
+    errors = [
+        compute_grasp_pose_error(
+            np.concatenate([f.points_mm for f in fingers]), fingers[0].mesh, fingers[0].grasp_from_object
+        )
+        for fingers in grasps.values()
+    ]
+    known = [error for error in errors if error is not None]
+    if not known:
+        return {}
+    return {PAPER_GRASP: PoseErrors(
+        translation_mm=_mean_std([e.translation_mm for e in known]),
+        rotation_deg=_mean_std([e.rotation_deg for e in known]), n_poses=len(known),
+    )}  # fmt: skip
 
 
 def _mean_std(values: Sequence[float]) -> MeanStd:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.base.arrays import Floats
+from pipeline.base.arrays import Doubles, Floats
 from pipeline.base.errors import SettingProblem
 from pipeline.base.params import list_settings
 from pipeline.base.progress import SILENT, Progress
@@ -25,6 +25,8 @@ from pipeline.evaluation.recorded_touch import (
     compute_generated_change,
 )
 from pipeline.evaluation.touch_metrics import TouchMetrics, compute_touch_metrics
+from pipeline.geometry import rigid
+from pipeline.geometry.meshes import Mesh
 from pipeline.recordings import open_recording
 from pipeline.stages.touch.physical_render import make_reference_touch
 from pipeline.stages.touch.touch_from_change import make_touch_from_change
@@ -34,6 +36,7 @@ from pipeline.translation.translate import Request, Translation, open_translatio
 from pipeline.values.frames import TactileFrame, Truth
 from pipeline.values.results import DepthMap, GeneratedTouch, ObjectPose, TargetDepth
 
+PAPER_GRASP = "paper_grasp"  # pose by both fingers of a grasp, see `registration.grasp_pose`
 _CACHE_BYTES = 64 * 1024 * 1024  # one frame's stages by every candidate
 
 
@@ -63,6 +66,16 @@ class ScoredTouch:
     pose_errors: Mapping[str, tuple[float, float]]  # method -> (mm, deg) in the target's image plane; absent = no pose
     features: Floats | None  # of the encoder; None = no encoder for this sensor
     notes: tuple[str, ...] = ()
+    finger: GraspFinger | None = None  # for poses of both fingers together; None = not known
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GraspFinger:
+    """One finger's contact in the frame of the grasp, with the truth."""
+
+    points_mm: Doubles  # (n, 3)
+    grasp_from_object: Doubles  # (4, 4)
+    mesh: Mesh
 
 
 def score_recording(job: ScoringJob, progress: Progress = SILENT) -> list[ScoredTouch]:
@@ -108,7 +121,7 @@ class _TouchScorer:
     ) -> None:  # fmt: skip
         self._job, self._translation, self._index, self._name, self._mean = job, translation, index, name, mean
         self._cache = Graph((), cache=Cache(_CACHE_BYTES))
-        self._true = self._read_recorded_touch(*observed)
+        self._true, self._truth = self._read_recorded_touch(*observed), observed[1]
         self._ms: dict[str, float] = {}
         target_depth = self._evaluate("physics", {}, "target_depth")["target_depth"].output
         assert isinstance(target_depth, TargetDepth)
@@ -134,7 +147,22 @@ class _TouchScorer:
             pose_errors=self._compute_pose_errors(candidate, {**given, "touch": touch, "touch_depth": touch_depth}),
             features=touch_features.encode_change(self._translation.target, change),
             notes=tuple(dict.fromkeys(result.fallback for result in results.values() if result.fallback)),
+            finger=self._find_finger(touch_depth) if PAPER_GRASP in self._job.pose_methods else None,
         )
+
+    def _find_finger(self, touch_depth: DepthMap | None) -> GraspFinger | None:
+        """The contact of a touch in the grasp frame; None where the frame, the tool or its pose is not known."""
+        truth, mesh = self._truth, self._translation.mesh
+        if touch_depth is None or truth is None or mesh is None:
+            return None
+        if truth.grasp_from_sensor is None or truth.sensor_from_object is None:
+            return None
+        points = touch_depth.camera.back_project(touch_depth.depth_mm)[touch_depth.contact]
+        points = points[np.isfinite(points).all(axis=1)]
+        return GraspFinger(
+            points_mm=rigid.apply(truth.grasp_from_sensor, points), mesh=mesh,
+            grasp_from_object=truth.grasp_from_sensor @ truth.sensor_from_object,
+        )  # fmt: skip
 
     def _evaluate(self, touch: str, given: Mapping[str, object], stage: str, pose: str = "") -> dict[str, StageResult]:
         """Results up to a stage with one touch and pose method; remembers the times of computed stages."""
@@ -209,7 +237,7 @@ class _TouchScorer:
         truth = self._translation.read_ground_truth(self._index)
         stage = self._translation.catalogue.stage("pose")
         for name in self._job.pose_methods:
-            if candidate.name == NO_CONTACT:
+            if candidate.name == NO_CONTACT or name == PAPER_GRASP:
                 continue
             pose = self._evaluate("physics", given, "pose", name)["pose"].output
             assert isinstance(pose, ObjectPose)

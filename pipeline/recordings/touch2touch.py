@@ -30,6 +30,7 @@ _FULL_ROWS, _FULL_COLS, _TOP, _LEFT = 171, 224, 20, 25  # released pairs are a w
 _BUBBLE, _GELSLIM = (140, 175), (320, 427)  # (rows, cols)
 _IN_HAND_TOLERANCE = {"theta": 0.02, "x": 1e-3, "y": 1e-3}  # rad, m: the tool's pose, the same for both sensors
 _MM_PER_M = 1000.0
+_GRASP_KEY = "grasp_frame_quat"  # of the frame between the fingers, in the robot's base frame
 _POSE_KEYS = ("bubbles_tr_quat", "tool_tr_quat")  # of the sensors and of the tool, in the robot's base frame
 
 
@@ -172,12 +173,16 @@ def _read_pose(tensors: Mapping[str, Any], finger: int, file: Path) -> Truth | N
             _parse_transforms(torch_files.require_tensor_rows(tensors, key, file, (7,))) for key in _POSE_KEYS
         )
         base_from_sensor, base_from_tool = sensors[min(finger, len(sensors) - 1)], tools[0]
+        grasp_from_sensor = None
+        if _GRASP_KEY in tensors:
+            rows = torch_files.require_tensor_rows(tensors, _GRASP_KEY, file, (7,))
+            grasp_from_sensor = freeze(rigid.invert(_parse_transforms(rows)[0]) @ base_from_sensor)
         pose = rigid.validate_within_reach(
             rigid.invert(base_from_sensor) @ base_from_tool, "the tool in the bubble's frame"
         )
     except CalibrationError as error:
         raise CalibrationError(f"{error}: '{file}'") from error
-    return Truth(sensor_from_object=freeze(pose))
+    return Truth(sensor_from_object=freeze(pose), grasp_from_sensor=grasp_from_sensor)
 
 
 def _parse_transforms(rows: Any) -> list[Doubles]:

@@ -8,6 +8,7 @@ the one of least rmse is used.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -45,6 +46,7 @@ def register_planar(
     progress: Progress = SILENT,
     *,
     keep_steps: bool = False,
+    starts_deg: Sequence[float] = SWEEP_DEG,
 ) -> PlanarFit:
     """Fit the projection of the model, `placed` (4, 4), to the scene's by rotation about z and in-plane translation.
 
@@ -61,8 +63,8 @@ def register_planar(
 
     contact_tree, model_mm = KDTree(scene_points_mm), rigid.apply(placed, model_points_mm)
     best: tuple[float, float, Doubles, list[tuple[Doubles, float]]] | None = None
-    for k, start_deg in enumerate(SWEEP_DEG):
-        progress.step(k / len(SWEEP_DEG), f"planar start {k + 1} of {len(SWEEP_DEG)}")
+    for k, start_deg in enumerate(starts_deg):
+        progress.step(k / len(starts_deg), f"planar start {k + 1} of {len(starts_deg)}")
         start = _motion(math.radians(start_deg), np.zeros(2))
         found, steps = _iterate(model_mm[:, :2], scene_points_mm[:, :2], start, n_iterations)
         pose = _lift_to_3d(found)

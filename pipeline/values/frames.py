@@ -45,6 +45,7 @@ class Truth:
     indentation_mm: Floats | None = None  # (rows, cols)
     contact: Mask | None = None  # (rows, cols) pressure > 0
     sensor_from_object: Doubles | None = None  # (4, 4) mm
+    grasp_from_sensor: Doubles | None = None  # (4, 4) mm, to the frame between two fingers, x along their closing
     force_n: Doubles | None = None  # (3,) on the sensor: right, down, away from the camera (a press is < 0)
 
 

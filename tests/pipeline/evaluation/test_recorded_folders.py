@@ -15,9 +15,14 @@ from pipeline.evaluation import paper_figures
 from pipeline.evaluation.candidates import Candidate
 from pipeline.evaluation.paper_tables import EvaluationRequest
 from pipeline.evaluation.recorded_folders import find_trained_hold_out, select_recorded
+from pipeline.evaluation.table_rows import build_rows
 from pipeline.evaluation.touch_metrics import TouchMetrics, bootstrap_metrics, pool_metrics
+from pipeline.evaluation.touch_scoring import PAPER_GRASP, GraspFinger, ScoredTouch
+from pipeline.geometry import rigid
+from pipeline.geometry.meshes import Mesh, sample_surface
 from pipeline.networks.weights import Weights, load_weights, save_weights
 from pipeline.networks.weights_registry import WEIGHTS_FOLDER
+from pipeline.simulation import shapes
 from pipeline.training.recorded_pairs import PairFolder, open_pairs
 from tests.pipeline.recordings.touch2touch_files import write_grasps
 
@@ -91,6 +96,26 @@ def test_selections_are_of_one_tool_and_finger_and_name_their_grasps(data):
     assert right.frames == left.frames
     assert all(name.startswith("peg") for name in right.frame_names)
     assert {one.object_name for one in select_recorded(pairs, "training")} == {"hex"}
+
+
+def test_the_fingers_of_a_grasp_are_registered_together_by_the_papers_protocol():
+    mesh = shapes.make_shape("three_lines").mesh
+    upright = rigid.from_parts((0.0, 0.0, 0.0), (0.0, 90.0, 0.0))  # the pattern lies in the grasp's plane
+    laid = Mesh(vertices_mm=rigid.apply(upright, mesh.vertices_mm), triangles=mesh.triangles)
+    pose = rigid.from_parts((0.0, 1.0, 0.0), (5.0, 0.0, 0.0))
+    points = rigid.apply(pose, sample_surface(laid, 2000, 1)[0])
+    empty = TouchMetrics(values={}, n_pixels={}, peak_value=1.0)
+    scored = [
+        ScoredTouch(candidate="physics", touch_name="hex 1", metrics=empty, ms=1.0, pose_errors={}, features=None,
+                    finger=GraspFinger(points_mm=points[finger::2], grasp_from_object=pose, mesh=laid))
+        for finger in (0, 1)
+    ]  # fmt: skip
+    physics = Candidate(name="physics", title="physics")
+    (row,) = build_rows("unseen_tools", "gelslim", "soft_bubble", [physics], scored)
+    errors = row.pose_errors[PAPER_GRASP]
+    assert errors.n_poses == 1
+    assert errors.rotation_deg[0] < 0.5
+    assert errors.translation_mm[0] < 0.2
 
 
 def test_weights_that_held_out_different_pairs_are_refused(trained, tmp_path):

@@ -76,6 +76,14 @@ def test_the_pose_of_the_tool_is_in_the_bubble_camera_frame(tmp_path: Path):
     np.testing.assert_allclose(truth.sensor_from_object, want, atol=FLOAT_ROUNDING_MM)
 
 
+def test_the_frame_between_the_fingers_is_known_where_it_is_recorded(tmp_path: Path):
+    grasp = torch.tensor([[0.5, 0.0, 0.05, 0.0, 0.0, 0.0, 1.0]])  # half way from the camera to the tool
+    path = saved(tmp_path / "data_3.pt", {**bubble(), "grasp_frame_quat": grasp})
+    truth = open_recording(path).streams[1].truth(0)
+    tool_in_grasp = rigid.apply(truth.grasp_from_sensor @ truth.sensor_from_object, np.zeros((1, 3)))
+    np.testing.assert_allclose(tool_in_grasp, [[0.0, 0.0, 50.0]], atol=FLOAT_ROUNDING_MM)
+
+
 def test_a_gelslim_sample_keeps_fingers_and_colours(tmp_path: Path):
     right, left = open_recording(saved(tmp_path / "data_3.pt", gelslim())).streams
     assert right.frame(0).image[5, 6].tolist() == [100, 0, 0]
