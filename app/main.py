@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import locale
 import logging
 import os
 import sys
@@ -94,6 +95,7 @@ def make_application() -> QApplication:
     if isinstance(existing, QApplication):
         return existing
     application = QApplication([sys.argv[0]])
+    locale.setlocale(locale.LC_NUMERIC, "C")  # Qt sets the user's: a C library would then read 0,5 and not 0.5
     application.setApplicationName("Tactoscope")
     return application
 

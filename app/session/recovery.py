@@ -14,6 +14,7 @@ from app.session.file_fingerprints import fingerprint_files
 from app.session.state import SESSION_SUFFIX, Session, load_session, save_session
 from pipeline.base.errors import TouchError
 from pipeline.base.files import open_lock
+from pipeline.base.user_folders import find_user_folder
 from pipeline.translation.catalogue import BUILT_IN, Catalogue
 
 _LOCK_SUFFIX = ".lock"
@@ -30,9 +31,7 @@ class RecoverableSession:
 
 def get_recovery_folder() -> Path:
     """Folder of the recovery files."""
-    import platformdirs
-
-    return Path(platformdirs.user_state_dir("tactoscope", appauthor=False)) / "recovery"
+    return find_user_folder("state") / "recovery"
 
 
 class RecoveryFile:

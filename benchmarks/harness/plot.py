@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.harness.results import BenchmarkResult, Measurement, PlotPoint
+from pipeline.base.figures import make_figure
 from pipeline.base.files import open_atomic
 
 _OURS, _BAR = "#0b6e99", "#6b7280"
@@ -25,9 +26,8 @@ def plot_result(result: BenchmarkResult, path: Path) -> bool:
     points = [p for p in result.points or collect_points(result) if _drawable(p)]
     if not points:
         return False
-    from matplotlib.figure import Figure
 
-    figure = Figure(figsize=_INCHES, dpi=_DPI, layout="constrained")
+    figure = make_figure(figsize=_INCHES, dpi=_DPI, layout="constrained")
     axes: Any = figure.add_subplot()
     floor = _floor([p.error for p in points])
     bars = [row for row in result.rows if _shown(row, points)]

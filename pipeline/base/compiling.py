@@ -18,6 +18,8 @@ from collections.abc import Callable, Generator
 from functools import cache
 from pathlib import Path
 
+from pipeline.base.user_folders import find_user_folder
+
 _PACKAGE_FOLDER = Path(__file__).parents[1]
 _MAX_FOLDERS = 4  # caches of older sources that are kept, for switching between two versions
 
@@ -77,10 +79,8 @@ def kernel_folder() -> Path:
 
     Where neither can be written, a temporary folder of this process is used.
     """
-    import platformdirs
-
     given = os.environ.get("NUMBA_CACHE_DIR")
-    root = Path(given) if given else Path(platformdirs.user_cache_dir("tactoscope", appauthor=False))
+    root = Path(given) if given else find_user_folder("cache")
     folder = root / "kernels" / digest_sources()
     with contextlib.suppress(OSError):
         is_new = not folder.is_dir()

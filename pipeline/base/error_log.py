@@ -8,6 +8,8 @@ import time
 import traceback
 from pathlib import Path
 
+from pipeline.base.user_folders import find_user_folder
+
 MAX_LOG_BYTES = 1_000_000  # a longer log is renamed and replaces the previous one
 
 
@@ -38,6 +40,4 @@ def log_error(error: BaseException) -> str:
 
 
 def _own_folder() -> Path:
-    import platformdirs
-
-    return Path(platformdirs.user_log_dir("tactoscope", appauthor=False))
+    return find_user_folder("log")

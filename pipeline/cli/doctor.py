@@ -13,6 +13,7 @@ from itertools import chain
 from pathlib import Path
 
 from pipeline.base.errors import TouchError
+from pipeline.base.user_folders import has_home
 from pipeline.cli.terminal import print_line
 from pipeline.recordings import open_recording
 from pipeline.sensors.spec import list_sensor_names, load_sensor
@@ -57,6 +58,8 @@ def _check_machine() -> Iterator[tuple[bool, str]]:
         f"Python {platform.python_version()} on {platform.platform()}" + ("" if good else "; 3.11 or newer is needed"),
     )
     yield True, f"{os.cpu_count()} cores"
+    home = "a home folder for compiled kernels, logs and recovery"
+    yield has_home(), home if has_home() else f"{home}; set HOME or XDG_CACHE_HOME and XDG_STATE_HOME"
 
 
 def _check_packages() -> Iterator[tuple[bool, str]]:

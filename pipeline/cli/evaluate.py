@@ -108,6 +108,7 @@ def evaluate(
         Folder of the simulated touches; default: the user's cache.
     scheduler
         Address of a Dask scheduler whose workers score the recordings, such as `tcp://host:8786`.
+        It must be trusted: what it sends is run on this machine.
     """
     swept = split_list(sweep)
     check_sweep_parameters(swept)

@@ -10,7 +10,9 @@ from typing import Annotated
 from cyclopts import Parameter
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
+from pipeline.base.text import escape_text, shorten_text
 from pipeline.cli.interrupts import interruptible_progress
 from pipeline.cli.terminal import print_line
 from pipeline.cli.translation_options import (
@@ -115,7 +117,8 @@ def replay(folder: Path) -> int:
     table = Table("stage", "arrays", "agreement", "largest difference in")
     for stage in result.agreements:
         worst = stage.worst_array if stage.largest_difference > 0 else ""
-        table.add_row(stage.stage, str(stage.n_arrays), _format_agreement(stage), worst)
+        cells = (stage.stage, str(stage.n_arrays), _format_agreement(stage), worst)
+        table.add_row(*(Text(shorten_text(escape_text(cell), 80)) for cell in cells))  # names of a file are no markup
     Console().print(table)
     for name, value in result.metrics.items():
         print_line(f"{name} {value:.4g}, recorded {result.expected_metrics.get(name, float('nan')):.4g}")

@@ -93,7 +93,7 @@ def _watch_sensor(source: LiveSource, record: Path | None, seconds: float) -> in
 
 def _print_status(reader: LiveReader, recorder: LiveRecorder | None) -> None:
     status = reader.status()
-    written = "" if recorder is None else f", {recorder.n_written} recorded"
+    written = "" if recorder is None else f", {recorder.n_written} recorded, {recorder.n_dropped} left out"
     problem = status.message or ("" if recorder is None else recorder.problem)
     print_line(
         f"{status.state}: {status.rate_hz:.1f} Hz, {status.n_frames} frames, {status.n_lost} lost{written}"
@@ -109,7 +109,10 @@ def _print_result(reader: LiveReader, recorder: LiveRecorder | None) -> int:
     if recorder is None:
         return 0
     if recorder.n_written:
-        print_line(f"{recorder.n_written} frames in {os.fspath(recorder.path)}, {recorder.n_dropped} left out")
+        left_out = status.n_frames - recorder.n_written  # also those that came before the reference or after a problem
+        print_line(
+            f"{recorder.n_written} of {status.n_frames} frames in {os.fspath(recorder.path)}, {left_out} left out"
+        )
     elif not recorder.problem:
         print_line(
             f"nothing was recorded and no file is left: the first {reference_capture.AUTO_CAPTURE_FRAMES} frames make "

@@ -5,9 +5,10 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable, Iterator
-from contextlib import closing
+from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, cast
 
 import numpy as np
@@ -63,10 +64,31 @@ def _translate_sample(
 ) -> None:
     from pipeline.translation.translate import Request, open_translation
 
-    with closing(
-        open_translation(Request(recording=SAMPLE_RECORDING, source=source, target=target, methods=methods))
-    ) as it:
-        it.build_graph().evaluate(it.stages, it.read_inputs(_FRAME), params)
+    with ExitStack() as place:
+        recording, frame = SAMPLE_RECORDING, _FRAME
+        if not recording.exists():  # an installed package brings no samples
+            folder = place.enter_context(TemporaryDirectory())
+            recording, frame = _record_press(Path(folder) / "press.h5", source), 0
+        it = open_translation(Request(recording=recording, source=source, target=target, methods=methods))
+        place.callback(it.close)
+        it.build_graph().evaluate(it.stages, it.read_inputs(frame), params)
+
+
+def _record_press(path: Path, name: str) -> Path:
+    """Write a recording of one simulated press of the sensor `name`; returns its path."""
+    from pipeline.recordings.hdf5_writer import RecordingWriter
+    from pipeline.sensors.spec import load_sensor
+    from pipeline.simulation import shapes
+    from pipeline.simulation.poses import make_paper_grid
+    from pipeline.simulation.press import simulate_press
+    from pipeline.values.frames import TactileFrame
+
+    mesh, sensor = shapes.make_shape(_TOOL).mesh, load_sensor(name)
+    press = simulate_press(mesh, make_paper_grid(mesh, n=1, seed=0)[0], sensor, seed=0)
+    frame = TactileFrame(sensor=name, image=press.image, reference=sensor.render_reference(), index=0, time_s=0.0)
+    with RecordingWriter(path, object_mesh=mesh) as writer:
+        writer.append(name, frame)
+    return path
 
 
 def _build_geometry() -> None:

@@ -68,6 +68,7 @@ def simulate(
         Number of processes.
     scheduler
         Address of a Dask scheduler whose workers simulate instead, such as `tcp://host:8786`.
+        It must be trusted: what it sends is run on this machine.
     mesh_unit
         Unit of a mesh file.
     mesh_face

@@ -65,6 +65,7 @@ def task(
         Folder for one recording per rollout; the same command continues an interrupted run.
     scheduler
         Address of a Dask scheduler whose workers run the trials, such as `tcp://host:8786`.
+        It must be trusted: what it sends is run on this machine.
     """
     planned = make_jobs(
         name, cases=split_list(case), touches=split_list(touch),

@@ -90,6 +90,7 @@ def translate(
         With --all, start each pose at that of the previous frame: several times as fast, for moving sequences.
     scheduler
         With --all, address of a Dask scheduler whose workers translate the frames, such as `tcp://host:8786`.
+        It must be trusted: what it sends is run on this machine.
     """
     if frame is not None and all_frames:
         raise SettingProblem("give either --frame or --all, not both")

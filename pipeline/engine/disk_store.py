@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from pipeline.base.arrays import freeze
 from pipeline.base.errors import FileProblem
 from pipeline.base.files import open_atomic, read_cached_arrays
+from pipeline.base.user_folders import find_user_folder
 from pipeline.engine.digests import compute_digest
 
 _MAX_FILES = 40  # per folder; a distance grid takes 16 MB
@@ -44,9 +45,7 @@ def load_or_make(kind: type[T], made_of: object, code: tuple[str, ...], make: Ca
 
 def cache_folder() -> Path:
     """Return the user's cache folder of this program."""
-    import platformdirs
-
-    return Path(platformdirs.user_cache_dir("tactoscope", appauthor=False))
+    return find_user_folder("cache")
 
 
 @lru_cache(maxsize=16)

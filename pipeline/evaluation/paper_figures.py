@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.base.arrays import Image
+from pipeline.base.figures import make_figure
 from pipeline.base.files import open_atomic
 from pipeline.base.progress import SILENT, Progress
 from pipeline.evaluation.candidates import Candidate, select_candidates
@@ -120,12 +121,9 @@ def _draw_stages(
 
 
 def _draw(rows: Sequence[FigureRow], columns: Sequence[str], split: str, path: Path) -> None:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     width, height = _PANEL_INCHES
-    figure = Figure(figsize=(width * len(columns) + 1.0, height * len(rows) + 0.6), dpi=150, layout="constrained")
-    canvas = FigureCanvasAgg(figure)
+    figure = make_figure(figsize=(width * len(columns) + 1.0, height * len(rows) + 0.6), dpi=150, layout="constrained")
+    canvas: Any = figure.canvas
     figure.suptitle(split, fontsize=9)
     panels: Any = figure.subplots(len(rows), len(columns), squeeze=False)
     for axes, column in zip(panels[0], columns, strict=True):

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.base.errors import SettingProblem
+from pipeline.base.figures import make_figure
 from pipeline.base.files import open_atomic
 from pipeline.base.params import list_settings
 from pipeline.base.progress import SILENT, Progress, SubProgress
@@ -95,12 +96,10 @@ def draw_sweep_plots(points: Sequence[SweepPoint], folder: Path) -> list[Path]:
 
 
 def _draw_plot(points: Sequence[SweepPoint], title: str, path: Path) -> None:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
     from matplotlib.ticker import FuncFormatter
 
-    figure = Figure(figsize=(8.4, 5.2), dpi=120, layout="constrained")
-    canvas = FigureCanvasAgg(figure)
+    figure = make_figure(figsize=(8.4, 5.2), dpi=120, layout="constrained")
+    canvas: Any = figure.canvas
     axes: Any = figure.add_subplot()
     colours = {name: f"C{k}" for k, name in enumerate(dict.fromkeys(p.row.candidate for p in points))}
     for candidate, colour in colours.items():

@@ -46,12 +46,12 @@ class FolderSource:
         if not self._folder.is_dir():
             raise LiveSourceLost(f"there is no folder '{self._folder}'; trying again")
         if not self._passed:
-            self._passed = {name for name, _ in self._list_images()}
+            self._passed = {name for name, _ in self._list_new_images()}
 
     def read(self) -> LiveFrame | None:
         """The newest complete image; older new ones count as lost. None if none came."""
         for _ in range(_N_POLLS):
-            new = [(name, taken_s) for name, taken_s in self._list_images() if name not in self._passed]
+            new = self._list_new_images()
             for n_newer, (name, taken_s) in enumerate(reversed(new)):
                 image = self._read_image(self._folder / name, taken_s)
                 if image is not None:
@@ -64,14 +64,14 @@ class FolderSource:
     def close(self) -> None:
         """Nothing to release."""
 
-    def _list_images(self) -> list[tuple[str, float]]:
-        """(name, time written in s) of the images, oldest first."""
+    def _list_new_images(self) -> list[tuple[str, float]]:
+        """(name, time written in s) of the images that were not passed, oldest first."""
         try:
             with os.scandir(self._folder) as entries:
                 found = [
                     (e.stat().st_mtime_ns, e.name)
                     for e in entries
-                    if e.is_file() and image_files.is_image_file(Path(e.name))
+                    if e.name not in self._passed and e.is_file() and image_files.is_image_file(Path(e.name))
                 ]
         except OSError:
             raise LiveSourceLost(f"the folder '{self._folder}' is gone; trying again") from None

@@ -10,6 +10,7 @@ import numpy as np
 
 from pipeline.base.arrays import Floats, Image
 from pipeline.base.errors import SettingProblem
+from pipeline.base.figures import make_figure
 from pipeline.engine.graph import StageResult
 from pipeline.previews.difference import compute_difference
 from pipeline.previews.display_params import DisplayParams
@@ -67,13 +68,9 @@ def render_pane(
 
 def draw_pane_figure(shown: RenderedPane, about: str) -> Figure:
     """Return a figure of a pane, with a line `about` its origin."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     from pipeline.reporting.sheet import draw_panel
 
-    drawn = Figure(figsize=_INCHES, dpi=_DPI)
-    FigureCanvasAgg(drawn)
+    drawn = make_figure(figsize=_INCHES, dpi=_DPI)
     draw_panel(drawn, drawn.add_axes(_AXES), shown.preview, f"{shown.title} · {about}")
     return drawn
 

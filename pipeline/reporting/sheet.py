@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pipeline.base.figures import make_figure
 from pipeline.base.files import open_atomic
 from pipeline.engine.graph import StageResult
 from pipeline.previews.colours import ColourScale, get_colour_table
@@ -43,12 +44,8 @@ def draw_sheet(
     timed: bool = True,
 ) -> Figure:
     """Return the columns of the window as one figure; `timed` adds times and cache states."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     source, n = translation.source, 1 + len(translation.stages)
-    figure = Figure(figsize=(_PANEL_IN * n, 4.3), dpi=90)
-    FigureCanvasAgg(figure)
+    figure = make_figure(figsize=(_PANEL_IN * n, 4.3), dpi=90)
     # Fixed positions: an automatic layout costs more time than all the drawing.
     axes = [figure.add_axes(((0.07 + i) / n, 0.2, 0.76 / n, 0.6)) for i in range(n)]
     camera = match_camera(frame.camera or source.camera, frame.image.shape)

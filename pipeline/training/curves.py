@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from pipeline.base.figures import make_figure
 from pipeline.base.files import open_atomic, write_text
 from pipeline.training.state import TrainingState
 
@@ -32,12 +33,8 @@ def _write_table(path: Path, rows: Sequence[dict[str, Any]]) -> None:
 
 def draw_curves(folder: Path, state: TrainingState) -> None:
     """Write `curve.png`: the loss, and below it every validation metric; raises FileProblem."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     names = list(dict.fromkeys(str(row["name"]) for row in state.metrics))
-    figure = Figure(figsize=(_INCHES[0], _INCHES[1] * (1 + len(names))), dpi=_DPI, layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = make_figure(figsize=(_INCHES[0], _INCHES[1] * (1 + len(names))), dpi=_DPI, layout="constrained")
     axes: Any = figure.subplots(1 + len(names), 1, squeeze=False, sharex=True)[:, 0]
     axes[0].plot([row["step"] for row in state.curve], [row["loss"] for row in state.curve], color="#374151", lw=1.0)
     axes[0].set(ylabel="loss", title=f"{state.n_examples:,} examples in {state.trained_s / 60.0:.0f} minutes")

@@ -459,3 +459,15 @@ def test_a_quoted_source_equals_separate_words(words):
     assert isinstance(source, FolderSource)
     with pytest.raises(LiveSourceLost, match="a b/c"):
         source.open()
+
+
+def test_the_result_says_how_many_frames_were_left_out(capsys, tmp_path):
+    from types import SimpleNamespace
+
+    from pipeline.cli import live
+
+    reader = SimpleNamespace(status=lambda: SimpleNamespace(n_frames=21_920, message=""))
+    recorder = SimpleNamespace(n_written=6_293, n_dropped=0, problem="", path=tmp_path / "a.h5")
+    assert live._print_result(reader, recorder) == 0
+    assert "6293 of 21920 frames in" in (said := capsys.readouterr().out)
+    assert "15627 left out" in said

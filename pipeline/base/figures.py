@@ -1,0 +1,25 @@
+"""Figures without a display, in matplotlib's own style."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from pipeline.base.errors import SettingProblem
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def make_figure(**options: Any) -> Figure:
+    """Return an empty figure with a canvas; a `matplotlibrc` in the current folder does not change it."""
+    try:
+        import matplotlib
+    except UnicodeDecodeError as error:
+        raise SettingProblem("the file 'matplotlibrc' in the current folder is no text; rename it") from error
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    matplotlib.rcdefaults()
+    figure = Figure(**options)
+    FigureCanvasAgg(figure)
+    return figure
