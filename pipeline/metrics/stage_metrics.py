@@ -30,60 +30,39 @@ class Metric:
 
     title: str = ""
     unit: str
-    better: Literal["lower", "higher", "neither"]
     meaning: str
+    better: Literal["lower", "higher", "neither"] = "lower"
 
 
 METRICS: Mapping[str, Metric] = {
-    "mae_mm": Metric(
-        title="error", unit="mm", better="lower", meaning="mean absolute error of indentation over the whole image"
-    ),
+    "mae_mm": Metric(title="error", unit="mm", meaning="mean absolute error of indentation over the whole image"),
     "contact_mae_mm": Metric(
-        title="error in contact",
-        unit="mm",
-        better="lower",
-        meaning="mean absolute error of indentation inside the true contact",
+        title="error in contact", unit="mm", meaning="mean absolute error of indentation inside the true contact"
     ),
     "contact_iou": Metric(
-        title="IoU of contact", unit="", better="higher", meaning="intersection over union of contact and true contact"
+        title="IoU of contact", unit="", meaning="intersection over union of contact and true contact", better="higher"
     ),
     "psnr_db": Metric(
-        title="PSNR", unit="dB", better="higher", meaning="peak signal-to-noise ratio of the generated image"
+        title="PSNR", unit="dB", meaning="peak signal-to-noise ratio of the generated image", better="higher"
     ),
     "depth_mae_mm": Metric(
-        title="depth image error",
-        unit="mm",
-        better="lower",
-        meaning="mean absolute difference to the recorded depth image",
+        title="depth image error", unit="mm", meaning="mean absolute difference to the recorded depth image"
     ),
     "translation_mm": Metric(
-        title="translation error", unit="mm", better="lower", meaning="translation error of the object at the contact"
+        title="translation error", unit="mm", meaning="translation error of the object at the contact"
     ),
-    "rotation_deg": Metric(title="rotation error", unit="deg", better="lower", meaning="rotation error of the object"),
-    "mssd_mm": Metric(
-        title="MSSD",
-        unit="mm",
-        better="lower",
-        meaning="maximum symmetry-aware surface distance of the object",
-    ),
-    "se2_mm": Metric(
-        title="in-plane translation error", unit="mm", better="lower", meaning="in the sensor's plane, symmetry-aware"
-    ),
-    "se2_deg": Metric(
-        title="in-plane rotation error", unit="deg", better="lower", meaning="in the sensor's plane, symmetry-aware"
-    ),
-    "observable_mm": Metric(
-        title="observable translation error", unit="mm", better="lower", meaning="along determined directions"
-    ),
-    "observable_deg": Metric(
-        title="observable rotation error", unit="deg", better="lower", meaning="about determined axes"
-    ),
-    "n_poses": Metric(title="poses", unit="", better="neither", meaning="poses that fit equally well, up to symmetry"),
+    "rotation_deg": Metric(title="rotation error", unit="deg", meaning="rotation error of the object"),
+    "mssd_mm": Metric(title="MSSD", unit="mm", meaning="maximum symmetry-aware surface distance of the object"),
+    "se2_mm": Metric(title="in-plane translation error", unit="mm", meaning="in the sensor's plane, symmetry-aware"),
+    "se2_deg": Metric(title="in-plane rotation error", unit="deg", meaning="in the sensor's plane, symmetry-aware"),
+    "observable_mm": Metric(title="observable translation error", unit="mm", meaning="along determined directions"),
+    "observable_deg": Metric(title="observable rotation error", unit="deg", meaning="about determined axes"),
+    "n_poses": Metric(title="poses", unit="", meaning="poses that fit equally well, up to symmetry", better="neither"),
     "pose_spread_mm": Metric(
         title="pose ambiguity",
         unit="mm",
-        better="neither",
         meaning="largest distance (MSSD) between two of these poses",
+        better="neither",
     ),
 }
 """Name of a metric within its stage (`mssd_mm` of `pose.mssd_mm`) -> its description."""

@@ -54,7 +54,7 @@ def render_change(indentation_mm, reference, source, leds):
         changed=np.ones((rows, cols), np.bool_), downsampling=1, pixel_mm=source.pixel_mm, smoothing_px=0.0,
         unmarked_share=np.ones((rows, cols, 1), np.float32),
     )  # fmt: skip
-    light, surface = shadow_light.ShadowLight(source=source, patch=patch, leds=leds), np.array(indentation_mm)
+    light, surface = shadow_light.make_shadow_light(source, leds, patch), np.array(indentation_mm)
     return simulate_recorded_change(
         light.render(surface, *compute_slopes(surface, source.pixel_mm)).change, patch, light.blur_px
     )

@@ -36,9 +36,9 @@ from pipeline.calibration.shading_field import (
 from pipeline.physics import optics
 from pipeline.physics.slopes import compute_slopes
 from pipeline.sensors.spec import SensorSpec
-from pipeline.stages.depth.illumination.constants import CONSTANTS, FIELD_STEP, StepRule
+from pipeline.stages.depth.illumination.constants import CONSTANTS, FIELD_STEP
 from pipeline.stages.depth.illumination.image_patch import ImagePatch, flatten_colours
-from pipeline.stages.depth.illumination.light import RenderedChange
+from pipeline.stages.depth.illumination.light import Light, RenderedChange
 from pipeline.stages.depth.illumination.surface_refinement import clip_surface, refine_surface
 from pipeline.stages.depth.poisson import Integrator
 
@@ -46,28 +46,10 @@ _MIN_BLUR_PX = 0.3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FieldLight:
+class FieldLight(Light):
     """A shading field over one patch."""
 
-    source: SensorSpec
-    patch: ImagePatch
     field: Floats  # (rows, cols, 3, N_SHADING_TERMS) grey levels per unit
-    confidence: Floats  # (rows, cols, 3)
-
-    @property
-    def step_rule(self) -> StepRule:
-        """How an iteration moves the slopes in this light."""
-        return FIELD_STEP
-
-    @property
-    def blur_px(self) -> float:
-        """Standard deviation of the lens blur, in image pixels."""
-        return optics.require_optics(self.source).blur_px
-
-    @property
-    def max_depth_mm(self) -> float:
-        """Largest indentation that is rendered."""
-        return self.source.limits.indentation_max_mm
 
     def render(self, surface_mm: Floats, gx: Floats, gy: Floats) -> RenderedChange:
         """Render the light of a surface (rows, cols) with these slopes."""
@@ -82,8 +64,11 @@ def make_field_light(coefficients: Doubles, patch: ImagePatch, source: SensorSpe
     """The shading field of `coefficients` (m,) over a patch."""
     field = expand_field(coefficients, *_compute_positions(patch, source))
     field /= slope_model.compute_gain(patch.reference)[..., None]
-    confidence = patch.unmarked_share * np.ones_like(patch.reference)
-    return FieldLight(source=source, patch=patch, field=field, confidence=confidence)
+    return FieldLight(
+        source=source, patch=patch, step_rule=FIELD_STEP, field=field,
+        confidence=patch.unmarked_share * np.ones_like(patch.reference),
+        blur_px=optics.require_optics(source).blur_px, max_depth_mm=source.limits.indentation_max_mm,
+    )  # fmt: skip
 
 
 def fit_field(

@@ -21,9 +21,9 @@ from pipeline.physics.optics import apply_shadows, pack_leds, require_optics
 from pipeline.sensors.parts import Led, Optics
 from pipeline.sensors.reference_light import compute_reference_light
 from pipeline.sensors.spec import SensorSpec
-from pipeline.stages.depth.illumination.constants import DESCRIBED_STEP, TRUSTED_STEP, StepRule
+from pipeline.stages.depth.illumination.constants import DESCRIBED_STEP, TRUSTED_STEP
 from pipeline.stages.depth.illumination.image_patch import ImagePatch, flatten_colours
-from pipeline.stages.depth.illumination.light import RenderedChange
+from pipeline.stages.depth.illumination.light import Light, RenderedChange
 
 # Standard deviations between sensor instances, as `simulation.variation` draws them.
 _AZIMUTH_DEG, _ELEVATION_DEG = 8.0, 3.0
@@ -34,25 +34,11 @@ _REFERENCE_BLUR_PX = 3.0  # of the brightness that the gain of near LEDs is comp
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class LedLight:
+class LedLight(Light):
     """Distant LEDs over one patch."""
 
-    source: SensorSpec
     optics: Optics  # that are rendered: fitted, or the source's own
-    patch: ImagePatch
-    step_rule: StepRule
     gain: Floats  # (rows, cols, 3) of the light over the described one; 1 but for near LEDs
-    confidence: Floats  # (rows, cols, 3)
-
-    @property
-    def blur_px(self) -> float:
-        """Standard deviation of the lens blur, in image pixels."""
-        return self.optics.blur_px
-
-    @property
-    def max_depth_mm(self) -> float:
-        """Largest indentation that is rendered."""
-        return self.source.limits.indentation_max_mm
 
     def render(self, surface_mm: Floats, gx: Floats, gy: Floats) -> RenderedChange:
         """Render the light of a surface (rows, cols) with these slopes."""
@@ -79,6 +65,7 @@ def make_led_light(
     return LedLight(
         source=source, optics=optics, patch=patch, step_rule=TRUSTED_STEP if trusted else DESCRIBED_STEP,
         gain=_compute_near_gain(source, patch) if near else ones, confidence=patch.unmarked_share * ones,
+        blur_px=optics.blur_px, max_depth_mm=source.limits.indentation_max_mm,
     )  # fmt: skip
 
 

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, Protocol
+from typing import Literal, NamedTuple
 
 from pipeline.base.arrays import Floats
+from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth.illumination.constants import StepRule
+from pipeline.stages.depth.illumination.image_patch import ImagePatch
 
 IlluminationModel = Literal["described", "trusted", "near", "leds", "shadow_leds", "field"]
 
@@ -47,29 +49,17 @@ class RenderedChange(NamedTuple):
     rate_y: Floats
 
 
-class Light(Protocol):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Light:
     """A light model, prepared for one image patch."""
 
-    @property
-    def step_rule(self) -> StepRule:
-        """How an iteration moves the slopes in this light."""
-        ...
-
-    @property
-    def blur_px(self) -> float:
-        """Standard deviation of the lens blur, in image pixels."""
-        ...
-
-    @property
-    def confidence(self) -> Floats:
-        """Weight of each colour (rows, cols, 3), at most 1."""
-        ...
-
-    @property
-    def max_depth_mm(self) -> float:
-        """Largest indentation that is rendered."""
-        ...
+    source: SensorSpec
+    patch: ImagePatch
+    step_rule: StepRule  # how an iteration moves the slopes
+    confidence: Floats  # (rows, cols, 3) weight of each colour, at most 1
+    blur_px: float  # standard deviation of the lens blur, in image pixels
+    max_depth_mm: float  # largest indentation that is rendered
 
     def render(self, surface_mm: Floats, gx: Floats, gy: Floats) -> RenderedChange:
         """Render the light of a surface (rows, cols) with these slopes."""
-        ...
+        raise NotImplementedError

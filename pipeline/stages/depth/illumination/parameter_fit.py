@@ -35,9 +35,9 @@ from pipeline.stages.depth.illumination.image_patch import (
 from pipeline.stages.depth.illumination.led_light import compute_led_prior_root, make_led_light, shift_optics
 from pipeline.stages.depth.illumination.light import Light, RenderedChange
 from pipeline.stages.depth.illumination.shadow_light import (
-    ShadowLight,
     compute_shadow_prior_root,
     make_described_leds,
+    make_shadow_light,
     shift_leds,
 )
 from pipeline.stages.depth.illumination.surface_refinement import clip_surface, refine_surface
@@ -115,7 +115,7 @@ def fit_shadow_leds(source: SensorSpec, touch: LedObservation) -> Doubles | None
     described = make_described_leds(source)
 
     def make_light(deviations: Doubles, patch: ImagePatch) -> Light:
-        return ShadowLight(source=source, patch=patch, leds=shift_leds(described, deviations))
+        return make_shadow_light(source, shift_leds(described, deviations), patch)
 
     root = compute_shadow_prior_root(described)
     model = _ParameterModel(make_light=make_light, prior_root=root, effective=tuple(range(len(root))))

@@ -141,7 +141,7 @@ def make_light(illumination: Illumination, patch: ImagePatch, source: SensorSpec
         return make_field_light(parameters, patch, source)
     if illumination.model == "shadow_leds":
         leds = shadow_light.shift_leds(shadow_light.make_described_leds(source), parameters)
-        return shadow_light.ShadowLight(source=source, patch=patch, leds=leds)
+        return shadow_light.make_shadow_light(source, leds, patch)
     is_near = illumination.model == "near"
     return led_light.make_led_light(
         source, get_optics(illumination, source), patch, trusted=illumination.is_trusted, near=is_near

@@ -23,9 +23,9 @@ from pipeline.base.arrays import Doubles, Floats
 from pipeline.physics import optics
 from pipeline.sensors.reference_light import compute_reference_light
 from pipeline.sensors.spec import SensorSpec
-from pipeline.stages.depth.illumination.constants import SHADOW_STEP, StepRule
+from pipeline.stages.depth.illumination.constants import SHADOW_STEP
 from pipeline.stages.depth.illumination.image_patch import ImagePatch, flatten_colours
-from pipeline.stages.depth.illumination.light import RenderedChange
+from pipeline.stages.depth.illumination.light import Light, RenderedChange
 
 _DARK_GREY = np.float32(2.0)  # R0: a camera's black is not quite none
 _NOISE_PER_GREY = np.float32(0.01)  # noise grows with the light
@@ -55,33 +55,10 @@ class LedArray:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ShadowLight:
+class ShadowLight(Light):
     """Low LEDs over one patch."""
 
-    source: SensorSpec
-    patch: ImagePatch
     leds: LedArray
-
-    @property
-    def step_rule(self) -> StepRule:
-        """How an iteration moves the slopes in this light."""
-        return SHADOW_STEP
-
-    @property
-    def blur_px(self) -> float:
-        """Standard deviation of the lens blur, in image pixels."""
-        return optics.require_optics(self.source).blur_px
-
-    @property
-    def confidence(self) -> Floats:
-        """Weight of each colour (rows, cols, 3): noise is a share of the light, plus what the camera adds."""
-        image = self.patch.reference + self.patch.change
-        return np.asarray(self.patch.unmarked_share / np.hypot(1.0, _NOISE_PER_GREY * image), np.float32)
-
-    @property
-    def max_depth_mm(self) -> float:
-        """Largest indentation that is rendered."""
-        return _MAX_DEPTH_FACTOR * self.source.limits.indentation_max_mm
 
     def render(self, surface_mm: Floats, gx: Floats, gy: Floats) -> RenderedChange:
         """Render the light of a surface (rows, cols) with these slopes."""
@@ -93,6 +70,17 @@ class ShadowLight:
         visible = compute_visibility(self.leds, surface_mm, self.patch.pixel_mm)
         render_shadow_light(gx, gy, level, visible, self.leds.directions, share, *(flatten_colours(a) for a in out))
         return out
+
+
+def make_shadow_light(source: SensorSpec, leds: LedArray, patch: ImagePatch) -> ShadowLight:
+    """Light of low LEDs; noise is a share of the light, plus what the camera adds."""
+    noise = np.hypot(1.0, _NOISE_PER_GREY * (patch.reference + patch.change))
+    return ShadowLight(
+        source=source, patch=patch, leds=leds, step_rule=SHADOW_STEP,
+        confidence=np.asarray(patch.unmarked_share / noise, np.float32),
+        blur_px=optics.require_optics(source).blur_px,
+        max_depth_mm=_MAX_DEPTH_FACTOR * source.limits.indentation_max_mm,
+    )  # fmt: skip
 
 
 def compute_visibility(leds: LedArray, surface_mm: Floats, pixel_mm: float) -> Floats:
