@@ -28,7 +28,7 @@ class TensorTable:
     """Tensors of a file by name, and what else the file holds."""
 
     tensors: dict[str, Floats]
-    other_keys: frozenset[str]  # beside the table, such as "optimizer"; empty for a bare table
+    other_keys: frozenset[str]  # next to the table, such as "optimizer"; empty for a bare table
 
 
 def select_all(names: Collection[str]) -> Mapping[str, str]:
@@ -72,7 +72,7 @@ def _take(tensors: Mapping[str, NDArray[Any]], select: Selection, others: frozen
 
 
 def _find_table(content: Any, path: Path) -> tuple[dict[str, Any], frozenset[str]]:
-    """The table of tensors, and the keys beside it in a training checkpoint; raises FileProblem if there is none."""
+    """The table of tensors, and the keys next to it in a training checkpoint; raises FileProblem if there is none."""
     others = frozenset[str]()
     for key in _WRAPPED:
         if isinstance(content, Mapping) and isinstance(content.get(key), Mapping):

@@ -25,7 +25,7 @@ _DESCRIBED = {"rows": int, "cols": int, "min_depth_mm": float, "norm_scale": flo
 def read_weights(path: Path) -> Weights:
     """Read such a state, or Tactoscope weights; raises FileProblem for any other file.
 
-    The normalisation is that of the published `unet_bigdata`, unless a description beside the file says otherwise.
+    The normalisation is that of the published `unet_bigdata`, unless a description next to the file says otherwise.
     """
     if path.suffix == SUFFIX and is_tactoscope_file(load_tensors(path)[0]):
         return load_weights(path)

@@ -1,4 +1,4 @@
-"""What a foreign weights file does not say of itself: a TOML of the same name beside it."""
+"""What a foreign weights file does not say of itself: a TOML of the same name next to it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def get_description_path(weights: Path) -> Path:
 
 
 def read_description(weights: Path, known: Mapping[str, type]) -> dict[str, Value]:
-    """The values beside a weights file, by the names and types `known`; empty where there is no description.
+    """The values next to a weights file, by the names and types `known`; empty where there is no description.
 
     Raises FileProblem for an unknown name or a value of another type.
     """

@@ -25,6 +25,8 @@ def make_weights(run: TrainingState, name: str) -> Weights:
     """The averaged weights of a run."""
     recipe = json.loads(run.recipe)
     kind = str(recipe["network"].pop("kind"))
+    if recipe["settings"].get("condition_dropout") == 0.0:
+        recipe["network"]["trained_with_condition_dropout"] = False
     tensors = {key: tensor.detach().float().cpu().numpy().copy() for key, tensor in run.averaged_tensors.items()}
     weights = Weights(name=name, kind=kind, config=recipe["network"], tensors=tensors, card=_card(run, recipe))
     return replace(weights, onnx=export_weights(weights)) if kind in ONNX_KINDS else weights

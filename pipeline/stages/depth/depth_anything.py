@@ -100,7 +100,7 @@ def estimate_depth(
             text = (
                 f"the weights do not state their largest distance, {_USUAL_DISTANCE_MM:g} mm is assumed: depths may be"
             )
-            notes.append(StageWarning(f"{text} off by a factor; write largest_mm into a TOML beside the weights"))
+            notes.append(StageWarning(f"{text} off by a factor; write largest_mm into a TOML next to the weights"))
         indentation = _convert_distance(distance_mm, rest, source.limits.indentation_max_mm, notes)
     else:
         indentation = _fit_to_physical(output, physical.indentation_mm, notes)

@@ -1,0 +1,20 @@
+"""Weights of a run say what their network was trained with."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from pipeline.training.export import make_weights
+from pipeline.training.recipe import load_recipe
+from pipeline.training.state import TrainingState, serialise_recipe
+
+
+@pytest.mark.parametrize(("dropout", "guided"), [(0.1, True), (0.0, False)])
+def test_weights_say_whether_guidance_can_act(dropout, guided):
+    recipe = load_recipe("latent")
+    recipe = replace(recipe, settings=replace(recipe.settings, condition_dropout=dropout))
+    run = TrainingState(recipe=serialise_recipe(recipe), averaged_tensors={"scale_factor": torch.tensor(1.0)})
+    assert make_weights(run, "made").trained_with_condition_dropout == guided
