@@ -54,7 +54,7 @@ def wait_for_views(instrument: SessionController) -> None:
 
 
 def wait_for_idle(instrument: SessionController) -> None:
-    """Wait until nothing has been worked out for a while, beside the stages too."""
+    """Wait until nothing has been computed for a while, stages and all else."""
     since_s = time.monotonic()
     while time.monotonic() - since_s < QUIET_S:
         until(lambda: instrument.is_idle)
@@ -89,10 +89,7 @@ def inspect(instrument: SessionController, path: Path) -> None:
     assert opened is not None
     n = opened.n_frames
     until(lambda: all(window.frames.model.get_summary(i) is not None for i in range(n)) and instrument.is_idle)
-    command(instrument, "worse")
-    wait_for_views(instrument)
-    for _ in range(n):
-        command(instrument, "worse")
+    command(instrument, "worst_frame")
     wait_for_views(instrument)
     command(instrument, "show_wipe")
     wait_for_views(instrument)
@@ -103,7 +100,7 @@ def inspect(instrument: SessionController, path: Path) -> None:
 
 
 def stages(instrument: SessionController, path: Path) -> None:
-    """Every slot side by side, a pixel followed through all of them."""
+    """Every stage side by side, a pixel followed through all of them."""
     open_sample(instrument, frame=5)
     wait_for_idle(instrument)
     pin_deepest_pixel(instrument)
@@ -112,7 +109,7 @@ def stages(instrument: SessionController, path: Path) -> None:
 
 
 def filmstrip(instrument: SessionController, path: Path) -> None:
-    """Two slots large under a strip of all."""
+    """Two stages large under a strip of all."""
     open_sample(instrument, frame=5)
     command(instrument, "layout_inspect")
     wait_for_views(instrument)
@@ -129,7 +126,7 @@ def compare(instrument: SessionController, path: Path) -> None:
 
 
 def two(instrument: SessionController, path: Path) -> None:
-    """Two ways to the target's view on one frame and view."""
+    """Two methods of the target depth on one frame."""
     comparing = _compared(instrument)
     command(instrument, "set_variant_settings")
     instrument.choose_method("target_depth", "paper")

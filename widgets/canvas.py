@@ -52,8 +52,8 @@ class Canvas(QWidget):
         """Return a column's share of a laptop screen."""
         return QSize(200, 160)
 
-    def show_preview(self, picture: Preview) -> None:
-        """Show another image; an image of the same size keeps the view."""
+    def show_preview(self, picture: Preview | None) -> None:
+        """Show another image, None for no image; an image of the same size keeps the view."""
         if self._plate.set_preview(picture):
             self.fit_view()
         self.invalidate()

@@ -37,8 +37,8 @@ class Thumbnail(QAbstractButton):
         self._picture: Preview | None = None
         self._pixmap: QPixmap | None = None
 
-    def show_preview(self, picture: Preview) -> None:
-        """Take another preview; the thumbnail is rendered when it is painted."""
+    def show_preview(self, picture: Preview | None) -> None:
+        """Take another preview, None for none; the thumbnail is rendered when it is painted."""
         if picture is not self._picture:
             self._picture, self._pixmap = picture, None
             self.update()

@@ -34,9 +34,12 @@ class PreviewRenderer:
         self.centre, self.scale = QPointF(), 0.0  # image pixel at the centre; screen pixels per image pixel
         self.size = QSize()
 
-    def set_preview(self, picture: Preview) -> bool:
-        """Set another image and return whether its size differs."""
+    def set_preview(self, picture: Preview | None) -> bool:
+        """Set another image, None for no image, and return whether it needs another view than the one before."""
         old, self.preview = self.preview, picture
+        if picture is None:
+            self.image, self.overlay = None, None
+            return False
         self.image = make_qimage(self._recolour(picture.pixels))
         return old is None or old.pixels.shape[:2] != picture.pixels.shape[:2]
 

@@ -82,13 +82,18 @@ class PreviewView(QWidget):
         """The probe's crosshair, (row, col)."""
         return self.canvas.crosshair
 
-    def show_preview(self, picture: Preview) -> None:
-        """Show a preview; the view changes only with the number of pixels."""
+    def show_preview(self, picture: Preview | None) -> None:
+        """Show a preview, None for none; the view changes only with the number of pixels."""
         if picture is self.preview:
             return
-        other = self.has_colour_scale != (picture.scale is not None)
+        other = self.has_colour_scale != (picture is not None and picture.scale is not None)
         self.preview = picture
         self.canvas.show_preview(picture)
+        if picture is None:
+            self.overlay.clear()
+            self.colour_bar.show_scale(None)
+            self._caption.setText("")
+            return
         self.colour_bar.show_scale(picture.scale, picture.values)
         self._caption.setText(picture.caption)
         self._caption.setToolTip(picture.caption)
@@ -170,7 +175,7 @@ class PreviewView(QWidget):
     def _pixel_at(self, place: QPointF) -> tuple[int, int] | None:
         point = self.canvas.to_image(place)
         row, col = math.floor(point.y()), math.floor(point.x())
-        if self._shape is None or not (0 <= row < self._shape[0] and 0 <= col < self._shape[1]):
+        if self.preview is None or self._shape is None or not (0 <= row < self._shape[0] and 0 <= col < self._shape[1]):
             return None
         return row, col
 

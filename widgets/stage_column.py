@@ -13,6 +13,7 @@ from PyQt6.QtWidgets import QBoxLayout, QComboBox, QFrame, QHBoxLayout, QLabel, 
 
 from widgets.fixed_size_label import FixedSizeLabel
 from widgets.icons import StateIcon
+from widgets.pinned_parameters import PinnedParameters
 from widgets.preview_view import PreviewView
 from widgets.styling import make_bold, set_spacing, shrink_font
 
@@ -75,6 +76,8 @@ class StageColumn(QFrame):
         self._wide = self._joined = False
         self._show_lines(2)
         layout.addWidget(self._note)
+        self.pinned = PinnedParameters()
+        layout.addWidget(self.pinned)
         self.setMinimumWidth(90)
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Expanding)
         self.state, self.warnings, self._notes = "", tuple[str, ...](), tuple[str, ...]()
@@ -92,6 +95,7 @@ class StageColumn(QFrame):
             self._head.setStretchFactor(place, 2 if wide else 0)
         self._title.setMinimumWidth(min(self._title_px + 1, _TITLE_PX) if wide else 0)
         self._wide = wide
+        self.pinned.set_wide(wide)
         self.set_compact(False)
         self._fit_time()
 
@@ -160,11 +164,10 @@ class StageColumn(QFrame):
             self._method.setCurrentIndex(index)
         self._method.setToolTip(str(self._method.itemData(index, Qt.ItemDataRole.ToolTipRole) or ""))
 
-    def show_state(self, state: str, ms: float | None = None, notes: tuple[str, ...] = (), fallback: str = "") -> None:
+    def show_state(self, state: str, ms: float | None = None, notes: tuple[str, ...] = (), badge: str = "") -> None:
         """Show the state of the stage; notes become the tooltip, and the reason over a skipped preview.
 
-        The first note is shown below the preview, up to its first colon or comma. `fallback` says why another method
-        answered, and is shown over the preview.
+        The badge, or else the first note up to its first colon or comma, is shown below the preview.
         """
         if state != self.state:
             self.state = state
@@ -175,18 +178,26 @@ class StageColumn(QFrame):
         self._fit_time()
         if state not in ("stale", "running"):
             first = notes[0] if notes and state not in ("skipped", "failed") else ""
-            self._note.setText(_AN_END.split(first, maxsplit=1)[0])
+            self._note.setText(badge or _AN_END.split(first, maxsplit=1)[0])
         old = state in ("stale", "running", "failed") and self.view.preview is not None
         self.view.set_dimmed(old)
-        self.view.show_message(fallback or self._message(state, notes))
+        self.view.show_message(self._message(state, notes))
 
     def show_result(
-        self, state: str, ms: float, notes: tuple[str, ...], warnings: tuple[str, ...], fallback: str = ""
+        self,
+        state: str,
+        ms: float,
+        notes: tuple[str, ...],
+        warnings: tuple[str, ...],
+        badge: str = "",
+        *,
+        is_fallback: bool = False,
     ) -> None:
-        """Show a result; warnings come before other notes and set the state, unless it is a draft."""
+        """Show a result; warnings come before other notes, and they or a fallback set the state, unless a draft."""
         plain = tuple(note for note in notes if note not in warnings)
         self.warnings = warnings
-        self.show_state("warning" if warnings and state != "draft" else state, ms, (*warnings, *plain), fallback)
+        warns = (bool(warnings) or is_fallback) and state != "draft"
+        self.show_state("warning" if warns else state, ms, (*warnings, *plain), badge)
 
     def compute_preferred_height_px(self) -> int:
         """Return the height at which the preview fills the column's width."""

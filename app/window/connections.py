@@ -28,6 +28,7 @@ from app.window.live import LiveController
 from app.window.main_window import MainWindow
 from app.window.pan_zoom import PanZoomController
 from app.window.panels import add_panels
+from app.window.parameter_search import make_parameter_actions
 from app.window.presentation import PresentationController
 from app.window.probe_3d import Probe3DController
 from app.window.section_line import SectionLineController
@@ -50,7 +51,7 @@ T = TypeVar("T")
 
 def connect(controller: SessionController, theme: Theme = "light") -> AutosaveController:
     """Create the controllers of all features and connect everything; `theme` is the current one."""
-    window, job, probe = controller.window, controller.job, controller.probe
+    window, job = controller.window, controller.job
     _fill_choices(window, controller.catalogue)
 
     job.delivered.connect(controller.handle_part)
@@ -64,14 +65,7 @@ def connect(controller: SessionController, theme: Theme = "light") -> AutosaveCo
 
     window.timeline.frame_chosen.connect(controller.choose_frame)
     window.frames.frame_chosen.connect(controller.choose_frame)
-    window.parameters.params_edited.connect(controller.choose_params)
-    for slider in window.steps.values():
-        slider.step_chosen.connect(controller.views.show_step)
-    window.parameters.drag_ended.connect(controller.refresh)
-    for column in window.columns.values():
-        column.pixel_hovered.connect(probe.probe_pixel)
-        column.pixel_clicked.connect(probe.toggle_pin)
-        column.method_chosen.connect(controller.choose_method)
+    _connect_columns(controller)
     window.paths_dropped.connect(controller.open_paths)
     window.cancel_button.clicked.connect(job.cancel)
     window.closing.connect(controller.close)
@@ -127,17 +121,31 @@ def connect(controller: SessionController, theme: Theme = "light") -> AutosaveCo
     return autosave
 
 
+def _connect_columns(controller: SessionController) -> None:
+    window, probe = controller.window, controller.probe
+    for parameters in (window.parameters, *(column.pinned for column in window.columns.values())):
+        parameters.params_edited.connect(controller.choose_params)
+        parameters.slider_held.connect(controller.hold_slider)
+    for slider in window.steps.values():
+        slider.step_chosen.connect(controller.views.show_step)
+    for column in window.columns.values():
+        column.pixel_hovered.connect(probe.probe_pixel)
+        column.pixel_clicked.connect(probe.toggle_pin)
+        column.method_chosen.connect(controller.choose_method)
+
+
 def _fill_choices(window: MainWindow, catalogue: Catalogue) -> None:
     window.source.addItem("as recorded", "")
     for name in list_sensor_names():
         window.source.addItem(name, name)
         window.target.addItem(name, name)
     for route in catalogue.routes:
-        window.route.addItem(route.name, route.name)
+        window.route.addItem(route.label, route.name)
         window.route.setItemData(window.route.count() - 1, route.title, Qt.ItemDataRole.ToolTipRole)
     window.route.setEnabled(len(catalogue.routes) > 1)
     for stage in catalogue.stages:
         window.columns[stage.name].offer_methods([(m.name, m.title, m.help) for m in stage.methods])
+        window.columns[stage.name].pinned.offer_methods((m.key, m.params()) for m in stage.methods)
         for method in stage.methods:
             title = stage.title if len(stage.methods) == 1 else f"{stage.title} · {method.title}"
             window.parameters.add_group(method.key, title, method.params(), method.help)
@@ -241,9 +249,12 @@ def _connect_palette(window: MainWindow) -> None:
     """Connect the command palette and the keyboard focus filter."""
     palette, command = CommandPalette(window), window.actions_by_name["palette"]
     command.setShortcuts([command.shortcut(), QKeySequence("Ctrl+Shift+P")])
-    window.connect_command(
-        "palette", lambda: palette.show_commands([a for a in window.actions() if a is not command and a.text()])
-    )
+
+    def list_commands() -> list[QAction]:
+        commands = [action for action in window.actions() if action is not command and action.text()]
+        return commands + make_parameter_actions(window, palette)
+
+    window.connect_command("palette", lambda: palette.show_commands(list_commands()))
     KeyboardFocusFilter(window)
 
 

@@ -8,17 +8,26 @@ from PyQt6.QtCore import QSignalBlocker
 
 from app.session.state import DISPLAY_KEY, Session
 from app.window.main_window import MainWindow
+from pipeline.base.params import list_settings
 from pipeline.engine.graph import Method
 from pipeline.translation.catalogue import Catalogue
+from pipeline.translation.translate import Translation
 
 
 def show_controls(
-    window: MainWindow, session: Session, methods: Sequence[Method], catalogue: Catalogue, kinds: Mapping[str, str]
+    window: MainWindow,
+    session: Session,
+    methods: Sequence[Method],
+    catalogue: Catalogue,
+    opened: Translation | None,
+    unavailable: Mapping[str, Mapping[str, str]],
 ) -> None:
-    """Show a session with these methods on the controls, without change signals.
+    """Show a session with these methods on the controls, without change signals; `opened` is on screen.
 
-    `kinds` maps method keys to sensor kinds: only the parameters for that kind are shown.
+    Only the parameters for the sensors' kinds are shown; those in `unavailable` (method key -> parameter -> reason) are
+    greyed out.
     """
+    kinds = map_sensor_kinds(methods, catalogue, opened)
     window.timeline.show_frame(session.frame)
     window.frames.show_frame(session.frame)
     for stage in catalogue.stages:
@@ -27,7 +36,12 @@ def show_controls(
     window.parameters.show_params(DISPLAY_KEY, session.display)
     window.parameters.show_groups({**{m.key: kinds.get(m.key, "") for m in methods}, DISPLAY_KEY: ""})
     for method in methods:
-        window.columns[method.stage].show_method(method.name)
+        column, reasons = window.columns[method.stage], dict(unavailable.get(method.key, {}))
+        column.show_method(method.name)
+        window.parameters.show_unavailable(method.key, reasons)
+        lacking = set(column.pinned.names) - set(list_settings(method.params()))
+        reasons |= dict.fromkeys(lacking, f"not a parameter of {method.title}; choose another method")
+        column.pinned.show_params(method.key, session.get_params(method), reasons)
     for name in ("source", "target", "route"):
         box, value = getattr(window, name), getattr(session, name)
         with QSignalBlocker(box):
@@ -35,3 +49,11 @@ def show_controls(
     window.actions_by_name["link_cameras"].setChecked(session.cameras_linked)
     window.actions_by_name["close_mesh"].setEnabled(session.mesh is not None)
     window.actions_by_name["close_weights"].setEnabled(bool(session.weights))
+
+
+def map_sensor_kinds(methods: Sequence[Method], catalogue: Catalogue, opened: Translation | None) -> dict[str, str]:
+    """Method key -> kind of sensor it reads; {} if nothing is open."""
+    if opened is None:
+        return {}
+    kind = {"source": opened.source.kind, "target": opened.target.kind}
+    return {method.key: kind[catalogue.stage(method.stage).sensor_role] for method in methods}

@@ -74,7 +74,7 @@ class MainWindow(QMainWindow):
 
     def __init__(self, columns: Sequence[tuple[str, str]], stages_with_steps: frozenset[str] = frozenset()) -> None:
         super().__init__()
-        self.setWindowTitle("Tactoscope")
+        self.setWindowTitle("Tactoscope[*]")
         self._set_default_size()
         self.setAcceptDrops(True)
         self.setDockNestingEnabled(True)

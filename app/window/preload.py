@@ -1,4 +1,4 @@
-"""Preloads packages and kernels while no recording is open."""
+"""Preloads what the first depth needs while no recording is open, and what sampling needs once a frame is shown."""
 
 from __future__ import annotations
 
@@ -7,19 +7,23 @@ from PyQt6.QtCore import QObject
 from app.session.state import Session
 from app.window.session_controller import SessionController
 from app.work.jobs import LatestJob
-from app.work.preload import preload_depth
+from app.work.preload import preload_depth, preload_samplers
 from widgets.styling import make_single_shot_timer
 
 _DELAY_MS = 700  # the window and its 3D views come first
+_SAMPLER_DELAY_MS = 1500  # after a frame; browsing comes first
 
 
 class PreloadController(QObject):
-    """Loads packages and kernels once, on a thread of its own; stops when a recording opens, which loads the same."""
+    """Loads packages and kernels on a thread of its own; stops when a recording opens, which loads the same."""
 
     def __init__(self, controller: SessionController) -> None:
         super().__init__(controller)
         self.job = LatestJob("preload", self)
         self.start_timer = make_single_shot_timer(self, _DELAY_MS, lambda: self.job.submit(preload_depth))
+        self._controller = controller
+        self.sampler_timer = make_single_shot_timer(self, _SAMPLER_DELAY_MS, self._preload_samplers)
+        controller.frame_shown.connect(self._preload_samplers_soon)
         controller.session_shown.connect(self._stop)
         controller.closing.connect(self._close)
         if controller.session.recording is None:
@@ -30,6 +34,15 @@ class PreloadController(QObject):
             self.start_timer.stop()
             self.job.cancel()
 
+    def _preload_samplers_soon(self, _: int) -> None:
+        self.sampler_timer.start()
+
+    def _preload_samplers(self) -> None:
+        opened = self._controller.views.translation
+        if opened is not None and self._controller.is_idle and not self._controller.window.timeline.is_playing:
+            self.job.submit(lambda _: preload_samplers(opened.weights.values()))
+
     def _close(self) -> None:
         self.start_timer.stop()
+        self.sampler_timer.stop()
         self.job.close()

@@ -11,7 +11,7 @@ from PyQt6.QtCore import pyqtSignal
 
 from app.session.state import Session
 from app.session.undo import list_sessions
-from app.window.controls import show_controls
+from app.window.controls import map_sensor_kinds, show_controls
 from app.window.logs import LogRelay
 from app.window.main_window import MainWindow
 from app.window.pixel_trace import PixelProbe
@@ -23,11 +23,13 @@ from app.work.requests import find_undo_target, make_request, make_request_if_op
 from app.work.stage_previews import SourcePreview, StagePreview
 from pipeline.engine.graph import Method
 from pipeline.evaluation.truth_view import ComparisonMode
+from pipeline.networks.guidance import raise_steps
 from pipeline.translation.catalogue import BUILT_IN, Catalogue
 from pipeline.translation.translate import Request, Translation
 from widgets.styling import make_single_shot_timer
 
 _STALE_DELAY_MS = 150  # columns not replaced within this time are marked stale
+_STEPS_RAISED = "denoising steps raised to 8: guidance acts from 4 steps on"
 # A running request younger than this finishes, so that a drag shows intermediate results; an older one is cancelled.
 _INTERRUPT_DELAY_MS = 500
 
@@ -54,6 +56,8 @@ class SessionController(SessionDocument):
         self._open_requests: set[Request | None] = {None}  # that are open: as requested, and with names resolved
         self._failed_requests: set[Request | None] = set()
         self._is_skipping = False  # over undo steps that need no computation
+        self._dragged_key = ""  # method whose slider is held
+        self._draft_stage = ""  # whose draft is computed and not yet on screen: the next request waits for it
         self.latest_frame: EvaluatedFrame | None = None  # the frame on screen
         self._stale_timer, self._interrupt_timer = (
             make_single_shot_timer(self, _STALE_DELAY_MS, self.views.mark_stale),
@@ -65,8 +69,21 @@ class SessionController(SessionDocument):
         self.change("go to frame", key="frame", frame=frame)
 
     def choose_params(self, key: str, params: object) -> None:
-        """Set the parameters of a method or of the display; a drag is one undo step."""
-        self.change(f"change {key}", key=f"params {key}", params={**self.session.params, key: params})
+        """Set the parameters of a method or of the display; a drag is one undo step.
+
+        Where guidance would not act for lack of denoising steps, these are raised, and the status bar says so.
+        """
+        method = next((method for method in self.methods if method.key == key), None)
+        given = params if method is None else raise_steps(self.session.get_params(method), params)
+        self.change(f"change {key}", key=f"params {key}", params={**self.session.params, key: given})
+        if given != params:
+            self.window.readout.setText(_STEPS_RAISED)
+
+    def hold_slider(self, key: str) -> None:
+        """Compute drafts while a slider of a method is held; "" = it was let go."""
+        self._dragged_key = key
+        if not key:
+            self.refresh()
 
     def choose_method(self, stage: str, name: str) -> None:
         """Compute a stage by another method; the route's own method clears the choice."""
@@ -199,6 +216,9 @@ class SessionController(SessionDocument):
                 self.refresh()  # the route has columns that the request did not include
         elif isinstance(part, SourcePreview | StagePreview):
             self.views.show_stage(part, is_newest=ticket == self._ticket)
+            if isinstance(part, StagePreview) and part.result.name == self._draft_stage:
+                self._draft_stage = ""
+                self.job.skip_to_waiting()
             if isinstance(part, SourcePreview):
                 self.window.timeline.show_frame(self.session.frame, part.frame.time_s)
         if ticket == self._ticket:
@@ -264,14 +284,11 @@ class SessionController(SessionDocument):
     @property
     def sensor_kinds(self) -> Mapping[str, str]:
         """Method key -> kind of sensor it reads; {} if nothing is open."""
-        opened = self.views.translation
-        if opened is None:
-            return {}
-        kind = {"source": opened.source.kind, "target": opened.target.kind}
-        return {method.key: kind[self.catalogue.stage(method.stage).sensor_role] for method in self.methods}
+        return map_sensor_kinds(self.methods, self.catalogue, self.views.translation)
 
     def _show_controls(self) -> None:
-        show_controls(self.window, self.session, self.methods, self.catalogue, self.sensor_kinds)
+        opened, unavailable = self.views.translation, self.evaluator.unavailable
+        show_controls(self.window, self.session, self.methods, self.catalogue, opened, unavailable)
 
     def _request_stages(self, *, other_request: bool) -> None:
         session, stages = self._session_to_compute(), self.window.visible_columns()
@@ -280,7 +297,8 @@ class SessionController(SessionDocument):
             get_current=lambda: self.views.translation,
             with_truth=bool(self.views.comparison_mode) or session.layout.name == "demo",
         )  # fmt: skip
-        interrupt = other_request or not self._interrupt_timer.isActive()
+        interrupt = other_request or not (self._draft_stage or self._interrupt_timer.isActive())
+        self._draft_stage = self._dragged_key.partition("/")[0]
         self._is_pending, self._must_refresh = True, False
         self._ticket = 0  # cancellations of older tickets are ignored
         self._ticket = self.job.submit(lambda report: evaluate(session, stages, report), interrupt=interrupt)
@@ -297,8 +315,8 @@ class SessionController(SessionDocument):
 
     def _session_to_compute(self) -> Session:
         """Return the session; while a parameter is dragged, with draft parameters from its stage on."""
-        methods, dragged = self.methods, self.window.parameters.dragged_key
-        first = next((i for i, method in enumerate(methods) if method.key == dragged), len(methods))
+        methods = self.methods
+        first = next((i for i, method in enumerate(methods) if method.key == self._dragged_key), len(methods))
         return self.session.with_draft_params(methods[first:])
 
     def _end_request(self) -> None:

@@ -66,6 +66,8 @@ class StageViews:
         window.timeline.show_frames(t.n_frames)
         if old is None or old.stream is not t.stream:
             window.frames.model.reset_frames(t.n_frames)
+        if old is not None and old.request.recording != t.request.recording:
+            self._clear()
         window.warning_line.show_warnings(())
         self.scene.clear_cache()
         window.source.setItemText(0, f"as recorded: {t.source.name}")
@@ -73,6 +75,17 @@ class StageViews:
         window.banner.hide()
         self.reset_cameras(session)
         self.cameras.apply_requested_cameras(self.scene)
+
+    def _clear(self) -> None:
+        """Show nothing in all columns and 3D views: what they show is of another recording."""
+        for column in (*self._window.columns.values(), self._window.truth_column):
+            column.view.show_preview(None)
+        for thumbnail in self._window.panes.filmstrip.thumbnails.values():
+            thumbnail.show_preview(None)
+        for index in self._layers:
+            self.scene.show_layers(index, ())
+        self._layers, self._steps, self._shown, self._results = {}, {}, {}, {}
+        self._probe.set_results(self._results)
 
     def show_stage(self, part: SourcePreview | StagePreview, *, is_newest: bool = True) -> None:
         """Show one column's preview, layers and state; unless `is_newest`, the column still counts as pending."""
@@ -89,7 +102,8 @@ class StageViews:
                 part.result.ms,
                 part.result.notes,
                 part.result.warnings,
-                part.result.fallback,
+                part.result.badge,
+                is_fallback=bool(part.result.fallback),
             )
             self._probe.set_results(self._results)
             if name in self._window.steps:

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 from app.session.state import Session
+from app.work.availability import explain_unavailable
 from app.work.jobs import JobReporter
 from app.work.requests import get_depth_params, make_request, open_request
 from app.work.stage_previews import PreviewCache, SourcePreview, summarise_frame
@@ -77,6 +78,7 @@ class Evaluator:
         self._preview_bytes = () if like is None else (_BACKGROUND_BYTES,)
         self._previews = PreviewCache(*self._preview_bytes)
         self._first_frame = 0  # frame to show for AUTO_FRAME
+        self.unavailable: Mapping[str, Mapping[str, str]] = {}  # method key -> parameter -> why it cannot act
         self._must_release = False  # whether a recording was opened since memory was last released
         # Kept for the open recording, so that playing and stepping back need not recompute them.
         self._comparisons: Memo[tuple[int, DepthParams], TargetComparison] = Memo(most_bytes=_TRUTH_BYTES)
@@ -243,7 +245,7 @@ class Evaluator:
     def weights_in_use(self) -> frozenset[str]:
         """Content digests of the weights that the open translation uses."""
         opened = self._translation
-        all_weights = () if opened is None else opened.weights
+        all_weights = () if opened is None else opened.weights.values()
         return frozenset(weights.content_digest for weights in all_weights if isinstance(weights, Weights))
 
     def close(self) -> None:
@@ -271,6 +273,7 @@ class Evaluator:
             report.deliver(InitialFrame(index=self._first_frame))
         for note in translation.notes:
             log.info("%s", note)
+        self.unavailable = explain_unavailable(translation, report)
         report.deliver(translation)
         return translation
 

@@ -97,6 +97,12 @@ class LatestJob(QObject):
         if dropped is not None:
             self.cancelled.emit(dropped.ticket)
 
+    def skip_to_waiting(self) -> None:
+        """Cancel the running job if another one waits."""
+        with self._changed:
+            if self._waiting is not None and self._running is not None:
+                self._running.cancelled.set()
+
     @property
     def is_busy(self) -> bool:
         """Whether a job runs or waits."""

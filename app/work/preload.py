@@ -1,8 +1,22 @@
-"""Loads the packages and compiled code that the first depth needs, before a recording is open."""
+"""Loads packages and compiled code ahead: for the first depth, and for the first sample of a touch."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from pipeline.base.progress import Progress
+from pipeline.networks import network_factory
+from pipeline.networks.first_pass import FirstPassPredictor
+from pipeline.networks.weights import Weights
+
+
+def preload_samplers(weights: Iterable[object]) -> None:
+    """Load torch and the networks whose first pass needed neither, before a slider asks for more steps."""
+    for one in weights:
+        if isinstance(one, Weights) and isinstance(
+            predictor := network_factory.load_predictor(one), FirstPassPredictor
+        ):
+            predictor.load_network()
 
 
 def preload_depth(report: Progress) -> None:

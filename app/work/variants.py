@@ -58,11 +58,13 @@ def choose_default_axes(parameters: Sequence[SweepableParameter]) -> tuple[int, 
 
 
 def suggest_values(value: Value, setting: Setting) -> tuple[Value, ...]:
-    """Values to try: all of a few choices, otherwise multiples of the current value within its limits."""
+    """Values to try: all of a few choices, those of the setting, or multiples of the current value in its limits."""
     if isinstance(value, bool):
         return (False, True)
     if setting.choices:
         return setting.choices
+    if setting.sweep:
+        return setting.sweep
     if isinstance(value, str):
         return (value,)
     base = value or (setting.step or 1.0)

@@ -33,6 +33,8 @@ class Setting:
     help: str = ""
     source: str = ""  # of the equation that uses it
     sensor_kind: str = ""  # that the parameter applies to, "" = any
+    pinned: str = ""  # short label of a parameter that stays in sight in the stage's column
+    sweep: tuple[Value, ...] = ()  # values that a sweep starts with; () = multiples of the current value
 
     def applies_to(self, kind: str) -> bool:
         """Return whether the parameter applies to a sensor of that kind; "" = unknown kind."""
@@ -61,11 +63,14 @@ def setting(
     help: str = "",  # noqa: A002 - the word users know
     source: str = "",
     only: str = "",
+    pinned: str = "",
+    sweep: tuple[Value, ...] = (),
 ) -> Any:
     """Return a dataclass field with a default and its `Setting`; `choices` is the field's `Literal` type."""
     words = get_args(choices) or tuple(choices)
     rule = Setting(
-        label=label, unit=unit, low=low, high=high, step=step, choices=words, help=help, source=source, sensor_kind=only
+        label=label, unit=unit, low=low, high=high, step=step, choices=words, help=help, source=source,
+        sensor_kind=only, pinned=pinned, sweep=sweep,
     )  # fmt: skip
     return field(default=default, metadata={"setting": rule})
 

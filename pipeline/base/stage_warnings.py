@@ -12,6 +12,10 @@ class StageWarning(str):
     """
 
 
+class ChangeNote(str):
+    """A note of how far a network's result is from physics; the window shows it as a badge."""
+
+
 AT_BORDER = StageWarning("the contact reaches the image border: the part beyond is missing")
 
 

@@ -165,8 +165,15 @@ def print_stage_table(reports: Sequence[FrameReport]) -> None:
 
 def list_fallbacks(reports: Sequence[FrameReport]) -> list[str]:
     """One sentence for each stage that another method than the requested one computed, with the reason."""
-    reasons = {f"{name}: {r.fallback}" for report in reports for name, r in report.results.items() if r.fallback}
-    return [f"fallback used: {reason}" for reason in sorted(reasons)]
+    reasons: dict[tuple[str, str], list[str]] = {}
+    for report in reports:
+        for name, result in report.results.items():
+            if result.fallback:
+                reasons.setdefault((name, result.badge), []).append(result.fallback)
+    return [
+        f"fallback used in {len(found)} of {len(reports)} frames: {name}: {found[0]}"
+        for (name, _), found in sorted(reasons.items())
+    ]
 
 
 def list_warnings(reports: Sequence[FrameReport]) -> list[str]:

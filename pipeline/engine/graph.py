@@ -20,7 +20,7 @@ from pipeline.base.errors import SettingProblem
 from pipeline.base.memo import measure_bytes
 from pipeline.base.params import is_draft
 from pipeline.base.progress import SILENT, Progress, SubProgress
-from pipeline.base.stage_warnings import StageWarning, select_warnings
+from pipeline.base.stage_warnings import ChangeNote, StageWarning, select_warnings
 from pipeline.engine.cache import Cache, CacheEntry
 from pipeline.engine.digests import DigestCache, compute_digest
 
@@ -90,6 +90,11 @@ class StageResult:
     digest: str
     fallback: str = ""  # why another method gave the result; "" = it did not
     draft: bool = False  # whether it or one of its inputs was computed with draft parameters
+
+    @property
+    def badge(self) -> str:
+        """What gave the result, in a few words: why another method did, or what the network changed; "" = not said."""
+        return self.fallback.partition(";")[0] or next((n for n in self.notes if isinstance(n, ChangeNote)), "")
 
     @property
     def warnings(self) -> tuple[StageWarning, ...]:

@@ -30,9 +30,7 @@ class CompactUnet(nn.Module):
         super().__init__()
         widths = [min(base_channels * 2**level, max_channels) for level in range(levels)]
         self.fold, self.inputs = fold, inputs
-        # Pixels to channels as a convolution: OpenCV runs it for any size, which it does not for torch's own export.
-        kernel = torch.eye(fold * fold).reshape(fold * fold, 1, fold, fold).repeat(inputs, 1, 1, 1)
-        self.register_buffer("fold_kernel", kernel, persistent=False)
+        self.register_buffer("fold_kernel", make_fold_kernel(inputs, fold), persistent=False)
         self.start = _block(inputs * fold * fold, widths[0])
         self.down = nn.ModuleList(
             nn.Sequential(_block(narrow, wide), _block(wide, wide)) for narrow, wide in pairwise(widths)
@@ -59,6 +57,11 @@ class CompactUnet(nn.Module):
             field = merge(skip + field)
         fields = functional.pixel_shuffle(self.finish(field), self.fold)
         return fields[..., :rows, :cols] if any(padding) else fields
+
+
+def make_fold_kernel(inputs: int, fold: int) -> Tensor:
+    """Pixels to channels as a convolution: OpenCV runs it for any size, which it does not for torch's own export."""
+    return torch.eye(fold * fold).reshape(fold * fold, 1, fold, fold).repeat(inputs, 1, 1, 1)
 
 
 def _block(inputs: int, outputs: int) -> nn.Sequential:

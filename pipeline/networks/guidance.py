@@ -13,12 +13,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar, cast
 
 from pipeline.base.errors import SettingProblem
+from pipeline.base.params import list_settings, replace_value
 from pipeline.networks.samplers import Denoiser
 
+P = TypeVar("P")
 MAX_WEIGHT = 15.0
+GUIDED_STEPS, WEIGHTS = (4, 8, 16, 50), (1.0, 2.5, 4.0, 7.0)  # where guidance shows its effect, for a sweep
 NO_CONDITION_DROPOUT = "guidance has no effect: these weights were trained without condition dropout"
 _MIN_STEPS, _SAFE_STEPS, _SAFE_WEIGHT = 4, 20, 1.5
 _INTERVAL = (0.02, 1.0)  # sigma over data range (Kynkaanniemi et al. 2024: guide in a limited interval)
@@ -58,6 +61,15 @@ def plan_guidance(
     low, high = (share * data_range for share in _INTERVAL)
     note = f"few steps for a guidance of {weight:g}: first order, guided at middle noise levels only"
     return GuidancePlan(weight=weight, max_degree=0, interval=(low, high), note=note)
+
+
+def raise_steps(old: P, new: P) -> P:
+    """`new` parameters with 8 steps if the guidance was changed and acts only with more steps than they have."""
+    names, least = list_settings(new).keys(), _MIN_STEPS
+    before, after = cast("Any", old), cast("Any", new)
+    if not {"guidance", "steps"} <= names or after.guidance in (before.guidance, 1.0) or after.steps >= least:
+        return new
+    return replace_value(new, "steps", GUIDED_STEPS[1])
 
 
 class GuidedDenoiser:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import importlib
 import warnings
-from collections.abc import Callable, Container, Mapping
+from collections.abc import Container, Mapping
 from typing import TYPE_CHECKING, Any
 
 from pipeline.base.arrays import Floats
 from pipeline.base.errors import ModelMissing
 from pipeline.base.memo import Memo
 from pipeline.base.params import Value
+from pipeline.networks.first_pass import FirstPassPredictor
 from pipeline.networks.onnx_predictor import OnnxPredictor
 from pipeline.networks.weights import NoWeights, Weights
 
@@ -27,13 +28,14 @@ NETWORK_CLASSES: dict[str, str] = {  # kind -> module:class; importing a module 
     "touch_pose": "pipeline.networks.touch_pose:TouchPose",
     "vqvae": "pipeline.networks.vqvae:VqVae",
 }
-ONNX_KINDS = frozenset({"compact_unet", "gel_depth"})  # answered by OpenCV, without torch
+ONNX_KINDS = frozenset({"compact_unet", "gel_depth", "residual_denoiser"})  # answered by OpenCV, without torch
 _MAX_BYTES = 2 << 30  # of cached networks; the largest takes 1.3 GB
 _MOST_COUNT = 1024  # of channels, levels, steps or pixels that a small network may state
 _loaded_networks: Memo[str, nn.Module] = Memo(
     4, most_bytes=_MAX_BYTES, weigh=lambda net: sum(p.numel() * p.element_size() for p in net.parameters())
 )
-_predictors: Memo[str, OnnxPredictor] = Memo(4)
+_RESIDUAL = "residual_denoiser"
+_predictors: Memo[str, OnnxPredictor | FirstPassPredictor] = Memo(4)
 
 
 def build_network(kind: str, config: Mapping[str, Value]) -> nn.Module:
@@ -57,12 +59,15 @@ def load_network(weights: Weights | NoWeights) -> nn.Module:
     return _loaded_networks.get_or_make(weights.content_digest, lambda: _build_with_weights(weights))
 
 
-def load_predictor(weights: Weights | NoWeights) -> Callable[..., Any]:
+def load_predictor(weights: Weights | NoWeights) -> Any:
     """A predictor for these weights: an `OnnxPredictor` for `ONNX_KINDS`, else `load_network`.
 
-    Raises ModelMissing as `load_network` does. Weights without an ONNX file are exported first, which loads torch.
+    Raises ModelMissing as `load_network` does. Weights without an ONNX file are exported first, which loads torch; a
+    residual denoiser, whose ONNX file is that of its first pass, is then `load_network`.
     """
     if isinstance(weights, NoWeights) or weights.kind not in ONNX_KINDS:
+        return load_network(weights)
+    if weights.kind == _RESIDUAL and not weights.onnx:
         return load_network(weights)
     return _predictors.get_or_make(weights.content_digest, lambda: _load_predictor(weights))
 
@@ -77,11 +82,16 @@ def export_weights(weights: Weights) -> bytes:
     """An ONNX file of weights of `ONNX_KINDS`; raises ModelMissing where they do not fit their network."""
     from pipeline.networks.onnx_export import export_onnx
 
-    return export_onnx(load_network(weights), int(weights.config["inputs"]))
+    network: Any = load_network(weights)
+    if weights.kind == _RESIDUAL:
+        network = network.make_first_pass()
+    return export_onnx(network, int(weights.config["inputs"]))
 
 
-def _load_predictor(weights: Weights) -> OnnxPredictor:
+def _load_predictor(weights: Weights) -> OnnxPredictor | FirstPassPredictor:
     try:
+        if weights.kind == _RESIDUAL:
+            return FirstPassPredictor(weights)
         return OnnxPredictor(weights.onnx or export_weights(weights), fold=int(weights.config.get("fold", 2)))
     except ValueError as error:
         raise ModelMissing(f"the weights {weights.name!r} cannot be run: {error}") from error

@@ -21,9 +21,12 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from pipeline.networks.compact_unet import CompactUnet, make_fold_kernel
+from pipeline.networks.first_pass import FIELD_LIMIT
+from pipeline.networks.first_pass import ResidualConstants as Constants
+
 PredictionTarget = Literal["clean", "v", "noise"]
 FIELD_CHANNELS = 2  # denoised channels: indentation and contact
-FIELD_LIMIT = 8.0  # units; clean fields are clipped to it
 _N_WAVES = 16  # frequencies of the noise embedding
 _EMBEDDING_WIDTH = 64  # width of the noise embedding
 
@@ -33,18 +36,19 @@ class ResidualDenoiser(nn.Module):
 
     def __init__(
         self, *, inputs: int, unit_mm: float, base_channels: int = 32, levels: int = 4, max_channels: int = 112,
-        fold: int = 2,
-        sigma_max: float = 200.0, sigma_min: float = 0.02, prediction: PredictionTarget = "clean",
-        noise_correlation: float = 0.0,
-        error_factor_in_view: float = 1.0, error_factor_outside: float = 1.0, error_exponent: float = 1.0,
-        blur_px: float = 0.0,
-        contact_margin_px: float = 0.0,
+        fold: int = 2, prediction: PredictionTarget = "clean",
+        sigma_max: float = Constants.sigma_max, sigma_min: float = Constants.sigma_min,
+        noise_correlation: float = Constants.noise_correlation,
+        error_factor_in_view: float = Constants.error_factor_in_view,
+        error_factor_outside: float = Constants.error_factor_outside,
+        error_exponent: float = Constants.error_exponent, blur_px: float = Constants.blur_px,
+        contact_margin_px: float = Constants.contact_margin_px,
     ) -> None:  # fmt: skip
         super().__init__()
         if prediction not in ("clean", "v", "noise"):
             raise ValueError(f"prediction must be clean, v or noise, got {prediction!r}")
         self.unit_mm, self.sigma_max, self.sigma_min, self.prediction = unit_mm, sigma_max, sigma_min, prediction
-        self.inputs, self.fold, self.field_limit, self.noise_correlation = inputs, fold, FIELD_LIMIT, noise_correlation
+        self.inputs, self.fold, self.noise_correlation = inputs, fold, noise_correlation
         self.error_factors, self.error_exponent = (error_factor_in_view, error_factor_outside), error_exponent
         self.blur_px, self.contact_margin_px = blur_px, contact_margin_px
         widths = [min(base_channels * 2**level, max_channels) for level in range(levels)]
@@ -73,6 +77,11 @@ class ResidualDenoiser(nn.Module):
         elif self.prediction == "v":
             clean = scaled / torch.sqrt(1.0 + level**2) - level / torch.sqrt(1.0 + level**2) * clean
         return torch.cat([clean.clamp(-FIELD_LIMIT, FIELD_LIMIT), output[:, FIELD_CHANNELS:]], 1)
+
+    @torch.no_grad()
+    def make_first_pass(self) -> nn.Module:
+        """The network at `sigma_max` as a function of the condition alone, for export (`first_pass`)."""
+        return _FirstPass(self).eval()
 
     def _network(self, inputs: Tensor, embedding: Tensor) -> Tensor:
         rows, cols = inputs.shape[-2:]
@@ -106,14 +115,26 @@ class _Block(nn.Module):
         return functional.relu(torch.addcmul(shift[..., None, None], normed, 1.0 + scale[..., None, None]))
 
     def _forward_folded(self, field: Tensor, scale: Tensor, shift: Tensor) -> Tensor:
-        """The same for a batch of one, with normalisation and modulation folded into the convolution."""
+        weight, bias = self._fold(scale, shift)
+        return functional.relu(functional.conv2d(field, weight, bias, padding=1))
+
+    def make_convolution(self, embedding: Tensor, first_channel: int = 0) -> nn.Sequential:
+        """The block at one noise level, as a convolution of its inputs from `first_channel` on."""
+        scale, shift = self.modulation(embedding).chunk(2, 1)
+        weight, bias = self._fold(1.0 + scale[0], shift[0])
+        layer = nn.Conv2d(weight.shape[1] - first_channel, len(weight), 3, padding=1)
+        layer.weight.copy_(weight[:, first_channel:])
+        layer.bias = nn.Parameter(bias)
+        return nn.Sequential(layer, nn.ReLU())
+
+    def _fold(self, scale: Tensor, shift: Tensor) -> tuple[Tensor, Tensor]:
+        """Weight and bias with normalisation and modulation folded into the convolution."""
         norm = self.norm
         assert norm.running_var is not None
         assert norm.running_mean is not None
         gain = norm.weight * torch.rsqrt(norm.running_var + norm.eps)
         weight = self.filter.weight * (scale * gain)[:, None, None, None]
-        bias = shift + scale * (norm.bias - norm.running_mean * gain)
-        return functional.relu(functional.conv2d(field, weight, bias, padding=1))
+        return weight, shift + scale * (norm.bias - norm.running_mean * gain)
 
 
 class _Pair(nn.Module):
@@ -129,3 +150,29 @@ def _embed_sigma(sigma: Tensor) -> Tensor:
     """(n, 2 _N_WAVES) sines and cosines of log sigma."""
     phase = torch.log(sigma)[:, None] * (0.25 * 1.35 ** torch.arange(_N_WAVES, device=sigma.device))
     return torch.cat([phase.sin(), phase.cos()], 1)
+
+
+class _FirstPass(CompactUnet):
+    """A `ResidualDenoiser` at its largest noise, whose noisy field is 0: (1, inputs, rows, cols) to its output."""
+
+    def __init__(self, net: ResidualDenoiser) -> None:
+        nn.Module.__init__(self)
+        embedding = net.noise_embedding(_embed_sigma(torch.tensor([net.sigma_max])))
+        self.fold, self.inputs = net.fold, net.inputs
+        self.register_buffer("fold_kernel", make_fold_kernel(net.inputs, net.fold), persistent=False)
+        n_noisy, patch = FIELD_CHANNELS * net.fold**2, net.fold**2
+        self.start = net.start.make_convolution(embedding, n_noisy)
+        pairs = cast("list[_Pair]", list(net.down))
+        self.down = nn.ModuleList(
+            nn.Sequential(pair.first.make_convolution(embedding), pair.second.make_convolution(embedding))
+            for pair in pairs
+        )
+        self.thin = net.thin
+        self.merge = nn.ModuleList(block.make_convolution(embedding) for block in cast("list[_Block]", list(net.merge)))
+        self.finish = nn.Conv2d(net.finish.in_channels, net.finish.out_channels, 3, padding=1)
+        level = net.sigma_max
+        of_clean = {"clean": 1.0, "noise": -level, "v": -level / (1.0 + level**2) ** 0.5}[net.prediction]
+        gain = torch.ones(net.finish.out_channels)
+        gain[: FIELD_CHANNELS * patch] = of_clean
+        self.finish.weight.copy_(net.finish.weight * gain[:, None, None, None])
+        self.finish.bias = nn.Parameter(cast("Tensor", net.finish.bias) * gain)

@@ -10,11 +10,14 @@ from pipeline.engine.graph import Fallback, Method
 from pipeline.networks import network_factory
 
 
-def fall_back_without_weights(run: Callable[..., Any], fallback: Method) -> Callable[..., Any]:
+def fall_back_without_weights(
+    run: Callable[..., Any], fallback: Method, reason: str = "physics: no network for this pair"
+) -> Callable[..., Any]:
     """Wrap `run` (*reads, network, params, progress) as a method's function whose last input is weights.
 
     Where the weights are missing or do not fit, `fallback`, which has the same inputs without weights, computes the
-    value and the result states the reason. Parameters of another class are replaced by the defaults of `fallback`.
+    value, and the result states `reason` and what is missing. Parameters of another class are replaced by the defaults
+    of `fallback`.
     """
 
     def run_or_fall_back(*args: Any) -> Any:
@@ -25,7 +28,7 @@ def fall_back_without_weights(run: Callable[..., Any], fallback: Method) -> Call
             fallback_params = params if isinstance(params, fallback.params) else fallback.params()
             return Fallback(
                 result=fallback.run(*reads, fallback_params, progress),
-                reason=f"{problem}; {fallback.title.lower()} is used instead",
+                reason=f"{reason}; {problem}",
             )
         return run(*reads, network, params, progress)
 

@@ -35,6 +35,11 @@ class Route:
     title: str
     methods: Mapping[str, str]  # stage -> method, in running order
 
+    @property
+    def label(self) -> str:
+        """What the window calls the route: the part of its title after the name."""
+        return self.title.partition(": ")[2] or self.title
+
 
 NamedEntry = TypeVar("NamedEntry", Stage, Route, Method)
 
@@ -103,19 +108,19 @@ BUILT_IN = Catalogue(
     routes=(
         Route(
             name="t2d2",
-            title="T2D2: touch to depth to touch",
+            title="T2D2: touch → depth → touch",
             methods={
                 "depth": "network",
                 "cloud": "back_projection",
                 "target_depth": "surface",
-                "touch": "physics",
+                "touch": "t2d2",
                 "touch_depth": "membrane",
                 "pose": "signed_distances",
             },
         ),
         Route(
             name="t2t",
-            title="T2T: touch to touch, without depth between",
+            title="T2T: touch → touch",
             methods={"touch": "t2t", "touch_depth": "membrane", "pose": "signed_distances"},
         ),
     ),

@@ -123,7 +123,7 @@ class Translation:
     ) -> Mapping[str, object]:
         """Return the graph's inputs for a frame at hand."""
         with reading_reported_to(progress):
-            weights = self._weights()
+            weights = self.weights
         return {
             "frame": replace(frame, context_frames=self.load_context_images()),
             "source": self.source,
@@ -137,20 +137,16 @@ class Translation:
             **weights,
         }
 
-    @property
-    def weights(self) -> tuple[object, ...]:
-        """The weights of all network methods, each `Weights` or why there are none."""
-        return tuple(self._weights().values())
-
     def check_given_weights(self) -> None:
         """Check that the methods can use the files that the request names; raises SettingProblem with the reason."""
         for method, file in self._select_weights_files():
-            read = self._weights()[method.weights_name]
+            read = self.weights[method.weights_name]
             if file is not None and isinstance(read, NoWeights):
                 raise SettingProblem(f"{method.stage}: {read.why}")
 
-    def _weights(self) -> dict[str, object]:
-        """Return the weights that network methods read: the request's files, or else the shipped ones."""
+    @property
+    def weights(self) -> dict[str, object]:
+        """`Method.weights_name` -> its `Weights` (the request's file, or else the shipped ones) or `NoWeights`."""
         return {
             method.weights_name: method.weights(self.source, self.target, file)
             for method, file in self._select_weights_files()

@@ -13,6 +13,7 @@ from pipeline.engine.graph import Graph
 from pipeline.geometry import rigid
 from pipeline.sensors.alignment import Alignment
 from pipeline.stages.depth import network as depth_network
+from pipeline.stages.touch import t2d2
 from pipeline.translation.catalogue import BUILT_IN, default_params, with_setting
 from pipeline.values.frames import TactileFrame
 from tests.stability.checks import outcome, sound
@@ -70,6 +71,7 @@ def random_inputs(rng: np.random.Generator) -> dict[str, object]:
         "mesh": mesh("ball"),
         "previous": None,
         "depth_weights": depth_network.select_weights(source, target, None),
+        "touch_weights": t2d2.select_weights(source, target, None),
     }
 
 

@@ -108,11 +108,19 @@ def test_a_whole_number_of_a_wide_range_has_a_slider_with_the_most_room_for_smal
 
 def test_a_held_slider_is_a_drag_until_it_is_let_go(panel, qtbot):
     slider = panel.findChild(QSlider)
-    slider.sliderPressed.emit()
-    assert panel.is_dragging
-    with qtbot.waitSignal(panel.drag_ended):
-        slider.sliderReleased.emit()
-    assert not panel.is_dragging
+    for change, held in ((slider.sliderPressed, "some"), (slider.sliderReleased, "")):
+        with qtbot.waitSignal(panel.slider_held) as signal:
+            change.emit()
+        assert signal.args == [held]
+
+
+def test_a_control_that_cannot_act_is_grey_and_says_why(panel):
+    control = panel.findChild(QSpinBox, "some.count")
+    tip = control.toolTip()
+    panel.show_unavailable("some", {"count": "no network"})
+    assert (control.isEnabled(), control.toolTip()) == (False, "no network")
+    panel.show_unavailable("some", {})
+    assert (control.isEnabled(), control.toolTip()) == (True, tip)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -8,6 +8,7 @@ from pipeline.stages.depth import depth_anything, network, photometric, unet
 from pipeline.stages.depth_map_stage import make_depth_stage
 from pipeline.stages.network_fallback import fall_back_without_weights
 
+_NO_NETWORK = "physics: no network for this sensor"
 PHYSICS = Method(
     stage="depth",
     name="physics",
@@ -25,7 +26,7 @@ NETWORK = Method(
     title="Network",
     help="a compact network trained on simulated touches; for a gel it corrects physics",
     run=skip_if_exact(
-        network.skip_without_contact, fall_back_without_weights(network.estimate_depth, fallback=PHYSICS)
+        network.skip_without_contact, fall_back_without_weights(network.estimate_depth, PHYSICS, _NO_NETWORK)
     ),
     params=network.NetworkParams,
     reads=(*PHYSICS.reads, "depth_weights"),
@@ -38,7 +39,7 @@ DEPTH_ANYTHING = Method(
     name="depth_anything",
     title="Depth Anything V2",
     help="the paper's network, with weights that you give",
-    run=fall_back_without_weights(depth_anything.estimate_depth, fallback=PHYSICS),
+    run=fall_back_without_weights(depth_anything.estimate_depth, PHYSICS, _NO_NETWORK),
     params=depth_anything.DepthAnythingParams,
     version=2,
     reads=(*PHYSICS.reads, "depth_weights"),

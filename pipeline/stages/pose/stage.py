@@ -65,7 +65,9 @@ NETWORK = Method(
     name="network",
     title="Network",
     help="the paper's tactile metric: planar pose of trained objects, from the tactile image",
-    run=fall_back_without_weights(network.predict_pose, fallback=network.REGISTRATION_OF_TOUCH),
+    run=fall_back_without_weights(
+        network.predict_pose, network.REGISTRATION_OF_TOUCH, "signed distances: no network for this target"
+    ),
     params=signed_distances.PoseParams,
     reads=(*network.READS, "pose_weights"),
     weights=network.select_weights,

@@ -20,7 +20,7 @@ from pipeline.base.progress import SILENT, Progress
 from pipeline.calibration.calibration_table import Calibration
 from pipeline.engine.graph import Skipped
 from pipeline.networks import latent_diffusion_files, weights_registry
-from pipeline.networks.guidance import MAX_WEIGHT, GuidedDenoiser, plan_guidance
+from pipeline.networks.guidance import GUIDED_STEPS, MAX_WEIGHT, WEIGHTS, GuidedDenoiser, plan_guidance
 from pipeline.networks.samplers import MAX_STEPS, Solver, make_timestep_schedule, sample
 from pipeline.networks.square_images import (
     compute_change,
@@ -55,12 +55,12 @@ class LatentParams:
 
     steps: int = setting(
         200, "Denoising steps", unit="steps", low=1, high=MAX_STEPS, step=1,
-        help="network passes from noise to the sample; guidance doubles them",
+        help="network passes from noise to the sample; guidance doubles them", pinned="Steps", sweep=GUIDED_STEPS,
         source="the paper: 200 steps; DDIM: Song et al. 2021",
     )  # fmt: skip
     guidance: float = setting(
         2.54, "Guidance scale", unit="x", low=0.0, high=MAX_WEIGHT, step=0.1,
-        help="strength of the condition; 1 is unguided and costs half",
+        help="strength of the condition; 1 is unguided and costs half", pinned="Guidance", sweep=WEIGHTS,
         source="Ho and Salimans 2022",
     )  # fmt: skip
     sampler: Solver = setting(
@@ -71,7 +71,8 @@ class LatentParams:
         source="DDIM: Song et al. 2021; DPM-Solver++ 2M: Lu et al. 2022; corrected: after Zhao et al. 2023",
     )
     seed: int = setting(
-        0, "Seed", low=0, high=2**31 - 1, step=1, help="random seed of the sample", source="torch.Generator"
+        0, "Seed", low=0, high=2**31 - 1, step=1, help="random seed of the sample", source="torch.Generator",
+        pinned="Seed",
     )  # fmt: skip
     renormalise_depth: bool = setting(
         True, "Match training statistics",

@@ -21,11 +21,12 @@ import numpy as np
 from pipeline.base.arrays import Floats, freeze
 from pipeline.base.params import setting
 from pipeline.base.progress import SILENT, Progress
-from pipeline.networks.guidance import MAX_WEIGHT, GuidedDenoiser, plan_guidance
+from pipeline.networks.first_pass import FIELD_LIMIT, FirstPassPredictor, ResidualNetwork
+from pipeline.networks.guidance import GUIDED_STEPS, MAX_WEIGHT, WEIGHTS, GuidedDenoiser, plan_guidance
 from pipeline.networks.samplers import MAX_STEPS, Solver, make_sigma_schedule, sample
 
 if TYPE_CHECKING:
-    from torch import Tensor, nn
+    from torch import Tensor
 
 LOG_ERROR_RANGE = -5.0, 2.5  # of the expected error, in `unit_mm`
 _DRAFT_STEPS = 4  # steps while dragging
@@ -38,12 +39,12 @@ class DiffusionParams:
 
     steps: int = setting(
         1, "Denoising steps", unit="steps", low=0, high=MAX_STEPS, step=1,
-        help="0: physics only; 1: posterior mean; 4 to 8: a sample",
+        help="0: physics only; 1: posterior mean; 4 to 8: a sample", pinned="Steps", sweep=GUIDED_STEPS,
         source="Karras et al. 2022, eq. 5",
     )  # fmt: skip
     guidance: float = setting(
         1.0, "Guidance scale", unit="x", low=0.0, high=MAX_WEIGHT, step=0.1,
-        help="strength of the condition; 1 is unguided and costs half",
+        help="strength of the condition; 1 is unguided and costs half", pinned="Guidance", sweep=WEIGHTS,
         source="Ho and Salimans 2022",
     )  # fmt: skip
     sampler: Solver = setting(
@@ -54,7 +55,7 @@ class DiffusionParams:
         source="DDIM: Song et al. 2021; DPM-Solver++ 2M: Lu et al. 2022; corrected: after Zhao et al. 2023",
     )
     seed: int = setting(
-        0, "Seed", low=0, high=2**31 - 1, step=1, help="random seed of the sample and the sensor noise",
+        0, "Seed", low=0, high=2**31 - 1, step=1, help="random seed of the sample and the sensor noise", pinned="Seed",
         source="torch.Generator and numpy PCG64",
     )  # fmt: skip
     confidence_weighting: float = setting(
@@ -99,7 +100,7 @@ class ResidualSample:
 
 
 def sample_residual(
-    network: nn.Module,
+    network: ResidualNetwork,
     condition: Floats,
     params: DiffusionParams,
     progress: Progress = SILENT,
@@ -112,6 +113,11 @@ def sample_residual(
     per seed. Raises Cancelled between any two passes, SettingProblem for parameters out of range. A guidance of 0 or 1,
     and one without effect, costs one pass per step.
     """
+    guidance_plan = plan_guidance(params.guidance, params.steps, FIELD_LIMIT)
+    if isinstance(network, FirstPassPredictor):
+        if params.steps == 1 and guidance_plan.weight == 1.0:
+            return _take_first_pass(network, condition, params, guidance_plan.note, progress)
+        network = network.load_network()
     import torch
 
     from pipeline.networks.smooth_noise import correlate_noise
@@ -131,9 +137,8 @@ def sample_residual(
 
         return denoise
 
-    guidance_plan = plan_guidance(params.guidance, params.steps, net.field_limit)
     denoise = GuidedDenoiser(
-        make_denoiser(condition_batch), make_denoiser(torch.zeros_like(condition_batch)), guidance_plan, net.field_limit
+        make_denoiser(condition_batch), make_denoiser(torch.zeros_like(condition_batch)), guidance_plan, FIELD_LIMIT
     )
     with torch.inference_mode():
         rng = torch.Generator().manual_seed(params.seed)
@@ -155,7 +160,7 @@ def sample_residual(
                 correlate_noise(torch.randn(expected_error.shape, generator=rng), net.noise_correlation),
             )
             clean[0, 0] = sample_below_sigma_min(clean[0, 0], expected_error, float(levels[-2]), fresh_noise).clip(
-                -net.field_limit, net.field_limit
+                -FIELD_LIMIT, FIELD_LIMIT
             )
     error_std = net.unit_mm * expected_error.numpy()
 
@@ -171,6 +176,22 @@ def sample_residual(
         final=make_state(0.0, clean), expected_error_mm=freeze(error_std.astype(np.float32)), passes=denoise.passes,
         states=tuple(make_state(step.sigma, clean if step is kept_steps[-1] else step.clean) for step in kept_steps),
         notes=(guidance_plan.note,) if guidance_plan.note else (),
+    )  # fmt: skip
+
+
+def _take_first_pass(
+    network: FirstPassPredictor, condition: Floats, params: DiffusionParams, note: str, progress: Progress
+) -> ResidualSample:
+    """The posterior mean, without torch."""
+    progress.step(0.0, "step 1 of 1")
+    field, log_error = network.predict(condition)
+    progress.step(1.0, "sampled")
+    residual_mm, contact_correction = freeze(network.unit_mm * field[0]), freeze(field[1].copy())
+    mean = DenoisingState(sigma=0.0, residual_mm=residual_mm, contact_correction=contact_correction)
+    error_mm = network.unit_mm * np.exp(log_error.clip(*LOG_ERROR_RANGE))
+    return ResidualSample(
+        final=mean, expected_error_mm=freeze(error_mm.astype(np.float32)), passes=1,
+        states=(replace(mean, sigma=network.sigma_max),) if params.keep_states else (), notes=(note,) if note else (),
     )  # fmt: skip
 
 

@@ -7,11 +7,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pipeline.base.arrays import Floats, Image, Mask, freeze
+from pipeline.base.stage_warnings import ChangeNote
+from pipeline.engine.graph import Fallback
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.touch.residual_diffusion import DenoisingState, ResidualSample
 from pipeline.values.results import DepthMap, GeneratedTouch, TouchStep
 
 _HALF = 0.5
+NO_CHANGE = "physics: the network changes no pixel; its corrections are smaller than their expected errors"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,6 +75,18 @@ def _render_state(
         first, indentation_mm=freeze(surface), depth_mm=freeze(depth), contact=freeze(contact), is_generated=True
     )
     return target.sensor_kind.simulate_image(target, surface, depth, seed), corrected
+
+
+def report_change(touch: GeneratedTouch, physical: GeneratedTouch) -> GeneratedTouch | Fallback[GeneratedTouch]:
+    """`touch` with a note of its mean distance from physics in contact; a fallback where no pixel differs."""
+    if np.array_equal(touch.image, physical.image):
+        return Fallback(result=physical, reason=NO_CHANGE)
+    assert touch.membrane is not None
+    assert physical.membrane is not None
+    contact = touch.membrane.contact | physical.membrane.contact
+    change_mm = np.abs(touch.membrane.indentation_mm - physical.membrane.indentation_mm)[contact]
+    note = ChangeNote(f"network changed {float(change_mm.mean()) if change_mm.size else 0.0:.2g} mm")
+    return replace(touch, notes=(*touch.notes, note))
 
 
 def resample_to_grid(field: Floats | Mask, shape: tuple[int, int]) -> Floats:

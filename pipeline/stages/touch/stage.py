@@ -36,31 +36,31 @@ PHYSICS = Method(
 T2D2 = Method(
     stage="touch",
     name="t2d2",
-    title="T2D2, compact diffusion",
+    title="T2D2 diffusion",
     help="physical render plus a residual from a network trained on the target sensor",
     run=skip_if_exact(t2d2.skip_without_contact, fall_back_without_weights(t2d2.generate_touch, fallback=PHYSICS)),
     params=DiffusionParams,
     reads=(*PHYSICS.reads, "touch_weights"),
     weights=t2d2.select_weights,
     draft=make_draft_params,
-    version=4,
+    version=5,
 )
 T2T = Method(
     stage="touch",
     name="t2t",
-    title="T2T, compact diffusion",
+    title="T2T diffusion",
     help="image-to-image diffusion trained on pairs; falls back to the physical render where uncertain",
     run=fall_back_without_weights(t2t.generate_touch, fallback=t2t.PHYSICS_FROM_FRAME),
     params=DiffusionParams,
     reads=(*t2t.READS, "touch_weights"),
     weights=t2t.select_weights,
     draft=make_draft_params,
-    version=5,
+    version=6,
 )
 LATENT_T2D2 = Method(
     stage="touch",
     name="latent_t2d2",
-    title="T2D2, latent diffusion (the paper's)",
+    title="T2D2 latent diffusion (the paper's)",
     help="200 steps from noise, conditioned on the target depth and its mask",
     run=skip_if_exact(
         latent_diffusion.skip_without_contact,
@@ -74,7 +74,7 @@ LATENT_T2D2 = Method(
 LATENT = Method(
     stage="touch",
     name="latent",
-    title="T2T, latent diffusion (the paper's)",
+    title="T2T latent diffusion (the paper's)",
     help="200 steps from noise, conditioned on the encoded source image",
     run=fall_back_without_weights(latent_diffusion.generate_touch, fallback=t2t.PHYSICS_FROM_FRAME),
     params=LatentParams,

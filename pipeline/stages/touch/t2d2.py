@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
 import numpy as np
 
@@ -18,7 +18,9 @@ from pipeline.base.arrays import Floats
 from pipeline.base.memo import Memo
 from pipeline.base.progress import SILENT, Progress, SubProgress
 from pipeline.engine.digests import compute_cached_digest
+from pipeline.engine.graph import Fallback
 from pipeline.networks import weights_registry
+from pipeline.networks.first_pass import ResidualNetwork
 from pipeline.networks.weights import NoWeights, Weights
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.touch import physical_render
@@ -26,11 +28,8 @@ from pipeline.stages.touch.confidence_weighting import read_error_calibration, s
 from pipeline.stages.touch.depth_condition import WORKING_GRID_FACTOR, build_depth_condition, make_working_sensor
 from pipeline.stages.touch.physical_render import PhysicalRenderParams
 from pipeline.stages.touch.residual_diffusion import DiffusionParams, sample_residual
-from pipeline.stages.touch.residual_render import EdgeUncertainty, render_correction, resample_to_grid
+from pipeline.stages.touch.residual_render import EdgeUncertainty, render_correction, report_change, resample_to_grid
 from pipeline.values.results import DepthMap, GeneratedTouch, TargetDepth
-
-if TYPE_CHECKING:
-    from torch import nn
 
 SHIPPED_WEIGHTS = {"bubble": "t2d2_bubble", "gel": "t2d2_gelslim"}
 TRAINED_PIXEL_MM = {"bubble": 0.43, "gel": 0.0843}  # mm of the working grid that the shipped weights were trained on
@@ -73,8 +72,12 @@ def skip_without_contact(
 
 
 def generate_touch(
-    view: TargetDepth, target: SensorSpec, network: nn.Module, params: DiffusionParams, progress: Progress = SILENT
-) -> GeneratedTouch:
+    view: TargetDepth,
+    target: SensorSpec,
+    network: ResidualNetwork,
+    params: DiffusionParams,
+    progress: Progress = SILENT,
+) -> GeneratedTouch | Fallback[GeneratedTouch]:
     """Generate what `target` would record of `view`; raises ShapeError for a view of another image size."""
     rendering = SubProgress(progress, 0.0, 0.3) if params.steps else progress
     physical = _render(view, target, PhysicalRenderParams(add_noise=params.add_noise, seed=params.seed), rendering)
@@ -115,7 +118,8 @@ def generate_touch(
     sample = replace(sample, notes=(*sample.notes, note))
     blur_px, margin_px = cast("float", network.blur_px), cast("float", network.contact_margin_px)
     edge_uncertainty = EdgeUncertainty(blur_mm=source_pixel_mm * blur_px, contact_margin_mm=source_pixel_mm * margin_px)
-    return render_correction(physical, target, sample, params.seed if params.add_noise else None, edge_uncertainty)
+    seed = params.seed if params.add_noise else None
+    return report_change(render_correction(physical, target, sample, seed, edge_uncertainty), physical)
 
 
 def _measure_source_pixel_mm(view: TargetDepth, target: SensorSpec) -> float:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 from pipeline.base.arrays import Floats
 from pipeline.base.errors import ShapeError
@@ -18,8 +18,9 @@ from pipeline.base.progress import SILENT, Progress, SubProgress
 from pipeline.base.stage_warnings import StageWarning, select_warnings
 from pipeline.calibration.calibration_table import Calibration
 from pipeline.engine.digests import compute_cached_digest
-from pipeline.engine.graph import Method, Skipped
+from pipeline.engine.graph import Fallback, Method, Skipped
 from pipeline.networks import network_factory, weights_registry
+from pipeline.networks.first_pass import ResidualNetwork
 from pipeline.networks.weights import NoWeights, Weights
 from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import SensorSpec
@@ -39,12 +40,9 @@ from pipeline.stages.touch.depth_condition import make_working_sensor
 from pipeline.stages.touch.depth_limit import check_depth_limit
 from pipeline.stages.touch.image_condition import build_image_condition
 from pipeline.stages.touch.residual_diffusion import DiffusionParams, sample_residual
-from pipeline.stages.touch.residual_render import EdgeUncertainty, render_correction
+from pipeline.stages.touch.residual_render import EdgeUncertainty, render_correction, report_change
 from pipeline.values.frames import TactileFrame
 from pipeline.values.results import DepthMap, GeneratedTouch
-
-if TYPE_CHECKING:
-    from torch import nn
 
 SHIPPED_WEIGHTS = {("gelslim", "bubble"): "t2t_bubble", ("soft_bubble", "gel"): "t2t_gelslim"}
 TASK = "touch_to_touch"
@@ -69,10 +67,10 @@ def generate_touch(
     calibration: Calibration | None,
     alignment: Alignment,
     target: SensorSpec,
-    network: nn.Module,
+    network: ResidualNetwork,
     params: DiffusionParams,
     progress: Progress = SILENT,
-) -> GeneratedTouch | Skipped:
+) -> GeneratedTouch | Skipped | Fallback[GeneratedTouch]:
     """Generate what `target` would record of the touch in `frame`; raises ShapeError for an invalid frame.
 
     A frame without contact gives the reference touch at no cost; no denoising step gives the physical render.
@@ -108,16 +106,14 @@ def generate_touch(
     sample = express_as_correction(sample, membrane)
     error_ratio = compute_error_ratio(sample, membrane.contact & physical.in_view)
     if error_ratio > _MAX_ERROR_RATIO:
-        note = (
-            f"the network deviates from the measured contact by {error_ratio:.0f} times its expected error: "
-            "the physical render is used"
-        )
-        return replace(physical, notes=(*physical.notes, note))
+        why = f"it deviates from the measured contact by {error_ratio:.0f} times its expected error"
+        return Fallback(result=physical, reason=f"physics: the network contradicts the source; {why}")
     sample = shrink_to_prior(sample, physical.in_view, params.confidence_weighting, read_error_calibration(network))
-    return render_correction(physical, target, sample, seed, _estimate_edge_uncertainty(source, target, network))
+    edge_uncertainty = _estimate_edge_uncertainty(source, target, network)
+    return report_change(render_correction(physical, target, sample, seed, edge_uncertainty), physical)
 
 
-def _estimate_edge_uncertainty(source: SensorSpec, target: SensorSpec, network: nn.Module) -> EdgeUncertainty:
+def _estimate_edge_uncertainty(source: SensorSpec, target: SensorSpec, network: ResidualNetwork) -> EdgeUncertainty:
     """Uncertainty of edges from a source whose pixels are larger than the working grid's."""
     source_pixel_mm = (
         source.pixel_mm if source.pixel_mm > t2d2.WORKING_GRID_FACTOR[target.kind] * target.pixel_mm else 0.0

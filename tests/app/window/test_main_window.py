@@ -272,10 +272,10 @@ def test_weights_are_opened_closed_and_undone(bubble_window, tmp_path, caplog):
     bubble_window.open_path(file)
     assert wait_until_shown(bubble_window, LIMIT_S)
     assert bubble_window.session.weights == {"": file}
-    said = bubble_window.window.columns["depth"].view._message.text()  # the network's, which reads bubbles
-    assert "truncated" in said
-    assert said.endswith("; physics is used instead")
-    bubble_window.change("choose method", methods={"depth": "physics"})
+    result = bubble_window.latest_frame.results["depth"]  # the network's, which reads bubbles
+    assert "truncated" in result.fallback
+    assert bubble_window.window.columns["depth"].findChild(QLabel, "note_depth").text() == result.badge
+    bubble_window.change("choose method", methods={"depth": "physics", "touch": "physics"})
     assert wait_until_shown(bubble_window, LIMIT_S)
     assert "the weights 'own.safetensors' count for nothing" in caplog.text  # no method of the route reads any now
     close.trigger()

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 import pytest
-from PyQt6.QtWidgets import QSlider
+from PyQt6.QtCore import QCoreApplication
+from PyQt6.QtWidgets import QLabel, QSlider, QSpinBox
 
 from app.window.tour import wait_until_shown
+from pipeline.engine.graph import Graph
 from pipeline.networks.weights import Weights, save_weights
 from pipeline.stages.touch.depth_condition import CONDITION_CHANNELS
 from pipeline.stages.touch.residual_diffusion import DiffusionParams
+from widgets.command_palette import CommandPalette
 
 LIMIT_S = 240
 KEY = "touch/t2d2"
@@ -71,3 +76,70 @@ def test_dragging_a_slider_shows_a_draft_and_releasing_it_the_full_result(sampli
     assert window.steps["touch"].slider.maximum() == 7
     assert window.columns["touch"].state in ("computed", "warning")
     assert not np.array_equal(window.columns["touch"].view.preview.pixels, draft)
+
+
+def test_steps_and_guidance_are_set_in_the_column(sampling):
+    column = sampling.window.columns["touch"]
+    assert column.pinned.names == ("steps", "guidance", "seed")
+    assert all(column.pinned.get_control(name).isVisible() for name in column.pinned.names)
+    assert column.findChild(QLabel, "note_touch").text().startswith("network changed ")
+    sampling.choose_params(KEY, DiffusionParams())
+    column.pinned.get_control("guidance").findChild(QSlider).setValue(200)
+    assert sampling.session.params[KEY].steps == 8
+    assert "raised to 8" in sampling.window.readout.text()
+    assert column.pinned.get_control("steps").findChild(QSpinBox).value() == 8
+    assert wait_until_shown(sampling, LIMIT_S)
+
+
+def test_what_cannot_act_is_grey_with_the_reason(sampling):
+    pinned = sampling.window.columns["touch"].pinned
+    sampling.choose_method("touch", "physics")
+    assert not pinned.get_control("guidance").isEnabled()
+    assert "Physical render" in pinned.get_control("guidance").toolTip()
+    sampling.change("choose", methods={"touch": "t2d2"}, weights={}, target="digit")
+    assert wait_until_shown(sampling, LIMIT_S)
+    column = sampling.window.columns["touch"]
+    assert (column.findChild(QLabel, "note_touch").text(), column.state) == (
+        "physics: no network for this pair", "warning",
+    )  # fmt: skip
+    assert "0.106 mm" in pinned.get_control("steps").toolTip()
+
+
+def test_a_parameter_is_found_by_its_name(sampling, qtbot):
+    window = sampling.window
+    window.actions_by_name["palette"].trigger()
+    palette = window.findChild(CommandPalette)
+    palette.line.setText("guid")
+    assert "Guidance scale" in palette.results.currentItem().text()
+    palette.run_selected()
+    qtbot.waitUntil(lambda: window.columns["touch"].pinned.isAncestorOf(window.focusWidget()))
+
+
+def test_a_draft_is_shown_before_the_next_one_starts(sampling, qtbot, monkeypatch):
+    """A drag with a change every few milliseconds shows drafts although each takes longer than a change."""
+    evaluate, shown = Graph.evaluate, []
+
+    def evaluate_slowly(self, wanted, inputs, params, progress, on_stage):
+        time.sleep(0.05)
+        return evaluate(self, wanted, inputs, params, progress, on_stage)
+
+    monkeypatch.setattr(Graph, "evaluate", evaluate_slowly)
+    show = sampling.views.show_stage
+    monkeypatch.setattr(
+        sampling.views, "show_stage", lambda part, **how: (shown.append(part.result), show(part, **how))
+        if hasattr(part, "result") else show(part, **how)
+    )  # fmt: skip
+    slider = sampling.window.columns["touch"].pinned.get_control("guidance").findChild(QSlider)
+    slider.sliderPressed.emit()
+    end_s, at = time.monotonic() + LIMIT_S, 0
+    while sum(result.draft and result.name == "touch" for result in shown) < 3 and time.monotonic() < end_s:
+        at += 1
+        slider.setValue(100 + at % 200)
+        QCoreApplication.processEvents()
+        time.sleep(0.005)
+    slider.sliderReleased.emit()
+    assert wait_until_shown(sampling, LIMIT_S)
+    drafts = [result for result in shown if result.draft and result.name == "touch"]
+    assert len(drafts) >= 3
+    assert at > 2 * len(drafts), "every change was waited for"
+    assert not sampling.latest_frame.results["touch"].draft

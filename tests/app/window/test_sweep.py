@@ -87,17 +87,22 @@ def test_only_parameters_of_the_methods_in_use_are_offered(swept, qtbot):
 
 
 @pytest.mark.parametrize(
-    ("route", "kind", "wanted"),
+    ("route", "touch", "kind", "wanted"),
     [
-        ("t2t", "gel", ("touch.guidance", "touch.steps")),
-        ("t2d2", "gel", ("depth.certainty", "depth.pressure_share")),
-        ("t2d2", "bubble", ("depth.certainty", "target_depth.grazing_deg")),
+        ("t2t", "t2t", "gel", ("touch.guidance", "touch.steps")),
+        ("t2d2", "t2d2", "bubble", ("touch.guidance", "touch.steps")),
+        ("t2d2", "physics", "gel", ("depth.certainty", "depth.pressure_share")),
+        ("t2d2", "physics", "bubble", ("depth.certainty", "target_depth.grazing_deg")),
     ],
 )
-def test_a_sweep_starts_with_the_most_effective_parameters_of_its_route(route, kind, wanted):
-    methods = BUILT_IN.methods(route)
+def test_a_sweep_starts_with_the_most_effective_parameters_of_its_methods(route, touch, kind, wanted):
+    methods = BUILT_IN.methods(route, {"touch": touch})
     offers = list_sweepable_parameters(Session(), methods, {method.key: kind for method in methods})
-    assert tuple(offers[i][2] for i in choose_default_axes(offers)) == wanted
+    axes = [offers[i] for i in choose_default_axes(offers)]
+    assert tuple(axis[2] for axis in axes) == wanted
+    if touch != "physics":  # where guidance and steps act
+        guidance, steps = (suggest_values(value, setting) for *_, value, setting in axes)
+        assert (min(steps), max(steps), min(guidance), max(guidance)) == (4, 50, 1.0, 7.0)
 
 
 def test_invalid_values_are_explained_and_nothing_starts(swept):

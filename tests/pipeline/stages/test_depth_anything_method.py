@@ -142,4 +142,4 @@ def test_a_users_file_is_loaded_and_a_foreign_one_gives_the_reason(opened, tmp_p
     assert first(tmp_path / "depth_anything_v2_vits.pth").startswith("Depth Anything V2 saw 42x28 pixels, 6 patches")
     assert "weights of Depth Anything V2 are shipped" in first(None)
     (tmp_path / "x.pth").write_bytes(b"nothing")
-    assert first(tmp_path / "x.pth").endswith("physics is used instead")
+    assert first(tmp_path / "x.pth").startswith("physics: no network for this sensor; ")

@@ -72,9 +72,14 @@ def test_an_image_only_touch_has_its_depth_from_the_image(contact_frame):
 
 def test_missing_weights_fall_back_to_the_physical_chain(contact_frame):
     found = run(contact_frame, NoWeights(why="none are shipped"))["touch"]
-    assert "none are shipped; physical render is used instead" in found.notes[0]
+    assert found.badge == "physics: no network for this pair"
+    assert "none are shipped" in found.fallback
     assert found.output.membrane.contact.any()
-    direct = Graph(BUILT_IN.methods("t2d2", {})).evaluate(["touch"], inputs(contact_frame), {})["touch"].output
+    direct = (
+        Graph(BUILT_IN.methods("t2d2", {"touch": "physics"}))
+        .evaluate(["touch"], inputs(contact_frame), {})["touch"]
+        .output
+    )
     assert np.array_equal(found.output.image, direct.image)
 
 
@@ -168,7 +173,7 @@ def test_a_network_pose_stands_on_the_measured_surface(contact_frame):
 
     mesh = shapes.make_shape("star").mesh
     weights = weights_of("touch_pose", "touch_pose", inputs=1, n_objects=2, base_channels=4)
-    graph = Graph(BUILT_IN.methods("t2d2", {"pose": "network"}))
+    graph = Graph(BUILT_IN.methods("t2d2", {"touch": "physics", "pose": "network"}))
     found = graph.evaluate(["pose"], inputs(contact_frame, mesh=mesh, pose_weights=weights), {})
     pose, touch_depth = found["pose"].output, found["touch_depth"].output
     placed = BUBBLE.alignment_from_sensor @ pose.sensor_from_object
@@ -202,6 +207,6 @@ def test_a_network_pose_uses_the_symmetry_of_the_object(name, rotation_deg):
 
 
 def test_missing_pose_weights_fall_back_to_registration(contact_frame):
-    graph = Graph(BUILT_IN.methods("t2d2", {"pose": "network"}))
+    graph = Graph(BUILT_IN.methods("t2d2", {"touch": "physics", "pose": "network"}))
     given = inputs(contact_frame, mesh=None, pose_weights=NoWeights(why="none are shipped"))
-    assert "signed distances is used instead" in graph.evaluate(["pose"], given, {})["pose"].notes[0]
+    assert graph.evaluate(["pose"], given, {})["pose"].badge.startswith("signed distances:")

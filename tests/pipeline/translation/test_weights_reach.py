@@ -70,7 +70,8 @@ def weights(factor, task="toy"):
 
 
 def depth(method="scaled", graph=None, **more):
-    request = Request(recording=SAMPLE, source="digit", target="gelslim", methods=(("depth", method),), **more)
+    methods = (("depth", method), ("touch", "physics"))
+    request = Request(recording=SAMPLE, source="digit", target="gelslim", methods=methods, **more)
     opened = open_translation(request, CATALOGUE)
     try:
         return (graph or opened.build_graph()).evaluate(["depth"], opened.read_inputs(TOUCH), {})["depth"], opened.notes
@@ -122,7 +123,7 @@ def test_without_usable_weights_physics_answers_and_the_first_note_says_why(tmp_
     answered, plain = depth(weights=given)[0], depth("physics")[0]
     assert why in answered.notes[0]
     assert answered.fallback == answered.notes[0]
-    assert answered.notes[0].endswith("; physics is used instead")
+    assert answered.badge.startswith("physics:")
     assert answered.notes[1:] == plain.notes
     assert np.array_equal(answered.output.indentation_mm, plain.output.indentation_mm)
 
@@ -152,6 +153,6 @@ def test_a_command_refuses_weights_that_it_cannot_use(tmp_path):
     damaged.write_bytes(b"no tensors")
     named = replace(request, weights=(("touch", damaged),))
     with closing(open_translation(named)) as translation:
-        assert any(isinstance(w, NoWeights) and "lab.safetensors" in w.why for w in translation.weights)
+        assert any(isinstance(w, NoWeights) and "lab.safetensors" in w.why for w in translation.weights.values())
     with pytest.raises(SettingProblem, match=r"touch.*lab\.safetensors"):
         open_translation(replace(named, refuses_unusable_weights=True))

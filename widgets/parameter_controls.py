@@ -1,0 +1,216 @@
+"""Controls for single parameters, derived from their type and `Setting`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from PyQt6.QtCore import QSignalBlocker, Qt
+from PyQt6.QtWidgets import (
+    QAbstractSpinBox,
+    QCheckBox,
+    QComboBox,
+    QDoubleSpinBox,
+    QHBoxLayout,
+    QLineEdit,
+    QSizePolicy,
+    QSlider,
+    QSpinBox,
+    QWidget,
+)
+
+from pipeline.base.params import Setting, Value
+
+_SLIDER_STEPS = 400
+_MANY, _TOO_MANY, _BEND = (
+    200,
+    10_000,
+    3.0,
+)  # integer ranges up to the first have a linear slider, up to the second one that favours small values
+_TIP = "tip"  # property that keeps the tooltip while a reason is shown
+_WIDEST = 1e9  # stands for "no limit" in a spin box
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ParameterControl:
+    """One parameter on screen: its widget and a setter for its value, which emits nothing."""
+
+    widget: QWidget
+    show: Callable[[Value], None]
+
+    @property
+    def sliders(self) -> list[QSlider]:
+        """Its sliders, none or one."""
+        return self.widget.findChildren(QSlider)
+
+    def set_unavailable(self, reason: str) -> None:
+        """Grey it out with the reason as its tooltip; "" = it can act."""
+        if self.widget.isEnabled() == bool(reason):
+            self.widget.setEnabled(not reason)
+        if reason:
+            self.widget.setProperty(_TIP, self.widget.property(_TIP) or self.widget.toolTip())
+            self.widget.setToolTip(reason)
+        elif self.widget.property(_TIP):
+            self.widget.setToolTip(self.widget.property(_TIP))
+
+    def set_narrow(self) -> None:
+        """Leave the room of the spin box's buttons to the slider."""
+        for box in (self.widget, *self.widget.findChildren(QWidget)):
+            if isinstance(box, QAbstractSpinBox):
+                box.setButtonSymbols(QAbstractSpinBox.ButtonSymbols.NoButtons)
+
+
+def make_control(value: Value, setting: Setting, edited: Callable[[Value], None]) -> ParameterControl:
+    """Return the control of a parameter of this type; `edited` is called with a new value."""
+    if isinstance(value, bool):
+        return _switch(value, edited)
+    if setting.choices:
+        return _choice(str(value), setting, edited)
+    if isinstance(value, int):
+        return _whole(value, setting, edited)
+    if isinstance(value, float):
+        return _number(value, setting, edited)
+    return _text(value, edited)
+
+
+def describe_setting(setting: Setting, qualified_name: str) -> str:
+    """Return the tooltip: help, name on the command line, range and source."""
+    tip = f"{setting.help or setting.label} ({qualified_name}{_range(setting)})"
+    return f"{tip}\nsource: {setting.source}" if setting.source else tip
+
+
+def format_label(setting: Setting) -> str:
+    """Return the label with its unit."""
+    return (
+        f"{setting.label}, {setting.unit}"
+        if setting.unit and setting.unit not in setting.label.lower()
+        else setting.label
+    )
+
+
+def _range(setting: Setting) -> str:
+    """Return the allowed range with its unit."""
+    unit = f" {setting.unit}" if setting.unit else ""
+    if setting.choices:
+        return f", {', '.join(setting.choices)}"
+    if math.isfinite(setting.low) and math.isfinite(setting.high):
+        return f", {setting.low:g} to {setting.high:g}{unit}"
+    return f", in{unit}" if unit else ""
+
+
+def _quiet(box: QWidget, put: Callable[[Any], object]) -> ParameterControl:
+    """Return a control whose setter emits no signal."""
+
+    def show(new: Value) -> None:
+        with QSignalBlocker(box):
+            put(new)
+
+    return ParameterControl(widget=box, show=show)
+
+
+def _switch(value: bool, edited: Callable[[Value], None]) -> ParameterControl:
+    box = QCheckBox()
+    box.setChecked(value)
+    box.toggled.connect(edited)
+    return _quiet(box, box.setChecked)
+
+
+def _choice(value: str, setting: Setting, edited: Callable[[Value], None]) -> ParameterControl:
+    box = QComboBox()
+    box.addItems(list(setting.choices))
+    box.setCurrentText(value)
+    box.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
+    box.currentTextChanged.connect(edited)
+    return _quiet(box, box.setCurrentText)
+
+
+def _text(value: str, edited: Callable[[Value], None]) -> ParameterControl:
+    line = QLineEdit(value)
+    line.editingFinished.connect(lambda: edited(line.text()))
+    return _quiet(line, line.setText)
+
+
+def _whole(value: int, setting: Setting, edited: Callable[[Value], None]) -> ParameterControl:
+    box = QSpinBox()
+    box.setRange(int(max(setting.low, -_WIDEST)), int(min(setting.high, _WIDEST)))
+    box.setSingleStep(max(1, int(setting.step)))
+    box.setKeyboardTracking(False)
+    box.setValue(value)
+    if not _MANY <= setting.high - setting.low <= _TOO_MANY:
+        box.valueChanged.connect(edited)
+        return _quiet(box, box.setValue)
+    low, span = int(setting.low), setting.high - setting.low
+    slider = QSlider(Qt.Orientation.Horizontal)
+    slider.setRange(0, _SLIDER_STEPS)
+    slider.setMinimumWidth(40)
+
+    def place_slider(new: float) -> None:
+        with QSignalBlocker(slider):
+            slider.setValue(round(((new - low) / span) ** (1 / _BEND) * _SLIDER_STEPS))
+
+    def apply_typed(new: int) -> None:
+        place_slider(new)
+        edited(new)
+
+    def show(new: Value) -> None:
+        with QSignalBlocker(box):
+            box.setValue(int(new))
+        place_slider(float(new))
+
+    def apply_dragged(at: int) -> None:
+        box.setValue(low + round(span * (at / _SLIDER_STEPS) ** _BEND))
+
+    place_slider(value)
+    box.valueChanged.connect(apply_typed)
+    slider.valueChanged.connect(apply_dragged)
+    return ParameterControl(widget=_side_by_side(slider, box), show=show)
+
+
+def _side_by_side(slider: QSlider | None, box: QWidget) -> QWidget:
+    both = QWidget()
+    row = QHBoxLayout(both)
+    row.setContentsMargins(0, 0, 0, 0)
+    if slider is not None:
+        row.addWidget(slider, 1)
+    row.addWidget(box, int(slider is None))
+    return both
+
+
+def _number(value: float, setting: Setting, edited: Callable[[Value], None]) -> ParameterControl:
+    """Return a spin box, with a slider where the range has two ends."""
+    box = QDoubleSpinBox()
+    low, high = max(setting.low, -_WIDEST), min(setting.high, _WIDEST)
+    bounded = math.isfinite(setting.low) and math.isfinite(setting.high)
+    step = setting.step or ((high - low) / 10 if bounded else 0.1)
+    box.setDecimals(max(2, min(6, 2 - math.floor(math.log10(step)))))
+    box.setRange(low, high)
+    box.setSingleStep(step)
+    box.setKeyboardTracking(False)
+    box.setValue(value)
+    slider = QSlider(Qt.Orientation.Horizontal)
+    slider.setRange(0, _SLIDER_STEPS)
+    slider.setMinimumWidth(40)
+
+    def place_slider(new: float) -> None:
+        if bounded:
+            with QSignalBlocker(slider):
+                slider.setValue(round((new - low) / (high - low) * _SLIDER_STEPS))
+
+    def apply_typed(new: float) -> None:
+        place_slider(new)
+        edited(new)
+
+    def apply_dragged(at: int) -> None:
+        box.setValue(low + (high - low) * at / _SLIDER_STEPS)
+
+    def show(new: Value) -> None:
+        with QSignalBlocker(box):
+            box.setValue(float(new))
+        place_slider(float(new))
+
+    place_slider(value)
+    box.valueChanged.connect(apply_typed)
+    slider.valueChanged.connect(apply_dragged)
+    return ParameterControl(widget=_side_by_side(slider if bounded else None, box), show=show)

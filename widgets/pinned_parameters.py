@@ -1,0 +1,117 @@
+"""The parameters of a stage that stay in sight, under its preview."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from functools import partial
+
+from PyQt6.QtCore import pyqtSignal
+from PyQt6.QtWidgets import QBoxLayout, QHBoxLayout, QLabel, QVBoxLayout, QWidget
+
+from pipeline.base.params import Setting, Value, list_settings, replace_value
+from widgets.parameter_controls import ParameterControl, describe_setting, make_control
+from widgets.styling import set_spacing, shrink_font
+
+_LABEL_PX, _ROW_PX = 54, 22
+
+
+class PinnedParameters(QWidget):
+    """Controls of the parameters with a `pinned` label of all methods of a stage.
+
+    What the method in use lacks, and what cannot act, is greyed out with the reason.
+    """
+
+    params_edited = pyqtSignal(str, object)  # key of the method, its complete new parameters
+    slider_held = pyqtSignal(str)  # key of the method; "" = let go
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._key, self._params, self._height_px = "", object(), 0
+        self._controls: dict[str, tuple[Setting, ParameterControl]] = {}
+        self._rows: dict[str, QHBoxLayout] = {}
+        self._outer = set_spacing(QVBoxLayout(self), 0)
+        self._lines = set_spacing(QBoxLayout(QBoxLayout.Direction.TopToBottom), 1)
+        self._outer.addLayout(self._lines)
+        self._outer.addStretch(1)
+
+    def offer_methods(self, methods: Iterable[tuple[str, object]]) -> None:
+        """Offer the pinned parameters of these methods, (key, default parameters) each."""
+        for key, params in methods:
+            for name, (value, setting) in list_settings(params).items():
+                if setting.pinned and name not in self._rows:
+                    row = self._rows[name] = set_spacing(QHBoxLayout(), 4)
+                    label = QLabel(setting.pinned)
+                    label.setFixedWidth(_LABEL_PX)
+                    shrink_font(label, 1.0)
+                    row.addWidget(label)
+                    self._lines.addLayout(row, 1)
+                    self._add_control(key, name, value, setting)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        return tuple(self._rows)
+
+    @property
+    def needed_height_px(self) -> int:
+        """Height of the controls, 0 where there are none."""
+        return self._lines.sizeHint().height() if self._rows else 0
+
+    def reserve_height(self, height_px: int) -> None:
+        """Take this height, used or not: previews stay aligned."""
+        height_px = max(height_px, self.needed_height_px)
+        if height_px != self._height_px:
+            self._height_px = height_px
+            self.setFixedHeight(height_px)
+
+    def set_wide(self, wide: bool) -> None:
+        """Place all controls in one line if wide."""
+        way = QBoxLayout.Direction
+        self._lines.setDirection(way.LeftToRight if wide else way.TopToBottom)
+        self._lines.setSpacing(12 if wide else 1)
+        self.reserve_height(0)
+
+    def show_params(self, key: str, params: object, reasons: Mapping[str, str]) -> None:
+        """Show the values of a method without emitting a signal; `reasons`: name -> why it cannot act."""
+        self._key, self._params = key, params
+        values = list_settings(params)
+        for name in self._rows:
+            if name in values:
+                value, setting = values[name]
+                if self._controls[name][0] != setting:
+                    self._add_control(key, name, value, setting)
+                self._controls[name][1].show(value)
+            self._controls[name][1].set_unavailable(reasons.get(name, ""))
+
+    def get_control(self, name: str) -> QWidget:
+        """The control of a parameter."""
+        return self._controls[name][1].widget
+
+    def _add_control(self, key: str, name: str, value: Value, setting: Setting) -> None:
+        """Add a control, in place of the one for another range."""
+        row = self._rows[name]
+        if name in self._controls:
+            old = self._controls[name][1].widget
+            row.removeWidget(old)
+            old.deleteLater()
+        control = make_control(value, setting, partial(self._emit_edited, name))
+        control.set_narrow()
+        for widget in (control.widget, *control.widget.findChildren(QWidget)):
+            shrink_font(widget, 1.0)
+        control.widget.setFixedHeight(_ROW_PX)
+        control.widget.setToolTip(describe_setting(setting, f"{key.partition('/')[0]}.{name}"))
+        control.widget.setAccessibleName(setting.label)
+        control.widget.setObjectName(f"pinned_{name}")
+        for slider in control.sliders:
+            slider.setAccessibleName(setting.label)
+            slider.sliderPressed.connect(lambda: self.slider_held.emit(self._key))
+            slider.sliderReleased.connect(lambda: self.slider_held.emit(""))
+        row.addWidget(control.widget, 1)
+        self._controls[name] = setting, control
+
+    def _emit_edited(self, name: str, value: Value) -> None:
+        if name in list_settings(self._params):
+            params = replace_value(self._params, name, value)
+            if params != self._params:
+                self._params = params
+                self.params_edited.emit(self._key, params)
