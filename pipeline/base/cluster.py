@@ -7,9 +7,11 @@ If a worker dies, its unfinished tasks go to another one.
 from __future__ import annotations
 
 import logging
+import time
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager
+from queue import Empty, Queue
 from typing import Any, TypeVar
 
 from pipeline.base.errors import NotConverged, SettingProblem
@@ -17,6 +19,8 @@ from pipeline.base.progress import SILENT, Progress
 
 R = TypeVar("R")
 CONNECT_S = 10.0
+NO_WORKER_S = 15.0  # without any worker, also at the start, until the work is given up
+_POLL_S = 1.0  # between looks at the workers while nothing is finished
 
 
 class ClusterPool:
@@ -31,25 +35,55 @@ class ClusterPool:
         return self._client.get_executor(pure=False)
 
     def map(self, work: Callable[[Any], R], pieces: Sequence[Any], progress: Progress = SILENT) -> list[R]:
-        """Return `work` of every piece, in order; raises what it raises, NotConverged if workers keep dying.
+        """Return `work` of every piece, in order; raises what it raises, NotConverged if no worker is left.
 
-        Results are fetched as they come and never computed again.
+        Results are fetched as they come and never computed again. `progress` is called while nothing comes, too.
         """
-        from distributed import KilledWorker, as_completed
+        from distributed import KilledWorker
 
         futures = self._client.map(work, pieces, pure=False)
-        index_by_key = {future.key: index for index, future in enumerate(futures)}
+        done: Queue[int] = Queue()
+        for index, future in enumerate(futures):
+            future.add_done_callback(lambda _future, index=index: done.put(index))
         results: dict[int, R] = {}
         try:
-            for future in as_completed(futures, loop=self._client.loop):
-                results[index_by_key[future.key]] = future.result()
-                future.release()  # otherwise it is computed again when its worker dies
-                progress.step(len(results) / len(pieces), f"{len(results)} of {len(pieces)} done elsewhere")
+            while len(results) < len(pieces):
+                index = self._wait_for_result(done, progress, len(results), len(pieces))
+                results[index] = futures[index].result()
+                futures[index].release()  # otherwise it is computed again when its worker dies
+                progress.step(len(results) / len(pieces), _describe_count(len(results), len(pieces)))
         except KilledWorker as error:
             raise NotConverged("several workers died over the same task, perhaps out of memory") from error
         finally:
             self._client.cancel(futures)
         return [results[index] for index in range(len(pieces))]
+
+    def _wait_for_result(self, done: Queue[int], progress: Progress, n_done: int, n_pieces: int) -> int:
+        """Return the next index of `done`; raises NotConverged after `NO_WORKER_S` without any worker."""
+        last_seen_s = time.monotonic()
+        while True:
+            try:
+                return done.get(timeout=_POLL_S)
+            except Empty:
+                progress.step(n_done / n_pieces, _describe_count(n_done, n_pieces))
+            if self._count_workers():
+                last_seen_s = time.monotonic()
+            elif time.monotonic() - last_seen_s > NO_WORKER_S:
+                raise NotConverged(
+                    f"no worker of the scheduler was there for {NO_WORKER_S:g} s, {n_done} of {n_pieces} done; "
+                    "start workers with `dask worker` and run again"
+                )
+
+    def _count_workers(self) -> int:
+        """Return the number of workers that the scheduler knows; 0 if it does not answer."""
+        try:
+            return len(self._client.nthreads())
+        except (OSError, TimeoutError):
+            return 0
+
+
+def _describe_count(n_done: int, n_pieces: int) -> str:
+    return f"{n_done} of {n_pieces} done elsewhere"
 
 
 @contextmanager

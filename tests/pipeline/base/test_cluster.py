@@ -10,12 +10,13 @@ import threading
 import time
 import warnings
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from pipeline.base.cluster import connect_cluster
-from pipeline.base.errors import SettingProblem
+from pipeline.base.errors import NotConverged, SettingProblem
 from pipeline.cli.main import EXIT_USER_ERROR, build_app, run_app
 from pipeline.recordings import hdf5
 from pipeline.simulation import shapes
@@ -73,6 +74,20 @@ def test_a_killed_worker_loses_nothing_and_what_is_here_is_not_done_again(cluste
     assert set(done) == {str(n) for n in range(12)}
     # Done again is at most what the killed worker had finished, or was about to, and had not handed over.
     assert len(done) - 12 <= watching.done - watching.here + 1
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_work_without_any_worker_ends_with_a_sentence(monkeypatch, tmp_path):
+    monkeypatch.setattr("pipeline.base.cluster.NO_WORKER_S", 1.5)
+    steps = []
+    counting = SimpleNamespace(step=lambda fraction, text: steps.append(text))
+    with (
+        distributed.LocalCluster(n_workers=0, dashboard_address=None, host="127.0.0.1") as empty,
+        connect_cluster(empty.scheduler_address) as elsewhere,
+        pytest.raises(NotConverged, match=r"no worker .* 0 of 2 done"),
+    ):
+        elsewhere.map(noted, [(1, str(tmp_path)), (2, str(tmp_path))], counting)
+    assert steps  # Ctrl-C is noticed meanwhile
 
 
 @pytest.mark.filterwarnings("ignore")
