@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager
+from functools import partial
 from queue import Empty, Queue
 from typing import Any, TypeVar
 
@@ -44,7 +45,7 @@ class ClusterPool:
         futures = self._client.map(work, pieces, pure=False)
         done: Queue[int] = Queue()
         for index, future in enumerate(futures):
-            future.add_done_callback(lambda _future, index=index: done.put(index))
+            future.add_done_callback(partial(_report_done, done, index))
         results: dict[int, R] = {}
         try:
             while len(results) < len(pieces):
@@ -80,6 +81,10 @@ class ClusterPool:
             return len(self._client.nthreads())
         except (OSError, TimeoutError):
             return 0
+
+
+def _report_done(done: Queue[int], index: int, _future: object) -> None:
+    done.put(index)
 
 
 def _describe_count(n_done: int, n_pieces: int) -> str:

@@ -79,7 +79,7 @@ _COMMANDS = {
         "task:task",
         """Run a closed-loop task on simulated touches: a controller made for one sensor reads another's translation.
 
-        The tasks are peg insertion, cup stacking and marble rolling, as in the paper; a TOML file adds a tool.""",
+        The tasks are peg insertion and cup stacking, as in the paper; a TOML file adds a tool to insert.""",
     ),
     "simulate": (
         "simulate:simulate",

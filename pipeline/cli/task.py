@@ -25,7 +25,7 @@ from pipeline.tasks.task import ManipulationTask
 
 
 def task(
-    name: Annotated[str, Parameter(help="`insertion`, `stack`, `marble`, or a TOML file of a tool for insertion.")],
+    name: Annotated[str, Parameter(help="`insertion`, `stack`, or a TOML file of a tool for insertion.")],
     *,
     trials: int = 0,
     touch: str = "",

@@ -8,6 +8,7 @@ from pipeline.tasks.task import ManipulationTask
 
 _TASKS = {
     "insertion": "pipeline.tasks.insertion:TASK",
+    "stack": "pipeline.tasks.stack:TASK",
 }
 
 

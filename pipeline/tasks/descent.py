@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from pipeline.base.arrays import Doubles
 from pipeline.geometry import rigid
 from pipeline.tasks.peg import Peg, write_hole
 from pipeline.tasks.scene import Scene, write_compliant_joints, write_pose
-from pipeline.tasks.task import Tick
+from pipeline.tasks.task import Attempt, Tick
 
 TICK_S = 0.02
 STIFFNESS_N_MM, STIFFNESS_NMM_RAD, HAND_KG = 2.0, 2000.0, 0.5  # of the hand's impedance control
@@ -24,17 +22,6 @@ WORLD_FROM_UPRIGHT: Doubles = np.array(
 """A tool over its hole: its x points down, its z, the normal of the fingers, along the world's y."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Descent:
-    """How a descent went."""
-
-    ticks: tuple[Tick, ...]
-    depth_mm: float  # of the tip below the plate's surface, at the end
-    largest_force_n: float
-    succeeds: bool
-    cause: str
-
-
 def insert(
     peg: Peg,
     hand_from_tool: Doubles,
@@ -43,7 +30,7 @@ def insert(
     clearance_mm: float,
     lead_in_mm: float,
     force_limit_n: float,
-) -> Descent:
+) -> Attempt:
     """Lower a tool that the hand holds at `hand_from_tool` as if it held it at `believed` (4, 4)."""
     joints, actuators = write_compliant_joints("hand", STIFFNESS_N_MM, STIFFNESS_NMM_RAD, HAND_KG)
     above = WORLD_FROM_UPRIGHT @ rigid.translation(-peg.tip_mm - START_MM, 0.0, 0.0)
@@ -82,7 +69,7 @@ def insert(
     inserted = depth >= peg.depth_mm - SHORT_MM
     if not cause:
         cause = "inserted" if inserted else f"stops {depth:.1f} mm deep of {peg.depth_mm:g} mm"
-    return Descent(
-        ticks=tuple(ticks), depth_mm=depth, largest_force_n=largest,
-        succeeds=inserted and largest <= force_limit_n, cause=cause,
+    return Attempt(
+        ticks=tuple(ticks), succeeds=inserted and largest <= force_limit_n, cause=cause,
+        measures={"depth_mm": depth, "largest_force_n": largest},
     )  # fmt: skip

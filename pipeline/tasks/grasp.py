@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cache, partial
 
 import numpy as np
 
 from pipeline.geometry.meshes import Mesh
 from pipeline.sensors.spec import SensorSpec
+from pipeline.tasks.attribution import correct_estimates, describe_decision, share_error
 from pipeline.tasks.in_hand import FINGERS, PlanarPose, estimate_grasp, press_between_fingers
-from pipeline.tasks.task import TrialPlan
+from pipeline.tasks.task import Attempt, Decision, Rollout, TrialPlan
 from pipeline.tasks.touches import NONE, TRUE, Moment, make_pairing, place_sensor
 from pipeline.values.frames import Pairing, TactileFrame, Truth
 
@@ -63,3 +65,44 @@ def feel_grasp(
         mesh=mesh, held=held, moments=tuple(moments), target=target_spec, frames=tuple(frames),
         pairings=tuple(pairings) if needs_source and needs_target else (),
     )  # fmt: skip
+
+
+def run_through_touches(
+    plan: TrialPlan,
+    grasp: Grasp,
+    case: str,
+    measure_mm: Callable[[PlanarPose], float],
+    attempt: Callable[[PlanarPose, float], Attempt],
+) -> tuple[Rollout, ...]:
+    """One rollout per touch and tolerance: `attempt` acts on a believed pose, `measure_mm` is its error."""
+
+    def run_one(touch: str) -> Iterator[Rollout]:
+        believed = grasp.estimate(touch)
+        error_mm = measure_mm(believed)
+        correct = cache(partial(
+            correct_estimates, grasp.moments, touch, lambda given: grasp.estimate(touch, given), grasp.held
+        ))  # fmt: skip
+        for tolerance_mm in plan.tolerances_mm:
+            done, shares = attempt(believed, tolerance_mm), ()
+            if plan.attribute and not done.succeeds:
+                judge = partial(_judge, measure_mm, attempt, tolerance_mm)
+                shares = share_error(error_mm, correct(), judge)
+            decision = Decision(
+                tick=0, error_mm=error_mm, estimate=believed.describe(), truth=grasp.held.describe(), shares=shares
+            )
+            yield Rollout(
+                case=case, index=plan.index, touch=touch, tolerance_mm=tolerance_mm, succeeds=done.succeeds,
+                cause=f"{done.cause}; {describe_decision(decision)}", measures=done.measures, decisions=(decision,),
+                ticks=done.ticks, frames=grasp.frames, pairings=grasp.pairings, mesh=grasp.mesh,
+            )  # fmt: skip
+
+    return tuple(rollout for touch in plan.touches for rollout in run_one(touch))
+
+
+def _judge(
+    measure_mm: Callable[[PlanarPose], float],
+    attempt: Callable[[PlanarPose, float], Attempt],
+    tolerance_mm: float,
+    believed: PlanarPose,
+) -> tuple[float, bool]:
+    return measure_mm(believed), attempt(believed, tolerance_mm).succeeds

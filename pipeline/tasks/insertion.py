@@ -9,9 +9,8 @@ from __future__ import annotations
 import math
 import tomllib
 import zlib
-from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cache, lru_cache, partial
+from functools import lru_cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -24,12 +23,11 @@ from pipeline.geometry.meshes import Mesh
 from pipeline.simulation import shapes
 from pipeline.simulation.poses import DEPTH_RANGE_MM, sample_press_pose
 from pipeline.simulation.shapes.solids import transform_mesh
-from pipeline.tasks.attribution import correct_estimates, describe_decision, share_error
-from pipeline.tasks.descent import Descent, insert
-from pipeline.tasks.grasp import Grasp, feel_grasp
+from pipeline.tasks.descent import insert
+from pipeline.tasks.grasp import feel_grasp, run_through_touches
 from pipeline.tasks.in_hand import PlanarPose, project_to_plane
 from pipeline.tasks.peg import Peg, cut_peg
-from pipeline.tasks.task import Decision, ManipulationTask, Rollout, TrialPlan
+from pipeline.tasks.task import Attempt, ManipulationTask, Rollout, TrialPlan
 
 SOURCE, TARGET = "gelslim", "soft_bubble"
 LEAD_IN_MM = 0.5  # 45 degree chamfer of the hole
@@ -118,7 +116,9 @@ def run(plan: TrialPlan) -> tuple[Rollout, ...]:
     rng = np.random.default_rng([plan.seed, zlib.crc32(tool.name.encode()), plan.index])
     held = project_to_plane(sample_press_pose(tool.mesh, rng, tilt_deg=0.0))
     grasp = feel_grasp(plan, tool.mesh, held, float(rng.uniform(*DEPTH_RANGE_MM)), rng, source=SOURCE, target=TARGET)
-    return tuple(rollout for touch in plan.touches for rollout in _insert_at_clearances(plan, tool, grasp, touch))
+    return run_through_touches(
+        plan, grasp, tool.name, lambda believed: measure_miss_mm(tool.peg, held, believed), partial(_lower, tool, held)
+    )
 
 
 def measure_miss_mm(peg: Peg, held: PlanarPose, believed: PlanarPose) -> float:
@@ -129,37 +129,11 @@ def measure_miss_mm(peg: Peg, held: PlanarPose, believed: PlanarPose) -> float:
     return float(np.abs(off[:, 1]).max())
 
 
-def _insert_at_clearances(plan: TrialPlan, tool: Tool, grasp: Grasp, touch: str) -> Iterator[Rollout]:
-    believed = grasp.estimate(touch)
-    error_mm = measure_miss_mm(tool.peg, grasp.held, believed)
-    correct = cache(partial(
-        correct_estimates, grasp.moments, touch, lambda given: grasp.estimate(touch, given), grasp.held
-    ))  # fmt: skip
-    for clearance_mm in plan.tolerances_mm:
-        descent = _lower(tool, grasp.held, clearance_mm, believed)
-        shares = ()
-        if plan.attribute and not descent.succeeds:
-            shares = share_error(error_mm, correct(), partial(_judge, tool, grasp.held, clearance_mm))
-        decision = Decision(
-            tick=0, error_mm=error_mm, estimate=believed.describe(), truth=grasp.held.describe(), shares=shares
-        )
-        yield Rollout(
-            case=tool.name, index=plan.index, touch=touch, tolerance_mm=clearance_mm, succeeds=descent.succeeds,
-            cause=f"{descent.cause}; {describe_decision(decision)}",
-            measures={"depth_mm": descent.depth_mm, "largest_force_n": descent.largest_force_n},
-            decisions=(decision,), ticks=descent.ticks, frames=grasp.frames, pairings=grasp.pairings, mesh=tool.mesh,
-        )  # fmt: skip
-
-
-def _lower(tool: Tool, held: PlanarPose, clearance_mm: float, believed: PlanarPose) -> Descent:
+def _lower(tool: Tool, held: PlanarPose, believed: PlanarPose, clearance_mm: float) -> Attempt:
     return insert(
         tool.peg, held.matrix, believed.matrix, clearance_mm=clearance_mm, lead_in_mm=tool.lead_in_mm,
         force_limit_n=tool.force_limit_n,
     )  # fmt: skip
-
-
-def _judge(tool: Tool, held: PlanarPose, clearance_mm: float, believed: PlanarPose) -> tuple[float, bool]:
-    return measure_miss_mm(tool.peg, held, believed), _lower(tool, held, clearance_mm, believed).succeeds
 
 
 TASK = ManipulationTask(

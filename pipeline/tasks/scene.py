@@ -13,7 +13,6 @@ import numpy as np
 
 from pipeline.base.arrays import Doubles
 from pipeline.base.errors import SettingProblem
-from pipeline.geometry import rigid
 
 STEP_S = 5e-4
 GRAVITY_MM_S2 = 9810.0
@@ -62,20 +61,16 @@ class Scene:
         """Set an actuator's command, in SI units."""
         self._data.actuator(name).ctrl[0] = value
 
-    def place_free_body(self, name: str, world_from_body: Doubles) -> None:
-        """Put a body with a free joint at a pose, at rest."""
-        joint = int(self._model.body(name).jntadr[0])
-        at, speed = int(self._model.jnt_qposadr[joint]), int(self._model.jnt_dofadr[joint])
+    def move_mocap(self, name: str, world_from_body: Doubles) -> None:
+        """Command the pose of a mocap body."""
         quaternion = np.zeros(4)
         self._mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(world_from_body[:3, :3]).ravel())
-        self._data.qpos[at : at + 7] = [*(1e-3 * world_from_body[:3, 3]), *quaternion]
-        self._data.qvel[speed : speed + 6] = 0.0
-        self._mujoco.mj_forward(self._model, self._data)
+        k = int(self._model.body(name).mocapid[0])
+        self._data.mocap_pos[k], self._data.mocap_quat[k] = 1e-3 * world_from_body[:3, 3], quaternion
 
-    def set_velocity(self, body: str, velocity_mm_s: Sequence[float]) -> None:
-        """Set the linear velocity of a free body, without rotation."""
-        speed = int(self._model.jnt_dofadr[int(self._model.body(body).jntadr[0])])
-        self._data.qvel[speed : speed + 6] = [*(1e-3 * np.asarray(velocity_mm_s)), 0.0, 0.0, 0.0]
+    def release(self, equality: str) -> None:
+        """Switch an equality constraint off."""
+        self._data.eq_active[int(self._model.equality(equality).id)] = 0
 
     def get_velocity(self, body: str) -> Doubles:
         """(6,) linear velocity (mm/s) in the world and angular velocity (rad/s) in the body of a free body."""
@@ -139,11 +134,6 @@ def write_compliant_joints(
             damping = 2.0 * float(np.sqrt(stiffness * inertia))
             actuators.append(f'<position name="{joint}" joint="{joint}" kp="{stiffness!r}" kv="{damping!r}"/>')
     return "".join(joints), f"<actuator>{''.join(actuators)}</actuator>"
-
-
-def level_pose(x_mm: float, y_mm: float, z_mm: float, angle_rad: float = 0.0) -> Doubles:
-    """A pose turned about z only."""
-    return rigid.translation(x_mm, y_mm, z_mm) @ rigid.rotation((0.0, 0.0, angle_rad))
 
 
 def _join(values: Sequence[float] | Doubles) -> str:

@@ -61,6 +61,16 @@ class Tick:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Attempt:
+    """What a robot did on one decision, and how it ended."""
+
+    ticks: tuple[Tick, ...]
+    succeeds: bool
+    cause: str
+    measures: Mapping[str, float]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Rollout:
     """One run of one trial with one touch and one tolerance."""
 

@@ -18,7 +18,8 @@ from pipeline.base.errors import SettingProblem
 from pipeline.engine.cache import Cache
 from pipeline.engine.graph import Graph, StageResult
 from pipeline.geometry.meshes import Mesh
-from pipeline.networks.weights import NoWeights
+from pipeline.networks.weights import SUFFIX, NoWeights
+from pipeline.networks.weights_registry import WEIGHTS_FOLDER
 from pipeline.sensors.alignment import resolve_alignment
 from pipeline.sensors.spec import SensorSpec, load_sensor
 from pipeline.simulation.datasets import BUBBLE_DEEPER_MM
@@ -75,9 +76,18 @@ def check_touch(name: str, source: str, target: str) -> None:
     if name in (TRUE, NONE):
         return
     method = BUILT_IN.method("touch", name)
-    found = None if method.weights is None else method.weights(load_sensor(source), load_placed_sensor(target), None)
+    found = (
+        None
+        if method.weights is None
+        else method.weights(load_sensor(source), load_placed_sensor(target), find_weights(name, source, target))
+    )
     if isinstance(found, NoWeights):
         raise SettingProblem(f"--touch {name} cannot translate {source} to {target}: {found.why}")
+
+
+def find_weights(touch: str, source: str, target: str) -> Path | None:
+    """The shipped file of the VQ-VAE, which answers only with weights of one's choice; None = the method's own."""
+    return WEIGHTS_FOLDER / f"vqvae_{source}_to_{target}{SUFFIX}" if touch == "vqvae" else None
 
 
 class Moment:
@@ -111,9 +121,11 @@ class Moment:
             if touch == "vqvae":
                 methods["touch_depth"] = "from_image"
         source = self._target if touch == TRUE else self._source
+        weights = find_weights(touch, source.name, self._target.name)
         return Translation(
             request=Request(
-                recording=self._recording.path, target=self._target.name, route=route, methods=tuple(methods.items())
+                recording=self._recording.path, target=self._target.name, route=route, methods=tuple(methods.items()),
+                weights=() if weights is None else (("touch", weights),),
             ),
             recording=self._recording, stream=self._recording.stream(source.name), source=source, target=self._target,
             alignment=resolve_alignment(source, self._target), calibration=None, mesh=self._mesh,

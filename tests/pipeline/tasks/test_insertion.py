@@ -14,6 +14,7 @@ from pipeline.tasks.statistics import compute_wilson_interval
 from pipeline.tasks.task import Rollout, TrialPlan
 from pipeline.values.frames import TactileFrame
 
+pytestmark = pytest.mark.timeout(600)  # the first grasp compiles kernels where `tactoscope prepare` has not
 PLAN = TrialPlan(
     task="insertion", case="hex_key", index=0, touches=("true", "none"), tolerances_mm=(1.0,), seed=0, attribute=True
 )
