@@ -20,7 +20,6 @@ from cyclopts import App, CycloptsError
 from pipeline import __version__
 from pipeline.base import error_log
 from pipeline.base.errors import TouchError
-from pipeline.base.files import require_separate
 from pipeline.base.text import hint_decimal_comma
 from pipeline.cli.terminal import print_error
 
@@ -161,9 +160,12 @@ def run_app(app: App, tokens: list[str] | None = None) -> int:
 
 def _refuse_lossy_outputs(arguments: Mapping[str, object]) -> None:
     """Raise FileProblem where a command would write over what it reads."""
-    inputs = [path for name, value in arguments.items() if name not in _OUTPUTS for path in _list_paths(value)]
-    for name in _OUTPUTS:
-        for out in _list_paths(arguments.get(name)):
+    outputs = [out for name in _OUTPUTS for out in _list_paths(arguments.get(name))]
+    if outputs:
+        from pipeline.base.files import require_separate  # imports numpy
+
+        inputs = [path for name, value in arguments.items() if name not in _OUTPUTS for path in _list_paths(value)]
+        for out in outputs:
             require_separate(out, inputs)
 
 
