@@ -11,7 +11,7 @@ import torch
 
 from pipeline.base.arrays import freeze
 from pipeline.base.progress import Cancelled
-from pipeline.engine.graph import Graph
+from pipeline.engine.graph import Fallback, Graph
 from pipeline.networks.guidance import NO_CONDITION_DROPOUT
 from pipeline.networks.latent_diffusion import LatentDiffusion
 from pipeline.networks.square_images import MAX_IMPRINT_MM, MIN_IMPRINT_MM, decode_image, encode_image, normalise
@@ -115,7 +115,9 @@ def test_generated_imprints_are_renormalised():
 @pytest.mark.parametrize(("setting", "trained_raw", "times"), [
     ("as trained", False, 1.0), ("as trained", True, 255.0), ("yes", False, 255.0), ("no", True, 1.0),
 ])  # fmt: skip
-def test_the_condition_is_scaled_as_in_training(monkeypatch, setting, trained_raw, times):
+def test_the_condition_is_scaled_as_in_training_and_impossible_depths_are_left_to_physics(
+    monkeypatch, setting, trained_raw, times
+):
     from pipeline.physics import optics
     from pipeline.sensors import alignment
     from pipeline.values.frames import TactileFrame
@@ -140,9 +142,16 @@ def test_the_condition_is_scaled_as_in_training(monkeypatch, setting, trained_ra
     )
     frame = TactileFrame(sensor="gelslim", image=image, reference=rest)
     params = LatentParams(raw_condition=setting)
-    latent_diffusion.generate_touch(frame, gel, None, alignment.resolve_alignment(gel, bubble), bubble, network, params)
+    both = alignment.resolve_alignment(gel, bubble)
+    touch = latent_diffusion.generate_touch(frame, gel, None, both, bubble, network, params)
+    assert latent_diffusion.OUTSIDE_VIEW in touch.notes
     plain = latent_diffusion.resize_to_square(latent_diffusion.compute_change("gel", image, rest), 32)
     assert np.allclose(seen[0], normalise(times * plain, "gel"), atol=1e-4)
+    monkeypatch.setattr(latent_diffusion, "sample_image", lambda *_: (np.ones((3, 32, 32), np.float32), ()))
+    impossible = latent_diffusion.generate_touch(frame, gel, None, both, bubble, network, params)
+    assert isinstance(impossible, Fallback), "22.5 mm into the bubble: the gel cannot be pressed so far"
+    assert "another alignment" in impossible.reason
+    assert impossible.result.membrane is not None
 
 
 @pytest.fixture(scope="module")
@@ -185,6 +194,7 @@ def test_a_touch_from_depth_has_the_bytes_of_its_seed(contact_view):
     assert np.array_equal(first.image, again.image)
     assert not np.array_equal(first.image, other.image)
     assert first.membrane is None
+    assert latent_diffusion.OUTSIDE_VIEW not in first.notes  # a gel sees no more than its source
 
 
 def test_the_condition_from_depth_is_depth_mask_and_view(contact_view):
