@@ -28,6 +28,7 @@ class ResidualConstants:
     error_exponent: float = 1.0
     blur_px: float = 0.0
     contact_margin_px: float = 0.0
+    trained_on_recordings: float = 0.0  # 0 or 1
 
     @property
     def error_factors(self) -> tuple[float, float]:

@@ -164,15 +164,15 @@ def _make_recipe(name: str, data: Mapping[str, Any], folder: Path) -> Recipe:
         raise SettingProblem("[optimiser.rate_factors] must map prefixes of parameter names to factors")
     recordings = _pop_recordings(tables["data"], folder)
     values = _fill(_Data(), tables["data"], "[data] ")
-    return Recipe(
+    recipe = Recipe(
         name=name, task=task, settings=_fill(settings, tables["settings"], "[settings] "),
         network=network, training=_fill(TrainingSettings(), top, ""),
         optimiser=_fill(Optimiser(), tables["optimiser"], "[optimiser] "),
         rate_factors={key: float(value) for key, value in factors.items()},
         validation=_fill(Validation(), tables["validation"], "[validation] "),
         recordings=recordings, recorded_share=values.recorded_share,
-        pairs=PairFolder(path=str(folder / values.pairs) if values.pairs else "", hold_out=values.hold_out),
     )  # fmt: skip
+    return override_pairs(recipe, str(folder / values.pairs), values.hold_out) if values.pairs else recipe
 
 
 def _read_network(initial_weights: str) -> Mapping[str, Value]:
@@ -235,7 +235,13 @@ def _fill(part: P, table: Mapping[str, Any], where: str) -> P:
 
 def override_pairs(recipe: Recipe, path: str, hold_out: str) -> Recipe:
     """The recipe trained on recorded pairs."""
-    return replace(recipe, pairs=PairFolder(path=path, hold_out=hold_out))
+    network = _mark_network(recipe.network) if path else recipe.network
+    return replace(recipe, pairs=PairFolder(path=path, hold_out=hold_out), network=network)
+
+
+def _mark_network(network: Mapping[str, Value]) -> Mapping[str, Value]:
+    """The network with the mark of recorded pairs, where its kind has one."""
+    return {**network, "trained_on_recordings": 1.0} if network["kind"] == "residual_denoiser" else network
 
 
 def override_training(recipe: Recipe, **values: int | str) -> Recipe:

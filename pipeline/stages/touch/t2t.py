@@ -73,13 +73,15 @@ def generate_touch(
 ) -> GeneratedTouch | Skipped | Fallback[GeneratedTouch]:
     """Generate what `target` would record of the touch in `frame`; raises ShapeError for an invalid frame.
 
-    A frame without contact gives the reference touch at no cost; no denoising step gives the physical render.
+    A frame without contact gives the reference touch at no cost; no denoising step gives the physical render. Weights
+    of recorded pairs answer alone.
     """
     depth.check_frame(frame, source)
     rest, seed = physical_render.make_reference_touch(target), params.seed if params.add_noise else None
     if depth.skip_without_contact(frame, source, calibration, depth.DepthParams()) is not None:
         return Skipped(output=rest, reason=physical_render.NO_CONTACT)
     is_weighted = params.steps == 1 and params.confidence_weighting > 0.0
+    is_weighted &= not getattr(network, "trained_on_recordings", False)
     physical = rest
     if is_weighted or not params.steps:
         render_params = physical_render.PhysicalRenderParams(add_noise=params.add_noise, seed=params.seed)

@@ -243,6 +243,14 @@ def test_unweighted_t2t_is_the_network_alone(ball_frames):
     assert touch.membrane.contact.all()
 
 
+def test_weights_of_recorded_pairs_answer_alone(ball_frames):
+    net = ConstantDenoiser(1.0, contact=1.0, spread=0.01)
+    net.trained_on_recordings = True
+    reads = ball_frames[0], GEL, None, alignment.resolve_alignment(GEL, BUBBLE), BUBBLE
+    touch = t2t.generate_touch(*reads, net, DiffusionParams())
+    assert np.allclose(touch.membrane.indentation_mm, 1.0), "physics contradicts it and replaces it"
+
+
 def test_t2t_uses_physics_where_uncertain_and_with_zero_steps(ball_frames):
     frame, between = ball_frames[0], alignment.resolve_alignment(GEL, BUBBLE)
 

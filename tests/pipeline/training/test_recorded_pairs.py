@@ -108,6 +108,7 @@ def test_one_tool_has_no_unseen_tools_and_training_does_without(tmp_path):
     assert state.step == 3
     assert {row["split"] for row in state.metrics} == {"unseen_grasps"}
     assert chosen.plain_values["data"] == {"pairs": str(SAMPLE), "hold_out": ""}
+    assert chosen.network["trained_on_recordings"], "physics at the described alignment would replace what was learned"
 
 
 @pytest.mark.parametrize("what", ["t2t", "vqvae", "latent"])
