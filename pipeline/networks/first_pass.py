@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -39,11 +40,11 @@ class ResidualConstants:
 class FirstPassPredictor(ResidualConstants):
     """A residual denoiser of weights with an ONNX file; torch is loaded only by `load_network`."""
 
-    def __init__(self, weights: Weights) -> None:
-        """Raises ValueError for a file that OpenCV cannot read."""
+    def __init__(self, weights: Weights, load: Callable[[Weights], nn.Module]) -> None:
+        """`load` makes the whole network. Raises ValueError for a file that OpenCV cannot read."""
         names = {field.name for field in fields(ResidualConstants)}
         super().__init__(**{name: float(value) for name, value in weights.config.items() if name in names})
-        self._weights = weights
+        self._weights, self._load = weights, load
         self._predict = OnnxPredictor(weights.onnx, fold=int(weights.config.get("fold", 2)))
 
     def predict(self, condition: Floats) -> tuple[Floats, Floats]:
@@ -53,9 +54,7 @@ class FirstPassPredictor(ResidualConstants):
 
     def load_network(self) -> nn.Module:
         """The whole network, for more than one step."""
-        from pipeline.networks import network_factory
-
-        return network_factory.load_network(self._weights)
+        return self._load(self._weights)
 
 
 ResidualNetwork: TypeAlias = "nn.Module | FirstPassPredictor"  # what `network_factory.load_predictor` returns

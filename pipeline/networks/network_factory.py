@@ -91,7 +91,7 @@ def export_weights(weights: Weights) -> bytes:
 def _load_predictor(weights: Weights) -> OnnxPredictor | FirstPassPredictor:
     try:
         if weights.kind == _RESIDUAL:
-            return FirstPassPredictor(weights)
+            return FirstPassPredictor(weights, load_network)
         return OnnxPredictor(weights.onnx or export_weights(weights), fold=int(weights.config.get("fold", 2)))
     except ValueError as error:
         raise ModelMissing(f"the weights {weights.name!r} cannot be run: {error}") from error
