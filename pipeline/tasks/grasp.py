@@ -18,8 +18,8 @@ from pipeline.values.frames import Pairing, TactileFrame, Truth
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Grasp:
-    """A held object with its touches."""
+class HeldObject:
+    """An object between two fingers, with its touches."""
 
     mesh: Mesh
     held: PlanarPose  # hand_from_object, the truth
@@ -43,7 +43,7 @@ class Grasp:
 def feel_grasp(
     plan: TrialPlan, mesh: Mesh, held: PlanarPose, indentation_mm: float, rng: np.random.Generator, *, source: str,
     target: str,
-) -> Grasp:  # fmt: skip
+) -> HeldObject:  # fmt: skip
     """Record a grasp with the sensors that the plan needs: the target only for truth."""
     needs_target = plan.attribute or plan.record_frames or TRUE in plan.touches
     needs_source = plan.record_frames or any(touch not in (TRUE, NONE) for touch in plan.touches)
@@ -61,7 +61,7 @@ def feel_grasp(
         target_spec = places[1].nominal
         moments.append(Moment(mesh, recorded, places[0].nominal, places[1].nominal))
     assert target_spec is not None
-    return Grasp(
+    return HeldObject(
         mesh=mesh, held=held, moments=tuple(moments), target=target_spec, frames=tuple(frames),
         pairings=tuple(pairings) if needs_source and needs_target else (),
     )  # fmt: skip
@@ -69,7 +69,7 @@ def feel_grasp(
 
 def run_through_touches(
     plan: TrialPlan,
-    grasp: Grasp,
+    grasp: HeldObject,
     case: str,
     measure_mm: Callable[[PlanarPose], float],
     attempt: Callable[[PlanarPose, float], Attempt],
