@@ -72,7 +72,11 @@ def test_3d_views_have_the_background_of_the_theme(open_window, touch_file, qtbo
         controller.window.actions_by_name[f"theme_{name}"].trigger()
         ground = get_theme_colours(make_palette(dark=name == "dark")).backdrop
         view = controller.window.view_panels["cloud"].view
-        qtbot.waitUntil(lambda: view.image.pixelColor(2, 2).getRgb()[:3] == ground, timeout=240_000)  # noqa: B023
+
+        def has_ground(view=view, ground=ground) -> bool:
+            return view.image is not None and view.image.pixelColor(2, 2).getRgb()[:3] == ground
+
+        qtbot.waitUntil(has_ground, timeout=240_000)
 
 
 @pytest.mark.gl
