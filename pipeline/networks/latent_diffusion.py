@@ -49,7 +49,8 @@ class LatentDiffusion(nn.Module):
     `condition_encoder` brings to the latents' grid; only "resnet" has `condition_channels`.
     `raw_condition`: trained on changes of 0..255 normalised by statistics of 0..1, as the published weights were.
     `half_turn`: the output has to be rotated by 180 degrees for the target's camera. `trained_with_condition_dropout`:
-    whether guidance can act. `generated_*` and `true_*` are mean and standard deviation (mm) of generated and true
+    whether guidance can act. `trained_on_recordings` (0 or 1): by recorded pairs, which know how the sensors lie.
+    `generated_*` and `true_*` are mean and standard deviation (mm) of generated and true
     imprints of training examples; they remove small biases of the output. A standard deviation of 0 disables this.
     """
 
@@ -64,11 +65,11 @@ class LatentDiffusion(nn.Module):
         condition: Condition = "image", condition_inputs: int = 3, condition_encoder: EncoderKind = "resnet",
         raw_condition: bool = False, trained_with_condition_dropout: bool = True, half_turn: bool = False,
         generated_mean_mm: float = 0.0, generated_std_mm: float = 0.0, true_mean_mm: float = 0.0,
-        true_std_mm: float = 0.0,
+        true_std_mm: float = 0.0, trained_on_recordings: float = 0.0,
     ) -> None:  # fmt: skip
         super().__init__()
         self.side, self.condition, self.half_turn = side, condition, bool(half_turn)
-        self.raw_condition = bool(raw_condition)
+        self.raw_condition, self.trained_on_recordings = bool(raw_condition), bool(trained_on_recordings)
         self.trained_with_condition_dropout = bool(trained_with_condition_dropout)
         self.generated_stats, self.true_stats = (generated_mean_mm, generated_std_mm), (true_mean_mm, true_std_mm)
         self.first_stage_model = AutoencoderKl(

@@ -21,6 +21,7 @@ Precision = Literal["float32", "bf16"]
 OptimiserKind = Literal["adamw", "adam"]
 Schedule = Literal["cosine", "poly", "constant"]
 RECIPES_FOLDER = Path(__file__).parent / "recipes"
+_MARKED_KINDS = ("residual_denoiser", "latent")  # networks that can say that recorded pairs trained them
 P = TypeVar("P")
 
 
@@ -241,7 +242,7 @@ def override_pairs(recipe: Recipe, path: str, hold_out: str) -> Recipe:
 
 def _mark_network(network: Mapping[str, Value]) -> Mapping[str, Value]:
     """The network with the mark of recorded pairs, where its kind has one."""
-    return {**network, "trained_on_recordings": 1.0} if network["kind"] == "residual_denoiser" else network
+    return {**network, "trained_on_recordings": 1.0} if network["kind"] in _MARKED_KINDS else network
 
 
 def override_training(recipe: Recipe, **values: int | str) -> Recipe:

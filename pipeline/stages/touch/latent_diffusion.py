@@ -155,7 +155,8 @@ def generate_touch(
         square = square * np.float32(source.sensor_kind.full_change)
     condition = build_image_square(square, net.condition, source, target, alignment)
     touch = _sample_touch(condition, target, net, params, SubProgress(progress, 0.0, 0.9))
-    impossible = check_depth_limit(touch, source, target, alignment)
+    knows_alignment = getattr(net, "trained_on_recordings", False)
+    impossible = () if knows_alignment else check_depth_limit(touch, source, target, alignment)
     if impossible:
         physical = render_from_frame(
             frame, source, calibration, alignment, target, physical_render.PhysicalRenderParams(),
