@@ -10,7 +10,7 @@ from hypothesis import settings
 
 # A landing must not hang on the luck of the draw: where CI runs, every run tries the same examples; elsewhere new ones.
 # No deadline for one example: a kernel compiles within it, and other programs use the machine.
-settings.register_profile("tests", derandomize=bool(os.environ.get("CI")))
+settings.register_profile("tests", deadline=None, derandomize=bool(os.environ.get("CI")))
 settings.load_profile("tests")
 
 _BESIDE = Path(__file__).resolve().parents[2] / "shared" / "data"

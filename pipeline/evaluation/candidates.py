@@ -57,11 +57,8 @@ def select_candidates(
     `weights` (method -> file) replace shipped ones. Raises SettingProblem for an unknown name, or for a file that its
     method cannot use.
     """
+    check_candidate_names(only, catalogue)
     methods: tuple[Method, ...] = catalogue.stage("touch").methods
-    unknown = set(only) - {*_TITLES, *(m.name for m in methods)}
-    if unknown:
-        known = ", ".join((*_TITLES, *(m.name for m in methods)))
-        raise SettingProblem(f"no candidate is called {sorted(unknown)[0]!r}; there are {known}")
     candidates = [Candidate(name=name, title=title) for name, title in _TITLES.items()]
     excluded: list[str] = []
     for method in methods:
@@ -79,6 +76,14 @@ def select_candidates(
         candidates=tuple(c for c in candidates if not only or c.name in only),
         excluded=tuple(why for why in excluded if not only or why.split(":")[0].split()[-1] in only),
     )
+
+
+def check_candidate_names(names: Sequence[str], catalogue: Catalogue = BUILT_IN) -> None:
+    """Check that each name is a baseline or a method of the catalogue; raises SettingProblem."""
+    known = [*_TITLES, *(m.name for m in catalogue.stage("touch").methods)]
+    unknown = sorted(set(names) - set(known))
+    if unknown:
+        raise SettingProblem(f"no candidate is called {unknown[0]!r}; there are {', '.join(known)}")
 
 
 @lru_cache(maxsize=8)

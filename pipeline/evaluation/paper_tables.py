@@ -11,7 +11,7 @@ from pipeline.base.errors import SettingProblem
 from pipeline.base.params import list_settings
 from pipeline.base.progress import SILENT, Progress, SubProgress
 from pipeline.evaluation import touch_features
-from pipeline.evaluation.candidates import BASELINES, RECORDED, select_candidates
+from pipeline.evaluation.candidates import BASELINES, RECORDED, check_candidate_names, select_candidates
 from pipeline.evaluation.held_out import HeldOutOptions, PressRecordings, load_or_simulate, select_sensors
 from pipeline.evaluation.published_results import COMPARISON_NOTE, PAPER_DIRECTIONS, Split
 from pipeline.evaluation.recorded_folders import open_directions, require_touches, select_recorded
@@ -149,7 +149,8 @@ def _select_pose_methods(
 
 
 def _check_settings(request: EvaluationRequest) -> None:
-    """Raise SettingProblem for a touch setting that no method has."""
+    """Raise SettingProblem for an unknown candidate, or a touch setting that no method has."""
+    check_candidate_names(request.candidates)
     known = {name for method in BUILT_IN.stage("touch").methods for name in list_settings(method.params())}
     for assignment in request.settings:
         stage, _, name = assignment.partition("=")[0].strip().partition(".")

@@ -80,7 +80,8 @@ def _render_state(
 def report_change(touch: GeneratedTouch, physical: GeneratedTouch) -> GeneratedTouch | Fallback[GeneratedTouch]:
     """`touch` with a note of its mean distance from physics in contact; a fallback where no pixel differs."""
     if np.array_equal(touch.image, physical.image):
-        return Fallback(result=physical, reason=NO_CHANGE)
+        notes = tuple(dict.fromkeys((*physical.notes, *touch.notes)))
+        return Fallback(result=replace(physical, notes=notes), reason=NO_CHANGE)
     assert touch.membrane is not None
     assert physical.membrane is not None
     contact = touch.membrane.contact | physical.membrane.contact

@@ -169,7 +169,7 @@ def test_an_image_of_another_size_is_refused():
 def test_without_weights_physics_answers_with_the_reason():
     source = load_sensor("gelsight_mini")
     answer = NETWORK.run(make_frame(), source, None, NoWeights(why="no weights are shipped"), NetworkParams(), SILENT)
-    assert answer.reason.startswith("no weights are shipped")
+    assert "no weights are shipped" in answer.reason
 
 
 def test_contact_that_the_network_adds_keeps_its_measured_depth():

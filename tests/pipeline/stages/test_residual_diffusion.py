@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from pipeline.base.progress import Cancelled
-from pipeline.stages.touch.residual_diffusion import DiffusionParams, sample_residual
+from pipeline.stages.touch.residual_diffusion import FIELD_LIMIT, DiffusionParams, sample_residual
 from tests.pipeline.networks.test_residual_denoiser import PREDICTIONS, small
 
 SAMPLERS = ("ddim", "dpmpp_2m", "corrected")
@@ -23,7 +23,7 @@ def unweighted(**how):
 class CountingDenoiser(torch.nn.Module):
     """A denoiser of a known field that counts its passes and those without a condition."""
 
-    unit_mm, sigma_max, sigma_min, field_limit, noise_correlation = 2.0, 8.0, 0.02, 8.0, 0.0
+    unit_mm, sigma_max, sigma_min, noise_correlation = 2.0, 8.0, 0.02, 0.0
 
     def __init__(self, spread=0.5):
         super().__init__()
@@ -108,6 +108,6 @@ def test_all_settings_give_finite_bounded_results(prediction):
         found = sample_residual(net, tiny, unweighted(steps=steps, guidance=guidance, sampler=sampler))
         expected = prediction, steps, guidance, sampler
         assert np.isfinite(found.final.residual_mm).all(), expected
-        assert np.abs(found.final.residual_mm).max() <= net.field_limit * net.unit_mm + 1e-5, expected
+        assert np.abs(found.final.residual_mm).max() <= FIELD_LIMIT * net.unit_mm + 1e-5, expected
         assert np.isfinite(found.final.contact_correction).all(), expected
         assert np.isfinite(found.expected_error_mm).all(), expected
