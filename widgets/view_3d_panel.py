@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from PyQt6.QtCore import Qt
+from PyQt6.QtGui import QTextDocumentFragment
 from PyQt6.QtWidgets import QLabel, QSizePolicy, QVBoxLayout, QWidget
 
 from widgets.fixed_size_label import FixedSizeLabel
@@ -35,6 +36,7 @@ class FittingLabel(QLabel):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
+        self.setTextFormat(Qt.TextFormat.RichText)
         shrink_font(self)
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
         self.setAlignment(Qt.AlignmentFlag.AlignHCenter)
@@ -42,11 +44,11 @@ class FittingLabel(QLabel):
         self._widths: list[int] = []
 
     def set_texts(self, *tellings: str) -> None:
-        """Set the versions, the longest first; that one is the tooltip."""
+        """Set the versions, the longest first; that one is the tooltip, without markup."""
         if tellings != self._tellings:
             self._tellings = tellings
             self._widths = [self._width(telling) for telling in tellings]
-            self.setToolTip(tellings[0])
+            self.setToolTip(QTextDocumentFragment.fromHtml(tellings[0]).toPlainText())
             self._fit()
 
     def resizeEvent(self, a0: Any) -> None:  # noqa: N802

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from html import escape
+
 from PyQt6.QtGui import QGuiApplication
 
 from app.window.main_window import MainWindow
@@ -37,7 +39,7 @@ def _show_caption(panel: View3DPanel, legend: str, frame: str, stretch: float) -
 def _format_captions(frame: str, stretch: float) -> tuple[str, str, str]:
     """Return frame, axes and depth stretch at three lengths, from full to shortest."""
     stretched = "" if stretch == 1.0 else f"{_TIMES}{stretch:g}"
-    end = f", depth {stretched}" if stretched else ""
+    end, frame = f", depth {stretched}" if stretched else "", escape(frame)
     return (
         f"{frame} frame {_format_axes()}{end}",
         f"{frame} {_format_axes()} {stretched}".rstrip(),
