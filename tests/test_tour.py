@@ -6,7 +6,7 @@ import ast
 import re
 from pathlib import Path
 
-from app.window.actions import FILE_COMMANDS
+from app.window.actions import MENUS
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 
@@ -24,6 +24,8 @@ def test_every_picture_of_the_tour_is_made_by_its_script_and_there():
 
 def test_commands_that_the_tour_names_are_in_the_menu():
     text = (DOCS / "tour.md").read_text()
-    titles = {command.text for command in FILE_COMMANDS}
-    for named in re.findall(r"\*File > ([^*]+)\*", text):
-        assert named in titles
+    titles = {menu.replace("&", ""): {command.text for command in commands} for menu, commands in MENUS.items()}
+    named = re.findall(r"\*(\w+) > ([^*]+)\*", text)
+    assert named
+    for menu, command in named:
+        assert command in titles[menu], (menu, command)

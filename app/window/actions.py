@@ -26,30 +26,29 @@ class Command:
 
 # fmt: off
 FILE_COMMANDS = (
-    Command("open_sample", "Open sample", "Open the sample recording", icon="target"),
+    Command("open_sample", "Open sample", "Open the sample recording", icon="sample"),
     Command("open_recording", "Open recording…", "Open a recording", icon="open", key="Ctrl+O"),
     Command("open_folder", "Open folder…", "Open a folder of images", icon="folder", key="Ctrl+Shift+O"),
     Command("open_mesh", "Open mesh…", "Open the mesh of the touched object, for its pose", icon="cube", key="Ctrl+M"),
     Command("close_mesh", "Close mesh", "Return to the mesh of the recording, if any"),
     Command("open_calibration", "Open calibration…",
-            "Open a calibration table written by `tactoscope calibrate balls`", icon="target"),
+            "Open a calibration table written by `tactoscope calibrate balls`"),
     Command("open_weights", "Open weights…", "Open network weights for a method that reads weights"),
     Command("close_weights", "Close weights", "Return to the shipped weights"),
     Command("open_reference", "Open reference…", "Open the reference image of the source sensor", icon="file"),
-    Command("open_alignment", "Open alignment…",
-            "Open the alignment of the two sensors, a .toml as `tactoscope align refine` writes it", icon="open"),
-    Command("save_alignment", "Save alignment as…", "Save the alignment with its offsets as .toml", icon="save"),
     Command("open_session", "Open session…", "Open a saved session", icon="session"),
     Command("save_session", "Save session", "Save the session: files, settings and layout", icon="save", key="Ctrl+S"),
     Command("save_session_as", "Save session as…", "Save the session under another name", key="Ctrl+Shift+S"),
-    Command("live", "Live…", "Open a live source: a simulated sensor, a camera, or a folder that grows", icon="blink",
-            key="Ctrl+Shift+L"),
     Command("export", "Export…", "Write panes as image, points, arrays, table or video", icon="image", key="Ctrl+E"),
-    Command("copy_command", "Copy as command", "Copy the command line that reproduces the screen", key="Ctrl+Shift+C"),
     Command("export_bundle", "Export repro bundle…", "Write this frame and everything that reproduces it to a folder"),
+    Command("quit", "Quit", "Close the window", icon="close", key="Ctrl+Q"),
+)
+CAPTURE_COMMANDS = (
+    Command("live", "Live…", "Open a live source: a simulated sensor, a camera, or a folder that grows", icon="live",
+            key="Ctrl+Shift+L"),
     Command("copy_image", "Copy image", "Copy an image of the active pane, or of the window", key="Ctrl+C"),
     Command("save_screenshot", "Save screenshot…", "Save an image of the window", key="Ctrl+Shift+E"),
-    Command("quit", "Quit", "Close the window", icon="close", key="Ctrl+Q"),
+    Command("copy_command", "Copy as command", "Copy the command line that reproduces the screen", key="Ctrl+Shift+C"),
 )
 EDIT_COMMANDS = (
     Command("undo", "Undo", "Undo the last change", icon="undo", key="Ctrl+Z"),
@@ -76,18 +75,18 @@ PLAYBACK_COMMANDS = (
 VIEW_COMMANDS = (
     Command("link_cameras", "Link cameras", "Rotate all 3D views of one frame together", icon="link", key="L",
             checkable=True),
-    Command("reset_view", "Reset view", "Fit every image and 3D view", icon="reset", key="R"),
-    Command("fit_contact", "Fit contact", "Zoom every image to the contact, or back to the sensor", icon="fit",
+    Command("reset_view", "Reset view", "Fit every image and 3D view", icon="fit", key="R"),
+    Command("fit_contact", "Fit contact", "Zoom every image to the contact, or back to the sensor",
             key="Z", checkable=True),
-    Command("link_previews", "Link images", "Pan and zoom all images together, in millimetres", icon="link",
+    Command("link_previews", "Link images", "Pan and zoom all images together, in millimetres",
             key="Shift+L", checkable=True),
     Command("pin_probe", "Pin probe", "Keep the probed pixel", icon="target", key="F", checkable=True),
-    Command("magnify", "Magnifier", "Show the pixel values around the pointer in a corner of the image", icon="fit",
-            key="M", checkable=True),
+    Command("magnify", "Magnifier", "Show the pixel values around the pointer in a corner of the image",
+            icon="magnifier", key="M", checkable=True),
     Command("full_screen", "Full screen", "Switch to full screen or back", key="F11", checkable=True),
     Command("probe_by_keys", "Probe by keys",
             "Move the probe or the section line by arrow keys; Enter pins, Tab goes to the next image, Esc ends",
-            icon="target", key="P"),
+            key="P"),
     Command("section_line", "Section line", "Draw a line through all images and plot the heights along it",
             icon="section", key="X", checkable=True),
 )
@@ -100,10 +99,23 @@ COMPARISON_MODE_COMMANDS = (
     Command("show_blink", "Blink", "Alternate between the result and the truth", icon="blink", key="B",
             checkable=True),
 )
-LAYOUT_COMMANDS = (
+VARIANT_COMMANDS = (
+    Command("set_variant_settings", "Set B to settings", "Keep the current settings as session B of Compare",
+            key="Ctrl+H"),
+    Command("set_variant_recording", "Set B to recording…",
+            "Use another recording with the current settings as session B of Compare"),
+    Command("clear_variant", "Clear B", "Remove session B of Compare"),
+)
+REGISTRATION_COMMANDS = (
+    Command("open_alignment", "Open alignment…",
+            "Open the alignment of the two sensors, a .toml as `tactoscope align refine` writes it"),
+    Command("save_alignment", "Save alignment as…", "Save the alignment with its offsets as .toml"),
     Command("edit_alignment", "Edit alignment", "Open the alignment dock and focus its first number", icon="axes",
             key="A"),
-    Command("toggle_inspect", "Toggle Inspect", "Switch between Inspect and Stages", icon="panes", key="I"),
+    Command("step_through", "Step through", "Keep the iterations of the pose and show them"),
+    Command("map_basins", "Map basins", "Register this frame from a grid of start poses"),
+)
+LAYOUT_COMMANDS = (
     Command("layout_stages", "Stages", "Show all stages side by side, images above 3D views", key="Ctrl+1",
             checkable=True),
     Command("layout_inspect", "Inspect", "Show up to three large panes under a filmstrip of all stages", key="Ctrl+2",
@@ -114,17 +126,13 @@ LAYOUT_COMMANDS = (
     Command("layout_demo", "Demo", "Show source, generated touch and truth, large", key="Ctrl+5", checkable=True),
     Command("layout_compare", "Compare", "Compare methods, settings or seeds on one frame", key="Ctrl+6",
             checkable=True),
-    Command("save_arrangement", "Save arrangement…", "Save panes, docks and splitters under a name", icon="panes",
+)
+ARRANGEMENT_COMMANDS = (
+    Command("toggle_inspect", "Toggle Inspect", "Switch between Inspect and Stages", icon="panes", key="I"),
+    Command("save_arrangement", "Save arrangement…", "Save panes, docks and splitters under a name",
             key="Ctrl+Shift+A"),
     Command("rename_arrangement", "Rename arrangement…", "Rename the current arrangement"),
     Command("delete_arrangement", "Delete arrangement", "Delete the current arrangement; the window stays as it is"),
-    Command("set_variant_settings", "Set B to settings", "Keep the current settings as session B of Compare",
-            icon="link", key="Ctrl+H"),
-    Command("set_variant_recording", "Set B to recording…",
-            "Use another recording with the current settings as session B of Compare", icon="open"),
-    Command("step_through", "Step through", "Keep the iterations of the pose and show them", icon="axes"),
-    Command("map_basins", "Map basins", "Register this frame from a grid of start poses", icon="axes"),
-    Command("clear_variant", "Clear B", "Remove session B of Compare", icon="minus"),
 )
 THEME_COMMANDS = (
     Command("theme_light", "Light theme", "Use dark text on a light background", icon="sun", checkable=True),
@@ -136,6 +144,17 @@ HELP_COMMANDS = (
     Command("keys", "Shortcuts", "Show the keyboard shortcuts", icon="help", key="F1"),
 )
 # fmt: on
+MENUS: Mapping[str, tuple[Command, ...]] = {  # title -> commands; every command is in one menu
+    "&File": FILE_COMMANDS,
+    "&Edit": EDIT_COMMANDS,
+    "&Capture": CAPTURE_COMMANDS,
+    "&Play": PLAYBACK_COMMANDS,
+    "&View": VIEW_COMMANDS,
+    "&Layout": LAYOUT_COMMANDS + ARRANGEMENT_COMMANDS,
+    "Co&mpare": COMPARISON_MODE_COMMANDS + VARIANT_COMMANDS,
+    "&Registration": REGISTRATION_COMMANDS,
+    "&Help": HELP_COMMANDS,
+}  # fmt: skip
 
 
 def make_stage_commands(titles: tuple[str, ...]) -> tuple[Command, ...]:

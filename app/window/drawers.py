@@ -55,6 +55,10 @@ class Drawers:
         action.triggered.connect(lambda: self._fit_drawer(drawer))
         self._window.addAction(action)
         self.rail.addAction(action)
+        button = self.rail.widgetForAction(action)
+        if button is not None:
+            button.setFocusPolicy(Qt.FocusPolicy.TabFocus)
+            button.setAccessibleName(title)
         return drawer
 
     def _fit_drawer(self, drawer: QDockWidget) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from itertools import chain
 from pathlib import Path
 
 from PyQt6.QtCore import QSize, Qt, pyqtSignal
@@ -22,21 +23,10 @@ from PyQt6.QtWidgets import (
 )
 
 from app.session.layout import LAYOUT_NAMES, Arrangement, Layout
-from app.window.actions import (
-    COMPARISON_MODE_COMMANDS,
-    EDIT_COMMANDS,
-    FILE_COMMANDS,
-    HELP_COMMANDS,
-    LAYOUT_COMMANDS,
-    PLAYBACK_COMMANDS,
-    THEME_COMMANDS,
-    VIEW_COMMANDS,
-    make_actions,
-    make_stage_commands,
-)
+from app.window.actions import MENUS, THEME_COMMANDS, make_actions, make_stage_commands
 from app.window.dock_state import capture_arrangement, restore_arrangement
 from app.window.drawers import Drawers
-from app.window.menus import build_menus, build_tool_bar
+from app.window.menus import add_layout_tabs, build_menus, build_tool_bar
 from widgets.alignment_panel import AlignmentPanel
 from widgets.banner import Banner
 from widgets.basin_map import BasinPanel
@@ -82,15 +72,7 @@ class MainWindow(QMainWindow):
         titles = tuple(title for _, title in columns)
         self.actions_by_name: Mapping[str, QAction] = make_actions(
             self,
-            FILE_COMMANDS
-            + EDIT_COMMANDS
-            + PLAYBACK_COMMANDS
-            + VIEW_COMMANDS
-            + COMPARISON_MODE_COMMANDS
-            + LAYOUT_COMMANDS
-            + THEME_COMMANDS
-            + make_stage_commands(titles)
-            + HELP_COMMANDS,
+            (*chain.from_iterable(MENUS.values()), *THEME_COMMANDS, *make_stage_commands(titles)),
         )
         self.columns = {name: StageColumn(name, f"{i + 1} · {title}") for i, (name, title) in enumerate(columns)}
         self.banner, self.timeline = Banner(), Timeline()
@@ -111,6 +93,8 @@ class MainWindow(QMainWindow):
         self._build_centre()
         self._build_drawers()
         self.menus = build_menus(self, self.actions_by_name, len(self.columns), self.drawers.all_drawers)
+        layouts = [self.actions_by_name[f"layout_{name}"] for name in LAYOUT_NAMES]
+        self.layout_tabs = add_layout_tabs(self, layouts)
         choosers = ("source", self.source), ("target", self.target), ("route", self.route)
         build_tool_bar(self, self.actions_by_name, choosers, self.timeline)
         self._build_status()

@@ -6,18 +6,11 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from PyQt6.QtCore import QSize, Qt
 from PyQt6.QtGui import QAction
-from PyQt6.QtWidgets import QDockWidget, QLabel, QMainWindow, QMenu, QToolBar, QToolButton, QWidget
+from PyQt6.QtWidgets import QDockWidget, QLabel, QMainWindow, QMenu, QWidget
 
-from app.window.actions import (
-    COMPARISON_MODE_COMMANDS,
-    EDIT_COMMANDS,
-    FILE_COMMANDS,
-    HELP_COMMANDS,
-    LAYOUT_COMMANDS,
-    PLAYBACK_COMMANDS,
-    THEME_COMMANDS,
-    VIEW_COMMANDS,
-)
+from app.window.actions import MENUS, THEME_COMMANDS
+from widgets.action_tabs import ActionTabs
+from widgets.command_bar import CommandBar
 from widgets.timeline import Timeline
 
 _TOOLS = (
@@ -40,9 +33,16 @@ _TOOLS = (
     "show_blink",
 )
 _AFTER_SEPARATOR = frozenset(
-    ("open_mesh", "save_session", "export", "quit", "reset_all", "back_10", "show_truth", "only_1")
-)
-_WITH_TEXT = ("open_recording", "open_mesh", "pin_probe")
+    (
+        "open_mesh", "save_session", "export", "quit", "reset_all", "copy_image", "back_10", "only_1",
+        "toggle_inspect", "save_arrangement", "set_variant_settings", "edit_alignment", "step_through",
+    )
+)  # fmt: skip
+# Buttons that get their text next to the icon while there is room, the first ones first.
+_TEXT_ORDER = (
+    "open_recording", "open_mesh", "pin_probe", "export", "section_line", "show_difference", "show_truth",
+    "show_wipe", "show_blink", "link_cameras", "reset_view", "open_folder", "undo", "redo",
+)  # fmt: skip
 
 
 def build_menus(
@@ -51,25 +51,17 @@ def build_menus(
     """Create the menus, with every command once; title -> menu."""
     bar, menus = window.menuBar(), dict[str, QMenu]()
     assert bar is not None
-    for title, names in (
-        ("&File", [c.name for c in FILE_COMMANDS]),
-        ("&Edit", [c.name for c in EDIT_COMMANDS]),
-        ("&Play", [c.name for c in PLAYBACK_COMMANDS]),
-        (
-            "&View",
-            [c.name for c in VIEW_COMMANDS + COMPARISON_MODE_COMMANDS] + [f"only_{i + 1}" for i in range(n_columns)],
-        ),
-        ("&Layout", [c.name for c in LAYOUT_COMMANDS]),
-        ("&Help", [c.name for c in HELP_COMMANDS]),
-    ):
-        menu = bar.addMenu(title)
-        assert menu is not None
-        menus[title.replace("&", "")] = menu
+    for text, commands in MENUS.items():
+        title = text.replace("&", "")
+        menu = menus[title] = QMenu(text, bar)
+        bar.addMenu(menu)
+        names = [command.name for command in commands]
+        names += [f"only_{i + 1}" for i in range(n_columns)] if title == "View" else []
         for name in names:
             if name in _AFTER_SEPARATOR:
                 menu.addSeparator()
             menu.addAction(actions[name])
-        if title == "&View":
+        if title == "View":
             menu.addSeparator()
             for drawer in drawers:
                 menu.addAction(drawer.toggleViewAction())
@@ -78,11 +70,21 @@ def build_menus(
     return menus
 
 
+def add_layout_tabs(window: QMainWindow, layouts: Sequence[QAction]) -> ActionTabs:
+    """Add one tab per layout at the right of the menu bar, where they take no height."""
+    bar = window.menuBar()
+    assert bar is not None
+    bar.setNativeMenuBar(False)
+    tabs = ActionTabs(layouts, "layout")
+    bar.setCornerWidget(tabs, Qt.Corner.TopRightCorner)
+    return tabs
+
+
 def build_tool_bar(
     window: QMainWindow, actions: Mapping[str, QAction], choosers: Sequence[tuple[str, QWidget]], timeline: Timeline
 ) -> None:
     """Create the tool bar with `choosers` (label, widget), and the buttons of the timeline."""
-    bar = QToolBar("Commands", window)
+    bar = CommandBar("Commands", window)
     bar.setObjectName("tool_bar")
     bar.setMovable(False)
     bar.setIconSize(QSize(20, 20))
@@ -98,10 +100,7 @@ def build_tool_bar(
         word.setBuddy(box)
         bar.addWidget(word)
         bar.addWidget(box)
-    for name in _WITH_TEXT:
-        button = bar.widgetForAction(actions[name])
-        if isinstance(button, QToolButton):
-            button.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextBesideIcon)
+    bar.set_text_order([actions[name] for name in _TEXT_ORDER])
     for name in ("first", "previous", "play", "next", "last"):
         timeline.add_command(actions[name])
     timeline.add_command(actions["loop"])

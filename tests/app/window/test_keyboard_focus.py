@@ -11,15 +11,7 @@ from PyQt6.QtGui import QWheelEvent
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication, QComboBox, QMenu, QWidget
 
-from app.window.actions import (
-    COMPARISON_MODE_COMMANDS,
-    EDIT_COMMANDS,
-    FILE_COMMANDS,
-    HELP_COMMANDS,
-    PLAYBACK_COMMANDS,
-    THEME_COMMANDS,
-    VIEW_COMMANDS,
-)
+from app.window.actions import MENUS, THEME_COMMANDS
 from app.window.tour import wait_until_shown
 from pipeline.base.params import list_settings
 from pipeline.cli.terminal import print_line
@@ -41,16 +33,7 @@ def wheel(widget) -> QWheelEvent:
 def test_every_command_is_in_a_menu_and_in_the_palette(bubble_window):
     window = bubble_window.window
     in_menus = {a.objectName() for menu in window.menuBar().findChildren(QMenu) for a in menu.actions()}
-    assert {
-        c.name
-        for c in FILE_COMMANDS
-        + EDIT_COMMANDS
-        + PLAYBACK_COMMANDS
-        + VIEW_COMMANDS
-        + COMPARISON_MODE_COMMANDS
-        + THEME_COMMANDS
-        + HELP_COMMANDS
-    } <= in_menus
+    assert {c.name for commands in (*MENUS.values(), THEME_COMMANDS) for c in commands} <= in_menus
     window.actions_by_name["palette"].trigger()
     palette = window.findChild(CommandPalette)
     assert palette.isVisible()
