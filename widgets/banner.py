@@ -1,4 +1,4 @@
-"""A strip for errors: one sentence and details on demand; never modal."""
+"""Notification of an error: one sentence and details on demand; never modal."""
 
 from __future__ import annotations
 
@@ -16,13 +16,15 @@ from PyQt6.QtWidgets import (
 )
 
 from widgets.icons import StateIcon
+from widgets.styling import make_single_shot_timer
 from widgets.theme import is_dark
 
+_READ_MS = 30_000  # until an error leaves; the log keeps it
 _ON_LIGHT, _ON_DARK = ("#fdecea", "#d9a09a", "#5c1a14"), ("#4a2522", "#8c4a44", "#ffd9d4")
 
 
 class Banner(QFrame):
-    """Hidden until `show_problem`."""
+    """Hidden until `show_problem`; leaves by itself unless it is being read: pointer over it, or details open."""
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -51,6 +53,7 @@ class Banner(QFrame):
         layout.setContentsMargins(8, 4, 8, 4)
         layout.addLayout(row)
         layout.addWidget(self._details)
+        self._leave_later = make_single_shot_timer(self, _READ_MS, self._leave)
         self._more.toggled.connect(self._details.setVisible)
         self._copy.clicked.connect(self.copy_report)
         self._away.clicked.connect(self.hide)
@@ -86,6 +89,10 @@ class Banner(QFrame):
         self._more.setVisible(bool(details))
         self._more.setChecked(False)
         self.show()
+        self._leave_later.start()
+
+    def _leave(self) -> None:
+        self._leave_later.start() if self.underMouse() or self._more.isChecked() else self.hide()
 
     def copy_report(self) -> None:
         """Copy sentence and details to the clipboard."""

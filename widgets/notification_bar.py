@@ -1,4 +1,4 @@
-"""Notification strip: a sentence and buttons; never modal."""
+"""Notification: a sentence and buttons; never modal."""
 
 from __future__ import annotations
 
@@ -9,13 +9,14 @@ from PyQt6.QtWidgets import QFrame, QHBoxLayout, QLabel, QProgressBar, QPushButt
 
 from widgets.styling import make_single_shot_timer
 
-_BAR_PX, _READ_AFTER_MS = 160, 10_000
+_BAR_PX = 160
+_READ_MS, _ACT_MS = 10_000, 20_000  # until a notification leaves, without and with buttons
 
 
 class NotificationBar(QFrame):
-    """Hidden until `show_notification`; each button acts once and hides the strip.
+    """Hidden until `show_notification`; each button acts once and hides it.
 
-    A notification without buttons hides after a time to read it.
+    It leaves by itself after a time to read it, unless the pointer is over it.
     """
 
     def __init__(self, name: str, parent: QWidget | None = None) -> None:
@@ -41,7 +42,7 @@ class NotificationBar(QFrame):
         self._row.addWidget(self._bar)
         self._row.addWidget(self._away)
         self.buttons: list[QPushButton] = []
-        self._read = make_single_shot_timer(self, _READ_AFTER_MS, self.hide)
+        self._read = make_single_shot_timer(self, _READ_MS, self._leave)
         self.hide()
 
     @property
@@ -49,8 +50,10 @@ class NotificationBar(QFrame):
         """The sentence on display."""
         return self._text.text()
 
-    def show_notification(self, sentence: str, choices: Sequence[tuple[str, Callable[[], object]]] = ()) -> None:
-        """Show one sentence and a button for each of `choices` (label, action)."""
+    def show_notification(
+        self, sentence: str, choices: Sequence[tuple[str, Callable[[], object]]] = (), *, stays: bool = False
+    ) -> None:
+        """Show one sentence and a button for each of `choices` (label, action); it does not leave while it `stays`."""
         for button in self.buttons:
             self._row.removeWidget(button)
             button.deleteLater()
@@ -60,10 +63,12 @@ class NotificationBar(QFrame):
         self._text.setText(sentence[:1].upper() + sentence[1:])
         self._bar.hide()
         self.show()
-        if choices:
-            self._read.stop()
-        else:
-            self._read.start()
+        self.updateGeometry()
+        self._read.stop() if stays else self._read.start(_ACT_MS if choices else _READ_MS)
+
+    def _leave(self) -> None:
+        """Hide, but not under the pointer."""
+        self._read.start(_READ_MS) if self.underMouse() else self.hide()
 
     def show_progress(self, fraction: float) -> None:
         """Show the progress of the work that the sentence is about."""

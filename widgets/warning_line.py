@@ -14,6 +14,7 @@ from widgets.icons import StateIcon
 from widgets.styling import set_spacing
 
 _BETWEEN = "   ·   "
+_SPARE_PX = 4  # what the last letter of a text may need beyond its measured width
 _A_REASON = re.compile("[:;]")  # what follows is the reason or the remedy
 
 
@@ -58,7 +59,7 @@ class WarningLine(QWidget):
         assert layout is not None
         around = layout.contentsMargins()
         room = max(60, self.width() - self._sign.width() - layout.spacing() - around.left() - around.right())
-        text = fit_sentences(self._sentences, lambda words: metrics.horizontalAdvance(words) <= room)
+        text = fit_sentences(self._sentences, lambda words: metrics.horizontalAdvance(words) <= room - _SPARE_PX)
         self._label.setText(metrics.elidedText(text, Qt.TextElideMode.ElideRight, room))
 
 

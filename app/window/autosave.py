@@ -41,7 +41,7 @@ class AutosaveController(QObject):
         self._timer = make_single_shot_timer(self, AUTOSAVE_DELAY_MS, self.autosave_now)
         self._to_recover: Session | None = None  # that the next window offers
         self.notification = NotificationBar("recovery_notification")
-        self.window.add_strip(self.notification)
+        self.window.notifications.add_bar(self.notification)
         self.recent_menu = QMenu("Open recent", self.window)
         self.recent_menu.aboutToShow.connect(self._fill_recent_menu)
         self.window.add_menu("File", self.recent_menu, before="open_mesh")
@@ -130,6 +130,7 @@ class AutosaveController(QObject):
         self.notification.show_notification(
             f"A window did not close normally {_format_age(recoverable.age_s)}. Its session{of} can be recovered.",
             (("Recover", recover), ("Discard", discard)),
+            stays=True,
         )
 
     def show_session(self, session: Session) -> None:

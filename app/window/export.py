@@ -38,7 +38,7 @@ class ExportController(BackgroundController):
         super().__init__("export", controller)
         self._autosave, self._sweep, self._window = autosave, sweep, controller.window
         self.notification, self.dialog = NotificationBar("export_notification"), ExportDialog(self._window)
-        self._window.add_strip(self.notification)
+        self._window.notifications.add_bar(self.notification)
         self._written: tuple[Path, str] = Path(), ""  # what the running export writes, and its command
         self._window.connect_command("export", self.show_export_dialog)
         self._window.connect_command("copy_command", self.copy_view_command)
@@ -167,7 +167,7 @@ class ExportController(BackgroundController):
         return True
 
     def _start(self, text: str, work: JobFunction, path: Path, command: str) -> None:
-        self.notification.show_notification(f"{text}…", (("Cancel", self.cancel),))
+        self.notification.show_notification(f"{text}…", (("Cancel", self.cancel),), stays=True)
         self._written = path, command
         self.start(work)
 

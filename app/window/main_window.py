@@ -35,6 +35,7 @@ from widgets.error_attribution_panel import ErrorAttributionPanel
 from widgets.fixed_size_label import FixedSizeLabel
 from widgets.frames_panel import FramesPanel
 from widgets.log_panel import LogPanel
+from widgets.notification_stack import NotificationStack
 from widgets.panes import PanesPage
 from widgets.parameters_panel import ParametersPanel
 from widgets.section_panel import SectionPanel
@@ -128,7 +129,7 @@ class MainWindow(QMainWindow):
         self.tabs.setCurrentWidget(tab)
 
     def add_strip(self, strip: QWidget) -> None:
-        """Add a notification strip above the stages."""
+        """Add a strip of controls above the stages."""
         self._strips.addWidget(strip)
 
     def _build_centre(self) -> None:
@@ -139,12 +140,13 @@ class MainWindow(QMainWindow):
         layout = set_spacing(QVBoxLayout(centre), 2, (2, 2, 2, 0))
         self._strips = set_spacing(QVBoxLayout(), 2)
         layout.addLayout(self._strips)
-        layout.addWidget(self.banner)
         layout.addWidget(self.pages, 1)
         layout.addWidget(self.warning_line)
         layout.addWidget(self.timeline)
         layout.addWidget(self.trace)
         self.setCentralWidget(centre)
+        self.notifications = NotificationStack(centre, self.pages)
+        self.notifications.add_bar(self.banner)
 
     def _use_spare_height(self, spare_px: int) -> None:
         """Give the height that images and 3D views do not need to the error strip."""

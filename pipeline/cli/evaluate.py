@@ -103,7 +103,7 @@ def evaluate(
     plots
         Folder for one plot of the sweep per direction.
     figures
-        Folder for the paper's figures 4 and 5 of this split: touches by T2T and T2D2 beside the recorded ones.
+        Folder for the paper's figures 4 and 5 of this split: touches by T2T and T2D2 next to the recorded ones.
     folder
         Folder of the simulated touches; default: the user's cache.
     scheduler
