@@ -16,6 +16,8 @@ class TouchError(Exception):
     the start and the end are shown.
     """
 
+    alternatives: tuple[Path, ...] = ()  # recordings of the same folder, one of which may be meant
+
     def __init__(self, text: str) -> None:
         """One sentence: what, where, what to try."""
         super().__init__(shorten_text(escape_text(text)))
@@ -46,12 +48,24 @@ class ShapeError(TouchError):
     """An array has another shape, type or content than the stage needs."""
 
 
+class MissingReference(ShapeError):
+    """A frame comes without an image of its sensor without contact."""
+
+
+class SensorMismatch(ShapeError):
+    """The images of a frame have another size than those of the stated sensor."""
+
+
 class CalibrationError(TouchError):
     """A sensor description, look-up, intrinsic matrix or alignment cannot be used."""
 
 
 class SettingProblem(TouchError):
     """A parameter, sensor, route or option does not exist or is out of its range."""
+
+
+class UnknownSensor(SettingProblem):
+    """A recording does not say which sensor made it, and the user has not said so either."""
 
 
 class MeshProblem(TouchError):

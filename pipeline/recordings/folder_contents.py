@@ -31,7 +31,7 @@ _MAX_NAMES = 3  # in a note
 
 def find_recording(folder: Path) -> RecordingFiles:
     """The files of the recording in `folder`; raises FileProblem where there is none, and OSError."""
-    at, notes, references = folder, list[str](), list[Path]()
+    at, notes, references, choices = folder, list[str](), list[Path](), tuple[Path, ...]()
     for _ in range(_MAX_LEVELS):
         here = _Contents(at)
         references += here.references
@@ -40,21 +40,24 @@ def find_recording(folder: Path) -> RecordingFiles:
             notes.append(f"the frames are those of {_relative_name(at, folder)}; other files there are left out")
             continue
         if here.images:
-            return _image_files(folder, here.images, references + _nearby_references(at), notes)
+            return _image_files(folder, here.images, references + _nearby_references(at), notes, choices)
         folder_format = next((f.key for f in list_formats() if f.matches_folder(at)), "")
         if folder_format:
-            return RecordingFiles(path=at, format=folder_format, notes=tuple(notes))
+            return RecordingFiles(path=at, format=folder_format, notes=tuple(notes), alternatives=choices)
         if here.files:
-            return RecordingFiles(path=here.files[0], notes=(*notes, *_note_choice(here.files, folder)))
+            notes += _note_choice(here.files, folder)
+            choices = choices or _list_choices(here.files)
+            return RecordingFiles(path=here.files[0], notes=tuple(notes), alternatives=choices)
         presses = _single_images(here.folders)
         if presses:
             notes.append(f"{len(presses)} folders of one image each are taken as one recording")
-            return _image_files(folder, presses, references + _nearby_references(at), notes)
+            return _image_files(folder, presses, references + _nearby_references(at), notes, choices)
         inner = [f for f in here.folders if _holds_recording(f)]
         if not inner:
             break
         if len(inner) > 1:
             notes += _note_choice(inner, folder)
+        choices = choices or _list_choices(inner)
         at = inner[0]
     raise _make_problem(folder)
 
@@ -81,8 +84,16 @@ def _list_entries(folder: Path) -> list[Path]:
     return sorted(entries, key=natural_sort_key)
 
 
-def _image_files(folder: Path, images: list[Path], references: list[Path], notes: list[str]) -> RecordingFiles:
-    return RecordingFiles(path=folder, images=tuple(images), references=tuple(references), notes=tuple(notes))
+def _image_files(
+    folder: Path, images: list[Path], references: list[Path], notes: list[str], choices: tuple[Path, ...]
+) -> RecordingFiles:
+    return RecordingFiles(
+        path=folder, images=tuple(images), references=tuple(references), notes=tuple(notes), alternatives=choices
+    )
+
+
+def _list_choices(paths: list[Path]) -> tuple[Path, ...]:
+    return tuple(paths) if len(paths) > 1 else ()
 
 
 def _nearby_references(folder: Path) -> list[Path]:

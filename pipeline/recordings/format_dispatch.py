@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.base.errors import FileProblem
+from pipeline.base.errors import FileProblem, TouchError
 from pipeline.base.files import describe_os_error, require_file
 from pipeline.recordings import depth_arrays, image_files, overrides
 from pipeline.recordings.folder_contents import PICKLE_REFUSAL, PICKLE_SUFFIXES, find_recording
@@ -48,12 +48,21 @@ def open_recording(
     try:
         files = find_recording(path) if path.is_dir() else _single_file(path)
         recording_format = detect_format(files)
-        recording = recording_format.read(files, options)
+        recording = _read_alternative(recording_format, files, options)
     except OSError as error:
         raise FileProblem(f"cannot read the recording ({describe_os_error(error)})", path) from error
     if recording_format.applies_options:
         return recording
     return _override(replace(recording, notes=(*files.notes, *recording.notes)), options)
+
+
+def _read_alternative(recording_format: RecordingFormat, files: RecordingFiles, options: ReadOptions) -> Recording:
+    """The recording, or the error of its reader, with the other recordings of the folder."""
+    try:
+        return replace(recording_format.read(files, options), alternatives=files.alternatives)
+    except TouchError as error:
+        error.alternatives = files.alternatives
+        raise
 
 
 def detect_format(files: RecordingFiles) -> RecordingFormat:

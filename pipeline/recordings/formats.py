@@ -28,6 +28,7 @@ class RecordingFiles:
     images: tuple[Path, ...] = ()  # image files in order
     references: tuple[Path, ...] = ()  # image files of the sensor without contact
     notes: tuple[str, ...] = ()  # what was chosen or left out
+    alternatives: tuple[Path, ...] = ()  # the recordings of the folder, where it holds several; the first is chosen
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

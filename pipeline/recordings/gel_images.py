@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,14 +37,20 @@ class GelImageConverter:
 
 
 def make_gel_converter(
-    sensor: str, shape: tuple[int, int], reference: Image | None, read_first: Callable[[], NDArray[np.generic]]
+    sensor: str,
+    shape: tuple[int, int],
+    reference: Image | None,
+    read_first: Callable[[], NDArray[np.generic]],
+    *,
+    file_names: Sequence[str] = (),
 ) -> GelImageConverter:
     """The converter for stored images of `shape` (rows, cols).
 
     `sensor` is the stated sensor or "", `reference` the stored reference image, `read_first` reads one stored image,
-    uint8 or a signed difference. Raises SettingProblem for an unknown sensor, and what `read_first` raises.
+    uint8 or a signed difference; `file_names` of the images may name the sensor. Raises SettingProblem for an unknown
+    sensor, and what `read_first` raises.
     """
-    name, notes = resolve_sensor_name(sensor, shape, is_depth=False)
+    name, notes = resolve_sensor_name(sensor, shape, is_depth=False, file_names=file_names)
     spec = load_sensor(sensor or name) if sensor or name else None
     fit = None if spec is None else resampling.fit_resampling(spec, shape)
     no_change_grey = None if reference is not None else _find_no_change_grey(read_first())

@@ -11,6 +11,7 @@ from pipeline.base.errors import FileProblem
 from pipeline.recordings import image_files
 from pipeline.recordings.formats import ReadOptions, RecordingFiles
 from pipeline.recordings.gel_images import make_gel_converter
+from pipeline.recordings.image_series import select_colour_series
 from pipeline.recordings.index_check import with_index_check
 from pipeline.recordings.reference_denoising import denoise_reference
 from pipeline.values.frames import Recording, Stream, TactileFrame
@@ -23,13 +24,15 @@ def read(files: RecordingFiles, options: ReadOptions) -> Recording:
 
     The reference is the stated file, else the first image named background*, bg*, ref*, reference*, untouched* or
     undeformed*, as the median with the first frames where they are alike. Differences imply it; without any the frames
-    have none, with a note. Images of the sensor at another size are resampled. Raises FileProblem or SettingProblem.
+    have none, with a note. Images of the sensor at another size are resampled, grey ones among colour ones left out.
+    Raises FileProblem or SettingProblem.
     """
     path = files.path
     reference_file = options.reference or (files.references[0] if files.references else None)
     references = (*files.references, *((reference_file,) if reference_file else ()))
     excluded = {os.path.realpath(p) for p in references}
     images = [p for p in files.images if os.path.realpath(p) not in excluded]
+    images, notes = select_colour_series(images)
     if not images:
         raise FileProblem(
             "the folder has no images to show" if path.is_dir() else "the only image is the reference", path
@@ -46,7 +49,10 @@ def read(files: RecordingFiles, options: ReadOptions) -> Recording:
     n_averaged = 0
     if reference is not None and options.reference is None:
         reference, n_averaged = denoise_reference(reference, _read_all(images))
-    converter = make_gel_converter(options.sensor, (shape[0], shape[1]), reference, lambda: _read_first(images))
+    names = [p.stem for p in images]
+    converter = make_gel_converter(
+        options.sensor, (shape[0], shape[1]), reference, lambda: _read_first(images), file_names=names
+    )
 
     def frame(index: int) -> TactileFrame:
         image = converter.convert_image(_read_of_shape(images[index], shape, index))
@@ -57,7 +63,7 @@ def read(files: RecordingFiles, options: ReadOptions) -> Recording:
                     frame=with_index_check(frame, len(images), path))  # fmt: skip
     about = () if converter.implied_reference is not None else _describe_reference(reference_file, files, n_averaged)
     return Recording(path=path, format="folder of images" if path.is_dir() else "image",
-                     streams=(stream,), notes=(*files.notes, *converter.notes, *about))  # fmt: skip
+                     streams=(stream,), notes=(*files.notes, *notes, *converter.notes, *about))  # fmt: skip
 
 
 def _read_first(images: list[Path]) -> Image:

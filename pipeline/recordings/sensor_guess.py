@@ -1,8 +1,11 @@
-"""The sensor of an image, guessed from its size where the file does not name it."""
+"""The sensor of an image, guessed from its size or the names of the files where these do not state it."""
 
 from __future__ import annotations
 
-from pipeline.sensors.spec import load_sensor
+import re
+from collections.abc import Sequence
+
+from pipeline.sensors.spec import list_sensor_names, load_sensor
 
 # (rows, cols) of only one described sensor. A DIGIT on its side looks like a Mini; its driver rotates the image.
 _BY_SIZE = {
@@ -12,9 +15,12 @@ _BY_SIZE = {
 _AMBIGUOUS = {(480, 640): "gelsight_mini, or digit on its side"}
 
 
-def resolve_sensor_name(sensor: str, shape: tuple[int, int], *, is_depth: bool) -> tuple[str, tuple[str, ...]]:
-    """(sensor, notes): `sensor` if stated, else a guess from the image size (rows, cols), "" where none fits.
+def resolve_sensor_name(
+    sensor: str, shape: tuple[int, int], *, is_depth: bool, file_names: Sequence[str] = ()
+) -> tuple[str, tuple[str, ...]]:
+    """(sensor, notes): `sensor` if stated, else a guess, "" where none fits.
 
+    The guess is by the image size (rows, cols), else by a sensor's name as a word in all `file_names`.
     Raises SettingProblem for an unknown sensor.
     """
     if sensor:
@@ -26,5 +32,16 @@ def resolve_sensor_name(sensor: str, shape: tuple[int, int], *, is_depth: bool) 
     guess = _BY_SIZE.get(shape, "")
     if guess:
         return guess, (f"the file does not name its sensor; taken to be {guess} by its size of {cols} x {rows} px",)
+    named = _find_named_sensor(file_names)
+    if named:
+        return named, (f"taken to be {named}, which the names of the files hold",)
     fits = f"may be {_AMBIGUOUS[shape]}" if shape in _AMBIGUOUS else "fits none"
     return "", (f"the file does not name its sensor, and {cols} x {rows} px {fits}; say which with --sensor",)
+
+
+def _find_named_sensor(file_names: Sequence[str]) -> str:
+    """The sensor whose name is a word of all file names, the longest where several are; "" for none."""
+    words = {name: re.compile(rf"(?<![a-z0-9]){re.escape(name)}(?![a-z0-9])", re.IGNORECASE)
+             for name in list_sensor_names()}  # fmt: skip
+    named = [name for name, word in words.items() if file_names and all(word.search(one) for one in file_names)]
+    return max(named, key=len, default="")

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pipeline.base.arrays import Image
-from pipeline.base.errors import SettingProblem
+from pipeline.base.errors import SettingProblem, UnknownSensor
 from pipeline.base.frame_lists import check_frame_index
 from pipeline.base.progress import SILENT, Progress, reading_reported_to
 from pipeline.calibration.calibration_file import load as load_calibration
@@ -218,7 +218,12 @@ def open_translation(request: Request, catalogue: Catalogue = BUILT_IN) -> Trans
     said = load_sensor(request.source) if request.source else None
     stream = recording.stream(request.stream or (said.name if said else ""))
     if not stream.sensor:
-        raise SettingProblem(f"the recording does not say which sensor made it; give --sensor: '{request.recording}'")
+        unknown = UnknownSensor(
+            f"the recording does not say which sensor made it; choose one (--sensor): '{request.recording}'"
+        )
+        unknown.alternatives = recording.alternatives
+        recording.close()
+        raise unknown
     source = said or load_sensor(stream.sensor)
     mesh = recording.object_mesh
     if request.mesh is not None:

@@ -110,6 +110,7 @@ class Recording:
     close: Callable[[], None] = _nothing
     symmetry: Symmetry | None = None  # of the object; None = not known, and no poses count as equal
     refresh: Callable[[], Recording] | None = None  # the recording with frames that came since; None = it does not grow
+    alternatives: tuple[Path, ...] = ()  # the recordings of the same folder, where it holds several
     grasps: tuple[Grasp, ...] = ()  # one per frame index; () = the data set names none
     find_pair_problem: Callable[[int], str] = (
         _no_pair_problem  # why frames of this index are not of one touch; "" = fine

@@ -13,7 +13,7 @@ import numpy as np
 
 from pipeline.base.arrays import Image, freeze
 from pipeline.base.entry_points import load_reference
-from pipeline.base.errors import ShapeError
+from pipeline.base.errors import MissingReference, SensorMismatch, ShapeError
 from pipeline.base.memo import Memo
 from pipeline.base.params import setting
 from pipeline.base.progress import SILENT, Progress
@@ -257,7 +257,7 @@ def check_frame(frame: TactileFrame, source: SensorSpec) -> None:
     where = f"frame {frame.index} of {frame.sensor or source.name}"
     image, reference = frame.image, frame.reference
     if reference is None:
-        raise ShapeError(
+        raise MissingReference(
             f"no reference image for {where}; record one frame without contact, or choose its image as the reference"
         )
     camera = frame.camera or source.camera
@@ -265,7 +265,7 @@ def check_frame(frame: TactileFrame, source: SensorSpec) -> None:
     wanted = camera.shape if kind.is_depth else (*camera.shape, 3)
     for what, array in (("image", image), ("reference", reference)):
         if array.shape != wanted:
-            raise ShapeError(
+            raise SensorMismatch(
                 f"the {what} of {where} must have shape {wanted}, got {array.shape}; choose the right sensor"
             )
         problem = load_reference(kind.image_checker)(array)
