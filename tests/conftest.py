@@ -23,3 +23,16 @@ def real_data() -> Path:
     if not folder.is_dir():
         pytest.skip(f"no real recordings at {folder.name!r} (set TACTILE_DATA)")
     return folder
+
+
+@pytest.fixture(scope="session")
+def rollout_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One grasp of the hex key, inserted by its planned pose and by T2T at two clearances: four rollouts."""
+    from pipeline.tasks.runner import make_jobs, run_job
+
+    folder = tmp_path_factory.mktemp("rollouts")
+    jobs = make_jobs(
+        "insertion", cases=("hex_key",), touches=("none", "t2t"), tolerances_mm=(0.5, 2.0), n_trials=3, folder=folder
+    )
+    run_job(jobs[2])
+    return folder

@@ -169,12 +169,12 @@ def _cut_to_its_own(renderer: Any, _: str) -> None:
 
 
 def _camera(sight: ViewBounds) -> Any:
-    """Return a camera along the sensor's view, slightly from below, so far that the sphere fills the width."""
+    """Return a camera along the view's direction, so far that the sphere fills the width."""
     camera = vtkCamera()
-    direction = np.array([0.0, 0.6, -1.0]) / np.linalg.norm([0.0, 0.6, -1.0])
+    direction = np.array(sight.direction) / np.linalg.norm(sight.direction)
     camera.SetFocalPoint(*sight.centre_mm)
     camera.SetPosition(*(np.array(sight.centre_mm) + 3.7 * sight.radius_mm * direction))
-    camera.SetViewUp(0.0, -1.0, 0.0)
+    camera.SetViewUp(*sight.up)
     camera.SetViewAngle(28.0)
     return camera
 

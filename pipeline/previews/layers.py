@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -15,14 +15,14 @@ from pipeline.engine.digests import compute_cached_digest
 from pipeline.geometry.camera import Camera
 from pipeline.geometry.meshes import Mesh
 from pipeline.geometry.normals import compute_area_vectors
-from pipeline.previews.colours import MEMBRANE_COLOUR, OBJECT_COLOUR, repeat_colour
+from pipeline.previews.colours import MEMBRANE_COLOUR, OBJECT_COLOUR, Rgb, repeat_colour
 from pipeline.previews.preview import compute_rest_depth_mm
 from pipeline.sensors.spec import SensorSpec
 
 MAX_POINTS = 16_000  # of one surface: more are not visible in a view this small and slow rendering down
 _MEMBRANE_COLS = 64.0  # a faint smooth surface needs no more
 _membranes: Memo[str, Layer] = Memo(8)
-_meshes: Memo[str, tuple[Floats, Indices, Floats]] = Memo(2)
+_meshes: Memo[str, tuple[Floats, Indices, Floats]] = Memo(8)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,6 +47,8 @@ class ViewBounds:
     centre_mm: tuple[float, float, float]
     radius_mm: float
     frame: str  # views of the same frame may share a camera
+    direction: tuple[float, float, float] = (0.0, 0.6, -1.0)  # from the centre to the camera
+    up: tuple[float, float, float] = (0.0, -1.0, 0.0)
 
 
 def make_surface_layer(
@@ -100,16 +102,17 @@ def _membrane(sensor: SensorSpec) -> Layer:
 
 def make_object_layer(mesh: Mesh, sensor_from_object: Doubles) -> Layer:
     """Return the object at its estimated pose."""
+    layer = make_mesh_layer("object", mesh, OBJECT_COLOUR, opacity=0.55)
+    return replace(layer, view_from_layer=sensor_from_object)
+
+
+def make_mesh_layer(name: str, mesh: Mesh, colour: Rgb, *, opacity: float = 1.0) -> Layer:
+    """Return a mesh in its own frame."""
     points, triangles, normals = _meshes.get_or_make(compute_cached_digest(mesh), lambda: _mesh_arrays(mesh))
     return Layer(
-        name="object",
-        points_mm=points,
-        rgb=repeat_colour(OBJECT_COLOUR, len(points)),
-        triangles=triangles,
-        normals=normals,
-        opacity=0.55,
-        view_from_layer=sensor_from_object,
-    )
+        name=name, points_mm=points, rgb=repeat_colour(colour, len(points)), triangles=triangles, normals=normals,
+        opacity=opacity,
+    )  # fmt: skip
 
 
 def stretch_depth(points_mm: Floats, sensor: SensorSpec, times: float) -> Doubles:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from pipeline.base.progress import SILENT, Progress
 from pipeline.tasks.task import Decision, StageShare
 from pipeline.tasks.touches import NONE, TRUE, Moment
 from pipeline.translation.error_attribution import list_substitutions
@@ -27,6 +28,8 @@ def correct_estimates(
     touch: str,
     estimate: Callable[[Sequence[dict[str, object]]], Any],
     truth: Any,
+    *,
+    progress: Progress = SILENT,
 ) -> tuple[CorrectedEstimate, ...]:
     """Estimates with the truth in one more stage each, in running order; the last is `truth` itself.
 
@@ -35,7 +38,9 @@ def correct_estimates(
     corrected: list[CorrectedEstimate] = []
     if touch != NONE:
         given: list[dict[str, object]] = [{} for _ in moments]
-        for steps in zip(*(_list_steps(moment, touch) for moment in moments), strict=True):
+        by_stage = list(zip(*(_list_steps(moment, touch) for moment in moments), strict=True))
+        for done, steps in enumerate(by_stage):
+            progress.step(done / len(by_stage), f"truth in place of {steps[0][1]}")
             for one, (stage, _, value) in zip(given, steps, strict=True):
                 one[stage] = value
             corrected.append(CorrectedEstimate(stage=steps[0][0], title=steps[0][1], estimate=estimate(given)))

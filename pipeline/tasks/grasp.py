@@ -8,6 +8,7 @@ from functools import cache, partial
 
 import numpy as np
 
+from pipeline.base.progress import SILENT, Progress, SubProgress
 from pipeline.geometry.meshes import Mesh
 from pipeline.sensors.spec import SensorSpec
 from pipeline.tasks.attribution import correct_estimates, describe_decision, share_error
@@ -42,7 +43,7 @@ class HeldObject:
 
 def feel_grasp(
     plan: TrialPlan, mesh: Mesh, held: PlanarPose, indentation_mm: float, rng: np.random.Generator, *, source: str,
-    target: str,
+    target: str, progress: Progress = SILENT,
 ) -> HeldObject:  # fmt: skip
     """Record a grasp with the sensors that the plan needs: the target only for truth."""
     needs_target = plan.attribute or plan.record_frames or TRUE in plan.touches
@@ -55,7 +56,10 @@ def feel_grasp(
         places = [place_sensor(name, rng, plan.vary) for name in (source, target)]  # the same draws, whoever records
         pose = press_between_fingers(mesh, held, finger, indentation_mm)
         used = [place for place, need in zip(places, (needs_source, needs_target), strict=True) if need]
-        recorded = [place.record(mesh, pose, index=0, time_s=0.0) for place in used]
+        recorded: list[tuple[TactileFrame, Truth | None]] = []
+        for place in used:
+            progress.step(0.5 * FINGERS.index(finger) + 0.25 * len(recorded), f"{place.nominal.title}, {finger}")
+            recorded.append(place.record(mesh, pose, index=0, time_s=0.0))
         frames += [(f"{frame.sensor}_{finger}", frame, truth) for frame, truth in recorded]
         pairings.append(make_pairing(finger, places[0].nominal, places[1].nominal))
         target_spec = places[1].nominal
@@ -73,16 +77,20 @@ def run_through_touches(
     case: str,
     measure_mm: Callable[[PlanarPose], float],
     attempt: Callable[[PlanarPose, float], Attempt],
+    progress: Progress = SILENT,
 ) -> tuple[Rollout, ...]:
     """One rollout per touch and tolerance: `attempt` acts on a believed pose, `measure_mm` is its error."""
 
-    def run_one(touch: str) -> Iterator[Rollout]:
+    def run_one(touch: str, own: Progress) -> Iterator[Rollout]:
+        own.step(0.0, "estimate of the grasp")
         believed = grasp.estimate(touch)
         error_mm = measure_mm(believed)
         correct = cache(partial(
-            correct_estimates, grasp.moments, touch, lambda given: grasp.estimate(touch, given), grasp.held
+            correct_estimates, grasp.moments, touch, lambda given: grasp.estimate(touch, given), grasp.held,
+            progress=SubProgress(own, 0.3, 0.6, "attribution"),
         ))  # fmt: skip
         for tolerance_mm in plan.tolerances_mm:
+            own.step(0.3, "rollout")
             done, shares = attempt(believed, tolerance_mm), ()
             if plan.attribute and not done.succeeds:
                 judge = partial(_judge, measure_mm, attempt, tolerance_mm)
@@ -96,7 +104,12 @@ def run_through_touches(
                 ticks=done.ticks, frames=grasp.frames, pairings=grasp.pairings, mesh=grasp.mesh,
             )  # fmt: skip
 
-    return tuple(rollout for touch in plan.touches for rollout in run_one(touch))
+    part = 1.0 / len(plan.touches)
+    return tuple(
+        rollout
+        for k, touch in enumerate(plan.touches)
+        for rollout in run_one(touch, SubProgress(progress, k * part, part, touch))
+    )
 
 
 def _judge(

@@ -8,13 +8,14 @@ explains better counts more.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
 
 from pipeline.base.arrays import Doubles, freeze
+from pipeline.base.errors import SettingProblem
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh
 from pipeline.registration.search import PoseSearch
@@ -50,6 +51,15 @@ class PlanarPose:
     def describe(self) -> dict[str, float]:
         """Its values by name, the angle in degrees."""
         return {"x_mm": self.x_mm, "y_mm": self.y_mm, "angle_deg": math.degrees(self.angle_rad)}
+
+
+def parse_planar_pose(values: Mapping[str, float]) -> PlanarPose:
+    """The pose that `describe` gave these values of; raises SettingProblem where one is missing."""
+    try:
+        x_mm, y_mm, angle_deg = (values[name] for name in ("x_mm", "y_mm", "angle_deg"))
+    except KeyError as error:
+        raise SettingProblem(f"a decision of the rollout has no {error}; run the task again") from error
+    return PlanarPose(x_mm=x_mm, y_mm=y_mm, angle_rad=math.radians(angle_deg))
 
 
 def project_to_plane(hand_from_object: Doubles) -> PlanarPose:

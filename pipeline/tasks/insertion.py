@@ -18,6 +18,7 @@ import numpy as np
 from pipeline.base.arrays import Doubles
 from pipeline.base.errors import FileProblem
 from pipeline.base.files import read_bytes
+from pipeline.base.progress import SILENT, Progress, SubProgress
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh
 from pipeline.simulation import shapes
@@ -25,9 +26,18 @@ from pipeline.simulation.poses import DEPTH_RANGE_MM, sample_press_pose
 from pipeline.simulation.shapes.solids import transform_mesh
 from pipeline.tasks.descent import insert
 from pipeline.tasks.grasp import feel_grasp, run_through_touches
-from pipeline.tasks.in_hand import PlanarPose, project_to_plane
-from pipeline.tasks.peg import Peg, cut_peg
-from pipeline.tasks.task import Attempt, ManipulationTask, Rollout, TrialPlan
+from pipeline.tasks.in_hand import PlanarPose, parse_planar_pose, project_to_plane
+from pipeline.tasks.peg import Peg, cut_peg, make_hole_mesh
+from pipeline.tasks.scene_bodies import make_fingers
+from pipeline.tasks.task import (
+    Attempt,
+    ManipulationTask,
+    RecordedRollout,
+    Rollout,
+    SceneBody,
+    TaskScene,
+    TrialPlan,
+)
 
 SOURCE, TARGET = "gelslim", "soft_bubble"
 LEAD_IN_MM = 0.5  # 45 degree chamfer of the hole
@@ -110,15 +120,19 @@ def load_tool(path: Path) -> Tool:
     return tool
 
 
-def run(plan: TrialPlan) -> tuple[Rollout, ...]:
+def run(plan: TrialPlan, progress: Progress = SILENT) -> tuple[Rollout, ...]:
     """One grasp, estimated through every touch, inserted at every clearance."""
     tool = make_tool(plan.case)
     rng = np.random.default_rng([plan.seed, zlib.crc32(tool.name.encode()), plan.index])
     held = project_to_plane(sample_press_pose(tool.mesh, rng, tilt_deg=0.0))
-    grasp = feel_grasp(plan, tool.mesh, held, float(rng.uniform(*DEPTH_RANGE_MM)), rng, source=SOURCE, target=TARGET)
+    grasp = feel_grasp(
+        plan, tool.mesh, held, float(rng.uniform(*DEPTH_RANGE_MM)), rng, source=SOURCE, target=TARGET,
+        progress=SubProgress(progress, 0.0, 0.4, "touches"),
+    )  # fmt: skip
     return run_through_touches(
-        plan, grasp, tool.name, lambda believed: measure_miss_mm(tool.peg, held, believed), partial(_lower, tool, held)
-    )
+        plan, grasp, tool.name, lambda believed: measure_miss_mm(tool.peg, held, believed), partial(_lower, tool, held),
+        SubProgress(progress, 0.4, 0.6),
+    )  # fmt: skip
 
 
 def measure_miss_mm(peg: Peg, held: PlanarPose, believed: PlanarPose) -> float:
@@ -136,8 +150,20 @@ def _lower(tool: Tool, held: PlanarPose, believed: PlanarPose, clearance_mm: flo
     )  # fmt: skip
 
 
+def build_scene(rollout: RecordedRollout) -> TaskScene:
+    """The hole's plate and both fingers around the tool."""
+    tool, first = make_tool(rollout.plan.case), rollout.summary.decisions[0]
+    plate = make_hole_mesh(tool.peg, rollout.summary.tolerance_mm, tool.lead_in_mm)
+    fingers = make_fingers(tool.mesh, parse_planar_pose(first.truth))
+    return TaskScene(
+        bodies=(SceneBody(name="hole", mesh=plate), *fingers),
+        hand_from_estimate=lambda decision: parse_planar_pose(decision.estimate).matrix,
+    )
+
+
 TASK = ManipulationTask(
     name="insertion", title="Peg insertion", source=SOURCE, target=TARGET, cases=tuple(_TOOLS),
     touches=("t2t", "vqvae", "true", "none"), tolerances_mm=TOLERANCES_MM, tolerance_title="clearance, mm", n_trials=30,
-    run=run, published=PAPER, load_case=lambda path: load_tool(path).name,
+    error_title="off the hole's axis", run=run, build_scene=build_scene, published=PAPER,
+    load_case=lambda path: load_tool(path).name,
 )  # fmt: skip

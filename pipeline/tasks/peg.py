@@ -12,11 +12,13 @@ from pipeline.base.errors import MeshProblem
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh
 from pipeline.tasks.scene import write_box
+from pipeline.tasks.scene_bodies import list_angles, make_ring
 
 _MARGIN_MM = 1.0  # of the peg beyond what is inserted
 _MAX_WALLS = 16  # a rounder outline gets this many walls
 _STRAIGHT = 1e-6  # squared sine of two outline edges that are one
 _WALL_MM = 20.0  # thickness and half length of walls
+_PLATE_MM, _BELOW_MM, _PLATE_SIDES = 10.0, 2.0, 96  # the plate on display: width around and height below the hole
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,6 +72,19 @@ def write_hole(peg: Peg, clearance_mm: float, lead_in_mm: float) -> str:
             top = rigid.translation(lead_in_mm + 0.5 * _WALL_MM, 0.0, -2.0)
             pieces.append(write_box((0.5 * _WALL_MM, 2.0 * _WALL_MM, 2.0), wall @ top, 'friction="0.3"'))
     return f'<body name="plate">{"".join(pieces)}</body>'
+
+
+def make_hole_mesh(peg: Peg, clearance_mm: float, lead_in_mm: float) -> Mesh:
+    """A round plate with the hole of `write_hole`, for the 3D scene."""
+    angles = list_angles(_PLATE_SIDES)
+    along = np.column_stack([-np.cos(angles), np.sin(angles)]) @ peg.directions.T  # the tool's y and z in the world
+    reach = peg.reach_mm + 0.5 * clearance_mm
+    hole = np.where(along > _STRAIGHT, reach / np.maximum(along, _STRAIGHT), np.inf).min(axis=1)
+    outside, deep_mm = np.full_like(hole, hole.max() + _PLATE_MM), peg.depth_mm + _BELOW_MM
+    profile = (
+        (outside, 0.0), (hole + lead_in_mm, 0.0), (hole, -lead_in_mm), (hole, -deep_mm), (outside, -deep_mm)
+    )  # fmt: skip
+    return make_ring(profile, angles, "hole")
 
 
 def _hull_vertices(points: Doubles) -> Doubles:

@@ -20,7 +20,7 @@ from pipeline.tasks.rollout_file import read_summary, summarise, write_rollout
 from pipeline.tasks.task import TrialPlan
 from pipeline.tasks.touches import check_touch
 
-TASKS_VERSION = 1  # incremented when a plan gives another rollout: older ones on disk are run again then
+TASKS_VERSION = 2  # incremented when a plan gives another rollout: older ones on disk are run again then
 MAX_TRIALS = 10_000
 _POLL_S = 0.5
 Summary = Mapping[str, Any]
@@ -79,7 +79,7 @@ def run_job(job: TrialJob) -> list[Summary]:
     summaries: list[Summary] = []
     for rollout in load_task(job.plan.task).run(job.plan):
         if job.folder is not None:
-            write_rollout(rollout, job.folder / f"{rollout.name}.h5", key)
+            write_rollout(rollout, job.folder / f"{rollout.name}.h5", key, job.plan)
         summaries.append(summarise(rollout))
     return summaries
 

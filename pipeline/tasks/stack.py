@@ -13,15 +13,26 @@ from functools import lru_cache, partial
 import numpy as np
 
 from pipeline.base.arrays import Doubles
+from pipeline.base.progress import SILENT, Progress, SubProgress
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh
 from pipeline.simulation import shapes
 from pipeline.simulation.poses import DEPTH_RANGE_MM, sample_press_pose
 from pipeline.simulation.shapes.solids import transform_mesh
 from pipeline.tasks.grasp import feel_grasp, run_through_touches
-from pipeline.tasks.in_hand import PlanarPose, project_to_plane
+from pipeline.tasks.in_hand import PlanarPose, parse_planar_pose, project_to_plane
 from pipeline.tasks.scene import Scene, write_box, write_pose
-from pipeline.tasks.task import Attempt, ManipulationTask, Rollout, Tick, TrialPlan
+from pipeline.tasks.scene_bodies import list_angles, make_fingers, make_ring
+from pipeline.tasks.task import (
+    Attempt,
+    ManipulationTask,
+    RecordedRollout,
+    Rollout,
+    SceneBody,
+    TaskScene,
+    Tick,
+    TrialPlan,
+)
 
 SOURCE, TARGET = "gelslim", "soft_bubble"
 RIM_MM, HEIGHT_MM, WALL_MM = 40.0, 60.0, 2.4  # radius of the rim's middle, as of the shape `cup_rim`; height; thickness
@@ -102,6 +113,7 @@ def stack(held: PlanarPose, believed: PlanarPose, clearance_mm: float) -> Attemp
         ticks.append(Tick(
             time_s=TICK_S * (len(ticks) + 1), world_from_object=scene.get_pose("cup"), commanded=commanded,
             world_from_hand=scene.get_pose("hand"), force_n=scene.measure_contact_force("cup"),
+            world_from_bodies={"standing": scene.get_pose("standing")},
         ))  # fmt: skip
 
     lowered = 0.0
@@ -131,18 +143,49 @@ def _judge_stack(ticks: list[Tick], standing: Doubles, nested_mm: float) -> Atte
     )  # fmt: skip
 
 
-def run(plan: TrialPlan) -> tuple[Rollout, ...]:
+def run(plan: TrialPlan, progress: Progress = SILENT) -> tuple[Rollout, ...]:
     """One grasp of a rim, estimated through every touch, stacked with every clearance."""
     rim = make_rim()
     rng = np.random.default_rng([plan.seed, zlib.crc32(b"cup"), plan.index])
     held = project_to_plane(sample_press_pose(rim, rng, tilt_deg=0.0))
-    grasp = feel_grasp(plan, rim, held, float(rng.uniform(*DEPTH_RANGE_MM)), rng, source=SOURCE, target=TARGET)
-    return run_through_touches(plan, grasp, plan.case, partial(measure_off_mm, held), partial(stack, held))
+    grasp = feel_grasp(
+        plan, rim, held, float(rng.uniform(*DEPTH_RANGE_MM)), rng, source=SOURCE, target=TARGET,
+        progress=SubProgress(progress, 0.0, 0.4, "touches"),
+    )  # fmt: skip
+    return run_through_touches(
+        plan, grasp, plan.case, partial(measure_off_mm, held), partial(stack, held), SubProgress(progress, 0.4, 0.6)
+    )
+
+
+def make_cup(clearance_mm: float) -> Mesh:
+    """The cup of `write_cup` as one mesh."""
+    bottom_mm, half = RIM_MM - WALL_MM - clearance_mm, 0.5 * WALL_MM
+    profile = (
+        (np.array(bottom_mm + half), 0.0), (np.array(RIM_MM + half), HEIGHT_MM), (np.array(RIM_MM - half), HEIGHT_MM),
+        (np.array(bottom_mm - half), WALL_MM), (np.array(0.0), WALL_MM), (np.array(0.0), 0.0),
+    )  # fmt: skip
+    return make_ring(profile, list_angles(N_WALLS), "cup")
+
+
+def build_scene(rollout: RecordedRollout) -> TaskScene:
+    """The standing cup, and both fingers at the rim of the held one."""
+    first, cup = rollout.summary.decisions[0], make_cup(rollout.summary.tolerance_mm)
+    held = parse_planar_pose(first.truth)
+    cup_from_fingers = _CUP_FROM_RIM @ rigid.invert(held.matrix)  # the hand of a tick is the frame of the held cup
+    return TaskScene(
+        bodies=(SceneBody(name="standing cup", mesh=cup, parent="standing"),
+                *make_fingers(make_rim(), held, cup_from_fingers)),
+        hand_from_estimate=lambda decision: rigid.invert(
+            place_cup(held, parse_planar_pose(decision.estimate), 0.0)
+        ),
+        object_mesh=cup,
+    )  # fmt: skip
 
 
 TASK = ManipulationTask(
     name="stack", title="Cup stacking", source=SOURCE, target=TARGET, cases=("cup",),
     touches=("t2t", "vqvae", "true", "none"), tolerances_mm=(2.0, 4.0, 8.0),
     tolerance_title="clearance in radius, mm", n_trials=30, run=run,
+    error_title="off the cup's axis", build_scene=build_scene,
     published={("cup", "t2t"): "22/30", ("cup", "vqvae"): "21/30"},
 )  # fmt: skip

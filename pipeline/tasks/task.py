@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Protocol
 
-from pipeline.base.arrays import Doubles
-from pipeline.base.progress import Progress
+import numpy as np
+
+from pipeline.base.arrays import Doubles, freeze
+from pipeline.base.progress import SILENT, Progress
 from pipeline.geometry.meshes import Mesh
 from pipeline.values.frames import Pairing, TactileFrame, Truth
 
@@ -58,6 +61,7 @@ class Tick:
     world_from_hand: Doubles  # (4, 4) mm, as it is
     commanded: Doubles  # (4, 4) mm, the hand as commanded
     force_n: Doubles  # (3,) on the object, world axes
+    world_from_bodies: Mapping[str, Doubles] = field(default_factory=dict)  # (4, 4) mm, other moving bodies by name
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -93,6 +97,73 @@ class Rollout:
         return f"{self.case}_{self.touch}_{self.tolerance_mm:g}mm_{self.index:03d}"
 
 
+class RunTrial(Protocol):
+    """Runs one trial; `progress` receives what is done, and ends the trial by an exception."""
+
+    def __call__(self, plan: TrialPlan, progress: Progress = SILENT) -> tuple[Rollout, ...]:
+        """One rollout for each touch and tolerance, in this order."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RolloutSummary:
+    """What a table and `--json` show of a rollout."""
+
+    case: str
+    trial: int
+    touch: str
+    tolerance_mm: float
+    succeeds: bool
+    cause: str  # one sentence
+    measures: Mapping[str, float]
+    decisions: tuple[Decision, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecordedRollout:
+    """A rollout as read from its recording."""
+
+    path: Path
+    plan: TrialPlan  # of this touch and tolerance alone
+    summary: RolloutSummary
+    time_s: Doubles  # (n,) of every tick
+    world_from_object: Doubles  # (n, 4, 4) mm
+    world_from_hand: Doubles  # (n, 4, 4) mm, as it is
+    commanded: Doubles  # (n, 4, 4) mm, the hand as commanded
+    force_n: Doubles  # (n, 3) on the object, world axes
+    world_from_bodies: Mapping[str, Doubles]  # (n, 4, 4) mm, other moving bodies by name
+    mesh: Mesh | None = None  # of the object
+
+    @property
+    def n_ticks(self) -> int:
+        """Number of control ticks."""
+        return len(self.time_s)
+
+    def find_decision(self, tick: int) -> int:
+        """Index of the decision that acts at a tick: the last one up to it; 0 before the first."""
+        before = [k for k, decision in enumerate(self.summary.decisions) if decision.tick <= tick]
+        return max(before, default=0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SceneBody:
+    """A rigid body as the 3D scene of a task shows it."""
+
+    name: str  # for the legend, unique in its scene
+    mesh: Mesh
+    parent: str = "world"  # "world", "object", "hand", or a name of `Tick.world_from_bodies`
+    parent_from_body: Doubles = field(default_factory=lambda: freeze(np.eye(4)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TaskScene:
+    """What surrounds the object of a rollout, and where a decision believes the object."""
+
+    bodies: tuple[SceneBody, ...]  # the object is not among them
+    hand_from_estimate: Callable[[Decision], Doubles] | None = None  # (4, 4) mm, hand_from_object as estimated
+    object_mesh: Mesh | None = None  # where the touched mesh is only a part of the object
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ManipulationTask:
     """A closed-loop task."""
@@ -106,7 +177,9 @@ class ManipulationTask:
     tolerances_mm: tuple[float, ...]  # by default; what is swept
     tolerance_title: str
     n_trials: int  # by default, as in the paper
-    run: Callable[[TrialPlan], tuple[Rollout, ...]]  # one rollout for each touch and tolerance, in this order
+    run: RunTrial  # one rollout for each touch and tolerance, in this order
+    error_title: str = "error"  # what a decision's `error_mm` measures
     published: Mapping[tuple[str, str], str] = field(default_factory=dict)  # (case, touch) -> the paper's result
     load_case: Callable[[Path], str] | None = None  # the name of a user's TOML file as a case; raises TouchError
     prepare: Callable[[TrialPlan, Progress], None] | None = None  # once before the trials, such as training a policy
+    build_scene: Callable[[RecordedRollout], TaskScene] | None = None  # None = the object alone

@@ -41,7 +41,7 @@ def test_shares_of_a_failed_decision_add_up_and_the_truth_inserts(rollouts):
 
 def test_rollout_is_a_recording(rollouts, tmp_path):
     path = tmp_path / "rollout.h5"
-    write_rollout(rollouts[0], path, "key")
+    write_rollout(rollouts[0], path, "key", PLAN)
     recording = open_recording(path)
     assert [stream.name for stream in recording.streams] == ["soft_bubble_left", "soft_bubble_right"]
     assert recording.streams[0].truth(0) is not None
