@@ -9,23 +9,27 @@ from pathlib import Path
 from pipeline.base.arrays import Image
 from pipeline.base.errors import FileProblem
 from pipeline.recordings import image_files
+from pipeline.recordings.difference_images import estimate_no_change_grey
 from pipeline.recordings.formats import ReadOptions, RecordingFiles
 from pipeline.recordings.gel_images import make_gel_converter
 from pipeline.recordings.image_series import select_colour_series
 from pipeline.recordings.index_check import with_index_check
 from pipeline.recordings.reference_denoising import denoise_reference
+from pipeline.recordings.reference_selection import select_reference_frame
 from pipeline.values.frames import Recording, Stream, TactileFrame
 
 _N_COMPARED = 3  # images whose size is compared with the reference's
+_N_CANDIDATES = 16  # images that are compared with the first ones, whether these show contact
 
 
 def read(files: RecordingFiles, options: ReadOptions) -> Recording:
     """The images as one stream of RGB frames, in order.
 
     The reference is the stated file, else the first image named background*, bg*, ref*, reference*, untouched* or
-    undeformed*, as the median with the first frames where they are alike. Differences imply it; without any the frames
-    have none, with a note. Images of the sensor at another size are resampled, grey ones among colour ones left out.
-    Raises FileProblem or SettingProblem.
+    undeformed*, as the median with the first frames where they are alike. Differences imply it; without any it is the
+    median of the first frames, if at least three are alike and untouched, else there is none; a note says which. Images
+    of the sensor at another size are resampled, grey ones among colour ones left out. Raises FileProblem or
+    SettingProblem.
     """
     path = files.path
     reference_file = options.reference or (files.references[0] if files.references else None)
@@ -49,6 +53,8 @@ def read(files: RecordingFiles, options: ReadOptions) -> Recording:
     n_averaged = 0
     if reference is not None and options.reference is None:
         reference, n_averaged = denoise_reference(reference, _read_all(images))
+    elif reference is None:
+        reference, n_averaged = _take_first_frames(images, shape)
     names = [p.stem for p in images]
     converter = make_gel_converter(
         options.sensor, (shape[0], shape[1]), reference, lambda: _read_first(images), file_names=names
@@ -76,6 +82,21 @@ def _read_first(images: list[Path]) -> Image:
             problem = problem or error
     assert problem is not None
     raise problem
+
+
+def _take_first_frames(images: list[Path], shape: tuple[int, ...]) -> tuple[Image | None, int]:
+    """(reference, number of frames averaged) of a sequence that begins untouched; (None, 0) where it may not.
+
+    Its first frames are alike, and no later frame has clearly less contact. Differences have no frame as reference.
+    """
+    frames = (image for image in _read_all(images) if image.shape == shape)
+    first = next(frames, None)
+    if first is None or estimate_no_change_grey(first) is not None:
+        return None, 0
+    reference, n_averaged = denoise_reference(first, frames)
+    later = images[n_averaged + 1 :: max(1, len(images) // _N_CANDIDATES)]
+    is_touched = n_averaged and select_reference_frame(reference, enumerate(_read_all(later))) is not None
+    return (reference, n_averaged) if n_averaged and not is_touched else (None, 0)
 
 
 def _has_shape(images: list[Path], shape: tuple[int, ...]) -> bool:
@@ -110,6 +131,8 @@ def _read_all(images: Sequence[Path]) -> Iterator[Image]:
 
 def _describe_reference(reference: Path | None, files: RecordingFiles, n_averaged: int) -> tuple[str, ...]:
     if reference is None:
+        if n_averaged:
+            return (f"the median of the first {n_averaged + 1} images, all alike, is taken as the reference",)
         return (image_files.NO_REFERENCE_NOTE,)
     unused = [p.name for p in files.references if p != reference]
     more = (f"other reference images are left out: {', '.join(unused)}",) if unused else ()

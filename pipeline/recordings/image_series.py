@@ -25,7 +25,7 @@ def select_colour_series(images: Sequence[Path]) -> tuple[list[Path], tuple[str,
     for image in images:
         found = _PATTERN.match(image.stem)
         series.setdefault(found.groups() if found else (), []).append(image)
-    if not 1 < len(series) <= _MAX_SERIES:
+    if not 1 < len(series) <= _MAX_SERIES or all(len(members) == 1 for members in series.values()):
         return list(images), ()
     grey = [members for members in series.values() if _is_grey(members[0])]
     left_out = {image for members in grey for image in members}

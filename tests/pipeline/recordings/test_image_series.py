@@ -66,8 +66,16 @@ def test_an_unknown_sensor_names_the_other_recordings_of_the_folder(tmp_path: Pa
     assert caught.value.alternatives == ()
 
 
-def test_a_frame_without_reference_says_so_by_its_own_error(clip: Path):
-    translation = open_translation(Request(recording=clip, source="gelslim", target="soft_bubble"))
+def test_a_sequence_that_begins_with_frames_alike_has_their_median_as_reference(clip: Path):
+    frame = open_recording(clip, sensor="gelslim").streams[0].frame(2)
+    assert frame.reference is not None
+    assert frame.reference[0, 0].tolist() == [121, 60, 10]
+
+
+def test_a_frame_without_reference_says_so_by_its_own_error(tmp_path: Path):
+    for i in range(N_TOUCHES):
+        write(tmp_path / f"touch_{i}.png", 10, 60, 60 + 60 * i)
+    translation = open_translation(Request(recording=tmp_path, source="gelslim", target="soft_bubble"))
     with pytest.raises(MissingReference):
         translation.build_graph().evaluate(("depth",), translation.read_inputs(0), {})
     translation.recording.close()
