@@ -5,16 +5,15 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.base.arrays import Floats, freeze
+from pipeline.base.arrays import Floats
 
 
 def compute_slopes(height_mm: NDArray[np.floating], pixel_mm: float) -> tuple[Floats, Floats]:
     """(d/dx, d/dy) in mm/mm of height images (..., rows, cols): central differences, one-sided at the border."""
     from pipeline.physics.slope_kernels import write_slopes
 
-    height = np.ascontiguousarray(height_mm, np.float32)
+    height = np.array(height_mm, np.float32, order="C")  # a copy: the kernel is compiled again for read-only arrays
     gx, gy = np.empty_like(height), np.empty_like(height)
-    # Read-only: the kernel is compiled again for writable arrays.
     images, out_x, out_y = (a.reshape(-1, *height.shape[-2:]) for a in (height, gx, gy))
-    write_slopes(freeze(images.view()), np.float32(1.0) / np.float32(pixel_mm), out_x, out_y)
+    write_slopes(images, np.float32(1.0) / np.float32(pixel_mm), out_x, out_y)
     return gx, gy

@@ -29,14 +29,12 @@ import numpy as np
 from pipeline.base.arrays import Doubles, Floats, freeze
 from pipeline.base.errors import SettingProblem, ShapeError
 from pipeline.base.memo import memoise
-from pipeline.physics.slopes import compute_slopes
 
 Boundary = Literal["flat", "free"]
 EndConditions = tuple[Boundary, Boundary]
 Integrator = Callable[[Floats, Floats], Floats]  # slopes (gx, gy) in mm/mm to a surface in mm
 
 _WORKERS, _PARALLEL_PIXELS = 2, 2**18  # threads, and the pixels above which they save time
-_ENERGY_MIN = 1e-20
 _DOUBLE_MODES = 8  # the longest waves, solved in double precision: single precision loses digits there
 _FAST_PRIME_MAX = 13  # lengths without larger prime factors have a fast transform
 
@@ -69,11 +67,8 @@ def integrate_slopes(gx: Floats, gy: Floats, pixel_mm: float, boundary: Boundary
     across = _is_fast_length(cols, rows)
     free = np.array([side == "free" for side in sides])
     out = np.empty((gx.size // (rows * cols), rows, cols), np.float32)
-    if not math.isfinite(
-        compute_divergence(
-            _make_kernel_input(gx.reshape(out.shape)), _make_kernel_input(gy.reshape(out.shape)), free, out
-        )
-    ):
+    slopes = np.array([gx, gy], np.float32).reshape(2, *out.shape)
+    if not math.isfinite(compute_divergence(slopes, free, out)):
         raise ShapeError("slopes hold values that are not finite; fill them before integrating")
     along_x: EndConditions = (sides.left, sides.right)
     along_y: EndConditions = (sides.top, sides.bottom)
@@ -96,60 +91,24 @@ def solve_weighted_slopes(
 ) -> Floats:
     """The surfaces (..., rows, cols) whose slopes are nearest to `target_slopes` under per-pixel weights.
 
-    slope_weights (rows, cols, 3): a matrix (xx, xy, yy) for each pixel. `steps` of conjugate gradients from
+    slope_weights (3, rows, cols): a matrix (xx, xy, yy) for each pixel. `steps` of conjugate gradients from
     `surface_mm`, preconditioned by `integrated`, the integral with equal weights.
     """
-    from pipeline.stages.depth.poisson_kernels import (
-        advance_solution,
-        compute_energy,
-        compute_residual,
-        update_direction,
-    )
+    from pipeline.stages.depth.poisson_kernels import compute_residual, descend
 
-    flat = (-1, surface_mm.shape[-2] * surface_mm.shape[-1])
-    surface, weights = (
-        np.array(surface_mm, np.float32).reshape(flat),
-        [w.reshape(-1) for w in split_weights(slope_weights)],
-    )
-
-    def compute_flat_slopes(surfaces: Floats) -> list[Floats]:
-        return [_make_kernel_input(g.reshape(flat)) for g in compute_slopes(surfaces, pixel_mm)]
-
-    left = np.empty((2, *surface.shape), np.float32)
-    compute_residual(
-        *compute_flat_slopes(surface_mm), *(_make_kernel_input(g.reshape(flat)) for g in target_slopes), *weights, *left
-    )
-    way, along, energy = np.zeros_like(surface), np.zeros_like(left), np.zeros(len(surface))
+    # Copies, as the kernels are compiled again for read-only arrays.
+    surface = np.array(surface_mm, np.float32).reshape(-1, *surface_mm.shape[-2:])
+    wanted = np.array(target_slopes, np.float32).reshape(2, *surface.shape)
+    weights, per_px = np.array(slope_weights, np.float32), np.float32(1.0) / np.float32(pixel_mm)
+    slopes, left, along = (np.zeros((2, *surface.shape), np.float32) for _ in range(3))
+    way, energy = np.zeros_like(surface), np.zeros(len(surface))
+    compute_residual(surface, wanted, weights, per_px, slopes, left)
     for _ in range(steps):
         field = left.reshape(2, *surface_mm.shape)
-        step = integrated(field[0], field[1])
-        slope, new, stiff = compute_flat_slopes(step), np.empty_like(energy), np.empty_like(energy)
-        compute_energy(*slope, *left, new)
-        update_direction(
-            _make_kernel_input(step.reshape(flat)), *slope, _divide(new, energy), *weights, way, *along, stiff
-        )
-        energy, far = new, _divide(new, stiff)
-        if not far.any():
+        step = np.array(integrated(field[0], field[1]), np.float32).reshape(surface.shape)
+        if not descend(step, weights, per_px, slopes, way, along, energy, surface, left):
             break
-        advance_solution(far, way, *along, *weights, surface, *left)
     return surface.reshape(surface_mm.shape)
-
-
-def _divide(part: Doubles, whole: Doubles) -> Doubles:
-    """`part` over `whole`; 0 where `whole` is."""
-    return np.divide(part, whole, out=np.zeros_like(part), where=whole > _ENERGY_MIN)
-
-
-def split_weights(weights: Floats) -> tuple[Floats, ...]:
-    """The three components (rows, cols) of weights (rows, cols, 3), each contiguous."""
-    import cv2
-
-    return tuple(_make_kernel_input(np.asarray(one, np.float32)) for one in cv2.split(np.asarray(weights, np.float32)))
-
-
-def _make_kernel_input(images: Floats) -> Floats:
-    """Images as the kernels take them; read-only, since writable arrays would compile them again."""
-    return freeze(np.ascontiguousarray(images, np.float32).view())
 
 
 def _transform(images: Floats, ends: EndConditions, *, back: bool) -> Floats:

@@ -7,15 +7,20 @@ Images are (n, rows, cols): n at once.
 import numpy as np
 
 from pipeline.base.cached_kernels import FAST, kernel
+from pipeline.physics.slope_kernels import write_slopes
+
+_ENERGY_MIN = 1e-20
 
 
 @kernel(fastmath=FAST)
-def compute_divergence(gx, gy, free, out):
-    """Write the negated divergence of slopes into `out`; free (4,): whether the left, right, top, bottom side is free.
+def compute_divergence(slopes, free, out):
+    """Write the negated divergence of slopes (2, n, rows, cols) into `out`; free (4,): whether a side is free.
+
 
     A held side lies half a pixel outside: the edge to it has its pixel's slope. A free side has no edge. This is the
     negated transpose of D applied to the slopes. Returns 0, or NaN if a slope is not finite.
     """
+    gx, gy = slopes[0], slopes[1]
     rows, cols = gx.shape[1:]
     nothing, half = np.float32(0.0), np.float32(0.5)
     total, one, last = nothing, np.uint64(1), np.uint64(cols - 1)
@@ -102,58 +107,62 @@ def solve_tridiagonal(wave, per, scale, slow, line):
                 wave[image, r, k] = line[r, k]
 
 
-# Conjugate gradients on sum (grad z - g)' A (grad z - g): z a surface, A a matrix (xx, xy, yy) a pixel. Fields are
-# (n, pixels), weights (pixels,).
+# Conjugate gradients on sum (grad z - g)' A (grad z - g): z surfaces (n, rows, cols), A a matrix (xx, xy, yy) a pixel,
+# `weights` (3, rows, cols). `slopes`, `left` and `along` are (2, n, rows, cols): of x and of y.
 
 
 @kernel(fastmath=FAST)
-def compute_residual(slope_x, slope_y, wanted_x, wanted_y, xx, xy, yy, left_x, left_y):
-    """Write the residual A (wanted - slopes)."""
-    for m in range(slope_x.shape[0]):
+def compute_residual(surface, wanted, weights, per_px, slopes, left):
+    """Write the slopes of the surfaces and the residual A (wanted - slopes)."""
+    write_slopes(surface, per_px, slopes[0], slopes[1])
+    n, rows, cols = surface.shape
+    for m in range(n):
         image = np.uint64(m)
-        for i in range(slope_x.shape[1]):
-            p = np.uint64(i)
-            x, y = wanted_x[image, p] - slope_x[image, p], wanted_y[image, p] - slope_y[image, p]
-            left_x[image, p] = xx[p] * x + xy[p] * y
-            left_y[image, p] = xy[p] * x + yy[p] * y
+        for row in range(rows):
+            r = np.uint64(row)
+            for i in range(cols):
+                c = np.uint64(i)
+                x, y = wanted[0, image, r, c] - slopes[0, image, r, c], wanted[1, image, r, c] - slopes[1, image, r, c]
+                left[0, image, r, c] = weights[0, r, c] * x + weights[1, r, c] * y
+                left[1, image, r, c] = weights[1, r, c] * x + weights[2, r, c] * y
 
 
 @kernel(fastmath=FAST)
-def compute_energy(slope_x, slope_y, left_x, left_y, energy):
-    """Write the sums (n,) of the residual times the slopes of a step."""
-    for m in range(slope_x.shape[0]):
-        image, total = np.uint64(m), 0.0
-        for i in range(slope_x.shape[1]):
-            p = np.uint64(i)
-            total += left_x[image, p] * slope_x[image, p] + left_y[image, p] * slope_y[image, p]
-        energy[image] = total
+def descend(step, weights, per_px, slopes, way, along, energy, surface, left):
+    """Take one step of conjugate gradients, `step` being the preconditioned residual; return whether anything moved.
 
-
-@kernel(fastmath=FAST)
-def update_direction(step, slope_x, slope_y, on, xx, xy, yy, way, along_x, along_y, stiff):
-    """Set the direction, and its slopes, to `step` plus `on` (n,) times the old; write slopes' A slopes (n,)."""
-    for m in range(step.shape[0]):
-        image, total = np.uint64(m), 0.0
-        share = np.float32(on[image])
-        for i in range(step.shape[1]):
-            p = np.uint64(i)
-            way[image, p] = share * way[image, p] + step[image, p]
-            x = share * along_x[image, p] + slope_x[image, p]
-            y = share * along_y[image, p] + slope_y[image, p]
-            along_x[image, p], along_y[image, p] = x, y
-            total += x * (xx[p] * x + xy[p] * y) + y * (xy[p] * x + yy[p] * y)
-        stiff[image] = total
-
-
-@kernel(fastmath=FAST)
-def advance_solution(far, way, along_x, along_y, xx, xy, yy, surface, left_x, left_y):
-    """Advance surfaces and residuals by `far` (n,) along the direction."""
-    for m in range(way.shape[0]):
-        image = np.uint64(m)
-        share = np.float32(far[image])
-        for i in range(way.shape[1]):
-            p = np.uint64(i)
-            x, y = along_x[image, p], along_y[image, p]
-            surface[image, p] += share * way[image, p]
-            left_x[image, p] -= share * (xx[p] * x + xy[p] * y)
-            left_y[image, p] -= share * (xy[p] * x + yy[p] * y)
+    `way` is the direction and `along` its slopes; energy (n,): the residual times the slopes of the last step.
+    """
+    write_slopes(step, per_px, slopes[0], slopes[1])
+    (n, rows, cols), moved = step.shape, False
+    for m in range(n):
+        image, new, stiff = np.uint64(m), 0.0, 0.0
+        for row in range(rows):
+            r = np.uint64(row)
+            for i in range(cols):
+                c = np.uint64(i)
+                new += left[0, image, r, c] * slopes[0, image, r, c] + left[1, image, r, c] * slopes[1, image, r, c]
+        share = np.float32(new / energy[image] if energy[image] > _ENERGY_MIN else 0.0)
+        energy[image] = new
+        for row in range(rows):
+            r = np.uint64(row)
+            for i in range(cols):
+                c = np.uint64(i)
+                way[image, r, c] = share * way[image, r, c] + step[image, r, c]
+                x = share * along[0, image, r, c] + slopes[0, image, r, c]
+                y = share * along[1, image, r, c] + slopes[1, image, r, c]
+                along[0, image, r, c], along[1, image, r, c] = x, y
+                xy = weights[1, r, c]
+                stiff += x * (weights[0, r, c] * x + xy * y) + y * (xy * x + weights[2, r, c] * y)
+        if stiff <= _ENERGY_MIN or new == 0.0:
+            continue
+        share, moved = np.float32(new / stiff), True
+        for row in range(rows):
+            r = np.uint64(row)
+            for i in range(cols):
+                c = np.uint64(i)
+                x, y = along[0, image, r, c], along[1, image, r, c]
+                surface[image, r, c] += share * way[image, r, c]
+                left[0, image, r, c] -= share * (weights[0, r, c] * x + weights[1, r, c] * y)
+                left[1, image, r, c] -= share * (weights[1, r, c] * x + weights[2, r, c] * y)
+    return moved

@@ -111,8 +111,8 @@ def test_slopes_that_are_known_less_surely_give_way():
     wall = np.zeros(z.shape, np.bool_)
     wall[10:30, 20:24] = True  # seen through from above and below
     seen_x = np.where(wall, 0.2 * gx, gx).astype(np.float32)  # saturated: less than is there
-    sure = np.zeros((*z.shape, 3), np.float32)
-    sure[..., 0] = sure[..., 2] = np.where(wall, 1e-3, 1.0)
+    sure = np.zeros((3, *z.shape), np.float32)
+    sure[0] = sure[2] = np.where(wall, 1e-3, 1.0)
 
     def plainly(x, y):
         return integrate_slopes(x, y, 0.1)
@@ -126,8 +126,8 @@ def test_slopes_that_are_known_less_surely_give_way():
 
 def test_slopes_that_are_all_as_sure_are_integrated_at_once():
     z, gx, gy = bump(40, 50, 0.0)
-    sure = np.zeros((*z.shape, 3), np.float32)
-    sure[..., 0] = sure[..., 2] = 7.0
+    sure = np.zeros((3, *z.shape), np.float32)
+    sure[0] = sure[2] = 7.0
     start = np.zeros_like(z, np.float32)
     found = solve_weighted_slopes(start, (gx, gy), sure, 0.1, lambda x, y: integrate_slopes(x, y, 0.1), 2)
     truth = integrate_slopes(gx, gy, 0.1)

@@ -41,8 +41,8 @@ def test_dents_behind_uncertain_walls_are_raised_one_by_one():
     low = true.copy()
     low[:, :40] *= np.float32(0.6)
     low[:, 40:] *= np.float32(0.8)
-    weights = np.zeros((*true.shape, 3), np.float32)
-    weights[..., 0] = weights[..., 2] = np.where(np.hypot(gx, gy) > 0.3, 1.0, 100.0)
+    weights = np.zeros((3, *true.shape), np.float32)
+    weights[0] = weights[2] = np.where(np.hypot(gx, gy) > 0.3, 1.0, 100.0)
     raised = wall_correction.raise_walls(low, (gx, gy), weights, PIXEL_MM)
     for part in (np.s_[:, :40], np.s_[:, 40:]):
         assert np.abs(raised - true)[part].max() < 0.25 * np.abs(low - true)[part].max()
@@ -50,14 +50,14 @@ def test_dents_behind_uncertain_walls_are_raised_one_by_one():
 
 def test_a_level_surface_is_left_unchanged():
     flat = np.zeros((20, 30), np.float32)
-    assert wall_correction.raise_walls(flat, (flat, flat), np.ones((20, 30, 3), np.float32), PIXEL_MM) is flat
+    assert wall_correction.raise_walls(flat, (flat, flat), np.ones((3, 20, 30), np.float32), PIXEL_MM) is flat
 
 
 def test_several_surfaces_are_solved_as_each_alone():
     rng = np.random.default_rng(0)
     slopes = rng.normal(size=(2, 3, 24, 31)).astype(np.float32)
-    weights = np.zeros((24, 31, 3), np.float32)
-    weights[..., 0], weights[..., 2] = rng.uniform(1.0, 9.0, (2, 24, 31))
+    weights = np.zeros((3, 24, 31), np.float32)
+    weights[0], weights[2] = rng.uniform(1.0, 9.0, (2, 24, 31))
 
     def integrate(gx, gy):
         return poisson.integrate_slopes(gx, gy, PIXEL_MM, "flat")

@@ -165,7 +165,7 @@ def update_slopes(residual, observed, confidence, changed, rate_x, rate_y, limit
     """Add the Gauss-Newton step to the slopes gx, gy of each changed pixel, zero them elsewhere; return the misfit.
 
     residual, observed (rows, 3 cols): observed minus rendered change, and the image, in grey levels; confidence
-    (rows, 3 cols): weight of each colour. limits: see `StepRule`. line (9 TILE,): scratch. weights (rows, 3 cols) is
+    (rows, 3 cols): weight of each colour. limits: see `StepRule`. line (9 TILE,): scratch. weights (3, rows, cols) is
     written: the information matrix (xx, xy, yy) of each pixel's slopes. The misfit sums the absolute residuals before
     the step, each at most twice the Huber limit.
     """
@@ -195,9 +195,9 @@ def update_slopes(residual, observed, confidence, changed, rate_x, rate_y, limit
             for i in range(n):
                 t, c = np.uint64(i), np.uint64(i) + first
                 here = changed[r, c]
-                weights[r, _COLOURS * c] = line[t] if here else outside
-                weights[r, _COLOURS * c + _GREEN] = line[t + _L1] if here else zero
-                weights[r, _COLOURS * c + _BLUE] = line[t + _L2] if here else outside
+                weights[0, r, c] = line[t] if here else outside
+                weights[1, r, c] = line[t + _L1] if here else zero
+                weights[2, r, c] = line[t + _L2] if here else outside
                 sums = (line[t], line[t + _L1], line[t + _L2], line[t + _L3], line[t + _L4], line[t + _L5])
                 to_x, to_y = _step(gx[r, c], gy[r, c], sums, max_slope)
                 gx[r, c], gy[r, c] = to_x if here else zero, to_y if here else zero

@@ -215,7 +215,7 @@ def _project_out_surface(
     _, across, down = rendered
     pull, outside = np.float32(CONSTANTS.pull), np.float32(CONSTANTS.outside_weight)
     xx, xy, yy = _sum(weight, across, across) + pull, _sum(weight, across, down), _sum(weight, down, down) + pull
-    weights = np.where(patch.changed[..., None], np.stack([xx, xy, yy], axis=2), np.array([outside, 0.0, outside]))
+    weights = np.where(patch.changed, np.stack([xx, xy, yy]), np.array([outside, 0.0, outside])[:, None, None])
     per = patch.changed / (xx * yy - xy * xy)
     to_x, to_y = (per * np.einsum("rck,rck,nrck->nrc", weight, rates, columns) for rates in (across, down))
     target = _single(yy * to_x - xy * to_y), _single(xx * to_y - xy * to_x)

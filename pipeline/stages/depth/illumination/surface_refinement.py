@@ -49,7 +49,8 @@ def refine_surface(
     """
     from pipeline.stages.depth.illumination.illumination_kernels import N_LINES, TILE_PX, update_slopes
 
-    rule, misfit, weights = light.step_rule, 0.0, np.empty_like(patch.change)
+    rule, misfit = light.step_rule, 0.0
+    weights = np.empty((3, *patch.changed.shape), np.float32)
     limits, scratch = rule.pack_limits(), np.empty(N_LINES * TILE_PX, np.float32)
     observed, confidence = (flatten_colours(a) for a in (patch.reference + patch.change, light.confidence))
     for _ in range(iterations):
@@ -58,9 +59,16 @@ def refine_surface(
         change, *rates = light.render(surface, *slopes)
         residual = flatten_colours(patch.change - simulate_recorded_change(change, patch, light.blur_px))
         misfit = update_slopes(
-            residual, observed, confidence, patch.changed, *map(flatten_colours, rates), limits, scratch, *slopes,
-            flatten_colours(weights),
-        )  # fmt: skip
+            residual,
+            observed,
+            confidence,
+            patch.changed,
+            *map(flatten_colours, rates),
+            limits,
+            scratch,
+            *slopes,
+            weights,
+        )
         if not rule.weighted:
             surface_mm = integrate(*slopes)
             continue

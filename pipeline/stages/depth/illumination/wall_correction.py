@@ -9,10 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.base.arrays import Floats, freeze
+from pipeline.base.arrays import Floats
 from pipeline.base.ranks import percentile
 from pipeline.physics.slopes import compute_slopes
-from pipeline.stages.depth.poisson import split_weights
 
 _WALL_RANGES = ((0.1, 0.5), (0.3, 0.8), (0.6, 1.0))  # of the depth: where a wall is raised
 _MAX_DENTS, _DENT_SHARE = 4, 0.5  # dents that are raised by themselves; their depth as a share of the deepest
@@ -25,7 +24,7 @@ _RIDGE = 1e-6  # of the normal equations' trace
 def raise_walls(surface_mm: Floats, slopes: tuple[Floats, Floats], weights: Floats, pixel_mm: float) -> Floats:
     """The surface (rows, cols) in mm, moved as a whole toward these slopes; see `poisson.solve_weighted_slopes`.
 
-    weights (rows, cols, 3): the information matrix (xx, xy, yy) of each pixel's slopes.
+    weights (3, rows, cols): the information matrix (xx, xy, yy) of each pixel's slopes.
     """
     import cv2
 
@@ -36,12 +35,7 @@ def raise_walls(surface_mm: Floats, slopes: tuple[Floats, Floats], weights: Floa
         return surface_mm
     n, cols = len(shapes), surface_mm.shape[1]
     normal, pull, line = np.empty((n, n)), np.empty(n), np.empty((2, cols), np.float32)
-    fields = (*compute_slopes(np.stack(shapes), pixel_mm), *slopes)
-    # Read-only, as the kernel is compiled again for writable arrays.
-    accumulate_normal_equations(
-        *(freeze(np.ascontiguousarray(g, np.float32).view()) for g in fields), *split_weights(weights), line, normal,
-        pull,
-    )  # fmt: skip
+    accumulate_normal_equations(*compute_slopes(np.stack(shapes), pixel_mm), *slopes, *weights, line, normal, pull)
     factors = np.linalg.solve(normal + _RIDGE * np.trace(normal) * np.eye(n), pull)
     raised_mm = np.array(surface_mm, np.float32)
     for factor, shape in zip(factors, shapes, strict=True):
