@@ -85,7 +85,7 @@ def assess_observability(
     """
     arms = points_mm - about_mm
     jacobian, radius_mm = _jacobian(points_mm, normals, about_mm)
-    information = jacobian.T @ jacobian / len(points_mm)
+    information = _sum_products(jacobian, jacobian) / len(points_mm)
     alone = max(noise_mm, MIN_NOISE_MM) ** 2 / len(points_mm)
     shift_mm2, turn_mm2 = alone + systematic_error.translation_mm**2, alone + systematic_error.rotation_mm**2
     fake = _along_surface(arms / radius_mm, information) * math.radians(tolerances.normal_error_deg) ** 2
@@ -125,7 +125,7 @@ def compute_correlated_covariance(
     to_mm = np.array([radius_mm] * 3 + [1.0] * 3)
     pulls = _correlated_information(points_mm, jacobian, error.correlation_mm, _MAX_CORRELATED)
     projector = observable * to_mm[:, None] / to_mm[None, :]
-    whole = _covariance(jacobian.T @ jacobian / len(points_mm), projector, 1.0)
+    whole = _covariance(_sum_products(jacobian, jacobian) / len(points_mm), projector, 1.0)
     known = projector @ whole @ projector
     alone, shape = max(noise_mm, MIN_NOISE_MM) ** 2 / len(points_mm) + systematic_mm**2, error.rms_mm**2
     found = alone * known + shape * known @ pulls @ known + (alone + shape) * (whole - known)
@@ -153,17 +153,23 @@ def _jacobian(points_mm: Doubles, normals: Doubles, about_mm: Doubles) -> tuple[
     return np.concatenate([np.cross(arms, normals) / radius_mm, normals], axis=1), radius_mm
 
 
+def _sum_products(a: Doubles, b: Doubles) -> Doubles:
+    """Return a^T b, summed over the points in a fixed order; BLAS distributes it over threads."""
+    return np.einsum("ni,nj->ij", a, b)
+
+
 def _correlated_information(points_mm: Doubles, jacobian: Doubles, correlation_mm: float, most: int) -> Doubles:
     """Return (6, 6) J^T C J / n^2 of correlated errors of 1 mm rms, from at most `most` of the points."""
     some = np.s_[:: -(-len(points_mm) // most)]
     apart_sq = ((points_mm[some][:, None] - points_mm[some][None]) ** 2).sum(axis=-1)
     together = np.exp(apart_sq * (-0.5 / correlation_mm**2))
-    return jacobian[some].T @ together @ jacobian[some] / len(together) ** 2
+    pulls = _sum_products(together, jacobian[some])  # `together` is symmetric
+    return _sum_products(jacobian[some], pulls) / len(together) ** 2
 
 
 def _along_surface(arms: Doubles, information: Doubles) -> Doubles:
     """Return (6, 6) mean square motion of the points along the surface: everything but J^T J."""
-    spread = arms.T @ arms / len(arms)
+    spread = _sum_products(arms, arms) / len(arms)
     middle = arms.mean(axis=0)
     carried = np.zeros((6, 6))
     carried[:3, :3] = np.trace(spread) * np.eye(3) - spread

@@ -18,6 +18,7 @@ from pipeline.engine.graph import Skipped
 from pipeline.networks import weights_registry
 from pipeline.networks.depth_anything_files import read_weights
 from pipeline.networks.depth_anything_input import PATCH_PX, prepare_image, resize_to_patches
+from pipeline.networks.reproducible_inference import reproducible_inference
 from pipeline.networks.weights import NoWeights, Weights
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import photometric
@@ -125,7 +126,7 @@ def _run_network(
     top, left, rows, cols = window
     part = image[top * PATCH_PX : (top + rows) * PATCH_PX, left * PATCH_PX : (left + cols) * PATCH_PX]
     whole = (top, left, image.shape[0] // PATCH_PX, image.shape[1] // PATCH_PX)
-    with torch.inference_mode():
+    with reproducible_inference():
         shown = torch.from_numpy(np.ascontiguousarray(part.transpose(2, 0, 1)))[None]
         output, contact = network(shown, whole, kind)
 

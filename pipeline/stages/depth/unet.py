@@ -19,6 +19,7 @@ from pipeline.base.progress import Progress
 from pipeline.calibration.calibration_table import Calibration
 from pipeline.engine.graph import Skipped
 from pipeline.networks import unet_files, weights_registry
+from pipeline.networks.reproducible_inference import reproducible_inference
 from pipeline.networks.square_images import MAX_IMPRINT_MM, MIN_IMPRINT_MM, compute_change
 from pipeline.networks.weights import NoWeights, Weights
 from pipeline.sensors.spec import SensorSpec
@@ -76,7 +77,7 @@ def predict_indentation_mm(network: Any, image: NDArray[Any], reference: NDArray
     import torch
 
     images = (torch.from_numpy(np.moveaxis(array, 2, 0).astype(np.float32)[None]) for array in (image, reference))
-    with torch.inference_mode():
+    with reproducible_inference():
         return -network.predict_depth_mm(*images)[0, 0].numpy()
 
 
@@ -86,5 +87,5 @@ def predict_contact(network: Any, imprint_mm: Floats) -> Mask:
 
     share = (np.clip(imprint_mm, MIN_IMPRINT_MM, MAX_IMPRINT_MM) - MIN_IMPRINT_MM) / (MAX_IMPRINT_MM - MIN_IMPRINT_MM)
     shown = (255.0 * share).astype(np.uint8).astype(np.float32) / np.float32(255.0)
-    with torch.inference_mode():
+    with reproducible_inference():
         return network(torch.from_numpy(shown)[None, None])[0].argmax(0).numpy() == _TOUCHES

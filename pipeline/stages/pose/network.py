@@ -19,6 +19,7 @@ from pipeline.engine.graph import Method, Skipped
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh
 from pipeline.networks import weights_registry
+from pipeline.networks.reproducible_inference import reproducible_inference
 from pipeline.networks.square_images import compute_change, normalise, resize_to_square
 from pipeline.networks.weights import NoWeights, Weights
 from pipeline.sensors.spec import SensorSpec
@@ -77,7 +78,7 @@ def _predict_planar_pose(network: nn.Module, square: Floats, mesh: Mesh) -> tupl
     one_hot = torch.zeros(1, net.n_objects)
     if label is not None and label < net.n_objects:
         one_hot[0, label] = 1.0
-    with torch.inference_mode():
+    with reproducible_inference():
         prediction = net(torch.from_numpy(np.array(square)[None]), one_hot)
     label = int(prediction.object_logits[0].argmax()) if label is None else label
     (x, y), headings = prediction.translation_mm[0].tolist(), prediction.headings[0].tolist()

@@ -40,7 +40,7 @@ SIGNED_DISTANCES = Method(
     run=skip_if_exact(signed_distances.skip_pose, signed_distances.estimate_or_track_pose),
     params=signed_distances.PoseParams,
     reads=("touch_depth", "mesh", "previous"),
-    version=5,
+    version=6,
 )
 PAPER_2D = Method(
     stage="pose",

@@ -22,6 +22,7 @@ from pipeline.calibration.calibration_table import Calibration
 from pipeline.engine.graph import Fallback, Skipped
 from pipeline.networks import latent_diffusion_files, weights_registry
 from pipeline.networks.guidance import GUIDED_STEPS, MAX_WEIGHT, WEIGHTS, GuidedDenoiser, plan_guidance
+from pipeline.networks.reproducible_inference import reproducible_inference
 from pipeline.networks.samplers import MAX_STEPS, Solver, make_timestep_schedule, sample
 from pipeline.networks.square_images import (
     compute_change,
@@ -93,6 +94,10 @@ class LatentParams:
     double_mapping: bool = setting(
         False, "Map to mm twice", help="as in the released scripts: imprints lie in the upper half of the range",
         source="the released code",
+    )  # fmt: skip
+    threads: int = setting(
+        1, "Threads", unit="threads", low=1, high=64, step=1,
+        help="processor threads; large networks gain from more, which change the last digits", source="Tactoscope",
     )  # fmt: skip
     draft: bool = False  # fewer steps than requested
 
@@ -233,7 +238,7 @@ def sample_image(
 
         return denoise
 
-    with torch.inference_mode():
+    with reproducible_inference(params.threads):
         source_embedding = net.cond_stage_model(torch.from_numpy(np.array(condition, np.float32)[None]))
         rng = torch.Generator().manual_seed(params.seed)
         noise = torch.randn((1, 4, net.side // 8, net.side // 8), generator=rng)

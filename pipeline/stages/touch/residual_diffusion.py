@@ -23,6 +23,7 @@ from pipeline.base.params import setting
 from pipeline.base.progress import SILENT, Progress
 from pipeline.networks.first_pass import FIELD_LIMIT, FirstPassPredictor, ResidualNetwork
 from pipeline.networks.guidance import GUIDED_STEPS, MAX_WEIGHT, WEIGHTS, GuidedDenoiser, plan_guidance
+from pipeline.networks.reproducible_inference import reproducible_inference
 from pipeline.networks.samplers import MAX_STEPS, Solver, make_sigma_schedule, sample
 
 if TYPE_CHECKING:
@@ -140,7 +141,7 @@ def sample_residual(
     denoise = GuidedDenoiser(
         make_denoiser(condition_batch), make_denoiser(torch.zeros_like(condition_batch)), guidance_plan, FIELD_LIMIT
     )
-    with torch.inference_mode():
+    with reproducible_inference():
         rng = torch.Generator().manual_seed(params.seed)
         noise = torch.zeros((1, 2, *condition_batch.shape[2:]))  # unused for a single step
         if params.steps > 1:

@@ -17,6 +17,7 @@ from pipeline.base.progress import SILENT, Progress
 from pipeline.calibration.calibration_table import Calibration
 from pipeline.engine.graph import Skipped
 from pipeline.networks import vqvae_files, weights_registry
+from pipeline.networks.reproducible_inference import reproducible_inference
 from pipeline.networks.square_images import (
     CHANNELS,
     compute_change,
@@ -98,5 +99,5 @@ def generate_touch(
 def _run_network(network: nn.Module, network_input: Any) -> Any:
     import torch
 
-    with torch.inference_mode():
+    with reproducible_inference():
         return network(torch.from_numpy(np.array(network_input)[None])).generated[0].numpy()

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from threadpoolctl import threadpool_limits
 
 from benchmarks.scenes import observability_score
 from benchmarks.scenes.observability_patches import KINDS, draw_patch
@@ -33,6 +34,22 @@ def patch(kind: str, seed: int, pose=None, n: int = N):
 def crooked(normals, seed: int, deg: float = NORMAL_NOISE_DEG):
     off = normals + math.radians(deg) * np.random.default_rng([seed, 7]).standard_normal(normals.shape)
     return off / np.linalg.norm(off, axis=1, keepdims=True)
+
+
+def test_covariances_do_not_depend_on_the_number_of_threads():
+    points = np.random.default_rng(5).normal(size=(40_000, 3))  # BLAS distributes sums of that many
+    normals = points / np.linalg.norm(points, axis=1, keepdims=True)
+
+    def assess(n_threads: int) -> tuple[bytes, bytes]:
+        with threadpool_limits(n_threads, user_api="blas"):
+            result = assess_observability(points, normals, points.mean(axis=0), NOISE_MM)
+            covariance = compute_correlated_covariance(
+                points, normals, points.mean(axis=0), result.observable, noise_mm=NOISE_MM,
+                error=DepthErrorModel(rms_mm=0.05, correlation_mm=0.3),
+            )  # fmt: skip
+        return result.covariance.tobytes(), covariance.tobytes()
+
+    assert assess(1) == assess(2)
 
 
 @pytest.mark.parametrize("kind", KINDS)
