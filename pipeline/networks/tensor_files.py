@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
+from itertools import takewhile
 from pathlib import Path
 from typing import Any, cast
 
@@ -18,8 +19,7 @@ from pipeline.base.progress import report_reading
 from pipeline.base.torch_archive import SIGNATURE, StoredTensor, TorchArchive, open_torch_archive
 from pipeline.networks.weights import SUFFIX, load_tensors
 
-_WRAPPED = ("model", "state_dict", "model_state_dict")  # keys of the tensor table in training checkpoints
-_DISTRIBUTED = "module."  # prefix of torch's DistributedDataParallel
+_MAX_NESTING = 3  # levels of a training checkpoint that are searched for the table of tensors
 Selection = Callable[[Collection[str]], Mapping[str, str]]  # names in the file -> name wanted: name in the file
 
 
@@ -32,17 +32,18 @@ class TensorTable:
 
 
 def select_all(names: Collection[str]) -> Mapping[str, str]:
-    """Every tensor under its name, without the prefix of distributed training."""
-    return {name.removeprefix(_DISTRIBUTED): name for name in names}
+    """Every tensor under its name."""
+    return {name: name for name in names}
 
 
 def read_tensors(path: Path, select: Selection = select_all) -> TensorTable:
     """The selected tensors as float32; of a torch archive no others are read.
 
+    A prefix that all names share, such as that of distributed training, is dropped before `select` sees them.
     `select` may raise FileProblem. Raises FileProblem if the file is not a table of finite tensors.
     """
     if path.suffix == SUFFIX:
-        return _take(load_tensors(path)[1], select, frozenset(), path)
+        return _take(_drop_prefix(load_tensors(path)[1]), select, frozenset(), path)
     require_file(path, "the weights", most_bytes=1 << 50)
     with path.open("rb") as file:
         is_archive = file.read(len(SIGNATURE)) == SIGNATURE
@@ -72,17 +73,34 @@ def _take(tensors: Mapping[str, NDArray[Any]], select: Selection, others: frozen
 
 
 def _find_table(content: Any, path: Path) -> tuple[dict[str, Any], frozenset[str]]:
-    """The table of tensors, and the keys next to it in a training checkpoint; raises FileProblem if there is none."""
-    others = frozenset[str]()
-    for key in _WRAPPED:
-        if isinstance(content, Mapping) and isinstance(content.get(key), Mapping):
-            others |= {str(other) for other in cast("Mapping[Any, Any]", content)} - {key}
-            content = content[key]
-    named = cast("Mapping[Any, Any]", content).items() if isinstance(content, Mapping) else ()
-    table = {str(name): tensor for name, tensor in named if hasattr(tensor, "shape")}
-    if not table:
+    """The table of tensors of a checkpoint, and the keys next to it; raises FileProblem if there is none.
+
+    The table is the mapping with most tensors, the first of several: averages and the optimiser's state follow it.
+    """
+    tables = list(_list_tables(content, frozenset(), _MAX_NESTING))
+    if not tables:
         raise FileProblem("the weights are not a table of named tensors; save the network's state_dict", path)
-    return table, others
+    table, others = max(tables, key=lambda found: len(found[0]))
+    return _drop_prefix(table), others
+
+
+def _list_tables(content: Any, others: frozenset[str], levels: int) -> Iterator[tuple[dict[str, Any], frozenset[str]]]:
+    """Mappings that hold tensors under names, outer ones first, each with the keys next to it."""
+    if not isinstance(content, Mapping) or not levels:
+        return
+    named = cast("Mapping[Any, Any]", content)
+    table = {name: tensor for name, tensor in named.items() if isinstance(name, str) and hasattr(tensor, "shape")}
+    if table:
+        yield table, others
+    for key, value in named.items():
+        yield from _list_tables(value, others | {str(other) for other in named if other != key}, levels - 1)
+
+
+def _drop_prefix(table: dict[str, Any]) -> dict[str, Any]:
+    """The table without the parts in front that all its names share, such as `module.`."""
+    shared = takewhile(lambda parts: len(set(parts)) == 1, zip(*(name.split(".")[:-1] for name in table), strict=False))
+    n = len(list(shared)) if len(table) > 1 else 0
+    return {name.split(".", n)[-1]: tensor for name, tensor in table.items()}
 
 
 def _convert(tensor: NDArray[Any], path: Path) -> Floats:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from pipeline.base.errors import FileProblem
 from pipeline.base.params import Value
-from pipeline.networks.tensor_files import read_tensors, select_all
+from pipeline.networks.tensor_files import read_tensors
 from pipeline.networks.weights import SUFFIX, Weights, is_tactoscope_file, load_tensors, load_weights
 from pipeline.networks.weights_description import read_description
 
@@ -45,10 +45,7 @@ def read_weights(path: Path) -> Weights:
 
 
 def _select(names: Collection[str], path: Path) -> dict[str, str]:
-    found = {
-        _NUMBERED.sub(lambda match: f"{match[1]}.{int(match[2]) - 1}.", name): stored
-        for name, stored in select_all(names).items()
-    }
+    found = {_NUMBERED.sub(lambda match: f"{match[1]}.{int(match[2]) - 1}.", name): name for name in names}
     missing = [name for name in (_FIRST, _LAST, "up.0.up.weight") if name not in found]
     if missing:
         raise FileProblem(f"not weights of a U-Net with transposed convolutions: {', '.join(missing)} missing", path)
