@@ -37,8 +37,10 @@ def train(
     *,
     recipe: str = "",
     out: Path,
+    initial_weights: Annotated[str, Parameter(name="--from")] = "",
     pairs: Path | None = None,
     hold_out: str = "",
+    share: float = 1.0,
     resume: Flag = False,
     minutes: float | None = None,
     steps: int | None = None,
@@ -56,11 +58,15 @@ def train(
         Name of a shipped recipe, or a .toml file; with --pairs the default starts from shipped weights.
     out
         Folder for the state, `curve.csv`, `figures.csv`, `curve.png` and `weights.safetensors`.
+    initial_weights
+        Weights to start from, a file or the name of shipped ones, instead of the recipe's.
     pairs
         Recording or folder of both sensors, such as touch2touch's `data`: trained on instead of simulated touches.
     hold_out
         Pairs that only validate: `tool` for a quarter of the tools, names of tools separated by commas, `lab` or
         `paper` for published lists of tools, or a split.json; default: the splits of the folder, else `tool`.
+    share
+        Share of the pairs to train on that is used, such as 0.1 to adapt a network to another sensor.
     resume
         Continue the training in that folder.
     minutes
@@ -81,11 +87,11 @@ def train(
         raise SettingProblem("give either --minutes or --steps, not both")
     if not recipe and pairs is None:
         raise SettingProblem(f"name a recipe with --recipe: {', '.join(list_shipped_recipes(what))}")
-    if hold_out and pairs is None:
-        raise SettingProblem("--hold-out needs --pairs")
-    chosen = load_recipe(recipe or f"{what}_pairs", what)
+    if (hold_out or share != 1.0) and pairs is None:
+        raise SettingProblem(f"{'--hold-out' if hold_out else '--share'} needs --pairs")
+    chosen = load_recipe(recipe or f"{what}_pairs", what, initial_weights)
     if pairs is not None:
-        chosen = override_pairs(chosen, os.fspath(pairs), hold_out)
+        chosen = override_pairs(chosen, os.fspath(pairs), hold_out, share)
     pace = {name: value for name, value in (("steps", steps), ("seed", seed)) if value is not None}
     run = TrainingRun(
         recipe=override_training(chosen, **pace), folder=out, resume=resume, max_minutes=minutes,

@@ -64,8 +64,10 @@ def list_tool_splits() -> Mapping[str, ToolSplit]:
     }
 
 
-def assign_roles(grasps: Sequence[Grasp], hold_out: str = "") -> HoldOut:
+def assign_roles(grasps: Sequence[Grasp], hold_out: str = "", share: float = 1.0) -> HoldOut:
     """The role of every grasp; `hold_out` is as `HOLD_OUT_HELP` says. The same grasps give the same roles.
+
+    Of the grasps to train on, `share` is used, and more for a larger share; the others are left out.
 
     Raises SettingProblem for an unknown tool or where nothing is left to train on, FileProblem for a split file.
     """
@@ -79,7 +81,20 @@ def assign_roles(grasps: Sequence[Grasp], hold_out: str = "") -> HoldOut:
         raise SettingProblem(
             f"no grasp is left to train on with --hold-out {hold_out or BY_TOOL}; hold out fewer tools"
         )
-    return HoldOut(roles=tuple(roles), notes=_describe(grasps, roles))
+    n_all = roles.count("training")
+    _thin_training(roles, share)
+    notes = _describe(grasps, roles)
+    if share < 1.0:
+        notes += (f"of {n_all} grasps to train on a share of {share:g} is used",)
+    return HoldOut(roles=tuple(roles), notes=notes)
+
+
+def _thin_training(roles: list[Role], share: float) -> None:
+    """Leave out all but a share of the grasps to train on, at least one."""
+    trained = np.flatnonzero([role == "training" for role in roles])
+    n_used = max(1, round(share * len(trained)))
+    for k in np.random.default_rng(0).permutation(trained)[n_used:]:
+        roles[k] = "left_out"
 
 
 def _roles_by_split(grasps: Sequence[Grasp], split_of: Mapping[tuple[str, int], str] | None) -> list[Role]:

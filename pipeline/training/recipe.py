@@ -72,6 +72,7 @@ class _Data:
     recorded_share: float = setting(0.2, "Recorded share", low=0.0, high=1.0)
     pairs: str = setting("", "Pairs", help="file or folder of recorded pairs, which replace simulated ones")
     hold_out: str = setting("", "Held out", help=HOLD_OUT_HELP)
+    share: float = setting(1.0, "Share", low=0.001, high=1.0, help="of the grasps to train on that is used")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -102,7 +103,8 @@ class Recipe:
             recordings = [_list_values(recording) for recording in self.recordings]
             plain["data"] = {"recorded_share": self.recorded_share, "recordings": recordings}
         if self.pairs.path:
-            plain["data"] = {"pairs": self.pairs.path, "hold_out": self.pairs.hold_out}
+            part = {} if self.pairs.share == 1.0 else {"share": self.pairs.share}
+            plain["data"] = {"pairs": self.pairs.path, "hold_out": self.pairs.hold_out, **part}
         return plain
 
 
@@ -118,8 +120,8 @@ def list_shipped_recipes(what: str = "") -> tuple[str, ...]:
     )
 
 
-def load_recipe(name: str, what: str = "") -> Recipe:
-    """A shipped recipe by name, or the recipe in a file.
+def load_recipe(name: str, what: str = "", initial_weights: str = "") -> Recipe:
+    """A shipped recipe by name, or the recipe in a file; with `initial_weights` it starts from those.
 
     Raises SettingProblem for an unknown name, FileProblem for an invalid recipe or one of another subcommand.
     """
@@ -129,6 +131,8 @@ def load_recipe(name: str, what: str = "") -> Recipe:
             f"no recipe {name!r}; there are {', '.join(list_shipped_recipes(what))}, or give a .toml file"
         )
     data = read_toml(path, "the recipe")
+    if initial_weights:
+        data = {**data, "initial_weights": initial_weights}
     try:
         recipe = _make_recipe(path.stem, data, path.parent)
         if what and TASKS[recipe.task].subcommand != what:
@@ -173,7 +177,9 @@ def _make_recipe(name: str, data: Mapping[str, Any], folder: Path) -> Recipe:
         validation=_fill(Validation(), tables["validation"], "[validation] "),
         recordings=recordings, recorded_share=values.recorded_share,
     )  # fmt: skip
-    return override_pairs(recipe, str(folder / values.pairs), values.hold_out) if values.pairs else recipe
+    if not values.pairs:
+        return recipe
+    return override_pairs(recipe, str(folder / values.pairs), values.hold_out, values.share)
 
 
 def _read_network(initial_weights: str) -> Mapping[str, Value]:
@@ -234,10 +240,11 @@ def _fill(part: P, table: Mapping[str, Any], where: str) -> P:
     return part
 
 
-def override_pairs(recipe: Recipe, path: str, hold_out: str) -> Recipe:
-    """The recipe trained on recorded pairs."""
+def override_pairs(recipe: Recipe, path: str, hold_out: str, share: float = 1.0) -> Recipe:
+    """The recipe trained on recorded pairs, or on a share of those to train on; raises SettingProblem."""
+    share = replace_value(_Data(), "share", share).share
     network = _mark_network(recipe.network) if path else recipe.network
-    return replace(recipe, pairs=PairFolder(path=path, hold_out=hold_out), network=network)
+    return replace(recipe, pairs=PairFolder(path=path, hold_out=hold_out, share=share), network=network)
 
 
 def _mark_network(network: Mapping[str, Value]) -> Mapping[str, Value]:

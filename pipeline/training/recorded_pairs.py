@@ -48,6 +48,7 @@ class PairFolder:
 
     path: str = ""  # file or folder; "" = none
     hold_out: str = ""  # as `hold_out.HOLD_OUT_HELP` says
+    share: float = 1.0  # of the grasps to train on that is used
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -135,7 +136,7 @@ def open_pairs(folder: PairFolder, source_name: str, target_name: str) -> PairSe
         notes |= dict.fromkeys(_describe_recording(recording, streams, [grasps[k].name for k in wrong]))
     if not found:
         raise FileProblem("both sensors are recorded at no moment", path)
-    hold_out = assign_roles([grasp for _, grasp, _ in found], folder.hold_out)
+    hold_out = assign_roles([grasp for _, grasp, _ in found], folder.hold_out, folder.share)
     places: dict[Role, list[PairPlace]] = {}
     for (recording, grasp, index), role in zip(found, hold_out.roles, strict=True):
         places.setdefault(role, []).extend(

@@ -58,6 +58,9 @@ def test_a_training_ends_in_weights_with_a_card_and_can_be_exported_smaller(type
         (("--minutes", "nan"), "--minutes must lie above 0"),
         (("--steps", "0"), "steps must lie within 1 and"),
         (("--seed", "-1"), "seed must lie within 0 and"),
+        (("--share", "0.1"), "--share needs --pairs"),
+        (("--share", "2", "--pairs", "x.h5"), "share must lie within 0.001 and 1, got 2"),
+        (("--from", "nowhere"), "no weights 'nowhere' are shipped"),
         (("--workers", "99"), "--workers must lie within 0 and 64"),
     ],
 )

@@ -72,3 +72,15 @@ def test_published_lists_leave_other_tools_out():
 def test_nothing_left_to_train_on_is_refused():
     with pytest.raises(SettingProblem, match="no grasp is left to train on"):
         assign_roles(GRASPS, ",".join(TOOLS))
+
+
+def test_a_share_thins_what_is_trained_on_and_nothing_else():
+    grasps = [Grasp(tool=tool, split="", number=k) for tool in ("hex", "peg", "rod") for k in range(20)]
+    roles = {share: assign_roles(grasps, "rod", share).roles for share in (1.0, 0.5, 0.1)}
+    kept = {share: {k for k, role in enumerate(r) if role == "training"} for share, r in roles.items()}
+    assert [len(kept[share]) for share in (1.0, 0.5, 0.1)] == [32, 16, 3]
+    assert kept[0.1] < kept[0.5] < kept[1.0], "more pairs are added to fewer"
+    for share in (0.5, 0.1):
+        assert all(a == b for a, b in zip(roles[1.0], roles[share], strict=True) if a != "training")
+    assert "of 32 grasps to train on a share of 0.1 is used" in assign_roles(grasps, "rod", 0.1).notes
+    assert assign_roles(grasps, "rod", 1e-3).roles.count("training") == 1

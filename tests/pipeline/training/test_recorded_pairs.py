@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from pipeline.base.errors import SettingProblem
+from pipeline.networks.depth_anything import DepthAnything
+from pipeline.networks.weights import Weights, save_weights
 from pipeline.recordings import open_recording
 from pipeline.recordings.hdf5_writer import RecordingWriter
 from pipeline.sensors.spec import load_sensor
@@ -17,7 +19,13 @@ from pipeline.training.conditioned_touch import ConditionedTouch, jitter_touch
 from pipeline.training.depth_anything import DepthAnythingTask
 from pipeline.training.latent import LatentTask
 from pipeline.training.loop import TrainingRun, train
-from pipeline.training.recipe import load_recipe, override_pairs
+from pipeline.training.recipe import (
+    RECIPES_FOLDER,
+    list_shipped_recipes,
+    load_recipe,
+    override_pairs,
+    override_training,
+)
 from pipeline.training.recorded_pairs import PairFolder, PairTask, open_pairs, use_pairs
 from pipeline.training.recorded_touches import derive_contact
 from pipeline.training.touch_pose import TouchPoseTask
@@ -111,9 +119,30 @@ def test_one_tool_has_no_unseen_tools_and_training_does_without(tmp_path):
     assert chosen.network["trained_on_recordings"], "physics at the described alignment would replace what was learned"
 
 
-@pytest.mark.parametrize("what", ["t2t", "vqvae", "latent"])
-def test_recipes_of_pairs_start_from_shipped_weights(what):
-    recipe = load_recipe(f"{what}_pairs", what)
+def test_depth_of_a_gelslim_is_adapted_to_a_digit_by_a_tenth_of_its_touches(tmp_path):
+    text = (RECIPES_FOLDER / "depth_anything_digit.toml").read_text().replace("side = 224", "side = 28")
+    (tmp_path / "digit.toml").write_text(text.replace("batch = 4", "batch = 1") + "[validation]\nn_examples = 1\n")
+    gelslim = DepthAnything(encoder="vits", side=28)
+    save_weights(tmp_path / "gelslim.safetensors", Weights(
+        name="gelslim", kind="depth_anything", config={"encoder": "vits", "side": 28, "answer": "metric"},
+        tensors={name: tensor.numpy() for name, tensor in gelslim.state_dict().items()}, card={"task": "depth_anything"},
+    ))  # fmt: skip
+    started = load_recipe(str(tmp_path / "digit.toml"), "depth", str(tmp_path / "gelslim.safetensors"))
+    sample = SAMPLE.with_name("digit_gelslim.h5")
+    chosen = override_training(override_pairs(started, str(sample), "", 0.1), steps=1)
+    task = use_pairs(chosen.settings, chosen.pairs)
+    whole = use_pairs(chosen.settings, PairFolder(path=str(sample)))
+    assert task.count_validation_examples("unseen_grasps") == whole.count_validation_examples("unseen_grasps") > 0
+    assert "share of 0.1" in " ".join(task.collect_notes())
+    state = train(TrainingRun(recipe=chosen, folder=tmp_path / "run", n_workers=0))
+    moved = max(float((t - gelslim.state_dict()[n]).abs().max()) for n, t in state.network_tensors.items())
+    assert 0.0 < moved < 1e-3, "it starts from the weights of the GelSlim"
+    assert {row["split"] for row in state.metrics} == {"unseen_grasps"}
+
+
+@pytest.mark.parametrize("name", [name for name in list_shipped_recipes() if "_pairs" in name])
+def test_recipes_of_pairs_start_from_shipped_weights(name):
+    recipe = load_recipe(name, name.partition("_")[0])
     assert recipe.network["kind"] in ("residual_denoiser", "vqvae", "latent")
     assert recipe.training.initial_weights
     assert hasattr(recipe.settings, "make_pair_example")
