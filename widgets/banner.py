@@ -1,6 +1,8 @@
-"""Notification of an error: one sentence and details on demand; never modal."""
+"""Notification of an error: one sentence, buttons that mend it, and details on demand; never modal."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 from PyQt6.QtCore import QEvent, Qt
 from PyQt6.QtGui import QGuiApplication
@@ -15,6 +17,7 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
+from widgets.choice_buttons import Choice, make_choice_button
 from widgets.icons import StateIcon
 from widgets.styling import make_single_shot_timer
 from widgets.theme import is_dark
@@ -24,7 +27,10 @@ _ON_LIGHT, _ON_DARK = ("#fdecea", "#d9a09a", "#5c1a14"), ("#4a2522", "#8c4a44", 
 
 
 class Banner(QFrame):
-    """Hidden until `show_problem`; leaves by itself unless it is being read: pointer over it, or details open."""
+    """Hidden until `show_problem`; leaves by itself unless something mends it or it is being read.
+
+    It is being read with the pointer over it or the details open.
+    """
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -52,7 +58,11 @@ class Banner(QFrame):
         layout = QVBoxLayout(self)
         layout.setContentsMargins(8, 4, 8, 4)
         layout.addLayout(row)
+        self._remedies = QHBoxLayout()
+        self._remedies.addStretch(1)
+        layout.addLayout(self._remedies)
         layout.addWidget(self._details)
+        self.buttons: list[QPushButton] = []  # that mend the problem
         self._leave_later = make_single_shot_timer(self, _READ_MS, self._leave)
         self._more.toggled.connect(self._details.setVisible)
         self._copy.clicked.connect(self.copy_report)
@@ -82,14 +92,21 @@ class Banner(QFrame):
         """The text behind `Details`."""
         return self._details.toPlainText()
 
-    def show_problem(self, sentence: str, details: str = "") -> None:
-        """Show one sentence, with details on demand."""
+    def show_problem(self, sentence: str, details: str = "", choices: Sequence[Choice] = ()) -> None:
+        """Show one sentence, a button for each of `choices`, and details on demand."""
+        for button in self.buttons:
+            self._remedies.removeWidget(button)
+            button.deleteLater()
+        self.buttons = [make_choice_button(choice, self.hide) for choice in choices]
+        for button in self.buttons:
+            self._remedies.addWidget(button)
         self._text.setText(sentence[:1].upper() + sentence[1:])
         self._details.setPlainText(details)
         self._more.setVisible(bool(details))
         self._more.setChecked(False)
         self.show()
-        self._leave_later.start()
+        self.updateGeometry()
+        self._leave_later.stop() if choices else self._leave_later.start()
 
     def _leave(self) -> None:
         self._leave_later.start() if self.underMouse() or self._more.isChecked() else self.hide()

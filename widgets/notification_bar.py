@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 from PyQt6.QtCore import QSize, Qt
 from PyQt6.QtWidgets import QFrame, QHBoxLayout, QLabel, QProgressBar, QPushButton, QSizePolicy, QToolButton, QWidget
 
+from widgets.choice_buttons import Choice, make_choice_button
 from widgets.styling import make_single_shot_timer
 
 _BAR_PX = 160
@@ -50,14 +51,12 @@ class NotificationBar(QFrame):
         """The sentence on display."""
         return self._text.text()
 
-    def show_notification(
-        self, sentence: str, choices: Sequence[tuple[str, Callable[[], object]]] = (), *, stays: bool = False
-    ) -> None:
-        """Show one sentence and a button for each of `choices` (label, action); it does not leave while it `stays`."""
+    def show_notification(self, sentence: str, choices: Sequence[Choice] = (), *, stays: bool = False) -> None:
+        """Show one sentence and a button for each of `choices`; it does not leave while it `stays`."""
         for button in self.buttons:
             self._row.removeWidget(button)
             button.deleteLater()
-        self.buttons = [self._button(words, then) for words, then in choices]
+        self.buttons = [make_choice_button(choice, self.hide) for choice in choices]
         for i, button in enumerate(self.buttons):
             self._row.insertWidget(2 + i, button)
         self._text.setText(sentence[:1].upper() + sentence[1:])
@@ -78,13 +77,3 @@ class NotificationBar(QFrame):
     def sizeHint(self) -> QSize:  # noqa: N802
         """Return a narrow width: the sentence wraps."""
         return QSize(200, super().sizeHint().height())
-
-    def _button(self, words: str, then: Callable[[], object]) -> QPushButton:
-        def act() -> None:
-            self.hide()
-            then()
-
-        button = QPushButton(words)
-        button.setObjectName(f"offer_{words.split(maxsplit=1)[0].lower()}")
-        button.clicked.connect(act)
-        return button

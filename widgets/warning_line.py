@@ -7,11 +7,12 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from PyQt6.QtCore import Qt
-from PyQt6.QtWidgets import QHBoxLayout, QToolTip, QWidget
+from PyQt6.QtWidgets import QHBoxLayout, QPushButton, QToolTip, QWidget
 
+from widgets.choice_buttons import Choice, make_choice_button
 from widgets.fixed_size_label import FixedSizeLabel
 from widgets.icons import StateIcon
-from widgets.styling import set_spacing
+from widgets.styling import set_spacing, shrink_font
 
 _BETWEEN = "   ·   "
 _SPARE_PX = 4  # what the last letter of a text may need beyond its measured width
@@ -19,7 +20,7 @@ _A_REASON = re.compile("[:;]")  # what follows is the reason or the remedy
 
 
 class WarningLine(QWidget):
-    """The warnings of all stages in one line; the tooltip, also shown by a click, has them in full."""
+    """The warnings of all stages in one line, with their remedies; the tooltip, also shown by a click, has all text."""
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -30,6 +31,7 @@ class WarningLine(QWidget):
         layout = set_spacing(QHBoxLayout(self), 5, (6, 0, 6, 0))
         layout.addWidget(self._sign)
         layout.addWidget(self._label, 1)
+        self.buttons: list[QPushButton] = []  # that mend what is warned of
 
     @property
     def visible_text(self) -> str:
@@ -45,6 +47,22 @@ class WarningLine(QWidget):
             self._sign.show_state("warning" if sentences else "")
             self._fit()
 
+    def show_remedies(self, choices: Sequence[Choice]) -> None:
+        """Show a button for each of `choices`; the line stays as high as it is."""
+        if [text for text, _ in choices] == [button.text() for button in self.buttons]:
+            return
+        layout = self.layout()
+        assert layout is not None
+        for button in self.buttons:
+            layout.removeWidget(button)
+            button.deleteLater()
+        self.buttons = [make_choice_button(choice, lambda: None) for choice in choices]
+        for button in self.buttons:
+            shrink_font(button, 1.0)
+            button.setFixedHeight(self._label.sizeHint().height())
+            layout.addWidget(button)
+        self._fit()
+
     def resizeEvent(self, a0: Any) -> None:  # noqa: N802
         """Fit the text to the new width."""
         super().resizeEvent(a0)
@@ -58,7 +76,8 @@ class WarningLine(QWidget):
         metrics, layout = self._label.fontMetrics(), self.layout()
         assert layout is not None
         around = layout.contentsMargins()
-        room = max(60, self.width() - self._sign.width() - layout.spacing() - around.left() - around.right())
+        taken = sum(button.sizeHint().width() + layout.spacing() for button in self.buttons)
+        room = max(60, self.width() - self._sign.width() - layout.spacing() - around.left() - around.right() - taken)
         text = fit_sentences(self._sentences, lambda words: metrics.horizontalAdvance(words) <= room - _SPARE_PX)
         self._label.setText(metrics.elidedText(text, Qt.TextElideMode.ElideRight, room))
 

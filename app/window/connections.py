@@ -17,6 +17,7 @@ from app.window.alignment import AlignmentController
 from app.window.alignment_gizmo import AlignmentGizmoController
 from app.window.arrangements import ArrangementController
 from app.window.autosave import AutosaveController
+from app.window.ball_calibration import BallCalibrationController
 from app.window.basin_map import BasinMapController
 from app.window.colour_limits import ColourLimitController
 from app.window.comparison import ComparisonController
@@ -26,6 +27,7 @@ from app.window.frame_ranking import FrameRankingController
 from app.window.layouts import LayoutController
 from app.window.live import LiveController
 from app.window.main_window import MainWindow
+from app.window.mending import MendingController
 from app.window.pan_zoom import PanZoomController
 from app.window.panels import add_panels
 from app.window.parameter_search import make_parameter_actions
@@ -91,6 +93,7 @@ def connect(controller: SessionController, theme: Theme = "light") -> AutosaveCo
     arrangements = ArrangementController(controller, autosave)
     ExportController(controller, autosave, sweep)
     LiveController(controller, autosave)
+    mending = MendingController(controller, BallCalibrationController(controller, autosave))
     alignment = AlignmentController(controller)
     gizmo, layouts = AlignmentGizmoController(controller, alignment), LayoutController(controller)
 
@@ -104,6 +107,7 @@ def connect(controller: SessionController, theme: Theme = "light") -> AutosaveCo
         sweep.show_session,  # drops a sweep of another frame or recording
         comparison.show_session,  # computes the visible tab
         autosave.show_session,  # schedules the recovery file
+        mending.show_session,  # drops the offers for another recording
         welcome.show_session,  # hides the page once something is open
         arrangements.show_session,  # check marks
         alignment.show_session,  # offsets; drops a proposal for another alignment

@@ -15,13 +15,8 @@ from pipeline.recordings.formats import make_dialog_filter
 ALIGNMENT_SUFFIX = ".toml"
 WEIGHTS_SUFFIX = ".safetensors"
 MESH_SUFFIXES = (".stl", ".obj", ".ply")
-_UNITS = {
-    "auto": "Meshes, unit from size",
-    "mm": "Meshes in millimetres",
-    "cm": "Meshes in centimetres",
-    "m": "Meshes in metres",
-    "in": "Meshes in inches",
-}
+UNIT_NAMES = {"mm": "millimetres", "cm": "centimetres", "m": "metres", "in": "inches"}
+_UNITS = {"auto": "Meshes, unit from size"} | {unit: f"Meshes in {name}" for unit, name in UNIT_NAMES.items()}
 
 _RECORDINGS = "recordings"  # stands for the file kinds of all formats
 OPEN_DIALOGS: Mapping[str, tuple[str, str]] = {  # command -> title and kinds of files, none for a folder
@@ -35,6 +30,7 @@ OPEN_DIALOGS: Mapping[str, tuple[str, str]] = {  # command -> title and kinds of
     "open_session": ("Open session", f"Sessions (*{SESSION_SUFFIX});;All files (*)"),
 }
 _SAVERS = {  # command -> title, kind of file, suffix
+    "save_calibration": ("Save calibration", "Calibrations", ".npz"),
     "save_alignment": ("Save alignment", "Alignments", ALIGNMENT_SUFFIX),
     "save_session": ("Save session", "Sessions", SESSION_SUFFIX),
     "save_session_as": ("Save session as", "Sessions", SESSION_SUFFIX),

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import get_args
 
 from PyQt6.QtCore import pyqtSignal
@@ -39,6 +40,7 @@ class SessionController(SessionDocument):
 
     frame_shown = pyqtSignal(int)
     session_shown = pyqtSignal(object)  # Session; `app.window.connections` lists all that follows
+    opening_cancelled = pyqtSignal()
     closing = pyqtSignal()
     termination_requested = pyqtSignal()  # by a signal, before closing without questions
 
@@ -96,6 +98,8 @@ class SessionController(SessionDocument):
         if self._is_skipping:
             return
         old, self.session = self.session, session
+        if session.recording not in (None, old.recording):
+            self._close_recording(session.recording)
         if session.layout != self.window.current_layout:
             self.window.show_layout(session.layout)
         self._show_controls()
@@ -235,13 +239,13 @@ class SessionController(SessionDocument):
             self.frame_shown.emit(shown.index)
 
     def handle_failure(self, ticket: int, error: object) -> None:
-        """Show an error; if a recording could not be opened, undo to one that is open."""
+        """Show an error with what mends it; if an open recording does not open with another file, undo that."""
         if ticket < self._oldest_shown or self._closed or not isinstance(error, BaseException):
             return
         if ticket == self._ticket:
             cannot_open = self._opening_ticket == ticket and not self._is_open()  # else one frame is damaged
             self._end_request()
-            if cannot_open:
+            if cannot_open and self.views.translation is not None:
                 self._undo_opening()
             else:
                 self.views.mark_failed(error)
@@ -252,11 +256,18 @@ class SessionController(SessionDocument):
         if ticket == self._ticket and not self._closed:
             self.views.mark_cancelled()
             self._end_request()
+            if self.views.translation is None:
+                self.opening_cancelled.emit()
 
     def handle_progress(self, ticket: int, fraction: float, text: str) -> None:
         """Show the progress of the newest request."""
         if ticket == self._ticket and self._is_pending:
             self.window.show_progress(fraction, text)
+
+    def _close_recording(self, following: Path) -> None:
+        """Show nothing of the recording on screen, as another one is opened."""
+        self.latest_frame, self._open_requests = None, {None}
+        self.views.clear_recording(following.name)
 
     def _undo_opening(self) -> None:
         """Undo to the nearest session that is open, but stay on the frame chosen meanwhile."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Generator, Mapping
+from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,7 @@ from pipeline.base.errors import FileProblem, TouchError
 from pipeline.base.fingerprints import compute_fingerprint
 from pipeline.calibration.calibration_file import is_calibration_file
 from pipeline.translation.cross_section import SectionLine
+from widgets.choice_buttons import Choice
 
 
 class SessionDocument(QObject):
@@ -37,6 +38,7 @@ class SessionDocument(QObject):
         self.session_file: Path | None = None
         self._file_fingerprint = ""  # of the session file as this window left it
         self.section: SectionLine | None = None  # section line through all images
+        self.find_remedies: Callable[[BaseException], Sequence[Choice]] = lambda _: ()  # buttons that mend an error
 
     @abstractmethod
     def show_session(self, session: Session) -> None:
@@ -77,7 +79,7 @@ class SessionDocument(QObject):
         """Show an error in the banner, and log it once."""
         sentence, details = describe_error(error)
         log.error("%s", sentence)
-        self.window.banner.show_problem(sentence, details)
+        self.window.banner.show_problem(sentence, details, self.find_remedies(error))
 
     def open_path(self, path: Path) -> None:
         """Open a session, mesh, alignment, weights, calibration or recording, whichever `path` is."""
@@ -92,10 +94,15 @@ class SessionDocument(QObject):
         elif is_calibration_file(path):
             self.change("open calibration", calibration=path)
         else:
-            self.change(
-                "open recording", recording=path, frame=AUTO_FRAME, source="", stream="", reference=None,
-                calibration=None, mesh=None, mesh_unit="auto", depth_unit="auto",
-            )  # fmt: skip
+            self.open_recording(path, keeps_choices=self.session.recording is None)
+
+    def open_recording(self, path: Path, *, keeps_choices: bool = False) -> None:
+        """Open a recording; with `keeps_choices` its sensor and the files that go with it are those chosen before."""
+        own: dict[str, Any] = {}
+        if not keeps_choices:
+            own = {"source": "", "stream": "", "mesh_unit": "auto", "depth_unit": "auto"}
+            own |= {"reference": None, "calibration": None, "mesh": None}
+        self.change("open recording", recording=path, frame=AUTO_FRAME, **own)
 
     def open_paths(self, paths: list[Path]) -> None:
         """Open dropped files: recordings first, then meshes and calibrations for them."""

@@ -66,8 +66,6 @@ class StageViews:
         window.timeline.show_frames(t.n_frames)
         if old is None or old.stream is not t.stream:
             window.frames.model.reset_frames(t.n_frames)
-        if old is not None and old.request.recording != t.request.recording:
-            self._clear()
         window.warning_line.show_warnings(())
         self.scene.clear_cache()
         window.source.setItemText(0, f"as recorded: {t.source.name}")
@@ -76,12 +74,23 @@ class StageViews:
         self.reset_cameras(session)
         self.cameras.apply_requested_cameras(self.scene)
 
-    def _clear(self) -> None:
-        """Show nothing in all columns and 3D views: what they show is of another recording."""
-        for column in (*self._window.columns.values(), self._window.truth_column):
+    def clear_recording(self, following: str) -> None:
+        """Show nothing in all columns, 3D views and tables, as another recording of this name is opened."""
+        self.translation, window = None, self._window
+        window.setWindowTitle(f"{following}[*] · Tactoscope")
+        window.banner.hide()
+        window.warning_line.show_warnings(())
+        window.warning_line.show_remedies(())
+        window.frames.model.reset_frames(0)
+        window.timeline.show_frames(0)
+        window.timings.show_rows(())
+        window.source.setItemText(0, "as recorded")
+        for column in (*window.columns.values(), window.truth_column):
             column.view.show_preview(None)
-        for thumbnail in self._window.panes.filmstrip.thumbnails.values():
+            column.show_state("waiting")
+        for thumbnail in window.panes.filmstrip.thumbnails.values():
             thumbnail.show_preview(None)
+            thumbnail.show_state("waiting", ())
         for index in self._layers:
             self.scene.show_layers(index, ())
         self._layers, self._steps, self._shown, self._results = {}, {}, {}, {}

@@ -9,6 +9,7 @@ from dataclasses import replace
 from app.session.state import REQUEST_FIELDS, Session
 from pipeline.base.errors import FileProblem
 from pipeline.recordings import open_recording
+from pipeline.sensors.spec import load_sensor
 from pipeline.stages.depth.photometric import DepthParams
 from pipeline.stages.depth.stage import NETWORK, PHYSICS
 from pipeline.translation.catalogue import Catalogue
@@ -61,7 +62,7 @@ def open_request(request: Request, catalogue: Catalogue) -> Translation:
 
 
 def _choose_target(request: Request) -> str:
-    """Return another sensor of the recording, else a built-in sensor that differs from the source."""
+    """Return another sensor of the recording, one of another kind first, else a built-in one that differs."""
     with closing(
         open_recording(
             request.recording, sensor=request.source, reference=request.reference, depth_unit=request.depth_unit
@@ -70,5 +71,6 @@ def _choose_target(request: Request) -> str:
         source = recording.stream(request.stream or request.source).sensor
         others = [s.sensor for s in recording.streams if s.sensor not in ("", source)]
     if others:
-        return others[0]
+        kind = load_sensor(source).kind
+        return next((name for name in others if load_sensor(name).kind != kind), others[0])
     return "soft_bubble" if source.startswith("gelslim") else "gelslim"

@@ -12,6 +12,14 @@ class StageWarning(str):
     """
 
 
+class AlignmentWarning(StageWarning):
+    """A warning that the touch misses the target: another alignment mends it."""
+
+
+class CalibrationWarning(StageWarning):
+    """A warning that sizes and depths are unsure: a calibration of the source sensor mends it."""
+
+
 class ChangeNote(str):
     """A note of how far a network's result is from physics; the window shows it as a badge."""
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from pipeline.base.stage_warnings import StageWarning
+from pipeline.base.stage_warnings import CalibrationWarning, StageWarning
 from pipeline.calibration.calibration_table import Calibration
 
 CALIBRATION_ADVICE = "press a ball in sixteen places all over the image and run 'tactoscope calibrate balls'"
 UNCALIBRATED = "sensor not calibrated"
 _SIZE_RATIO_MAX = 1.35  # real units without calibration have 0.75 to 1.25; beyond, a length is wrong
-UNCALIBRATED_NOTE = StageWarning(f"{UNCALIBRATED}: sizes and depths may be wrong by half; {CALIBRATION_ADVICE}")
+UNCALIBRATED_NOTE = CalibrationWarning(f"{UNCALIBRATED}: sizes and depths may be wrong by half; {CALIBRATION_ADVICE}")
 
 
 def describe_quality(calibration: Calibration) -> str:
@@ -22,7 +22,7 @@ def describe_quality(calibration: Calibration) -> str:
     worth = "" if error is None else f"a ball's diameter within {100 * error.diameter_share:.0f} %"
     if calibration.uses_built_in:
         accuracy = f"; {worth}" if worth else ""
-        return StageWarning(
+        return CalibrationWarning(
             f"{UNCALIBRATED}: {n_used} presses did not improve it significantly{accuracy}; {CALIBRATION_ADVICE} again"
         )
     return f"{worth}{': ' if worth else ''}calibrated by {n_used} presses of a ball"

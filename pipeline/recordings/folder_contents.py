@@ -25,6 +25,7 @@ _FRAME_FOLDERS = ("frames", "tactile_images", "expand")  # hold a sensor's image
 _OTHER_FOLDERS = frozenset({"webcam_frames", "gt_contactmasks", "gt_heightmaps", "obj_models", "bgs"})  # no sensor's
 _COMPANIONS = re.compile(r"^(tactile_data.*\.png|alignment\.npy|digit_data\.npy|synced_data\.npy)$")  # of YCB-Slide
 _REFERENCE_FOLDER = "bgs"
+_MESH_SUFFIXES = frozenset({".stl", ".obj"})
 _MAX_LEVELS = 6  # folders below the one that was given
 _MAX_NAMES = 3  # in a note
 
@@ -152,4 +153,12 @@ def _make_problem(folder: Path) -> FileProblem:
         return FileProblem("the folder is empty", folder)
     if any(p.suffix.lower() in PICKLE_SUFFIXES for p in folder.rglob("*")):
         return FileProblem(f"the folder holds only pickles; {PICKLE_REFUSAL}", folder)
-    return FileProblem("the folder has no images and no recording of another kind", folder)
+    meshes = sorted((p for p in folder.iterdir() if p.suffix.lower() in _MESH_SUFFIXES), key=natural_sort_key)
+    problem = FileProblem(
+        f"the folder holds {len(meshes)} meshes and no recording; open one as the object of an open recording"
+        if meshes
+        else "the folder has no images and no recording of another kind",
+        folder,
+    )
+    problem.alternatives = tuple(meshes)
+    return problem

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pipeline.base.arrays import Floats
-from pipeline.base.stage_warnings import StageWarning
+from pipeline.base.stage_warnings import AlignmentWarning, StageWarning
 from pipeline.geometry.camera import MIN_DEPTH_MM
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.target_depth.rasterisation import Rasterisation
@@ -21,7 +21,7 @@ def note_visibility(rasterisation: Rasterisation, n_inside: int, points_mm: Floa
             if behind
             else "outside the target's image"
         )
-        return (StageWarning(f"the target depth is empty: the whole touch lies {where}"),)
+        return (AlignmentWarning(f"the target depth is empty: the whole touch lies {where}"),)
     text = f"{n_outside:,} of {n:,} points fall outside the target's image"
     notes: tuple[str, ...] = (StageWarning(text) if n_outside > _MANY * n else text,) if n_outside else ()
     if not rasterisation.n_drawn_px:
@@ -83,7 +83,7 @@ def note_contact(
         text = (
             f"the touch ends {gap_mm:.2g} mm before the target's membrane: there is no contact; correct the alignment"
         )
-        return (StageWarning(text),)
+        return (AlignmentWarning(text),)
     notes: list[str] = []
     if n_contact < n_drawn:
         notes.append(f"{n_drawn - n_contact:,} of {n_drawn:,} pixels do not reach the target's membrane")

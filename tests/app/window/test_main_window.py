@@ -58,7 +58,7 @@ def test_a_frame_without_contact_skips_and_a_repeated_frame_is_cached(bubble_win
     assert bubble_window.window.columns["depth"].state in ("cached", "warning")
 
 
-def test_a_missing_file_is_reported_and_the_open_recording_stays(bubble_window, tmp_path):
+def test_a_missing_file_is_reported_and_undone_to_the_recording_before(bubble_window, tmp_path):
     before = bubble_window.session
     bubble_window.open_path(tmp_path / "missing.h5")
     wait_until_shown(bubble_window, LIMIT_S)
@@ -66,9 +66,11 @@ def test_a_missing_file_is_reported_and_the_open_recording_stays(bubble_window, 
     assert banner.isVisible()
     assert "missing.h5" in banner.text
     assert "Traceback" not in banner.text + banner.details
-    assert bubble_window.session.recording == before.recording
+    bubble_window.undo_stack.undo()
+    assert not banner.isVisible()
+    assert wait_until_shown(bubble_window, LIMIT_S)
+    assert bubble_window.session == before
     bubble_window.choose_frame(1)
-    bubble_window.window.banner.hide()
     assert wait_until_shown(bubble_window, LIMIT_S)
     assert bubble_window.latest_frame.index == 1
 
@@ -181,17 +183,14 @@ def test_a_late_part_leaves_its_column_pending(bubble_window, monkeypatch):
     assert "this frame is damaged" in window.window.columns["source"].view.message
 
 
-def test_a_failure_without_an_undo_target_becomes_idle(bubble_window, tmp_path, qtbot, monkeypatch):
-    """Where no step of the undo stack is what is open, and the one before cannot be opened any more either."""
+def test_a_recording_that_fails_is_not_tried_again(bubble_window, tmp_path, qtbot, monkeypatch):
     empty = tmp_path / "empty.h5"
     empty.touch()
 
     def fails(*_args, **_kwargs):
         raise FileProblem("the file is empty", empty)
 
-    bubble_window.change("keep a step below", cameras_linked=False)
     monkeypatch.setattr(bubble_window.evaluator, "evaluate_frame", fails)
-    bubble_window._open = set()
     bubble_window.change("open", recording=empty)
     wait_until_shown(bubble_window, LIMIT_S)
     qtbot.waitUntil(lambda: bubble_window.is_idle and not bubble_window.job.is_busy, timeout=240_000)
@@ -201,27 +200,28 @@ def test_a_failure_without_an_undo_target_becomes_idle(bubble_window, tmp_path, 
     assert "empty" in bubble_window.window.banner.text
 
 
-def test_a_failure_after_an_undo_returns_to_the_earlier_session(bubble_window, tmp_path):
+def test_a_mesh_that_fails_after_an_undo_returns_to_the_earlier_session(bubble_window, tmp_path):
     """Another choice after an undo cuts what is open off the stack: nothing on it counts as open."""
-    empty = tmp_path / "empty.h5"
+    empty = tmp_path / "empty.obj"
     empty.touch()
     first = bubble_window.session.recording
     bubble_window.open_path(SAMPLE_RECORDING)
     assert wait_until_shown(bubble_window, LIMIT_S)
     bubble_window.undo_stack.undo()
+    assert wait_until_shown(bubble_window, LIMIT_S)
     bubble_window.open_path(empty)
     wait_until_shown(bubble_window, LIMIT_S)
     assert "empty" in bubble_window.window.banner.text
     assert bubble_window.session.recording == first
+    assert bubble_window.session.mesh is None
     assert bubble_window.views.translation.request.recording == first
     assert bubble_window.window.columns["depth"].state in ("computed", "cached", "unchanged", "warning")
 
 
-def test_undoing_an_opening_computes_no_session_in_between(bubble_window, tmp_path):
+def test_undoing_a_mesh_computes_no_session_in_between(bubble_window, tmp_path):
     """Hours of steps lie under one failure, and none of them is worked out on the way; what failed is not tried twice."""
-    empty = tmp_path / "empty.h5"
+    empty = tmp_path / "empty.obj"
     empty.touch()
-    bubble_window.undo_stack.undo()  # what is open is cut off: the one step back is all there is to go to
     bubble_window.open_path(empty)
     for k in range(12):
         bubble_window.change(f"note {k}", notes={0: str(k)})
@@ -229,7 +229,7 @@ def test_undoing_an_opening_computes_no_session_in_between(bubble_window, tmp_pa
     wait_until_shown(bubble_window, LIMIT_S)
     assert bubble_window.job.newest_ticket <= before + 2
     assert "empty" in bubble_window.window.banner.text
-    assert bubble_window.session.recording != empty
+    assert bubble_window.session.mesh is None
 
 
 def test_a_translation_opened_for_a_dropped_request_is_delivered_to_the_next(open_window, touch_file):
@@ -311,8 +311,8 @@ def test_the_mesh_unit_is_chosen_on_opening_and_saved(bubble_window, ball_file, 
     assert load_session(tmp_path / "s.touch.json").mesh_unit == "m"
 
 
-def test_an_empty_recording_leaves_the_open_one_as_it_is(bubble_window, tmp_path):
-    before, empty = bubble_window.session, tmp_path / "empty.h5"
+def test_an_empty_recording_is_reported_over_empty_panes(bubble_window, tmp_path):
+    empty = tmp_path / "empty.h5"
     with RecordingWriter(empty) as writer:
         writer.append("bubble", bubble_frames()[0])
     with h5py.File(empty, "r+") as file:
@@ -322,11 +322,8 @@ def test_an_empty_recording_leaves_the_open_one_as_it_is(bubble_window, tmp_path
     bubble_window.open_path(empty)
     wait_until_shown(bubble_window, LIMIT_S)
     assert "empty.h5" in bubble_window.window.banner.text
-    assert bubble_window.session.recording == before.recording
-    bubble_window.window.banner.hide()
-    bubble_window.choose_frame(1)
-    assert wait_until_shown(bubble_window, LIMIT_S)
-    assert bubble_window.window.columns["source"].state == "read"
+    assert [column.view.preview for column in bubble_window.window.columns.values() if column.view.preview] == []
+    assert bubble_window.window.columns["source"].state == "failed"
 
 
 def test_an_unexpected_error_shows_a_sentence_and_a_traceback(bubble_window, monkeypatch):
