@@ -26,6 +26,7 @@ def load_entry_points(group: str) -> tuple[Any, ...]:
     return tuple(values)
 
 
+@cache
 def load_reference(reference: str) -> Any:
     """The object that "package.module:name" names; its module is imported on first use."""
     module, name = reference.split(":")

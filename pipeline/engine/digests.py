@@ -81,11 +81,12 @@ def is_frozen(value: object) -> bool:
 
 def _digest_array(array: NDArray[Any]) -> bytes:
     """Digest the array's bytes, cached by identity where it is immutable: values share arrays."""
-    known = _arrays.get(id(array))
+    is_large = array.nbytes >= _MIN_CACHED_BYTES
+    known = _arrays.get(id(array)) if is_large else None
     if known is not None:
         return known[1]
     made = xxhash.xxh3_128_digest(np.ascontiguousarray(array).data.cast("B") if array.size else b"")
-    if array.nbytes >= _MIN_CACHED_BYTES and is_frozen(array):
+    if is_large and is_frozen(array):
         _arrays.put(id(array), (array, made))
     return made
 

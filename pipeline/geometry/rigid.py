@@ -27,16 +27,17 @@ def translation(x_mm: float, y_mm: float, z_mm: float) -> Doubles:
 
 
 def rotation(rotation_vector_rad: ArrayLike) -> Doubles:
-    """The rotation about a vector by its length in radians (exponential map, Rodrigues)."""
+    """The rotations (..., 4, 4) about vectors (..., 3) by their lengths in radians (exponential map, Rodrigues)."""
     w = np.asarray(rotation_vector_rad, dtype=np.float64)
-    angle = float(np.linalg.norm(w))
-    k = np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
-    if angle < _SMALL_ANGLE_RAD:
-        a, b = 1.0 - angle**2 / 6.0, 0.5 - angle**2 / 24.0
-    else:
-        a, b = math.sin(angle) / angle, (1.0 - math.cos(angle)) / angle**2
-    matrix = np.eye(4)
-    matrix[:3, :3] += a * k + b * (k @ k)
+    angle = np.sqrt((w * w).sum(axis=-1))[..., None, None]
+    k = np.zeros((*w.shape, 3))
+    k[..., (2, 0, 1), (1, 2, 0)], k[..., (1, 2, 0), (2, 0, 1)] = w, -w
+    small, safe = angle < _SMALL_ANGLE_RAD, np.maximum(angle, _SMALL_ANGLE_RAD)
+    a = np.where(small, 1.0 - angle**2 / 6.0, np.sin(safe) / safe)
+    b = np.where(small, 0.5 - angle**2 / 24.0, (1.0 - np.cos(safe)) / safe**2)
+    matrix = np.zeros((*w.shape[:-1], 4, 4))
+    matrix[..., range(4), range(4)] = 1.0
+    matrix[..., :3, :3] += a * k + b * (k @ k)
     return matrix
 
 

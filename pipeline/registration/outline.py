@@ -23,7 +23,7 @@ def align_to_outline(pose: Doubles, weak_motions: Doubles, about_mm: Doubles, by
     best, least = pose, float(by.misfit_mm([pose])[0])
     size_mm = _FIRST_STEP_MM
     for _round in range(_MAX_ROUNDS):
-        tried = [apply_screw(best, step * size_mm, about_mm) for step in steps]
+        tried = apply_screw(best, steps * size_mm, about_mm)
         misfits = by.misfit_mm(tried)
         k = int(np.argmin(misfits))
         if misfits[k] < least:
@@ -37,26 +37,22 @@ def align_to_outline(pose: Doubles, weak_motions: Doubles, about_mm: Doubles, by
 
 def outline_constrains(pose: Doubles, motion: Doubles, about_mm: Doubles, by: PoseJudge) -> bool:
     """Return whether the outline determines the place along one motion (6,): moving either way fits worse."""
-    here, one, other = by.misfit_mm([apply_screw(pose, motion * s, about_mm) for s in (0.0, _TRIAL_MM, -_TRIAL_MM)])
+    trials = np.outer((0.0, _TRIAL_MM, -_TRIAL_MM), motion)
+    here, one, other = by.misfit_mm(apply_screw(pose, trials, about_mm))
     return bool(min(one, other) > here * (1 + _NOTICED_SHARE) + _NOTICED_MM)
 
 
-def apply_screw(pose: Doubles, motion: Doubles, about_mm: Doubles) -> Doubles:
-    """Return `pose` after a screw motion (rotation rad, translation mm at a point) of the sensor frame.
+def apply_screw(pose: Doubles, motions: Doubles, about_mm: Doubles) -> Doubles:
+    """Return `pose` (..., 4, 4) after screw motions (..., 6), rotation rad and translation mm, of the sensor frame.
 
     The full screw is followed, so a body of revolution rotated about its own axis stays in place at any distance.
     """
-    angle = float(np.linalg.norm(motion[:3]))
-    turned, shift = rigid.rotation(motion[:3]), motion[3:]
-    if angle > _STRAIGHT_RAD:
-        axis = motion[:3] / angle
-        across = _cross(axis, shift)
-        shift = shift + ((1 - np.cos(angle)) * across + (angle - np.sin(angle)) * _cross(axis, across)) / angle
-    turned[:3, 3] = about_mm - turned[:3, :3] @ about_mm + shift
+    vectors, shifts = motions[..., :3], motions[..., 3:]
+    angles = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    safe = np.where(angles > _STRAIGHT_RAD, angles, 1.0)
+    axes = np.where(angles > _STRAIGHT_RAD, vectors, 0.0) / safe
+    across = np.cross(axes, shifts)
+    bent = ((1 - np.cos(safe)) * across + (safe - np.sin(safe)) * np.cross(axes, across)) / safe
+    turned = rigid.rotation(vectors)
+    turned[..., :3, 3] = about_mm - turned[..., :3, :3] @ about_mm + shifts + bent
     return turned @ pose
-
-
-def _cross(a: Doubles, b: Doubles) -> Doubles:
-    """Cross product of two vectors (3,): ten times faster than numpy's for single vectors."""
-    (ax, ay, az), (bx, by, bz) = a.tolist(), b.tolist()
-    return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])

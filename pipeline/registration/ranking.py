@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -32,11 +33,9 @@ class PoseJudge:
     """A scene and an object, thinned for comparison."""
 
     scene: ContactScene
-    points_mm: Doubles  # (k, 3)
-    normals: Doubles  # (k, 3)
-    grid: DistanceGrid
+    points_mm: Doubles  # (k, 3) of the contact
     model: ObjectModel
-    limit_mm: float  # distances are clipped here
+    kernel_inputs: tuple[Any, ...]  # of `measure_unexplained`, after the poses
 
     def misfit_mm(self, poses: Sequence[Doubles] | Doubles) -> Doubles:
         """Return the root mean square misfit (n,) of each sensor_from_object over the contact's area."""
@@ -73,21 +72,12 @@ class PoseJudge:
         """Return (n, 2) mean squares of poses (n, 4, 4), and those of each point for the last pose, with the pixels."""
         from pipeline.registration.ranking_kernels import measure_unexplained
 
-        camera, pixel_mm = self.scene.camera, self.scene.pixel_mm
-        # A light contact is within the depth's error: an object just before the membrane may have touched it.
-        within_mm = _MAX_DEVIATIONS * math.hypot(self.scene.noise_mm, self.scene.error.rms_mm)
-        view = (
-            camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px, within_mm,
-            max(_CLEARANCE_MM, pixel_mm / 2), _OUTLINE_PX * pixel_mm, self.scene.membrane_mm, self.scene.off_contact_mm,
-        )  # fmt: skip
-        model, n_model = (self.model.points_mm, self.model.normals), len(self.model.points_mm)
+        n_model = len(self.model.points_mm)
         means, last = (
             np.empty((len(poses), 2)),
             (np.empty(len(self.points_mm)), np.empty(n_model), np.empty(n_model, np.int32)),
         )
-        measure_unexplained(
-            poses, self.points_mm, self.normals, self.grid.lattice, model, view, self.limit_mm, means, last
-        )
+        measure_unexplained(poses, *self.kernel_inputs, means, last)
         return means, last
 
 
@@ -96,11 +86,16 @@ def make_judge(
 ) -> PoseJudge:
     """Return a judge on about `n_contact` contact points and `n_model` model points."""
     step = max(1, len(scene.points_mm) // n_contact)
-    return PoseJudge(
-        scene=scene, points_mm=np.ascontiguousarray(scene.points_mm[::step]),
-        normals=np.ascontiguousarray(scene.normals[::step]), grid=grid, model=model.thin(n_model),
-        limit_mm=limit_mm,
+    points_mm, normals = (np.ascontiguousarray(a[::step]) for a in (scene.points_mm, scene.normals))
+    thin, camera, pixel_mm = model.thin(n_model), scene.camera, scene.pixel_mm
+    # A light contact is within the depth's error: an object just before the membrane may have touched it.
+    within_mm = _MAX_DEVIATIONS * math.hypot(scene.noise_mm, scene.error.rms_mm)
+    view = (
+        camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px, within_mm, max(_CLEARANCE_MM, pixel_mm / 2),
+        _OUTLINE_PX * pixel_mm, scene.membrane_mm, scene.off_contact_mm,
     )  # fmt: skip
+    inputs = (points_mm, normals, grid.lattice, (thin.points_mm, thin.normals), view, limit_mm)
+    return PoseJudge(scene=scene, points_mm=points_mm, model=thin, kernel_inputs=inputs)
 
 
 def poses_differ(a: Doubles, b: Doubles, at_mm: Doubles, mm: float, deg: float) -> bool:

@@ -57,13 +57,12 @@ def _spread_over(
     layer_mm = max(_MIN_LAYER_MM, float(np.ptp(scene.points_mm @ normal)))
     extent_mm = float(np.sqrt(((scene.points_mm - middle) ** 2).sum(axis=1).mean()))
     few = model.thin(_N_MODEL)
+    turns = rigid.rotation(np.outer(2 * np.pi * np.arange(n_angles) / n_angles, normal))
     found: list[InitialPose] = []
     for name, way in directions.items():
         outward = np.array(way, dtype=np.float64) / np.linalg.norm(way)
         anchors = _anchors(few, outward, layer_mm, extent_mm)
-        onto = _rotate_onto(outward, normal)
-        for k in range(n_angles):
-            turn = rigid.rotation(normal * (2 * np.pi * k / n_angles)) @ onto
+        for k, turn in enumerate(turns @ _rotate_onto(outward, normal)):
             for anchor in anchors:
                 pose = turn.copy()
                 pose[:3, 3] = middle - turn[:3, :3] @ anchor

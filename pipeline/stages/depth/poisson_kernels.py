@@ -16,7 +16,6 @@ _ENERGY_MIN = 1e-20
 def compute_divergence(slopes, free, out):
     """Write the negated divergence of slopes (2, n, rows, cols) into `out`; free (4,): whether a side is free.
 
-
     A held side lies half a pixel outside: the edge to it has its pixel's slope. A free side has no edge. This is the
     negated transpose of D applied to the slopes. Returns 0, or NaN if a slope is not finite.
     """

@@ -37,7 +37,7 @@ from pipeline.physics import optics
 from pipeline.physics.slopes import compute_slopes
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth.illumination.constants import CONSTANTS, FIELD_STEP
-from pipeline.stages.depth.illumination.image_patch import ImagePatch, flatten_colours
+from pipeline.stages.depth.illumination.image_patch import ImagePatch
 from pipeline.stages.depth.illumination.light import Light, RenderedChange
 from pipeline.stages.depth.illumination.surface_refinement import clip_surface, refine_surface
 from pipeline.stages.depth.poisson import Integrator
@@ -56,7 +56,7 @@ class FieldLight(Light):
         from pipeline.stages.depth.illumination.illumination_kernels import render_field_light
 
         out = RenderedChange(*(np.empty_like(self.patch.change) for _ in range(3)))
-        render_field_light(gx, gy, surface_mm, self.field, *(flatten_colours(a) for a in out))
+        render_field_light(gx, gy, surface_mm, self.field, *out)
         return out
 
 

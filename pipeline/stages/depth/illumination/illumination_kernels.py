@@ -1,7 +1,8 @@
 """Compiled rendering of the three light models, with derivatives, and the Gauss-Newton step of the slopes.
 
-Colour images are passed as (rows, 3 cols): a stride that the compiler does not know is slow. `change` is in grey
-levels; `rate_x` and `rate_y` are its derivatives by the slopes gx and gy (grey levels per mm/mm).
+Colour images (rows, cols, 3) are read as (rows, 3 cols) where that is faster: a stride that the compiler does not know
+is slow. `change` is in grey levels; `rate_x` and `rate_y` are its derivatives by the slopes gx and gy (grey levels per
+mm/mm).
 """
 # pyright: basic
 
@@ -34,12 +35,14 @@ def render_led_light(gx, gy, place, light, line, change, rate_x, rate_y):
     """Render slopes in the light of distant LEDs.
 
     place: x (cols,) and y (rows,) in the image; its size (cols, rows) in pixels; the LEDs and their strength as
-    `optics.pack_leds` has them; the vignette. light, each (rows, 3 cols): the reference image, the gain of the
+    `optics.pack_leds` has them; the vignette. light, each (rows, cols, 3): the reference image, the gain of the
     instance's light over the described one, and the share of light that no dent blocks. line (9 TILE,): scratch.
     """
     x, y, size, leds, strength, vignette = place
-    reference, gain, share = light
     rows, cols = gx.shape
+    flat = (rows, 3 * cols)
+    reference, gain, share = light[0].reshape(flat), light[1].reshape(flat), light[2].reshape(flat)
+    change, rate_x, rate_y = change.reshape(flat), rate_x.reshape(flat), rate_y.reshape(flat)
     one, zero = np.float32(1.0), np.float32(0.0)
     for row in range(rows):
         r = np.uint64(row)
@@ -85,7 +88,7 @@ def render_led_light(gx, gy, place, light, line, change, rate_x, rate_y):
 def render_shadow_light(gx, gy, level, visible, leds, share, change, rate_x, rate_y):
     """Render slopes in the light of low LEDs of which shading and shadow take the light only once.
 
-    level (rows, 3 cols): light on level gel; visible (n, rows, cols): share of each LED's light that passes the
+    level (rows, cols, 3): light on level gel; visible (n, rows, cols): share of each LED's light that passes the
     surface; leds (n, 3): unit vectors toward them; share (3, n): their share of each colour's light on level gel.
     """
     rows, cols = gx.shape
@@ -106,9 +109,8 @@ def render_shadow_light(gx, gy, level, visible, leds, share, change, rate_x, rat
                         down -= (leds[n, 1] * slant + bent * sy) * by
                     else:
                         more -= share[k, n]
-                here = 3 * c + k
-                change[r, here] = more * level[r, here]
-                rate_x[r, here], rate_y[r, here] = across * level[r, here], down * level[r, here]
+                change[r, c, k] = more * level[r, c, k]
+                rate_x[r, c, k], rate_y[r, c, k] = across * level[r, c, k], down * level[r, c, k]
 
 
 @kernel(fastmath=FAST)
@@ -125,10 +127,10 @@ def render_field_light(gx, gy, surface_mm, field, change, rate_x, rate_y):
             slant = one / np.sqrt(one + sx * sx + sy * sy)
             bent = slant * slant * slant
             for k in range(3):
-                a, here = field[r, c, k], 3 * c + k
-                change[r, here] = -(a[0] * sx + a[1] * sy) * slant + a[2] * (slant - one) + a[3] * surface_mm[r, c]
+                a = field[r, c, k]
+                change[r, c, k] = -(a[0] * sx + a[1] * sy) * slant + a[2] * (slant - one) + a[3] * surface_mm[r, c]
                 along = (a[0] * sx + a[1] * sy - a[2]) * bent
-                rate_x[r, here], rate_y[r, here] = along * sx - a[0] * slant, along * sy - a[1] * slant
+                rate_x[r, c, k], rate_y[r, c, k] = along * sx - a[0] * slant, along * sy - a[1] * slant
 
 
 @inline_kernel()
@@ -164,13 +166,16 @@ def _step(sx, sy, sums, max_slope):
 def update_slopes(residual, observed, confidence, changed, rate_x, rate_y, limits, line, gx, gy, weights):
     """Add the Gauss-Newton step to the slopes gx, gy of each changed pixel, zero them elsewhere; return the misfit.
 
-    residual, observed (rows, 3 cols): observed minus rendered change, and the image, in grey levels; confidence
-    (rows, 3 cols): weight of each colour. limits: see `StepRule`. line (9 TILE,): scratch. weights (3, rows, cols) is
+    residual, observed (rows, cols, 3): observed minus rendered change, and the image, in grey levels; confidence
+    (rows, cols, 3): weight of each colour. limits: see `StepRule`. line (9 TILE,): scratch. weights (3, rows, cols) is
     written: the information matrix (xx, xy, yy) of each pixel's slopes. The misfit sums the absolute residuals before
     the step, each at most twice the Huber limit.
     """
     pull, huber, max_slope, outside = limits
     rows, cols = changed.shape
+    flat = (rows, 3 * cols)
+    residual, observed, confidence = residual.reshape(flat), observed.reshape(flat), confidence.reshape(flat)
+    rate_x, rate_y = rate_x.reshape(flat), rate_y.reshape(flat)
     zero, misfit = np.float32(0.0), 0.0
     for row in range(rows):
         r = np.uint64(row)

@@ -124,8 +124,3 @@ def sum_change_grey(patch: ImagePatch, confidence: Floats) -> float:
     """Sum of the absolute change in grey levels, cut and weighted as misfits are."""
     change = np.minimum(np.abs(patch.change * confidence), np.float32(2.0 * CONSTANTS.huber_grey))
     return float(change[patch.changed].sum())
-
-
-def flatten_colours(image: Floats) -> Floats:
-    """A view (rows, 3 cols) of an image (rows, cols, 3)."""
-    return image.reshape(len(image), -1)

@@ -22,7 +22,7 @@ from pipeline.sensors.parts import Led, Optics
 from pipeline.sensors.reference_light import compute_reference_light
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth.illumination.constants import DESCRIBED_STEP, TRUSTED_STEP
-from pipeline.stages.depth.illumination.image_patch import ImagePatch, flatten_colours
+from pipeline.stages.depth.illumination.image_patch import ImagePatch
 from pipeline.stages.depth.illumination.light import Light, RenderedChange
 
 # Standard deviations between sensor instances, as `simulation.variation` draws them.
@@ -51,9 +51,8 @@ class LedLight(Light):
         if self.optics.shadow > 0:
             apply_shadows(share, self.optics, camera, np.ascontiguousarray(surface_mm, np.float32), patch.pixel_mm)
         out = RenderedChange(*(np.empty_like(patch.change) for _ in range(3)))
-        light = tuple(flatten_colours(a) for a in (patch.reference, self.gain, share))
         scratch = np.empty(N_LINES * TILE_PX, np.float32)
-        render_led_light(gx, gy, place, light, scratch, *(flatten_colours(a) for a in out))
+        render_led_light(gx, gy, place, (patch.reference, self.gain, share), scratch, *out)
         return out
 
 

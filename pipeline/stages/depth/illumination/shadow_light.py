@@ -24,7 +24,7 @@ from pipeline.physics import optics
 from pipeline.sensors.reference_light import compute_reference_light
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth.illumination.constants import SHADOW_STEP
-from pipeline.stages.depth.illumination.image_patch import ImagePatch, flatten_colours
+from pipeline.stages.depth.illumination.image_patch import ImagePatch
 from pipeline.stages.depth.illumination.light import Light, RenderedChange
 
 _DARK_GREY = np.float32(2.0)  # R0: a camera's black is not quite none
@@ -65,10 +65,10 @@ class ShadowLight(Light):
         from pipeline.stages.depth.illumination.illumination_kernels import render_shadow_light
 
         out = RenderedChange(*(np.empty_like(self.patch.change) for _ in range(3)))
-        level = flatten_colours(self.patch.reference + _DARK_GREY)
+        level = self.patch.reference + _DARK_GREY
         share = np.ascontiguousarray(self.leds.colour_share, np.float32)
         visible = compute_visibility(self.leds, surface_mm, self.patch.pixel_mm)
-        render_shadow_light(gx, gy, level, visible, self.leds.directions, share, *(flatten_colours(a) for a in out))
+        render_shadow_light(gx, gy, level, visible, self.leds.directions, share, *out)
         return out
 
 

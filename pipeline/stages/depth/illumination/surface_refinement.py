@@ -30,7 +30,6 @@ from pipeline.stages.depth.illumination.constants import CONSTANTS
 from pipeline.stages.depth.illumination.image_patch import (
     ImagePatch,
     blur_change,
-    flatten_colours,
     simulate_recorded_change,
 )
 from pipeline.stages.depth.illumination.light import Light
@@ -52,22 +51,14 @@ def refine_surface(
     rule, misfit = light.step_rule, 0.0
     weights = np.empty((3, *patch.changed.shape), np.float32)
     limits, scratch = rule.pack_limits(), np.empty(N_LINES * TILE_PX, np.float32)
-    observed, confidence = (flatten_colours(a) for a in (patch.reference + patch.change, light.confidence))
+    observed = patch.reference + patch.change
     for _ in range(iterations):
         surface = clip_surface(surface_mm, patch, light)
         slopes = compute_slopes(surface, patch.pixel_mm)
         change, *rates = light.render(surface, *slopes)
-        residual = flatten_colours(patch.change - simulate_recorded_change(change, patch, light.blur_px))
+        residual = patch.change - simulate_recorded_change(change, patch, light.blur_px)
         misfit = update_slopes(
-            residual,
-            observed,
-            confidence,
-            patch.changed,
-            *map(flatten_colours, rates),
-            limits,
-            scratch,
-            *slopes,
-            weights,
+            residual, observed, light.confidence, patch.changed, *rates, limits, scratch, *slopes, weights
         )
         if not rule.weighted:
             surface_mm = integrate(*slopes)
