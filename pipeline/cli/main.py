@@ -48,6 +48,12 @@ _COMMANDS = {
         "attribute:attribute",
         "Attribute each frame's error to stages by replacing one stage's value after the other with the ground truth.",
     ),
+    "track": (
+        "track:track",
+        """Follow a touched object through a recording without its mesh, and fuse what was touched into a surface.
+
+        Works on the source's depth, and on the depth of the generated touch.""",
+    ),
     "compare": (
         "compare:compare",
         """Compare variants of one frame: all touch methods, several seeds, pairs of parameter values, or two settings.

@@ -1,0 +1,160 @@
+"""Close loops between key frames, and fuse the contacts of a track into one surface, without a mesh.
+
+Loops are closed by Open3D's pose graph (Choi, Zhou, Koltun 2015): its nodes are the key frames, its edges their
+registrations, weighted by the inverse of their covariance. The surface is Open3D's truncated signed distance volume of
+the contacts, which is where the membrane has the object's shape.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.base.arrays import Doubles, Floats, freeze
+from pipeline.base.files import open_atomic
+from pipeline.geometry import rigid
+from pipeline.geometry.camera import Camera
+from pipeline.geometry.meshes import Mesh
+from pipeline.tracking.membrane_surface import MembraneSurface
+from pipeline.tracking.surface_registration import SurfaceFit, measure_overlap, orthonormalise, register_surfaces
+from pipeline.tracking.tracker import KeyFrame, TrackedFrame, is_accepted
+
+_LOOP_OVERLAP = 0.5  # key frames whose predicted overlap is larger are registered to each other
+_MIN_VOXEL_MM = 0.08
+_TRUNCATION_VOXELS = 4.0
+_BLOCK_VOXELS, _N_BLOCKS = 8, 4000  # a block's side; as many blocks as are allocated at first
+_FARTHEST_MM = 1e3
+_LEAST_STD = 1e-3  # rad and mm: bounds an edge's information
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ContactView:
+    """What one frame adds to a patch map."""
+
+    key: int  # number of the key frame that it was registered to
+    sensor_from_key: Doubles  # (4, 4)
+    camera: Camera
+    contact_depth_mm: Floats  # (rows, cols) 0 outside the contact
+
+
+def make_view(frame: TrackedFrame, surface: MembraneSurface, keys: Sequence[KeyFrame]) -> ContactView | None:
+    """The view of a tracked frame; None where its pose is not measured in every direction."""
+    import cv2
+
+    if frame.sensor_from_start is None or frame.weak_directions:
+        return None
+    inner = cv2.erode(surface.contact.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    return ContactView(
+        key=frame.key,
+        sensor_from_key=frame.sensor_from_start @ rigid.invert(keys[frame.key].sensor_from_start),
+        camera=surface.camera,
+        contact_depth_mm=freeze(np.where(inner & np.isfinite(surface.depth_mm), surface.depth_mm, np.float32(0.0))),
+    )
+
+
+def close_loops(keys: Sequence[KeyFrame]) -> tuple[tuple[KeyFrame, ...], int]:
+    """The key frames with poses that agree best with all registrations between them, and the number of closed loops."""
+    import open3d as o3d
+
+    pipelines: Any = o3d.pipelines.registration
+    graph: Any = pipelines.PoseGraph()
+    for key in keys:
+        graph.nodes.append(pipelines.PoseGraphNode(rigid.invert(key.sensor_from_start)))
+    n_loops = 0
+    for i, j in combinations(range(len(keys)), 2):
+        one, two = keys[i], keys[j]
+        if one.part != two.part:
+            continue
+        two_from_one = two.sensor_from_start @ rigid.invert(one.sensor_from_start)
+        is_parent = two.parent == i
+        if not is_parent and measure_overlap(one.surface, two_from_one) < _LOOP_OVERLAP:
+            continue
+        fit = register_surfaces(one.surface, two.surface, two_from_one)
+        if fit is None or not (is_parent or is_accepted(fit)):
+            continue
+        n_loops += not is_parent
+        graph.edges.append(pipelines.PoseGraphEdge(i, j, fit.current_from_key, _to_information(fit), not is_parent))
+    if not n_loops:
+        return tuple(keys), 0
+    pipelines.global_optimization(
+        graph, pipelines.GlobalOptimizationLevenbergMarquardt(), pipelines.GlobalOptimizationConvergenceCriteria(),
+        pipelines.GlobalOptimizationOption(
+            max_correspondence_distance=0.5, edge_prune_threshold=0.25, reference_node=0
+        ),
+    )  # fmt: skip
+    poses = [orthonormalise(rigid.invert(np.asarray(node.pose))) for node in graph.nodes]
+    return tuple(replace(key, sensor_from_start=freeze(pose)) for key, pose in zip(keys, poses, strict=True)), n_loops
+
+
+def _to_information(fit: SurfaceFit) -> Doubles:
+    """The information matrix (6, 6) of an edge: of rotation and translation about the frame's origin, as in Open3D."""
+    about_origin = np.eye(6)  # t0 = t + c x w
+    x, y, z = fit.centre_mm
+    about_origin[3:, :3] = [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]
+    covariance = about_origin @ (fit.covariance + _LEAST_STD**2 * np.eye(6)) @ about_origin.T
+    return np.asarray(np.linalg.inv(covariance), np.float64)
+
+
+def move_to_keys(
+    frames: Sequence[TrackedFrame], before: Sequence[KeyFrame], after: Sequence[KeyFrame]
+) -> tuple[TrackedFrame, ...]:
+    """The frames with poses that follow their key frames from `before` to `after` a closed loop."""
+    moved: list[TrackedFrame] = []
+    for frame in frames:
+        if frame.sensor_from_start is None:
+            moved.append(frame)
+            continue
+        from_key = frame.sensor_from_start @ rigid.invert(before[frame.key].sensor_from_start)
+        moved.append(replace(frame, sensor_from_start=freeze(from_key @ after[frame.key].sensor_from_start)))
+    return tuple(moved)
+
+
+def fuse_views(views: Sequence[ContactView], keys: Sequence[KeyFrame], name: str = "patch") -> Mesh | None:
+    """The surface of all views in the sensor frame of the first; None where they have no surface."""
+    import open3d
+
+    o3d: Any = open3d
+    if not views:
+        return None
+    depths = [view.contact_depth_mm[view.contact_depth_mm > 0] for view in views]
+    typical = [
+        float(np.median(depth)) / view.camera.fx_px for depth, view in zip(depths, views, strict=True) if depth.size
+    ]
+    voxel_mm = max(_MIN_VOXEL_MM, max(typical, default=_MIN_VOXEL_MM))
+    core, grid = (
+        o3d.core,
+        o3d.t.geometry.VoxelBlockGrid(
+            ("tsdf", "weight"), (o3d.core.float32, o3d.core.float32), (1, 1), voxel_mm, _BLOCK_VOXELS, _N_BLOCKS
+        ),
+    )
+    for view in views:
+        depth = o3d.t.geometry.Image(core.Tensor(view.contact_depth_mm[:, :, None].copy()))
+        camera, placed = core.Tensor(view.camera.matrix), view.sensor_from_key @ keys[view.key].sensor_from_start
+        within = (depth, camera, core.Tensor(placed), 1.0, _FARTHEST_MM, _TRUNCATION_VOXELS)
+        grid.integrate(grid.compute_unique_block_coordinates(*within), *within)
+    surface = grid.extract_triangle_mesh(0.0)
+    triangles = surface.triangle.indices.numpy().astype(np.int32)
+    if not triangles.size:
+        return None
+    vertices = surface.vertex.positions.numpy().astype(np.float64)
+    return Mesh(vertices_mm=freeze(vertices), triangles=freeze(triangles), name=name)
+
+
+def write_patch(path: Path, patch: Mesh) -> None:
+    """Write a mesh in mm as a binary PLY."""
+    rows: Any = np.empty(len(patch.triangles), dtype=[("n", "u1"), ("corners", "<i4", 3)])
+    rows["n"], rows["corners"] = 3, patch.triangles
+    head = (
+        f"ply\nformat binary_little_endian 1.0\ncomment {patch.name}, mm\n"
+        f"element vertex {len(patch.vertices_mm)}\nproperty float x\nproperty float y\nproperty float z\n"
+        f"element face {len(patch.triangles)}\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    with open_atomic(path, "the patch map") as file:
+        file.write(head.encode("ascii", "replace"))
+        file.write(patch.vertices_mm.astype("<f4").tobytes())
+        file.write(rows.tobytes())

@@ -1,0 +1,149 @@
+"""Register one moved membrane to another without a mesh: Gauss-Newton on distances, normals and the contact's outline.
+
+Residuals (`surface_residuals`) that do not move along with the object weigh little, after Geman and McClure. Motions
+that the surface does not determine, such as a slide along a straight rod, keep the prediction (`assess_observability`).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.base.arrays import Doubles, freeze
+from pipeline.geometry import rigid
+from pipeline.registration.observability import (
+    Observability,
+    Tolerances,
+    assess_observability,
+    compute_correlated_covariance,
+    estimate_systematic_error,
+)
+from pipeline.tracking.membrane_surface import MembraneSurface
+from pipeline.tracking.surface_residuals import KeyPoints, Residuals, compute_residuals, sample_key_points
+
+_ITERATIONS = 12
+_CONVERGENCE_MM = (5e-3, 5e-4)  # motion of the moved part that ends the iterations, on the coarse and on the fine level
+_COVARIANCE_POINTS = 200  # whose errors are correlated with each other
+_OUTLIER_FACTOR = 4.0  # residuals whose square is this many times the median weigh a quarter
+# A motion counts as measured where its predicted error is below these; an outline's normals are 6 degrees off.
+_TOLERANCES = Tolerances(mm=0.5, deg=4.0, normal_error_deg=6.0)
+_DAMPING = 1e-6  # share of the information: keeps the solution finite
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SurfaceFit:
+    """The motion between two frames."""
+
+    current_from_key: Doubles  # (4, 4) mm, in the sensor frame
+    covariance: Doubles  # (6, 6) of (rotation rad, translation mm) about the centroid of the moved part
+    centre_mm: Doubles  # (3,) that centroid, in the current frame
+    weak_directions: tuple[str, ...]  # motions that were predicted, not measured
+    overlap: float  # share of the key frame's points that lie on the current frame's moved part
+    agreement: float  # share of those whose residuals are as small as expected
+    distance_mm: float  # rms of the distances
+    normal_rad: float  # rms of the differences of normals
+
+
+def register_surfaces(key: MembraneSurface, current: MembraneSurface, start: Doubles) -> SurfaceFit | None:
+    """The motion near `start` (4, 4) that takes the key frame's membrane to the current one's.
+
+    None where too little of the key frame is inside the current image.
+    """
+    motion, residuals, seen = start, None, None
+    levels = [sample_key_points(key, level) for level in range(len(key.levels))]
+    for level, there in enumerate(levels):
+        for _ in range(_ITERATIONS):
+            residuals = compute_residuals(there, current, level, motion)
+            if residuals is None:
+                return None
+            if seen is None:
+                seen = _assess(residuals, key)
+            step = seen.observable @ _solve(residuals)
+            motion = _move(motion, step, residuals.centre_mm)
+            if np.linalg.norm(step[3:]) + _radius_mm(residuals) * np.linalg.norm(step[:3]) < _CONVERGENCE_MM[level]:
+                break
+    assert residuals is not None
+    return _describe(motion, residuals, levels[-1], key)
+
+
+def measure_overlap(key: MembraneSurface, current_from_key: Doubles) -> float:
+    """Share of the key frame's points that lie inside the image after a motion."""
+    there = sample_key_points(key, len(key.levels) - 1)
+    moved = rigid.apply(current_from_key, there.surface.points_mm)
+    return float(key.camera.project(moved)[2].mean()) if len(moved) else 0.0
+
+
+def _weigh(residuals: Residuals) -> Doubles:
+    """Weights (n,): 0 outside the moved part, small for outliers."""
+    error_sq = residuals.error_sq
+    typical = max(float(np.median(error_sq)), 1.0)
+    return residuals.on_moved / (1.0 + error_sq / (_OUTLIER_FACTOR * typical)) ** 2
+
+
+def _solve(residuals: Residuals) -> Doubles:
+    """The motion (6,) that the linearised residuals ask for."""
+    root = np.sqrt(_weigh(residuals))[:, None]
+    rows = (residuals.by_motion * root[:, :, None]).reshape(-1, 6)
+    wanted = (residuals.errors * root).ravel()
+    information = rows.T @ rows
+    information += _DAMPING * np.diag(np.diag(information) + 1e-12)
+    return np.asarray(-np.linalg.solve(information, rows.T @ wanted), np.float64)
+
+
+def _move(motion: Doubles, step: Doubles, centre_mm: Doubles) -> Doubles:
+    """`motion` followed by a small motion about a centre; its rotation stays orthonormal."""
+    moved = rigid.rotation(step[:3])
+    moved[:3, 3] = centre_mm + step[3:] - moved[:3, :3] @ centre_mm
+    return orthonormalise(moved @ motion)
+
+
+def orthonormalise(motion: Doubles) -> Doubles:
+    """The nearest rigid transform (4, 4): products of many lose their orthonormality."""
+    u, _, vt = np.linalg.svd(motion[:3, :3])
+    out = motion.copy()
+    out[:3, :3] = u @ vt
+    return out
+
+
+def _radius_mm(residuals: Residuals) -> float:
+    return math.sqrt(float(((residuals.here.points_mm - residuals.centre_mm) ** 2).sum(axis=1).mean()))
+
+
+def _assess(residuals: Residuals, key: MembraneSurface) -> Observability:
+    points, normals = _collect_constraints(residuals)
+    systematic = estimate_systematic_error(points, normals, residuals.centre_mm, key.error)
+    return assess_observability(
+        points, normals, residuals.centre_mm, key.error.rms_mm, systematic_error=systematic, tolerances=_TOLERANCES
+    )
+
+
+def _collect_constraints(residuals: Residuals) -> tuple[Doubles, Doubles]:
+    """Points and the directions (n, 3) along which each is held: the membrane's normals, and the outline's."""
+    held = np.isfinite(residuals.outline_normals[:, 0])
+    return (
+        np.concatenate([residuals.here.points_mm, residuals.here.points_mm[held]]),
+        np.concatenate([residuals.here.normals, residuals.outline_normals[held]]),
+    )
+
+
+def _describe(motion: Doubles, residuals: Residuals, key: KeyPoints, surface: MembraneSurface) -> SurfaceFit:
+    seen = _assess(residuals, surface)
+    weights = _weigh(residuals)
+    on = residuals.on_moved > 0
+    small = on & (residuals.error_sq < _OUTLIER_FACTOR**2)
+    points, normals = _collect_constraints(residuals)
+    some = np.s_[:: max(1, len(points) // _COVARIANCE_POINTS)]
+    covariance = compute_correlated_covariance(
+        points[some], normals[some], residuals.centre_mm, seen.observable,
+        noise_mm=surface.error.rms_mm, error=surface.error,
+    )  # fmt: skip
+    mean_sq = (weights[:, None] * residuals.errors**2).sum(axis=0) / max(float(weights.sum()), 1e-12)
+    return SurfaceFit(
+        current_from_key=freeze(motion), covariance=freeze(2.0 * covariance), centre_mm=freeze(residuals.centre_mm),
+        weak_directions=seen.weak_directions, overlap=float(on.sum()) / max(residuals.n_points, 1),
+        agreement=float(small.sum()) / max(int(on.sum()), 1),
+        distance_mm=float(key.expected[0]) * math.sqrt(mean_sq[0]),
+        normal_rad=float(key.expected[1]) * math.sqrt(mean_sq[1:4].sum()),
+    )  # fmt: skip

@@ -1,0 +1,164 @@
+"""Follow a touched object through a recording without its mesh.
+
+Each frame is registered to the key frame that overlaps it most, from the motion that the last two frames predict. A
+frame that overlaps its key frame too little becomes a key frame itself. A return to an earlier place is measured
+against the key frame of that place, so that drift does not add up. A frame that agrees with no key frame is lost, and
+says so; it is looked for again in the frames after it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from pipeline.base.arrays import Doubles, freeze
+from pipeline.geometry import rigid
+from pipeline.tracking.membrane_surface import MembraneSurface
+from pipeline.tracking.surface_registration import SurfaceFit, measure_overlap, orthonormalise, register_surfaces
+
+TrackState = Literal["tracked", "lost", "no contact"]
+NEW_KEY_OVERLAP = 0.7  # less overlap with its key frame makes a frame a key frame
+MIN_OVERLAP = 0.35  # less is no evidence of the same place
+MIN_AGREEMENT = 0.5  # share of points whose residuals are as small as expected; unrelated touches reach a third
+GIVE_UP_AFTER = 10  # lost frames, after which the next touch starts a part of its own
+_PREDICTED_OVERLAP = 0.5  # key frames that overlap less are not tried
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrackedFrame:
+    """Where the object is in one frame, relative to where it was in the first frame of its part."""
+
+    index: int
+    state: TrackState
+    part: int  # parts of a track do not know of each other: the contact ended, or the object was lost
+    key: int = -1  # key frame that it was registered to
+    sensor_from_start: Doubles | None = None  # (4, 4) mm: takes the object's points of the first frame to this one
+    covariance: Doubles | None = None  # (6, 6) of (rotation rad, translation mm) about `centre_mm`
+    centre_mm: Doubles | None = None  # (3,) of the moved part of the membrane
+    weak_directions: tuple[str, ...] = ()  # predicted, not measured
+    overlap: float = 0.0
+    agreement: float = 0.0
+
+    @property
+    def std_mm(self) -> float:
+        """Predicted standard deviation of the translation, of all three axes together; NaN where not tracked."""
+        return math.nan if self.covariance is None else math.sqrt(float(np.trace(self.covariance[3:, 3:])))
+
+    @property
+    def std_deg(self) -> float:
+        """Predicted standard deviation of the rotation, of all three axes together; NaN where not tracked."""
+        return (
+            math.nan if self.covariance is None else math.degrees(math.sqrt(float(np.trace(self.covariance[:3, :3]))))
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class KeyFrame:
+    """A frame that others are registered to."""
+
+    index: int
+    part: int
+    surface: MembraneSurface
+    sensor_from_start: Doubles
+    covariance: Doubles
+    parent: int = -1  # key frame that it was registered to; -1 = the first of its part
+
+
+def is_accepted(fit: SurfaceFit) -> bool:
+    """Whether two membranes agree well enough to be of one place of the object."""
+    return fit.overlap >= MIN_OVERLAP and fit.agreement >= MIN_AGREEMENT
+
+
+@dataclass(slots=True)
+class Tracker:
+    """Registers frame after frame; `keys` are the key frames so far."""
+
+    keys: list[KeyFrame] = field(default_factory=list)
+    _part: int = -1
+    _last: Doubles | None = None  # sensor_from_start of the last tracked frame of this part
+    _velocity: Doubles = field(default_factory=lambda: np.eye(4))
+    _n_lost: int = 0
+
+    def add_frame(self, index: int, surface: MembraneSurface) -> TrackedFrame:
+        """Register the next frame."""
+        if not surface.is_touched:
+            self._last, self._n_lost = None, 0
+            return TrackedFrame(index=index, state="no contact", part=max(self._part, 0))
+        if self._last is None:
+            return self._start_part(index, surface)
+        found = self._register(surface)
+        if found is None:
+            self._n_lost += 1
+            self._velocity = np.eye(4)
+            if self._n_lost > GIVE_UP_AFTER:
+                return self._start_part(index, surface)
+            return TrackedFrame(index=index, state="lost", part=self._part)
+        return self._accept(index, surface, *found)
+
+    def _start_part(self, index: int, surface: MembraneSurface) -> TrackedFrame:
+        self._part, self._n_lost = self._part + 1, 0
+        self._last, self._velocity = np.eye(4), np.eye(4)
+        key = KeyFrame(
+            index=index, part=self._part, surface=surface, sensor_from_start=freeze(np.eye(4)),
+            covariance=freeze(np.zeros((6, 6))),
+        )  # fmt: skip
+        self.keys.append(key)
+        centre = surface.levels[-1].depth_mm
+        return TrackedFrame(
+            index=index, state="tracked", part=self._part, key=len(self.keys) - 1, overlap=1.0, agreement=1.0,
+            sensor_from_start=key.sensor_from_start, covariance=key.covariance,
+            centre_mm=freeze(np.array([0.0, 0.0, float(np.median(centre))])),
+        )  # fmt: skip
+
+    def _register(self, surface: MembraneSurface) -> tuple[int, SurfaceFit] | None:
+        """The key frame that agrees with a surface, and the motion from it, near the predicted or the last pose."""
+        assert self._last is not None
+        for guess in (orthonormalise(self._velocity @ self._last), self._last):
+            for number in self._rank_keys(guess):
+                key = self.keys[number]
+                start = guess @ rigid.invert(key.sensor_from_start)
+                fit = register_surfaces(key.surface, surface, start)
+                if fit is not None and is_accepted(fit):
+                    return number, fit
+        return None
+
+    def _rank_keys(self, sensor_from_start: Doubles) -> list[int]:
+        """The one or two key frames of this part that a pose overlaps most, best first."""
+        own = [number for number, key in enumerate(self.keys) if key.part == self._part]
+        overlap = {
+            number: measure_overlap(
+                self.keys[number].surface, sensor_from_start @ rigid.invert(self.keys[number].sensor_from_start)
+            )
+            for number in own
+        }
+        best = sorted(own, key=lambda number: -overlap[number])[:2]
+        return [number for number in best if overlap[number] >= _PREDICTED_OVERLAP] or best[:1]
+
+    def _accept(self, index: int, surface: MembraneSurface, number: int, fit: SurfaceFit) -> TrackedFrame:
+        assert self._last is not None
+        key = self.keys[number]
+        now = freeze(orthonormalise(fit.current_from_key @ key.sensor_from_start))
+        # Nothing measures a motion along a weak direction: extrapolated, noise would become a drift.
+        is_known = not (self._n_lost or fit.weak_directions)
+        self._velocity = now @ rigid.invert(self._last) if is_known else np.eye(4)
+        self._last, self._n_lost = now, 0
+        covariance = freeze(key.covariance + fit.covariance)
+        frame = TrackedFrame(
+            index=index, state="tracked", part=self._part, key=number, sensor_from_start=now, covariance=covariance,
+            centre_mm=fit.centre_mm, weak_directions=fit.weak_directions, overlap=fit.overlap, agreement=fit.agreement,
+        )  # fmt: skip
+        if fit.overlap < NEW_KEY_OVERLAP:
+            self.keys.append(
+                KeyFrame(
+                    index=index,
+                    part=self._part,
+                    surface=surface,
+                    sensor_from_start=now,
+                    covariance=covariance,
+                    parent=number,
+                )
+            )
+        return frame

@@ -1,0 +1,139 @@
+"""Tracking without a mesh on simulated presses, whose motion is known."""
+
+from __future__ import annotations
+
+import csv
+import io
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pipeline.geometry import rigid
+from pipeline.geometry.meshes import load_mesh
+from pipeline.tracking import patch_map
+from pipeline.tracking.membrane_surface import make_surface
+from pipeline.tracking.surface_registration import register_surfaces
+from pipeline.tracking.track import compute_error, format_csv, track_frames
+from pipeline.tracking.tracker import GIVE_UP_AFTER, KeyFrame
+from tests.pipeline.tracking.presses import press, untouched
+
+POSITION_MM, ROTATION_DEG = 0.02, 0.1  # of perfect membranes: a fifth of a pixel's half
+
+
+def track(presses):
+    return track_frames(range(len(presses)), lambda i: presses[i][0])
+
+
+def error(result, presses):
+    return compute_error(result, lambda i: presses[i][1])
+
+
+@pytest.mark.parametrize("shape", ["star", "letters"])
+def test_a_slide_and_a_turn_are_followed(shape):
+    steps = [(0.0, 0.0, 0.0), (0.5, 0.0, 0.0), (1.0, 0.2, 0.0), (1.5, 0.4, 0.0), (1.5, 0.4, 4.0), (1.5, 0.4, 9.0)]
+    presses = [press(shape, *step) for step in steps]
+    result = track(presses)
+    assert [frame.state for frame in result.frames] == ["tracked"] * len(steps)
+    found = error(result, presses)
+    assert found.path_mm > 1.5
+    assert found.turned_deg == pytest.approx(9.0, abs=1e-3)
+    assert found.drift_mm < POSITION_MM
+    assert found.drift_deg < ROTATION_DEG
+
+
+@settings(max_examples=8)
+@given(x=st.floats(-0.4, 0.4), y=st.floats(-0.4, 0.4), angle=st.floats(-4, 4))
+def test_the_motion_back_is_the_inverse(x, y, angle):
+    one, two = make_surface(press("star")[0]), make_surface(press("star", round(x, 2), round(y, 2), round(angle, 1))[0])
+    there, back = register_surfaces(one, two, np.eye(4)), register_surfaces(two, one, np.eye(4))
+    both = back.current_from_key @ there.current_from_key
+    assert np.linalg.norm(rigid.apply(both, there.centre_mm) - there.centre_mm) < POSITION_MM
+    assert rigid.rotation_angle_deg(both) < ROTATION_DEG
+
+
+def test_a_turn_that_a_cone_does_not_show_is_named_and_not_measured():
+    result = track([press("cone"), press("cone", angle_deg=10.0), press("cone", angle_deg=20.0)])
+    last = result.frames[-1]
+    assert last.state == "tracked"
+    assert any("turns about z" in direction for direction in last.weak_directions)
+    assert rigid.rotation_angle_deg(last.sensor_from_start) < 1.0
+
+
+def test_another_object_is_lost_and_starts_a_part_of_its_own():
+    presses = [press("star"), press("star", 0.2), *[press("cross", 0.3, 0.5, 20.0)] * (GIVE_UP_AFTER + 2)]
+    result = track(presses)
+    states = [frame.state for frame in result.frames]
+    assert states[:2] == ["tracked", "tracked"]
+    assert states[2 : 2 + GIVE_UP_AFTER] == ["lost"] * GIVE_UP_AFTER
+    assert [frame.part for frame in result.frames[-2:]] == [1, 1]
+    assert result.n_lost == GIVE_UP_AFTER
+    assert all(frame.sensor_from_start is None for frame in result.frames if frame.state == "lost")
+
+
+def test_a_lost_object_is_found_again_where_it_was():
+    presses = [press("star"), press("star", 0.2), press("cross", 0.3, 0.5, 20.0), press("star", 0.3)]
+    result = track(presses)
+    assert [frame.state for frame in result.frames] == ["tracked", "tracked", "lost", "tracked"]
+    assert result.n_parts == 1
+    assert error(result, presses).drift_mm < POSITION_MM
+
+
+def test_without_contact_there_is_nothing_to_follow():
+    result = track([(untouched(), None), press("star"), (untouched(), None), press("star", 1.0)])
+    assert [frame.state for frame in result.frames] == ["no contact", "tracked", "no contact", "tracked"]
+    assert result.n_parts == 2
+    assert track([(untouched(), None)]).patch is None
+
+
+def test_missing_depth_is_left_out():
+    presses = [press("star"), press("star", 0.5, 0.2, 3.0)]
+    holed = presses[1][0].depth_mm.copy()
+    holed[::7, ::5] = np.nan
+    holed[100:140, 150:200] = np.nan
+    found = error(track([presses[0], (replace(presses[1][0], depth_mm=holed), None)]), presses)
+    assert found.drift_mm < 2 * POSITION_MM
+
+
+def test_a_closed_loop_mends_the_pose_of_a_key_frame():
+    steps = [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0)]
+    presses = [press("star", *step) for step in steps]
+    true = [pose @ rigid.invert(presses[0][1]) for _, pose in presses]
+    drifted = [true[0], true[1], rigid.translation(0.15, -0.1, 0.0) @ true[2]]
+    keys = [
+        KeyFrame(index=i, part=0, surface=make_surface(presses[i][0]), sensor_from_start=drifted[i],
+                 covariance=np.zeros((6, 6)), parent=i - 1)
+        for i in range(3)
+    ]  # fmt: skip
+    mended, n_loops = patch_map.close_loops(keys)
+    assert n_loops == 1
+    assert np.abs(mended[2].sensor_from_start[:3, 3] - true[2][:3, 3]).max() < POSITION_MM
+
+
+def test_the_patch_map_lies_on_the_object(tmp_path):
+    import open3d as o3d
+
+    presses = [press("star", *step) for step in ((0.0, 0.0), (0.5, 0.0), (1.0, 0.4, 5.0))]
+    patch_map.write_patch(tmp_path / "patch.ply", track(presses).patch)
+    patch = load_mesh(tmp_path / "patch.ply", unit="mm")
+    from pipeline.simulation import shapes
+
+    mesh = shapes.make_shape("star").mesh
+    scene = o3d.t.geometry.RaycastingScene()
+    corners = rigid.apply(presses[0][1], mesh.vertices_mm).astype(np.float32)
+    scene.add_triangles(o3d.core.Tensor(corners), o3d.core.Tensor(mesh.triangles.astype(np.uint32)))
+    apart = scene.compute_distance(o3d.core.Tensor(patch.vertices_mm.astype(np.float32))).numpy()
+    assert apart.mean() < 0.05
+    assert len(patch.triangles) > 1000
+
+
+def test_the_table_has_a_row_per_frame():
+    rows = list(
+        csv.DictReader(io.StringIO(format_csv(track([(untouched(), None), press("star"), press("star", 0.5)]))))
+    )
+    assert [row["state"] for row in rows] == ["no contact", "tracked", "tracked"]
+    assert float(rows[2]["x_mm"]) == pytest.approx(0.5, abs=POSITION_MM)
+    assert rows[0]["x_mm"] == ""
+    assert rows[2]["key_frame"] == "1"
