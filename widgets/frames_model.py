@@ -4,40 +4,26 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 
 from PyQt6.QtCore import QAbstractTableModel, QModelIndex, Qt, pyqtSignal
+from PyQt6.QtGui import QImage, QPixmap
 from PyQt6.QtWidgets import QWidget
 
+from pipeline.base.arrays import Image
+from widgets.frame_summary import FrameSummary
 from widgets.icons import make_state_icon
 
 SORT_ROLE = Qt.ItemDataRole.UserRole  # a number, so that 10 comes after 9; unknown values come last
-FRAME, DEPTH, CONTACT, METRIC, NOTE = range(5)
-_TITLES = ("frame", "depth\nmm", "area\nmm²")
+FRAME, METRIC, CAUSE, DEPTH, CONTACT, WARNINGS, NOTE = range(7)
+_TITLES = ("frame", "", "cause", "depth\nmm", "area\nmm²", "warn", "note")
 _TIPS = (
-    "frame number",
+    "frame number, with an image of the source", "",
+    "the stage that most of the error comes from, by the truth; without truth the stage of its first warning",
     "largest indentation of the source sensor, mm",
-    "contact area on the source sensor, mm²",
-)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FrameSummary:
-    """Summary of one frame."""
-
-    max_indentation_mm: float = 0.0
-    contact_area_mm2: float = 0.0
-    metrics: Mapping[str, float] = field(default_factory=dict[str, float])  # "stage.metric" -> value
-    problem: str = ""  # why the frame has no result
-    warnings: tuple[str, ...] = ()  # "stage: sentence"
-
-    def get_value(self, column: int, figure: str) -> float:
-        """Return the number of a cell; NaN if unknown."""
-        if self.problem or (column != CONTACT and self.contact_area_mm2 <= 0):
-            return math.nan
-        return {DEPTH: self.max_indentation_mm, CONTACT: self.contact_area_mm2}.get(
-            column, self.metrics.get(figure, math.nan)
-        )
+    "contact area on the source sensor, mm²", "number of warnings that not every frame has", "your note on the frame",
+)  # fmt: skip
+_DECIMALS = {METRIC: 3, DEPTH: 2, CONTACT: 1, WARNINGS: 0}
+_N_WARNINGS = "frame.n_warnings"
 
 
 class FramesModel(QAbstractTableModel):
@@ -50,10 +36,11 @@ class FramesModel(QAbstractTableModel):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self._n_frames, self._figure, self._title = 0, "", "error"
+        self._n_frames, self._figure, self._title, self._metric_tip = 0, "", "error", ""
         self._known: dict[int, FrameSummary] = {}
         self._notes: Mapping[int, str] = {}
         self._common: frozenset[str] | None = None  # None = not computed yet
+        self._thumbnails: dict[int, QPixmap] = {}
 
     @property
     def metrics(self) -> tuple[str, ...]:
@@ -67,6 +54,11 @@ class FramesModel(QAbstractTableModel):
     def find_unknown_frame(self, frame: int) -> int:
         """Return the unknown frame closest to `frame`, later ones first; -1 when all are known."""
         waiting = [i for i in range(self._n_frames) if i not in self._known]
+        return min(waiting, key=lambda i: (abs(i - frame), -i), default=-1)
+
+    def find_incomplete_frame(self, frame: int) -> int:
+        """Return the frame closest to `frame` that lacks what takes another translation; -1 when none does."""
+        waiting = [i for i, known in self._known.items() if not known.is_complete]
         return min(waiting, key=lambda i: (abs(i - frame), -i), default=-1)
 
     @property
@@ -84,14 +76,19 @@ class FramesModel(QAbstractTableModel):
 
     def get_values(self, figure: str) -> tuple[float, ...]:
         """Return a metric of every frame, NaN where unknown."""
-        unknown = FrameSummary()
-        return tuple(self._known.get(i, unknown).get_value(METRIC, figure) for i in range(self._n_frames))
+        return tuple(self._get_metric(i, figure) for i in range(self._n_frames))
+
+    def _get_metric(self, frame: int, figure: str) -> float:
+        known = self._known.get(frame)
+        if known is None or known.problem:
+            return math.nan
+        return float(len(self.get_specific_warnings(frame))) if figure == _N_WARNINGS else known.get_metric(figure)
 
     def reset_frames(self, n_frames: int) -> None:
         """Start over with this many unknown frames."""
         self.beginResetModel()
         self._n_frames = n_frames
-        self._known, self._common = {}, None
+        self._known, self._common, self._thumbnails = {}, None, {}
         self.endResetModel()
 
     def grow_to(self, n_frames: int) -> None:
@@ -107,18 +104,21 @@ class FramesModel(QAbstractTableModel):
             self._known, self._common = {}, None
             self._emit_changed(0, self._n_frames - 1)
 
-    def show_metric(self, name: str, title: str) -> None:
-        """Set the metric and title of the last column."""
+    def show_metric(self, name: str, title: str, tip: str = "") -> None:
+        """Set the metric, title and tooltip of the metric's column."""
         if (name, title) != (self._figure, self._title):
-            self._figure, self._title = name, title
+            self._figure, self._title, self._metric_tip = name, title, tip
             self.headerDataChanged.emit(Qt.Orientation.Horizontal, METRIC, METRIC)
             self._emit_changed(0, self._n_frames - 1)
 
     def show_summary(self, frame: int, summary: FrameSummary) -> None:
         """Fill one row."""
-        if self._known.get(frame) == summary or not 0 <= frame < self._n_frames:
+        old = self._known.get(frame)
+        if old is summary or not 0 <= frame < self._n_frames:
             return
-        self._known[frame], self._common = summary, None
+        if summary.thumbnail is not None and frame not in self._thumbnails:
+            self._thumbnails[frame] = _to_pixmap(summary.thumbnail)
+        self._known[frame], self._common = summary if old is None else old.merge(summary), None
         self._emit_changed(frame, frame)
 
     def show_notes(self, notes: Mapping[int, str]) -> None:
@@ -149,7 +149,7 @@ class FramesModel(QAbstractTableModel):
         return 0 if parent.isValid() else self._n_frames
 
     def columnCount(self, parent: QModelIndex = QModelIndex()) -> int:  # noqa: N802, B008 - Qt's own default
-        """Return the number of columns: frame, depth, contact, metric, note."""
+        """Return the number of columns."""
         return 0 if parent.isValid() else NOTE + 1
 
     def data(self, index: QModelIndex, role: int = Qt.ItemDataRole.DisplayRole) -> object:
@@ -163,28 +163,43 @@ class FramesModel(QAbstractTableModel):
         if role in (Qt.ItemDataRole.ToolTipRole, Qt.ItemDataRole.DecorationRole):
             return self._remark(index.row(), index.column(), Qt.ItemDataRole(role))
         if role == Qt.ItemDataRole.TextAlignmentRole:
-            return int(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
+            side = Qt.AlignmentFlag.AlignLeft if index.column() == CAUSE else Qt.AlignmentFlag.AlignRight
+            return int(side | Qt.AlignmentFlag.AlignVCenter)
         if role == SORT_ROLE:
-            return self._number(index.row(), index.column())
+            return self._sort_value(index.row(), index.column())
         return self._text(index.row(), index.column()) if role == Qt.ItemDataRole.DisplayRole else None
 
     def _remark(self, frame: int, column: int, role: Qt.ItemDataRole) -> object:
-        """Return why a frame failed or has warnings, or the warning sign next to its number."""
+        """Return why a frame failed or has warnings, its image, or the sign next to its number of warnings."""
         summary = self._known.get(frame)
+        if role == Qt.ItemDataRole.DecorationRole and column == FRAME:
+            return self._thumbnails.get(frame)
         if summary is None:
             return None
         if role == Qt.ItemDataRole.ToolTipRole:
             return summary.problem or "\n".join(summary.warnings) or None
-        return make_state_icon("warning") if column == FRAME and self.get_specific_warnings(frame) else None
+        return make_state_icon("warning") if column == WARNINGS and self.get_specific_warnings(frame) else None
 
-    def _number(self, frame: int, column: int) -> float:
-        if column == FRAME:
-            return float(frame)
+    def _sort_value(self, frame: int, column: int) -> float | str:
+        if column == CAUSE:
+            known = self._known.get(frame)
+            return "" if known is None else known.cause
         if column == NOTE:
             return 1.0 if self.get_note(frame) else 0.0
-        summary = self._known.get(frame)
-        value = math.nan if summary is None else summary.get_value(column, self._figure)
+        value = self._number(frame, column)
         return value if math.isfinite(value) else -math.inf
+
+    def _number(self, frame: int, column: int) -> float:
+        """Return the number of a cell; NaN if unknown."""
+        summary = self._known.get(frame)
+        if column == FRAME:
+            return float(frame)
+        if summary is None or summary.problem:
+            return math.nan
+        if column == CONTACT:
+            return summary.contact_area_mm2
+        figures = {METRIC: self._figure, WARNINGS: _N_WARNINGS, DEPTH: "frame.max_indentation_mm"}
+        return self._get_metric(frame, figures[column])
 
     def _text(self, frame: int, column: int) -> str:
         summary = self._known.get(frame)
@@ -194,23 +209,28 @@ class FramesModel(QAbstractTableModel):
             return ""
         if summary.problem:
             return "failed" if column == METRIC else ""
-        value = summary.get_value(column, self._figure)
-        return f"{value:.{(2, 1, 3)[column - 1]}f}" if math.isfinite(value) else "-"
+        if column == CAUSE:
+            return summary.cause
+        value = self._number(frame, column)
+        return f"{value:.{_DECIMALS[column]}f}" if math.isfinite(value) else "-"
 
     def headerData(  # noqa: N802
         self, section: int, orientation: Qt.Orientation, role: int = Qt.ItemDataRole.DisplayRole
     ) -> object:
         """Return column titles and their tooltips."""
-        if orientation == Qt.Orientation.Horizontal and section == NOTE:
-            shown = {Qt.ItemDataRole.DisplayRole: "note", Qt.ItemDataRole.ToolTipRole: "your note on the frame"}
-            return shown.get(Qt.ItemDataRole(role))
-        if orientation == Qt.Orientation.Horizontal and 0 <= section <= METRIC:
-            if role == Qt.ItemDataRole.DisplayRole:
-                return self._title if section == METRIC else _TITLES[section]
-            if role == Qt.ItemDataRole.ToolTipRole:
-                return f"{self._figure}; - where unknown" if section == METRIC else _TIPS[section]
+        if orientation != Qt.Orientation.Horizontal or not 0 <= section <= NOTE:
+            return None
+        if role == Qt.ItemDataRole.DisplayRole:
+            return self._title if section == METRIC else _TITLES[section]
+        if role == Qt.ItemDataRole.ToolTipRole:
+            return f"{self._metric_tip}; - where unknown" if section == METRIC else _TIPS[section]
         return None
 
     def _emit_changed(self, first: int, last: int) -> None:
         if last >= first:
-            self.dataChanged.emit(self.index(first, DEPTH), self.index(last, METRIC))
+            self.dataChanged.emit(self.index(first, FRAME), self.index(last, WARNINGS))
+
+
+def _to_pixmap(image: Image) -> QPixmap:
+    rows, cols = image.shape[:2]
+    return QPixmap.fromImage(QImage(image.tobytes(), cols, rows, 3 * cols, QImage.Format.Format_RGB888))

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
-from PyQt6.QtCore import QModelIndex, QSignalBlocker, QSortFilterProxyModel, Qt, pyqtSignal
+from PyQt6.QtCore import QModelIndex, QSignalBlocker, QSize, QSortFilterProxyModel, Qt, pyqtSignal
 from PyQt6.QtWidgets import (
     QAbstractItemView,
     QComboBox,
@@ -16,13 +17,14 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
+from widgets.frame_summary import THUMBNAIL_PX
 from widgets.frames_filter import FramesFilter
-from widgets.frames_model import FRAME, METRIC, NOTE, SORT_ROLE, FramesModel
+from widgets.frames_model import CAUSE, CONTACT, DEPTH, FRAME, METRIC, NOTE, SORT_ROLE, WARNINGS, FramesModel
 from widgets.styling import set_spacing, shrink_font
 
 
 class FramesPanel(QWidget):
-    """Shows the frames `model`; `frame_chosen` carries the selected frame, `metric_chosen` the last column's metric."""
+    """Shows the frames `model`; `frame_chosen` carries the selected frame, `metric_chosen` the name of a metric."""
 
     frame_chosen = pyqtSignal(int)
     metric_chosen = pyqtSignal(str)
@@ -45,7 +47,7 @@ class FramesPanel(QWidget):
         self.metric_box.setObjectName("frames_figure")
         self.metric_box.setAccessibleName("metric of the frames")
         self.metric_box.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
-        self.metric_box.activated.connect(lambda: self.metric_chosen.emit(self.metric_box.currentText()))
+        self.metric_box.activated.connect(lambda: self.metric_chosen.emit(self.metric_box.currentData()))
         shrink_font(self._told, 1.0)
         self.table = _table(self._sorted)
         layout = set_spacing(QVBoxLayout(self), 3, (2, 2, 2, 2))
@@ -70,15 +72,16 @@ class FramesPanel(QWidget):
             self.table.setCurrentIndex(row)
         self.table.scrollTo(row)
 
-    def offer_metrics(self, names: tuple[str, ...], chosen: str, title: str) -> None:
-        """Offer the metrics and the title of the selected one; emits no signal."""
+    def offer_metrics(self, names: Mapping[str, str], chosen: str, title: str) -> None:
+        """Offer the metrics (name -> text) and the title of the selected one; emits no signal."""
         with QSignalBlocker(self.metric_box):
-            if tuple(self.metric_box.itemText(i) for i in range(self.metric_box.count())) != names:
+            if [self.metric_box.itemData(i) for i in range(self.metric_box.count())] != list(names):
                 self.metric_box.clear()
-                self.metric_box.addItems(names)
-            self.metric_box.setCurrentText(chosen)
+                for name, text in names.items():
+                    self.metric_box.addItem(text, name)
+            self.metric_box.setCurrentIndex(self.metric_box.findData(chosen))
         self.metric_box.setEnabled(bool(names))
-        self.model.show_metric(chosen, title)
+        self.model.show_metric(chosen, title, names.get(chosen, chosen))
 
     def step_by_metric(self, by: int, *, sort_order: Qt.SortOrder) -> None:
         """Move by `by` frames in the order of the metric, without frames that lack it; stops at the ends.
@@ -124,10 +127,21 @@ def _table(model: QSortFilterProxyModel) -> QTableView:
     assert rows is not None
     assert columns is not None
     rows.hide()
-    rows.setDefaultSectionSize(table.fontMetrics().height() + 5)
+    rows.setDefaultSectionSize(THUMBNAIL_PX[1] + 2)
+    table.setIconSize(QSize(*THUMBNAIL_PX))
     columns.setMinimumSectionSize(30)
-    columns.setSectionResizeMode(QHeaderView.ResizeMode.Stretch)
-    columns.setSectionResizeMode(FRAME, QHeaderView.ResizeMode.ResizeToContents)
+    columns.setSectionResizeMode(QHeaderView.ResizeMode.Interactive)
+    widest = {
+        FRAME: "0000",
+        METRIC: "00.000",
+        CAUSE: "target depth",
+        DEPTH: "depth",
+        CONTACT: "0000.0",
+        WARNINGS: "warn",
+    }
+    for column, text in widest.items():
+        icon_px = {FRAME: THUMBNAIL_PX[0] + 6, WARNINGS: 8}.get(column, 0)
+        table.setColumnWidth(column, table.fontMetrics().horizontalAdvance(text) + icon_px + 16)
     columns.setSectionResizeMode(NOTE, QHeaderView.ResizeMode.Stretch)
     columns.setSortIndicator(FRAME, Qt.SortOrder.AscendingOrder)
     table.setSortingEnabled(True)

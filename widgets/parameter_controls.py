@@ -23,7 +23,7 @@ from PyQt6.QtWidgets import (
 
 from pipeline.base.params import Setting, Value
 
-_SLIDER_STEPS = 400
+_SLIDER_STEPS, _NARROW_PX = 400, 24
 _MANY, _TOO_MANY, _BEND = (
     200,
     10_000,
@@ -56,10 +56,12 @@ class ParameterControl:
             self.widget.setToolTip(self.widget.property(_TIP))
 
     def set_narrow(self) -> None:
-        """Leave the room of the spin box's buttons to the slider."""
+        """Take little room: the spin box has no buttons, and the slider may be short."""
         for box in (self.widget, *self.widget.findChildren(QWidget)):
             if isinstance(box, QAbstractSpinBox):
                 box.setButtonSymbols(QAbstractSpinBox.ButtonSymbols.NoButtons)
+        for slider in self.sliders:
+            slider.setMinimumWidth(_NARROW_PX)
 
 
 def make_control(value: Value, setting: Setting, edited: Callable[[Value], None]) -> ParameterControl:

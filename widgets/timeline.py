@@ -129,18 +129,17 @@ class Timeline(QWidget):
         metric: str,
         values: Sequence[float],
         warnings: Mapping[int, Sequence[str]],
-        no_value_text: str = "error unknown",
     ) -> None:
         """Show the error of every frame under the slider (NaN = unknown), and the warnings of each.
 
-        `metric` is its name and, after a comma, its unit; `no_value_text` is shown where no frame has one.
+        `metric` is its name and, after a comma, its unit.
         """
-        unit = metric.partition(", ")[2]
+        name, _, unit = metric.partition(", ")
         self.errors.show_values(values, unit, warnings)
         worst = self.errors.worst_frame
         self.scale.show_max(self.errors.max_value)
         known = sum(math.isfinite(value) for value in values)
-        self._figure.setText(metric if known else no_value_text if values else "")
+        self._figure.setText(metric if known else f"{name}: not known" if values else "")
         text = f"worst: frame {worst}, {values[worst]:.3g} {unit}" if worst >= 0 else ""
         self._worst.setText(text)
 

@@ -11,7 +11,8 @@ from PyQt6.QtWidgets import QDockWidget, QMainWindow, QTabWidget, QToolBar, QWid
 from widgets.icons import make_command_icon
 
 _AREA = Qt.DockWidgetArea
-_SIDE_PX = {_AREA.LeftDockWidgetArea: 226, _AREA.RightDockWidgetArea: 290}
+_SIDE_PX = {_AREA.LeftDockWidgetArea: 360, _AREA.RightDockWidgetArea: 290}
+_MAX_SIDE_SHARE = 0.2  # of the window's width, for the frames table
 _BOTTOM_PX, _MAX_BOTTOM_SHARE = 210, 0.25  # height of the bottom drawer, and its largest share of the window
 
 
@@ -68,7 +69,9 @@ class Drawers:
         drawer.raise_()
         area = self._window.dockWidgetArea(drawer)
         if area in _SIDE_PX:
-            self._window.resizeDocks([drawer], [_SIDE_PX[area]], Qt.Orientation.Horizontal)
+            most_px = round(_MAX_SIDE_SHARE * self._window.width())
+            width_px = min(_SIDE_PX[area], max(most_px, _SIDE_PX[_AREA.RightDockWidgetArea]))
+            self._window.resizeDocks([drawer], [width_px], Qt.Orientation.Horizontal)
         else:
             height_px = min(_BOTTOM_PX, round(_MAX_BOTTOM_SHARE * self._window.height()))
             self._window.resizeDocks([drawer], [height_px], Qt.Orientation.Vertical)

@@ -1,4 +1,7 @@
-"""Ranks all frames of a recording, computed at lowest priority while the frames table or the timeline needs them."""
+"""Ranks all frames of a recording, computed at lowest priority while the frames table or the timeline needs them.
+
+With truth they are ranked by an error, without it by the round trip to the target and back.
+"""
 
 from __future__ import annotations
 
@@ -7,12 +10,12 @@ from PyQt6.QtCore import QObject, Qt, QTimer
 from app.session.state import Session
 from app.window.session_controller import SessionController
 from app.work.evaluator import SummarisedFrame
-from pipeline.metrics.stage_metrics import METRICS, describe_metric
+from pipeline.metrics.stage_metrics import METRICS, ROUND_TRIP, describe_metric
 from pipeline.translation.error_attribution import DEFAULT_METRIC
+from widgets.frame_summary import FRAME_FIGURES
 from widgets.styling import make_single_shot_timer
 
 _TIMELINE_DELAY_MS = 60  # summaries that arrive within it are drawn together
-_NO_TRUTH = "recording without truth"
 _DELAY_MS = 400  # browsing and error attribution come first
 
 
@@ -22,7 +25,7 @@ class FrameRankingController(QObject):
     def __init__(self, controller: SessionController) -> None:
         super().__init__(controller)
         self._controller, self._panel = controller, controller.window.frames
-        self._metric, self._ticket = DEFAULT_METRIC, 0
+        self._chosen_metric, self._ticket = "", 0  # "" = as the recording has truth or not
         self._timer = QTimer(self)
         self._timer.setSingleShot(True)
         self._timer.timeout.connect(self._rank_next)
@@ -41,9 +44,22 @@ class FrameRankingController(QObject):
         window.connect_command("better_frame", lambda: self._step(1))
 
     def _choose_metric(self, metric: str) -> None:
-        self._metric = metric
+        self._chosen_metric = metric
         self._offer_metrics()
         self._update_timeline()
+        self._rank_soon(_DELAY_MS)
+
+    @property
+    def _has_truth(self) -> bool:
+        """Whether the recording knows the depth of the target's touch."""
+        opened = self._controller.views.translation
+        other = None if opened is None else opened.recording.stream_of_sensor(opened.target.name)
+        return opened is None or (other is not None and other.has_truth)
+
+    @property
+    def _metric(self) -> str:
+        """The metric that ranks the frames."""
+        return self._chosen_metric or (DEFAULT_METRIC if self._has_truth else ROUND_TRIP)
 
     def _go_to_worst(self) -> None:
         worst = self._controller.window.timeline.errors.worst_frame
@@ -68,15 +84,20 @@ class FrameRankingController(QObject):
         model = self._panel.model
         warnings = {i: texts for i in range(model.rowCount()) if (texts := model.get_specific_warnings(i))}
         values = model.get_values(self._metric) if model.rowCount() > 1 else ()
-        opened = self._controller.views.translation
-        text = "no known error" if opened is None or opened.stream.has_truth else _NO_TRUTH
-        self._controller.window.timeline.show_errors(describe_metric(self._metric), values, warnings, text)
+        self._controller.window.timeline.show_errors(describe_metric(self._metric), values, warnings)
+
+    @property
+    def _needs_completion(self) -> bool:
+        """Whether the table is visible, or the timeline shows what takes another translation."""
+        return self._controller.window.drawers.frames.isVisible() or self._metric == ROUND_TRIP
 
     @property
     def _is_needed(self) -> bool:
-        """Whether the table is visible, or the recording has truth, whose errors the timeline shows."""
+        """Whether the table is visible, or the timeline shows a recording that does not grow."""
         opened = self._controller.views.translation
-        return self._controller.window.drawers.frames.isVisible() or (opened is not None and opened.stream.has_truth)
+        return self._controller.window.drawers.frames.isVisible() or (
+            opened is not None and opened.recording.refresh is None
+        )
 
     def _step(self, by: int) -> None:
         self._panel.step_by_metric(by, sort_order=_get_sort_order(self._metric))
@@ -95,12 +116,15 @@ class FrameRankingController(QObject):
 
     def _rank_next(self) -> None:
         controller = self._controller
-        frame = self._panel.model.find_unknown_frame(controller.session.frame)
+        model = self._panel.model
+        frame = model.find_unknown_frame(controller.session.frame)
+        if completely := frame < 0 and self._needs_completion:
+            frame = model.find_incomplete_frame(controller.session.frame)
         if frame < 0 or controller.window.timeline.is_playing or not controller.is_idle:
             return
         session, evaluator = controller.session, controller.evaluator
         self._ticket = controller.submit_background(
-            lambda report: evaluator.evaluate_in_background(session, frame, report)
+            lambda report: evaluator.evaluate_in_background(session, frame, report, completely=completely)
         )
 
     def _show_summary(self, ticket: int, result: object) -> None:
@@ -112,12 +136,14 @@ class FrameRankingController(QObject):
             self._timer.start(_DELAY_MS)
 
     def _offer_metrics(self) -> None:
-        """Offer the known metrics."""
-        names = [name for name in self._panel.model.metrics if METRICS[name.partition(".")[2]].better != "neither"]
-        if names and self._metric not in names:  # not known of any frame yet
-            names.insert(0, self._metric)
+        """Offer the known metrics, those of the whole frame last."""
+        known = self._panel.model.metrics
+        names = [name for name in known if METRICS[name.partition(".")[2]].better != "neither"]
+        names = [name for name in dict.fromkeys((*names, ROUND_TRIP, *FRAME_FIGURES)) if name != self._metric]
+        names.sort(key=lambda name: name.startswith("frame."))  # stable
+        texts = {name: describe_metric(name) for name in (self._metric, *names)}
         unit = METRICS[self._metric.partition(".")[2]].unit
-        self._panel.offer_metrics(tuple(names), self._metric, f"error\n{unit}" if self._is_error else f"value\n{unit}")
+        self._panel.offer_metrics(texts, self._metric, f"error\n{unit}" if self._is_error else f"value\n{unit}")
 
     @property
     def _is_error(self) -> bool:
@@ -125,5 +151,5 @@ class FrameRankingController(QObject):
 
 
 def _get_sort_order(metric: str) -> Qt.SortOrder:
-    lower = METRICS[metric.partition(".")[2]].better == "lower"
+    lower = METRICS[metric.partition(".")[2]].better != "higher"
     return Qt.SortOrder.DescendingOrder if lower else Qt.SortOrder.AscendingOrder

@@ -11,7 +11,7 @@ from app.session.state import Session
 from app.work.availability import explain_unavailable
 from app.work.jobs import JobReporter
 from app.work.requests import get_depth_params, make_request, open_request
-from app.work.stage_previews import PreviewCache, SourcePreview, summarise_frame
+from app.work.stage_previews import PreviewCache, SourcePreview, make_thumbnail, summarise_frame
 from app.work.target_comparison import TargetComparison, build_target_comparison
 from pipeline.base.allocator import release_free_memory
 from pipeline.base.errors import SettingProblem, TouchError
@@ -21,13 +21,14 @@ from pipeline.engine.graph import Graph, StageResult
 from pipeline.networks.weights import Weights
 from pipeline.stages.depth.photometric import DepthParams
 from pipeline.translation.catalogue import BUILT_IN, Catalogue
-from pipeline.translation.error_attribution import ErrorAttribution, attribute_error
+from pipeline.translation.error_attribution import DEFAULT_METRIC, ErrorAttribution, attribute_error
 from pipeline.translation.frame_selection import find_contact_frame
+from pipeline.translation.round_trip import measure_round_trip
 from pipeline.translation.translate import Request, Translation
 from pipeline.translation.truth_warnings import add_truth_warnings
 from pipeline.values.frames import TactileFrame
 from pipeline.values.results import DepthMap
-from widgets.frames_model import FrameSummary
+from widgets.frame_summary import FrameSummary
 
 log = logging.getLogger("tactoscope")
 _CACHE_BYTES = 72 * 1024 * 1024  # 12 frames of a 320 x 427 gel, or 24 of a bubble
@@ -176,26 +177,52 @@ class Evaluator:
         depth = self._graph.evaluate(("depth",), opened.read_inputs(index), params, report)["depth"]
         return opened, self._get_comparison(opened, index, depth.output, session)
 
-    def evaluate_in_background(self, session: Session, index: int, report: JobReporter) -> SummarisedFrame:
-        """Summarise a frame that is not on screen; a frame that fails has the error text as its summary."""
+    def evaluate_in_background(
+        self, session: Session, index: int, report: JobReporter, *, completely: bool = False
+    ) -> SummarisedFrame:
+        """Summarise a frame that is not on screen; a frame that fails has the error text as its summary.
+
+        `completely` adds what takes another translation: the round trip, and the cause of the error.
+        """
         opened = self._open(session, report)
         translation = replace(opened, alignment=session.offsets.apply_to(opened.alignment))
-        self._background_graph = translation.build_graph(like=self._background_graph)
+        self._background_graph = graph = translation.build_graph(like=self._background_graph)
         try:
-            params = session.collect_params(translation.methods)
-            results = self._background_graph.evaluate(
-                translation.stages, translation.read_inputs(index), params, report
+            params, frame = session.collect_params(translation.methods), translation.stream.frame(index)
+            results = graph.evaluate(
+                translation.stages, translation.build_inputs(frame, progress=report), params, report
             )
             metrics = translation.compute_metrics(results, index)
             truth = translation.read_ground_truth(index)
-            self._release_memory(results)
             results = {name: add_truth_warnings(result, truth) for name, result in results.items()}
             summary = summarise_frame(results, metrics, translation) or FrameSummary(metrics=metrics)
+            summary = replace(summary, thumbnail=make_thumbnail(frame, translation.source, session.display))
+            if completely:
+                round_trip = measure_round_trip(results, translation, graph, params, report)
+                cause = self._find_cause(translation, results, params, index, report)
+                summary = replace(summary, metrics={**summary.metrics, **round_trip}, cause=cause, is_complete=True)
+            self._release_memory(results)
         except TouchError as error:
-            summary = FrameSummary(problem=str(error))
+            summary = FrameSummary(problem=str(error), is_complete=True)
         return SummarisedFrame(
             index=index, settings=replace(session, target=translation.target.name).settings, summary=summary
         )  # fmt: skip
+
+    def _find_cause(
+        self,
+        translation: Translation,
+        results: Mapping[str, StageResult],
+        params: Mapping[str, object],
+        index: int,
+        report: JobReporter,
+    ) -> str:
+        """Return the stage that most of a frame's error comes from, or that has the first warning without truth."""
+        if "touch_depth" in translation.stages:
+            shares = attribute_error(translation, self._background_graph, params, index, DEFAULT_METRIC, report)
+            if shares is not None:
+                return shares.main_cause
+        stage = translation.catalogue.stage
+        return next((stage(name).title.lower() for name, result in results.items() if result.warnings), "")
 
     def attribute_frame_error(self, session: Session, metric: str, report: JobReporter) -> ErrorAttribution | None:
         """Attribute the error `metric` of the session's frame to its stages; None if the metric is unknown."""

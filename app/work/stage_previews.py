@@ -10,6 +10,7 @@ import numpy as np
 
 from app.session.state import Session
 from app.work.target_comparison import TargetComparison
+from pipeline.base.arrays import Image, freeze
 from pipeline.base.memo import Memo, measure_bytes
 from pipeline.engine.graph import StageResult
 from pipeline.evaluation.truth_view import TruthView, build_observation_view, build_truth_view
@@ -18,10 +19,11 @@ from pipeline.previews.layers import Layer, make_frame_layer
 from pipeline.previews.preview import Preview, add_observed_outline, make_frame_preview, match_camera
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.stage import GroundTruth, PreviewContext, Stage, StepHistory
+from pipeline.translation.round_trip import measure_training_distance
 from pipeline.translation.translate import Translation
 from pipeline.values.frames import TactileFrame
 from pipeline.values.results import DepthMap
-from widgets.frames_model import FrameSummary
+from widgets.frame_summary import THUMBNAIL_PX, FrameSummary
 
 _PREVIEW_BYTES = 72 * 1024 * 1024  # 12 frames of a 320 x 427 gel, 7 images each
 _FRAME_BYTES = _TRUTH_BYTES = 40 * 1024 * 1024
@@ -179,6 +181,18 @@ def _draw_frame(frame: TactileFrame, sensor: SensorSpec, display: DisplayParams)
     return preview, make_frame_layer("source", frame.image, camera, preview.pixels, sensor)
 
 
+def make_thumbnail(frame: TactileFrame, sensor: SensorSpec, display: DisplayParams) -> Image:
+    """Return a small image (rows, cols, 3) of a frame, for the frames table."""
+    import cv2
+
+    camera = match_camera(frame.camera or sensor.camera, frame.image.shape)
+    pixels = make_frame_preview(frame.image, camera, sensor, display, reference=frame.reference).pixels
+    rows, cols = pixels.shape[:2]
+    share = min(THUMBNAIL_PX[0] / cols, THUMBNAIL_PX[1] / rows)
+    size = max(1, round(share * cols)), max(1, round(share * rows))
+    return freeze(np.asarray(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA), np.uint8))
+
+
 def summarise_frame(
     results: Mapping[str, StageResult], metrics: Mapping[str, float], translation: Translation
 ) -> FrameSummary | None:
@@ -192,7 +206,7 @@ def summarise_frame(
     return FrameSummary(
         max_indentation_mm=float(inside.max()) if inside.size else 0.0,
         contact_area_mm2=float(depth.contact.sum()) * pixel_mm**2,
-        metrics=metrics,
+        metrics={**metrics, **measure_training_distance(results, translation)},
         warnings=tuple(
             f"{translation.catalogue.stage(name).title.lower()}: {warning}"
             for name, result in results.items()

@@ -64,15 +64,34 @@ METRICS: Mapping[str, Metric] = {
         meaning="largest distance (MSSD) between two of these poses",
         better="neither",
     ),
+    "round_trip_mm": Metric(
+        title="round-trip error",
+        unit="mm",
+        meaning="mean absolute change of indentation in contact, to the target and back",
+    ),
+    "training_distance": Metric(
+        title="distance from training",
+        unit="",
+        meaning="of the touch from training touches; beyond 1 it is unlike",
+    ),
+    "n_warnings": Metric(title="warnings", unit="", meaning="warnings that not every frame has"),
+    "max_indentation_mm": Metric(
+        title="largest indentation", unit="mm", meaning="of the source sensor in contact", better="neither"
+    ),
+    "contact_area_mm2": Metric(title="contact area", unit="mm²", meaning="on the source sensor", better="neither"),
 }
 """Name of a metric within its stage (`mssd_mm` of `pose.mssd_mm`) -> its description."""
+WITHOUT_TRUTH = "frame"  # stands for the stage in metrics of a whole frame, which need no truth: `frame.round_trip_mm`
+ROUND_TRIP = f"{WITHOUT_TRUTH}.round_trip_mm"
+TRAINING_DISTANCE = f"{WITHOUT_TRUTH}.training_distance"
 
 
 def describe_metric(figure: str) -> str:
     """Return the title of `touch_depth.contact_mae_mm`: "touch depth: error in contact, mm"."""
     stage, _, name = figure.partition(".")
     metric = METRICS[name]
-    return f"{stage.replace('_', ' ')}: {metric.title}{', ' if metric.unit else ''}{metric.unit}"
+    of = "" if stage == WITHOUT_TRUTH else f"{stage.replace('_', ' ')}: "
+    return f"{of}{metric.title}{', ' if metric.unit else ''}{metric.unit}"
 
 
 def compute_mae_mm(estimate: NDArray[np.floating], truth: NDArray[np.floating], where: Mask) -> float:

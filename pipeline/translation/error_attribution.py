@@ -50,10 +50,20 @@ class ErrorAttribution:
     def summary(self) -> str:
         """The error and its largest share."""
         text = f"{self.total:.2f} {self.unit}"
+        worst = self._largest_share
+        return text if worst is None else f"{text}, of it {worst.share:.2f}: {worst.title}"
+
+    @property
+    def main_cause(self) -> str:
+        """Title of the stage with the largest share; the metric's own stage if more remains with all truth."""
+        worst = self._largest_share
+        return self.metric.partition(".")[0].replace("_", " ") if worst is None else worst.title
+
+    @property
+    def _largest_share(self) -> ErrorShare | None:
+        """The largest share; None if more than it remains with truth in every stage."""
         worst = max(self.shares, key=lambda part: part.share, default=None)
-        if worst is None or worst.share <= max(0.0, self.remainder):
-            return text
-        return f"{text}, of it {worst.share:.2f}: {worst.title}"
+        return None if worst is None or worst.share <= max(0.0, self.remainder) else worst
 
 
 def attribute_error(

@@ -10,7 +10,8 @@ from PyQt6.QtWidgets import QApplication, QComboBox, QLabel, QPushButton
 
 from pipeline.values.results import PoseStep, TouchStep
 from widgets.banner import Banner
-from widgets.frames_model import FrameSummary
+from widgets.frame_summary import FrameSummary
+from widgets.frames_model import CONTACT, DEPTH, FRAME, METRIC
 from widgets.frames_panel import FramesPanel
 from widgets.log_panel import LogPanel
 from widgets.steps_slider import StepsSlider
@@ -54,7 +55,7 @@ def test_the_list_of_frames_is_a_sound_model_and_fills_lazily(qtbot, qtmodeltest
     panel.model.reset_frames(5)
     qtmodeltester.check(panel.model)
     panel.model.show_summary(2, FrameSummary(max_indentation_mm=0.5, contact_area_mm2=12.34))
-    cells = [panel.model.data(panel.model.index(2, c)) for c in range(4)]
+    cells = [panel.model.data(panel.model.index(2, c)) for c in (FRAME, DEPTH, CONTACT, METRIC)]
     assert cells == ["2", "0.50", "12.3", "-"]
     assert panel.model.data(panel.model.index(3, 1)) == ""
 

@@ -12,7 +12,8 @@ from PyQt6.QtWidgets import QLabel
 from app.session.sample import SAMPLE_RECORDING
 from app.session.state import Session, load_session
 from app.window.tour import wait_until_shown
-from widgets.frames_model import NOTE, FrameSummary
+from widgets.frame_summary import FrameSummary
+from widgets.frames_model import CAUSE, FRAME, METRIC, NOTE, WARNINGS
 from widgets.frames_panel import FramesPanel
 
 LIMIT_MS = 240_000
@@ -40,7 +41,8 @@ def test_every_frame_with_truth_is_ranked_and_one_key_shows_the_worst(window, qt
     assert "touch depth: error in contact, mm" in [
         label.text() for label in window.window.timeline.findChildren(QLabel)
     ]
-    np.testing.assert_array_equal(line.values, [figures[f] for f in range(known.rowCount())])
+    wanted = [figures[f] for f in range(known.rowCount())]
+    qtbot.waitUntil(lambda: np.array_equal(line.values, wanted, equal_nan=True), timeout=LIMIT_MS)
     assert set(line.warnings) == {f for f in range(known.rowCount()) if known.get_specific_warnings(f)} != set()
     window.window.actions_by_name["worst_frame"].trigger()
     assert window.session.frame == ranked[0]
@@ -64,12 +66,49 @@ def test_a_click_in_the_timeline_chooses_the_frame(window, qtbot):
     assert window.session.frame == 9
 
 
-def test_without_truth_hidden_frames_are_not_computed(bubble_window, qtbot):
-    known = bubble_window.window.frames.model
-    qtbot.wait(700)
-    assert known.find_unknown_frame(2) == 1
-    bubble_window.window.drawers.frames.show()
-    qtbot.waitUntil(lambda: known.find_unknown_frame(2) < 0, timeout=LIMIT_MS)
+def test_a_recording_without_truth_fills_the_strip_by_its_round_trip(bubble_window, qtbot):
+    controller = bubble_window
+    assert not controller.views.translation.stream.has_truth
+    line, panel = controller.window.timeline.errors, controller.window.frames
+    touched = controller.session.frame
+    qtbot.waitUntil(lambda: touched < len(line.values) and math.isfinite(line.values[touched]), timeout=LIMIT_MS)
+    assert line.worst_frame >= 0  # nobody opened the table
+    texts = [label.text() for label in controller.window.timeline.findChildren(QLabel)]
+    assert "round-trip error, mm" in texts
+    summary = panel.model.get_summary(touched)
+    assert summary.metrics["frame.round_trip_mm"] == line.values[touched] > 0
+    assert summary.metrics["frame.training_distance"] > 0
+    names = [panel.metric_box.itemText(i) for i in range(panel.metric_box.count())]
+    assert {"round-trip error, mm", "distance from training", "warnings", "contact area, mm²"} <= set(names)
+
+
+def test_a_row_has_a_thumbnail_and_the_cause_of_its_error(qtbot):
+    panel = FramesPanel()
+    qtbot.addWidget(panel)
+    model = panel.model
+    model.reset_frames(3)
+    image = np.full((30, 40, 3), 200, np.uint8)
+    touched = {"max_indentation_mm": 0.2, "contact_area_mm2": 3.0}
+    model.show_summary(0, FrameSummary(**touched, warnings=("depth: saturated",), thumbnail=image))
+    model.show_summary(1, FrameSummary(**touched))
+    assert model.find_incomplete_frame(0) == 0
+    figures = {"frame.round_trip_mm": 0.04}
+    model.show_summary(0, FrameSummary(**touched, metrics=figures, cause="depth", is_complete=True))
+    assert model.find_incomplete_frame(0) == 1
+    model.show_summary(
+        0, FrameSummary(**touched, warnings=("depth: saturated",))
+    )  # shown again: keeps what took longer
+    model.show_metric("frame.round_trip_mm", "error")
+    cells = [model.data(model.index(0, column)) for column in (METRIC, CAUSE, WARNINGS)]
+    assert cells == ["0.040", "depth", "1"]
+    pixmap = model.data(model.index(0, FRAME), Qt.ItemDataRole.DecorationRole)
+    assert (pixmap.width(), pixmap.height()) == (40, 30)
+    assert model.get_values("frame.n_warnings")[:2] == (1.0, 0.0)
+    assert model.get_values("frame.contact_area_mm2")[0] == 3.0
+    header = panel.table.horizontalHeader()
+    text_px = panel.table.fontMetrics().horizontalAdvance("0.040")
+    assert header.visualIndex(METRIC) == 1
+    assert header.sectionSize(METRIC) > text_px
 
 
 def test_the_chosen_metric_ranks_the_frames(qtbot):
@@ -81,12 +120,14 @@ def test_the_chosen_metric_ranks_the_frames(qtbot):
         panel.model.show_summary(frame, FrameSummary(max_indentation_mm=0.2, contact_area_mm2=3.0, metrics=figures))
     chosen = []
     panel.frame_chosen.connect(chosen.append)
-    panel.offer_metrics(("a.mae_mm", "b.psnr_db"), "a.mae_mm", "error\nmm")
+    offered = {"a.mae_mm": "a: error, mm", "b.psnr_db": "b: PSNR, dB"}
+    panel.offer_metrics(offered, "a.mae_mm", "error\nmm")
+    assert panel.metric_box.currentText() == "a: error, mm"
     panel.show_frame(3)  # of which nothing is known
     panel.step_by_metric(-1, sort_order=_DOWN)
     panel.show_frame(chosen[-1])
     panel.step_by_metric(1, sort_order=_DOWN)
-    panel.offer_metrics(("a.mae_mm", "b.psnr_db"), "b.psnr_db", "figure\ndB")
+    panel.offer_metrics(offered, "b.psnr_db", "figure\ndB")
     panel.show_frame(3)
     panel.step_by_metric(-1, sort_order=_UP)
     assert chosen == [1, 2, 1]
