@@ -116,6 +116,7 @@ def show_window(
     from app.window.main_window import MainWindow
     from app.window.session_controller import SessionController
     from app.window.themes import apply_theme
+    from pipeline.tasks.trial_rows import is_rollout_folder
     from pipeline.translation.catalogue import BUILT_IN
     from widgets.plain_text_style import PlainTextStyle
 
@@ -135,9 +136,12 @@ def show_window(
     _wait_until_exposed(window)
     if with_scene:
         QTimer.singleShot(0, lambda: _add_scene(controller))
-    if session.recording is not None:
+    if session.recording is not None and is_rollout_folder(session.recording):
+        controller.open_path(session.recording)
+    elif session.recording is not None:
         controller.show_session(session)
         controller.saved_session = session
+        controller.recording_opened.emit(session.recording)
     if restore:
         autosave.offer_recovery()
     logging.getLogger("tactoscope").info("Tactoscope is ready")

@@ -23,13 +23,17 @@ _MOST_DUE = 4.0  # frames: after a longer wait playback continues without catchi
 
 
 class Timeline(QWidget):
-    """Slider, frame number and playback; `frame_chosen` carries the requested frame."""
+    """Slider, frame number and playback; `frame_chosen` carries the requested frame.
+
+    `unit` names what is stepped through; errors are shown for frames alone.
+    """
 
     frame_chosen = pyqtSignal(int)
     play_toggled = pyqtSignal(bool)
 
-    def __init__(self, parent: QWidget | None = None) -> None:
+    def __init__(self, parent: QWidget | None = None, *, unit: str = "frame") -> None:
         super().__init__(parent)
+        self._unit = unit
         self._n_frames, self._ready = 0, True
         self.frame = 0  # the current frame
         self._due = self._ticked_s = 0.0  # fraction of the next frame that playback has waited for, and until when
@@ -37,10 +41,10 @@ class Timeline(QWidget):
         self._clock.setTimerType(Qt.TimerType.PreciseTimer)
         self._clock.timeout.connect(self._tick)
         self.slider = QSlider(Qt.Orientation.Horizontal)
-        self.slider.setObjectName("frame_slider")
-        self.slider.setAccessibleName("frame")
+        self.slider.setObjectName(f"{unit}_slider")
+        self.slider.setAccessibleName(unit)
         self.number = QSpinBox()
-        self.number.setObjectName("frame_number")
+        self.number.setObjectName(f"{unit}_number")
         self.number.setKeyboardTracking(False)
         self.errors, self.scale, self._figure, self._worst = ErrorStrip(), ErrorScale(), QLabel(), QLabel()
         self._of, self._time, self._left_out = QLabel(), QLabel(), QLabel()
@@ -73,7 +77,15 @@ class Timeline(QWidget):
         layout.addWidget(self.slider, 0, 1)
         right = QHBoxLayout()
         right.setSpacing(6)
-        for widget in (QLabel("frame"), self.number, self._of, self._time, self._left_out, QLabel("speed"), self.speed):
+        for widget in (
+            QLabel(self._unit),
+            self.number,
+            self._of,
+            self._time,
+            self._left_out,
+            QLabel("speed"),
+            self.speed,
+        ):
             right.addWidget(widget)
         layout.addLayout(right, 0, 2)
         left = set_spacing(QHBoxLayout(), 4)
@@ -82,6 +94,8 @@ class Timeline(QWidget):
         layout.addLayout(left, 1, 0)
         for column, widget in ((1, self.errors), (2, self._worst)):
             layout.addWidget(widget, 1, column)
+        for widget in (self.errors, self._worst, self._figure, self.scale):
+            widget.setVisible(self._unit == "frame")
         for label in (self._figure, self._worst):
             shrink_font(label, 1.0)
             label.setAlignment(Qt.AlignmentFlag.AlignTop | Qt.AlignmentFlag.AlignLeft)  # at the upper end of the bars

@@ -61,9 +61,10 @@ class Session:
     notes: Mapping[int, str] = field(default_factory=dict)  # frame -> note of the user
     comparison: ComparisonSettings = field(default_factory=ComparisonSettings)
     variant: Session | None = None  # session B of the comparison, if any
-    # 3D view -> camera. Cameras and section are saved, but changing them is no undo step and no unsaved change.
+    # 3D view -> camera. Cameras, section and tick are saved, but changing them is no undo step and no unsaved change.
     cameras: Mapping[str, tuple[float, ...]] = field(default_factory=dict, compare=False)
     section: SectionLine | None = field(default=None, compare=False)  # section line through all images
+    tick: int = field(default=0, compare=False)  # of the rollout in the Task layout
 
     def get_params(self, method: Method) -> object:
         """Parameters of a method; its defaults if unchanged."""
@@ -134,6 +135,7 @@ def _plain(session: Session, folder: Path) -> dict[str, Any]:
     data["notes"] = {str(frame): text for frame, text in sorted(session.notes.items())}
     data["comparison"], data["cameras"] = to_plain(session.comparison), {n: list(c) for n, c in session.cameras.items()}
     data["section"] = None if session.section is None else session.section.plain
+    data["tick"] = session.tick
     data["variant"] = None if session.variant is None else _plain(replace(session.variant, variant=None), folder)
     return data
 
@@ -164,6 +166,7 @@ class _SessionFile(msgspec.Struct, kw_only=True):
     variant: dict[str, object] | None = None
     cameras: dict[Name, Annotated[tuple[Number, ...], Meta(min_length=_N_CAMERA, max_length=_N_CAMERA)]] = {}
     section: tuple[_SectionMm, _SectionMm, _SectionMm, _SectionMm] | None = None
+    tick: Annotated[int, Meta(ge=0)] = 0
 
 
 def load_session(path: Path, catalogue: Catalogue = BUILT_IN) -> Session:
@@ -202,6 +205,7 @@ def _parse_session(data: object, path: Path, catalogue: Catalogue) -> Session:
         comparison=said.comparison or ComparisonSettings(),
         variant=None if said.variant is None else _parse_session({**said.variant, "variant": None}, path, catalogue),
         cameras=said.cameras,
+        tick=said.tick,
         section=None if said.section is None else SectionLine(begin_mm=said.section[:2], end_mm=said.section[2:]),
     )
 

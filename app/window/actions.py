@@ -126,6 +126,7 @@ LAYOUT_COMMANDS = (
     Command("layout_demo", "Demo", "Show source, generated touch and truth, large", key="Ctrl+5", checkable=True),
     Command("layout_compare", "Compare", "Compare methods, settings or seeds on one frame", key="Ctrl+6",
             checkable=True),
+    Command("layout_task", "Task", "Show the rollouts of a task: why a trial fails", key="Ctrl+7", checkable=True),
 )
 ARRANGEMENT_COMMANDS = (
     Command("toggle_inspect", "Toggle Inspect", "Switch between Inspect and Stages", icon="panes", key="I"),
@@ -133,6 +134,19 @@ ARRANGEMENT_COMMANDS = (
             key="Ctrl+Shift+A"),
     Command("rename_arrangement", "Rename arrangement…", "Rename the current arrangement"),
     Command("delete_arrangement", "Delete arrangement", "Delete the current arrangement; the window stays as it is"),
+)
+TASK_COMMANDS = (
+    Command("open_rollouts", "Open rollouts…", "Open a folder that `tactoscope task --record` wrote", icon="folder"),
+    Command("previous_trial", "Previous trial", "Open the trial above in the table", key="Ctrl+Up"),
+    Command("next_trial", "Next trial", "Open the trial below in the table", key="Ctrl+Down"),
+    Command("next_decision", "Next decision", "Go to the tick of the next decision", key="N"),
+    Command("attribute_rollout", "Attribute decision",
+            "Run the rollout again with the truth in place of one stage after the other", key="Ctrl+Return"),
+    Command("copy_trials", "Copy trials", "Copy the listed trials as a table", icon="file"),
+    Command("export_rollout_video", "Export rollout video…", "Write scene, touches and force of every tick as video",
+            icon="image"),
+    Command("export_rollout_bundle", "Export rollout bundle…",
+            "Write this rollout and what runs it again to a folder, for `tactoscope replay`"),
 )
 THEME_COMMANDS = (
     Command("theme_light", "Light theme", "Use dark text on a light background", icon="sun", checkable=True),
@@ -153,6 +167,7 @@ MENUS: Mapping[str, tuple[Command, ...]] = {  # title -> commands; every command
     "&Layout": LAYOUT_COMMANDS + ARRANGEMENT_COMMANDS,
     "Co&mpare": COMPARISON_MODE_COMMANDS + VARIANT_COMMANDS,
     "&Registration": REGISTRATION_COMMANDS,
+    "&Task": TASK_COMMANDS,
     "&Help": HELP_COMMANDS,
 }  # fmt: skip
 

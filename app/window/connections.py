@@ -33,6 +33,9 @@ from app.window.panels import add_panels
 from app.window.parameter_search import make_parameter_actions
 from app.window.presentation import PresentationController
 from app.window.probe_3d import Probe3DController
+from app.window.rollout_attribution import RolloutAttributionController
+from app.window.rollout_export import RolloutExportController
+from app.window.rollouts import RolloutController
 from app.window.section_line import SectionLineController
 from app.window.session_controller import SessionController
 from app.window.shortcuts import KeyboardController
@@ -47,6 +50,7 @@ from pipeline.translation.catalogue import Catalogue
 from widgets.command_palette import CommandPalette
 from widgets.icons import make_command_icon
 from widgets.keyboard_focus_filter import KeyboardFocusFilter
+from widgets.timeline import Timeline
 
 T = TypeVar("T")
 
@@ -91,7 +95,10 @@ def connect(controller: SessionController, theme: Theme = "light") -> AutosaveCo
     welcome = WelcomeController(controller, autosave)
     ThemeController(controller, autosave, theme)
     arrangements = ArrangementController(controller, autosave)
-    ExportController(controller, autosave, sweep)
+    export = ExportController(controller, autosave, sweep)
+    rollouts = RolloutController(controller)
+    RolloutAttributionController(controller, rollouts)
+    RolloutExportController(controller, rollouts, export, autosave)
     LiveController(controller, autosave)
     mending = MendingController(controller, BallCalibrationController(controller, autosave))
     alignment = AlignmentController(controller)
@@ -112,6 +119,7 @@ def connect(controller: SessionController, theme: Theme = "light") -> AutosaveCo
         arrangements.show_session,  # check marks
         alignment.show_session,  # offsets; drops a proposal for another alignment
         gizmo.show_session,  # its place
+        rollouts.show_session,  # reads the trial of the Task layout
         layouts.show_session,  # drawers and comparison mode of the layout
     ):
         controller.session_shown.connect(follow)
@@ -192,32 +200,33 @@ def _connect_files(
 
 
 def _connect_playback(controller: SessionController) -> None:
-    window, line = controller.window, controller.window.timeline
-    play = window.actions_by_name["play"]
+    """Connect the playback commands with the frames, or with the ticks in the Task layout."""
+    window = controller.window
+    play, loop = window.actions_by_name["play"], window.actions_by_name["loop"]
 
     def show_playing(playing: bool) -> None:
         play.setChecked(playing)
         play.setText("Pause" if playing else "Play")
         play.setIcon(make_command_icon("pause" if playing else "play"))
 
-    line.play_toggled.connect(show_playing)
-    window.connect_command("play", lambda: line.play(on=not line.is_playing))
-    window.connect_command("first", lambda: line.step_to(0))
-    window.connect_command("last", line.step_to_last)
-    window.connect_command("previous", lambda: line.step_by(-1))
-    window.connect_command("next", lambda: line.step_by(1))
-    window.connect_command("back_10", lambda: line.step_by(-10))
-    window.connect_command("forward_10", lambda: line.step_by(10))
-    loop = window.actions_by_name["loop"]
-    loop.toggled.connect(line.set_looping)
+    def connect(command: str, act: Callable[[Timeline], object]) -> None:
+        window.connect_command(command, lambda: act(window.active_timeline))
 
-    def set_loop_range(first: int, last: int) -> None:
+    def set_loop_range(line: Timeline, first: int, last: int) -> None:
         line.set_loop_range(first, last)
         loop.setChecked(True)
 
-    window.connect_command("loop_from", lambda: set_loop_range(line.frame, max(line.frame, line.loop_range[1])))
-    window.connect_command("loop_to", lambda: set_loop_range(min(line.frame, line.loop_range[0]), line.frame))
-    window.connect_command("loop_all", lambda: set_loop_range(0, line.slider.maximum()))
+    for line in (window.timeline, window.task.ticks):
+        line.play_toggled.connect(show_playing)
+        loop.toggled.connect(line.set_looping)
+    connect("play", lambda line: line.play(on=not line.is_playing))
+    connect("first", lambda line: line.step_to(0))
+    connect("last", lambda line: line.step_to_last())
+    for command, by in (("previous", -1), ("next", 1), ("back_10", -10), ("forward_10", 10)):
+        connect(command, lambda line, by=by: line.step_by(by))
+    connect("loop_from", lambda line: set_loop_range(line, line.frame, max(line.frame, line.loop_range[1])))
+    connect("loop_to", lambda line: set_loop_range(line, min(line.frame, line.loop_range[0]), line.frame))
+    connect("loop_all", lambda line: set_loop_range(line, 0, line.slider.maximum()))
 
 
 def _connect_view(controller: SessionController, layouts: LayoutController) -> None:

@@ -166,6 +166,11 @@ class ExportController(BackgroundController):
             return False
         return True
 
+    def start_writing(self, text: str, work: JobFunction, path: Path, command: str) -> None:
+        """Write something in the background, unless an export is running."""
+        if self._can_start():
+            self._start(text, work, path, command)
+
     def _start(self, text: str, work: JobFunction, path: Path, command: str) -> None:
         self.notification.show_notification(f"{text}…", (("Cancel", self.cancel),), stays=True)
         self._written = path, command

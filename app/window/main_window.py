@@ -44,6 +44,7 @@ from widgets.stage_rows import StageRows
 from widgets.steps_panel import StepsPanel
 from widgets.steps_slider import StepsSlider
 from widgets.styling import set_spacing
+from widgets.task_page import TaskPage
 from widgets.timeline import Timeline
 from widgets.timings_panel import TimingsPanel
 from widgets.trace_panel import TracePanel
@@ -89,6 +90,7 @@ class MainWindow(QMainWindow):
         self.truth_column, self.truth_view_panel = StageColumn("truth", "Truth"), View3DPanel()  # of the Demo layout
         self.warning_line = WarningLine()
         self.pages, self.rows, self.comparison = QStackedWidget(), StageRows(), ComparisonPage()
+        self.task = TaskPage()
         self.panes = PanesPage({name: f"{i + 1} · {title}" for i, (name, title) in enumerate(columns)})
         self.source, self.target, self.route = (self._make_chooser(n) for n in ("source", "target", "route"))
         self._build_centre()
@@ -133,7 +135,7 @@ class MainWindow(QMainWindow):
         self._strips.addWidget(strip)
 
     def _build_centre(self) -> None:
-        for page in (self.rows, self.panes, self.comparison):
+        for page in (self.rows, self.panes, self.comparison, self.task):
             self.pages.addWidget(page)
         self.rows.spare_height_changed.connect(self._use_spare_height)
         centre = QWidget()
@@ -219,11 +221,12 @@ class MainWindow(QMainWindow):
 
     @property
     def views_3d(self) -> tuple[View3D, ...]:
-        """The 3D views: one per column, then the truth's, then the two of the comparison."""
+        """The 3D views: one per column, then the truth's, the two of the comparison, the task's."""
         return (
             *(cell.view for cell in self.view_panels.values()),
             self.truth_view_panel.view,
             *(c.view for c in self.comparison.views_3d),
+            self.task.scene.view,
         )
 
     def show_only(self, name: str | None) -> None:
@@ -267,8 +270,10 @@ class MainWindow(QMainWindow):
         for widget in (self.truth_column, self.truth_view_panel):
             widget.setVisible(layout.name == "demo")
         self.rows.lower_row.setVisible(layout.name != "align")
-        pages = {"inspect": self.panes, "sweep": self.comparison, "compare": self.comparison}
+        pages = {"inspect": self.panes, "sweep": self.comparison, "compare": self.comparison, "task": self.task}
         self.pages.setCurrentWidget(pages.get(layout.name, self.rows))
+        for widget in (self.timeline, self.trace):  # the Task layout steps through ticks
+            widget.setVisible(layout.name != "task")
         if layout.name not in ("stages", "demo"):  # these two use the spare height
             self.timeline.errors.set_height_px(INSPECT_STRIP_PX if layout.name == "inspect" else MIN_STRIP_PX)
         for i, key in enumerate(self.columns):
@@ -295,6 +300,11 @@ class MainWindow(QMainWindow):
             if is_inspecting
             else self.current_layout.list_columns(self.route_columns, self._only_stage)
         )
+
+    @property
+    def active_timeline(self) -> Timeline:
+        """The timeline that the playback commands act on."""
+        return self.task.ticks if self.current_layout.name == "task" else self.timeline
 
     def connect_command(self, name: str, function: Callable[[], object]) -> None:
         """Call `function` when a command is triggered."""

@@ -113,8 +113,9 @@ class SessionController(SessionDocument):
 
     @property
     def session_to_save(self) -> Session:
-        """The session with the current 3D cameras and section line."""
-        return replace(self.session, cameras=self.views.cameras.get_cameras(self.views.scene), section=self.section)
+        """The session with the current 3D cameras, section line and tick."""
+        cameras = self.views.cameras.get_cameras(self.views.scene)
+        return replace(self.session, cameras=cameras, section=self.section, tick=self.tick)
 
     def set_cameras(self, cameras: Mapping[str, tuple[float, ...]]) -> None:
         """Set the cameras of the 3D views, once the session's recording is open."""
@@ -306,7 +307,7 @@ class SessionController(SessionDocument):
         evaluate = partial(
             self.evaluator.evaluate_frame, with_observation=self._with_observation,
             get_current=lambda: self.views.translation,
-            with_truth=bool(self.views.comparison_mode) or session.layout.name == "demo",
+            with_truth=bool(self.views.comparison_mode) or session.layout.name in ("demo", "task"),
         )  # fmt: skip
         interrupt = other_request or not (self._draft_stage or self._interrupt_timer.isActive())
         self._draft_stage = self._dragged_key.partition("/")[0]

@@ -12,6 +12,7 @@ from PyQt6.QtCore import QObject, pyqtSignal
 from PyQt6.QtGui import QUndoStack
 
 from app.session.file_fingerprints import describe_changed_files, fingerprint_files
+from app.session.layout import Layout
 from app.session.state import AUTO_FRAME, SESSION_SUFFIX, Session, load_session, save_session
 from app.session.undo import MAX_UNDO_STEPS, SessionChange
 from app.window import dialogs
@@ -21,14 +22,23 @@ from app.window.screenshots import write_screenshot
 from pipeline.base.errors import FileProblem, TouchError
 from pipeline.base.fingerprints import compute_fingerprint
 from pipeline.calibration.calibration_file import is_calibration_file
+from pipeline.tasks.trial_rows import is_rollout_folder
 from pipeline.translation.cross_section import SectionLine
 from widgets.choice_buttons import Choice
+
+_AS_RECORDED: Mapping[str, Any] = {
+    "source": "", "stream": "", "reference": None, "calibration": None, "mesh": None, "mesh_unit": "auto",
+    "depth_unit": "auto",
+}  # fmt: skip
 
 
 class SessionDocument(QObject):
     """Holds the session, its undo stack and its file; subclasses show it."""
 
     section_changed = pyqtSignal(object)  # SectionLine or None
+    tick_changed = pyqtSignal(int)  # of the rollout in the Task layout
+    recording_opened = pyqtSignal(Path)  # by the user
+    rollouts_requested = pyqtSignal(Path)  # a folder that may hold rollouts
 
     def __init__(self, window: MainWindow, session: Session) -> None:
         super().__init__(window)
@@ -38,6 +48,7 @@ class SessionDocument(QObject):
         self.session_file: Path | None = None
         self._file_fingerprint = ""  # of the session file as this window left it
         self.section: SectionLine | None = None  # section line through all images
+        self.tick = 0  # of the rollout in the Task layout
         self.find_remedies: Callable[[BaseException], Sequence[Choice]] = lambda _: ()  # buttons that mend an error
 
     @abstractmethod
@@ -59,6 +70,12 @@ class SessionDocument(QObject):
             self.section = line
             self.section_changed.emit(line)
 
+    def set_tick(self, tick: int) -> None:
+        """Go to a tick of the rollout; not an undo step."""
+        if tick != self.tick:
+            self.tick = tick
+            self.tick_changed.emit(tick)
+
     def change(self, text: str, *, key: str = "", **updates: Any) -> None:
         """Change fields of the session as one undo step; consecutive changes with the same `key` merge."""
         new = self.session.with_updates(**updates)
@@ -74,6 +91,7 @@ class SessionDocument(QObject):
         self.push_session(session, text)
         self.set_cameras(session.cameras)
         self.set_section(session.section)
+        self.set_tick(session.tick)
 
     def show_problem(self, error: BaseException) -> None:
         """Show an error in the banner, and log it once."""
@@ -93,16 +111,21 @@ class SessionDocument(QObject):
             self.open_weights(path)
         elif is_calibration_file(path):
             self.change("open calibration", calibration=path)
+        elif is_rollout_folder(path):
+            self.rollouts_requested.emit(path)
         else:
             self.open_recording(path, keeps_choices=self.session.recording is None)
 
     def open_recording(self, path: Path, *, keeps_choices: bool = False) -> None:
         """Open a recording; with `keeps_choices` its sensor and the files that go with it are those chosen before."""
-        own: dict[str, Any] = {}
-        if not keeps_choices:
-            own = {"source": "", "stream": "", "mesh_unit": "auto", "depth_unit": "auto"}
-            own |= {"reference": None, "calibration": None, "mesh": None}
-        self.change("open recording", recording=path, frame=AUTO_FRAME, **own)
+        own = {} if keeps_choices else _AS_RECORDED
+        self.change("open recording", key=f"open {path}", recording=path, frame=AUTO_FRAME, **own)
+        self.recording_opened.emit(path)
+
+    def open_trial(self, path: Path, fields: Mapping[str, Any], layout: Layout) -> None:
+        """Open a rollout of a task with the `fields` that translate it as its controller did."""
+        new = {**_AS_RECORDED, "alignment": None, **fields}
+        self.change("open trial", key=f"open {path}", recording=path, frame=0, layout=layout, **new)
 
     def open_paths(self, paths: list[Path]) -> None:
         """Open dropped files: recordings first, then meshes and calibrations for them."""

@@ -16,7 +16,7 @@ from pipeline.base.arrays import Doubles
 from pipeline.base.errors import TouchError
 from pipeline.engine.graph import StageResult
 from pipeline.evaluation.truth_view import ComparisonMode, TruthView
-from pipeline.previews.layers import Layer
+from pipeline.previews.layers import Layer, ViewBounds
 from pipeline.previews.preview import Preview
 from pipeline.translation.translate import Request, Translation
 from widgets.preview_view import PreviewView
@@ -46,6 +46,9 @@ class StageViews:
             tuple[str, Translation | None], ...
         ] = ()  # stage and translation in the 3D views of the comparison
         self._shown: dict[str, SourcePreview | StagePreview] = {}
+        self._task_view = len(window.views_3d) - 1
+        self._task_layers: tuple[Layer, ...] = ()
+        self._task_bounds: ViewBounds | None = None
 
     def set_scene(self, scene: SceneRenderer, session: Session) -> None:
         """Set the 3D views, which are created after the window is on screen."""
@@ -54,6 +57,7 @@ class StageViews:
         self.cameras.apply_requested_cameras(scene if self.translation is not None else None)
         for column, layers in self._layers.items():
             scene.show_layers(column, layers)
+        scene.show_layers(self._task_view, self._task_layers)
 
     def close(self) -> None:
         """Release OpenGL."""
@@ -260,6 +264,8 @@ class StageViews:
         for k, (stage, other) in enumerate(self._variants):
             if stage in bounds and other is not None:
                 places[len(self._order) + 1 + k] = compute_view_bounds(other)[stage]
+        if self._task_bounds is not None:
+            places[self._task_view] = self._task_bounds
         self.scene.fit_cameras(places, linked=session.cameras_linked)
         self._probe.set_scene(self.scene, display, t)
         self.update_captions(session)
@@ -281,6 +287,19 @@ class StageViews:
         for k, (layers, _) in enumerate(others):
             self.scene.show_layers(len(self._order) + 1 + k, layers)
             self._layers[len(self._order) + 1 + k] = layers
+
+    def show_task_scene(self, layers: Sequence[Layer], bounds: ViewBounds | None, session: Session) -> None:
+        """Show the scene of a rollout; its camera stays where the view is the same."""
+        self._task_layers, old, self._task_bounds = tuple(layers), self._task_bounds, bounds
+        if bounds != old and bounds is not None:
+            self.scene.fit_cameras({self._task_view: bounds}, linked=session.cameras_linked)
+        self.scene.show_layers(self._task_view, self._task_layers)
+
+    def move_task_bodies(self, poses: Mapping[str, Doubles]) -> None:
+        """Move the bodies of the rollout to these poses."""
+        for layer in self._task_layers:
+            if layer.name in poses:
+                self.scene.move_layer(self._task_view, layer.name, poses[layer.name])
 
     def show_step(self, stage: str, _step: AnyStep, at: int) -> None:
         """Show the preview and layers of a kept step."""

@@ -159,6 +159,6 @@ def get_projection_params(session: Session) -> ProjectionParams:
 def _describe_origin(opened: Translation) -> str:
     if opened.request.alignment is not None:
         return opened.request.alignment.name
-    other = opened.recording.stream_of_sensor(opened.target.name)
+    other = opened.recording.find_partner(opened.stream.name, opened.target.name)
     recorded = None if other is None else opened.recording.target_from_source(opened.stream.name, other.name)
     return "as described by the sensors" if recorded is None else "as recorded"

@@ -25,6 +25,7 @@ from pipeline.cli.translation_options import (
 from pipeline.reporting.export import export_file
 from pipeline.reporting.export_request import SHEET, ExportRequest, PaneContent
 from pipeline.reporting.repro_bundle import REPLAY_TOLERANCE, StageAgreement, replay_bundle, write_bundle
+from pipeline.tasks.rollout_bundle import is_rollout_bundle, replay_rollout
 
 _DISPLAY_HELP = "`stage.parameter=value`, or `display.parameter=value` for the display; repeatable."
 _DisplaySettings = Annotated[tuple[str, ...], Parameter(name="--set", negative="", help=_DISPLAY_HELP)]
@@ -108,8 +109,10 @@ def replay(folder: Path) -> int:
     Parameters
     ----------
     folder
-        Folder written by `tactoscope bundle` or by "Export repro bundle" of the window.
+        Folder written by `tactoscope bundle`, `tactoscope rollout bundle` or the window.
     """
+    if is_rollout_bundle(folder):
+        return _replay_rollout(folder)
     with interruptible_progress() as progress:
         result = replay_bundle(folder, progress)
     if result.note:
@@ -124,6 +127,20 @@ def replay(folder: Path) -> int:
         print_line(f"{name} {value:.4g}, recorded {result.expected_metrics.get(name, float('nan')):.4g}")
     print_line("same result as recorded" if result.is_same else "NOT the recorded result")
     return 0 if result.is_same else 1
+
+
+def _replay_rollout(folder: Path) -> int:
+    with interruptible_progress() as progress:
+        result = replay_rollout(folder, progress)
+    if result.note:
+        print_line(result.note)
+    print_line(result.cause)
+    agreement = result.agreement
+    print_line(
+        f"object within {agreement.pose_mm:.2g} mm, contact force within {agreement.force_n:.2g} N at every tick"
+    )
+    print_line("same result as recorded" if agreement.is_same else "NOT the recorded result")
+    return 0 if agreement.is_same else 1
 
 
 def _format_agreement(stage: StageAgreement) -> str:

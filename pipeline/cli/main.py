@@ -70,7 +70,7 @@ _COMMANDS = {
     ),
     "replay": (
         "export:replay",
-        "Replay a repro bundle. Exits with 0 if every stage gives the recorded result, otherwise with 1.",
+        "Replay a repro bundle of a frame or rollout. Exits with 0 if it gives the recorded result, otherwise with 1.",
     ),
     "live": ("live:live", "Show a live sensor's frame rate and losses every second, and record it if asked."),
     "evaluate": (
@@ -105,6 +105,15 @@ _ALIGN = {
     "refine": ("align:refine_alignment", "Refine an alignment on many touches and write it with its uncertainty."),
     "fit": ("align_fit:fit", "Fit an alignment to a few paired touches without an initial one."),
 }
+_ROLLOUT = {
+    "list": ("rollout:list_rollouts", "List the recorded rollouts of a folder with outcome, error and cause."),
+    "attribute": (
+        "rollout:attribute_recorded",
+        "Say why a rollout fails: its error by stages, and what makes it succeed.",
+    ),
+    "video": ("rollout:video", "Write scene, touches and force of a rollout as a video, one image per tick."),
+    "bundle": ("rollout:bundle", "Write a repro bundle of a rollout, for `tactoscope replay`."),
+}
 
 
 def build_app(name: str = "tactoscope") -> App:
@@ -118,11 +127,13 @@ def build_app(name: str = "tactoscope") -> App:
     )
     calibrate = App(name="calibrate", help="Build a sensor's calibration table from presses of a known object.")
     align = App(name="align", help="Score, refine and fit the alignment of two sensors.")
-    for group, commands in ((app, _COMMANDS), (calibrate, _CALIBRATE), (align, _ALIGN)):
+    rollout = App(name="rollout", help="List, attribute, film and bundle recorded rollouts of tasks.")
+    for group, commands in ((app, _COMMANDS), (calibrate, _CALIBRATE), (align, _ALIGN), (rollout, _ROLLOUT)):
         for command, (path, text) in commands.items():
             group.command(f"pipeline.cli.{path}", name=command, help=text)
     app.command(calibrate)
     app.command(align)
+    app.command(rollout)
     return app
 
 

@@ -7,11 +7,8 @@ from __future__ import annotations
 
 import csv
 import io
-import shutil
-import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -26,6 +23,7 @@ from pipeline.reporting import pane_figures
 from pipeline.reporting.export_request import SHEET, SOURCE, ExportRequest
 from pipeline.reporting.frame_report import FrameReport
 from pipeline.reporting.report import collect_stage_arrays
+from pipeline.reporting.video import write_video
 from pipeline.translation import cross_section
 from pipeline.translation.translate import Translation, open_translation
 from pipeline.values.frames import TactileFrame
@@ -35,7 +33,6 @@ if TYPE_CHECKING:
 
 DEFAULT_VIDEO_RATE_HZ = 10.0  # of a video, where the recording has no timestamps
 _CACHE_BYTES = 32 * 1024 * 1024
-_CODECS = {".mp4": "mp4v", ".avi": "MJPG"}
 _UNDATED: Mapping[str, Mapping[str, None]] = {  # no dates in the files: the same content gives the same bytes
     "png": {"Software": None}, "pdf": {"CreationDate": None, "Creator": None, "Producer": None},
 }  # fmt: skip
@@ -191,38 +188,14 @@ def _section(work: _Work) -> None:
 
 def _video(work: _Work) -> None:
     """Write the frames at the recording's own rate."""
-    import cv2
-
-    codec: Any = cv2.VideoWriter.fourcc(*_CODECS[work.asked.path.suffix.lower()])
     indices = work.frame_indices
-    with tempfile.TemporaryDirectory() as folder:
-        made = Path(folder) / f"video{work.asked.path.suffix.lower()}"
-        writer: Any = None
+
+    def draw_images() -> Iterator[Any]:
         for done, index in enumerate(indices):
             work.progress.step(done / len(indices), f"frame {index}")
-            pixels = _rgb(work.draw_figure(index))
-            if writer is None:
-                size = (pixels.shape[1], pixels.shape[0])
-                writer = cv2.VideoWriter(str(made), codec, _rate_hz(work.translation, indices), size)
-            writer.write(np.ascontiguousarray(pixels[:, :, ::-1]))
-        if writer is None or not writer.isOpened():
-            raise FileProblem("this machine's OpenCV cannot write such a video; try .avi or .mp4", work.asked.path)
-        writer.release()
-        if _n_frames(made) < len(indices):  # the encoder does not report a full disk
-            raise FileProblem(f"cannot write the video (no room for it in {folder!r}?)", work.asked.path)
-        with made.open("rb") as video, open_atomic(work.asked.path, "the video") as file:
-            shutil.copyfileobj(video, file)
+            yield _rgb(work.draw_figure(index))
 
-
-def _n_frames(video: Path) -> int:
-    """Return the number of frames that can be read back."""
-    import cv2
-
-    reader, n = cv2.VideoCapture(str(video)), 0
-    while reader.grab():
-        n += 1
-    reader.release()
-    return n
+    write_video(work.asked.path, draw_images(), _rate_hz(work.translation, indices))
 
 
 def _rgb(drawn: Figure) -> Any:

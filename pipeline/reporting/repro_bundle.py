@@ -200,7 +200,7 @@ def _copy(file: Path, place: Path) -> Path:
 def _record(translation: Translation, index: int, path: Path) -> None:
     """Write the frame of both sensors with ground truth, and its context frames."""
     recording, stream = translation.recording, translation.stream
-    other = recording.stream_of_sensor(translation.target.name)
+    other = recording.find_partner(stream.name, translation.target.name)
     names = {stream.name, *(() if other is None else (other.name,))}
     pairings = [pair for pair in recording.pairings if {pair.source, pair.target} <= names]
     with RecordingWriter(

@@ -81,5 +81,5 @@ def describe_error(decision: Decision, title: str) -> str:
         text += f"; of it {', '.join(named)}"
     flips = next((part for part in decision.shares if part.succeeds), None)
     if flips is not None:
-        return f"{text}; with the true {flips.title} it succeeds"
+        return f"{text}; with the true {flips.title.removeprefix('generated ')} it succeeds"
     return f"{text}; it fails with the truth as well" if decision.shares else text

@@ -60,6 +60,11 @@ def build_scene(rollout: RecordedRollout) -> RolloutScene:
     )  # fmt: skip
 
 
+def make_plain_scene(rollout: RecordedRollout) -> RolloutScene:
+    """The object alone, for a rollout whose task or case is not known here."""
+    return RolloutScene(rollout=rollout, mesh=rollout.mesh or _POINT, bodies=(), hand_from_estimates=())
+
+
 def make_scene_layers(scene: RolloutScene) -> tuple[Layer, ...]:
     """One layer per body, each in its own frame: `RolloutScene.place` moves them."""
     layers = [make_mesh_layer(TRUE_NAME, scene.mesh, OBJECT_COLOUR)]

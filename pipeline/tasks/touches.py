@@ -90,6 +90,27 @@ def find_weights(touch: str, source: str, target: str) -> Path | None:
     return WEIGHTS_FOLDER / f"vqvae_{source}_to_{target}{SUFFIX}" if touch == "vqvae" else None
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TouchRoute:
+    """Route, methods and weights with which a translation gives a task's touch."""
+
+    route: str
+    methods: tuple[tuple[str, str], ...] = ()
+    weights: tuple[tuple[str, Path], ...] = ()
+
+
+def choose_route(touch: str, source: str, target: str) -> TouchRoute:
+    """How a touch method translates; the default route for "true" and others that read no translation."""
+    if touch not in {method.name for method in BUILT_IN.stage("touch").methods}:
+        return TouchRoute(route="t2d2")
+    methods = {"touch": touch, **({"touch_depth": "from_image"} if touch == "vqvae" else {})}
+    weights = find_weights(touch, source, target)
+    return TouchRoute(
+        route="t2d2" if "target_depth" in BUILT_IN.method("touch", touch).reads else "t2t",
+        methods=tuple(methods.items()), weights=() if weights is None else (("touch", weights),),
+    )  # fmt: skip
+
+
 class Moment:
     """One moment of one finger: the frames at hand, and every translation of them, each computed once."""
 
@@ -113,19 +134,12 @@ class Moment:
 
     def open_translation(self, touch: str) -> Translation:
         """The translation of the source's frame by a touch method; of the target's own frame for "true"."""
-        methods = {} if touch == TRUE else {"touch": touch}
-        route = "t2d2"
-        if touch != TRUE:
-            method = BUILT_IN.method("touch", touch)
-            route = "t2d2" if "target_depth" in method.reads else "t2t"
-            if touch == "vqvae":
-                methods["touch_depth"] = "from_image"
         source = self._target if touch == TRUE else self._source
-        weights = find_weights(touch, source.name, self._target.name)
+        chosen = choose_route(touch, source.name, self._target.name)
         return Translation(
             request=Request(
-                recording=self._recording.path, target=self._target.name, route=route, methods=tuple(methods.items()),
-                weights=() if weights is None else (("touch", weights),),
+                recording=self._recording.path, target=self._target.name, route=chosen.route, methods=chosen.methods,
+                weights=chosen.weights,
             ),
             recording=self._recording, stream=self._recording.stream(source.name), source=source, target=self._target,
             alignment=resolve_alignment(source, self._target), calibration=None, mesh=self._mesh,

@@ -98,7 +98,7 @@ class Translation:
 
     def with_target_as_source(self) -> Translation:
         """Return the translation that reads the target's own recording as a source."""
-        own = self.recording.stream_of_sensor(self.target.name)
+        own = self.recording.find_partner(self.stream.name, self.target.name)
         assert own is not None
         load_context_images = _context_image_loader(self.request, self.recording, own, self.target)
         return replace(
@@ -164,7 +164,7 @@ class Translation:
 
     def read_target_observation(self, index: int) -> tuple[TactileFrame, Truth | None] | None:
         """Return what the target sensor recorded of the same touch; None if it took no part."""
-        other = self.recording.stream_of_sensor(self.target.name)
+        other = self.recording.find_partner(self.stream.name, self.target.name)
         if other is None or other.name == self.stream.name or index >= other.n_frames:
             return None
         return other.frame(index), other.truth(index)
@@ -294,7 +294,7 @@ def _alignment(
     """Return the alignment of the file; else of the recording; else of the sensor descriptions."""
     if request.alignment is not None:
         return load_alignment(request.alignment, source=source.name, target=target.name).alignment
-    other = recording.stream_of_sensor(target.name)
+    other = recording.find_partner(stream.name, target.name)
     known = None if other is None else recording.target_from_source(stream.name, other.name)
     return alignments.resolve_alignment(source, target, known)
 

@@ -128,6 +128,13 @@ class Recording:
         """The stream of a sensor, else None."""
         return next((s for s in self.streams if s.sensor == sensor), None)
 
+    def find_partner(self, stream: str, sensor: str) -> Stream | None:
+        """The stream of a sensor that records the touches of another stream: its pair, else the sensor's first."""
+        paired = {pair.target for pair in self.pairings if pair.source == stream}
+        paired |= {pair.source for pair in self.pairings if pair.target == stream}
+        found = next((s for s in self.streams if s.sensor == sensor and s.name in paired), None)
+        return found or self.stream_of_sensor(sensor)
+
     def target_from_source(self, source: str, target: str) -> Doubles | None:
         """The transform (4, 4) in mm between two streams by name, in either direction; None if not known."""
         for pair in self.pairings:

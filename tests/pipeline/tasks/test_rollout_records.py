@@ -12,7 +12,8 @@ from pipeline.base.progress import Cancelled
 from pipeline.tasks.catalogue import load_task
 from pipeline.tasks.rerun import attribute_rollout, compare_rollouts, describe_error, run_again
 from pipeline.tasks.rollout_file import read_rollout
-from pipeline.tasks.trial_table import compute_error_deg, is_rollout_folder, list_trials
+from pipeline.tasks.trial_rows import compute_error_deg, is_rollout_folder
+from pipeline.tasks.trial_table import list_trials
 
 pytestmark = pytest.mark.timeout(600)  # the first grasp compiles kernels where `tactoscope prepare` has not
 FAILS = "hex_key_t2t_0.5mm_002.h5"
@@ -66,7 +67,7 @@ def test_run_again_it_is_the_recorded_one_and_its_shares_add_up_and_flip(failed)
     assert next(part for part in shares if part.succeeds).stage == "touch"
     sentence = describe_error(decisions[0], "off the hole's axis")
     assert sentence.startswith("fails by 1.0 mm off the hole's axis; of it 0.9 the generated touch")
-    assert sentence.endswith("with the true generated touch it succeeds")
+    assert sentence.endswith("with the true touch it succeeds")
     fractions = [fraction for fraction, _ in steps]
     assert fractions == sorted(fractions)
     assert any("truth in place of generated touch" in text for _, text in steps)

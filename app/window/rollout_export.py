@@ -1,0 +1,80 @@
+"""Exports of the rollout on screen: video and repro bundle, written in the background from its own file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from PyQt6.QtCore import QObject
+
+from app.window import dialogs
+from app.window.autosave import AutosaveController
+from app.window.export import ExportController
+from app.window.rollouts import RolloutController
+from app.window.session_controller import SessionController
+from app.work.jobs import JobReporter
+
+_COMMANDS = ("export_rollout_video", "export_rollout_bundle", "copy_trials", "next_trial", "previous_trial",
+             "next_decision")  # fmt: skip
+
+
+class RolloutExportController(QObject):
+    """Connects the export commands of the *Task* layout."""
+
+    def __init__(
+        self,
+        controller: SessionController,
+        rollouts: RolloutController,
+        export: ExportController,
+        autosave: AutosaveController,
+    ) -> None:
+        super().__init__(controller)
+        self._window, self._rollouts, self._export, self._autosave = controller.window, rollouts, export, autosave
+        self._window.connect_command("export_rollout_video", self._ask_video)
+        self._window.connect_command("export_rollout_bundle", self._ask_bundle)
+        rollouts.rollout_shown.connect(self._enable)
+        self._enable()
+
+    def write_video(self, path: Path) -> None:
+        """Write the rollout on screen as a video."""
+        opened = self._rollouts.shown
+        if opened is None:
+            return
+        source = opened.rollout.path
+
+        def write(report: JobReporter) -> None:
+            from pipeline.tasks.rollout_video import write_rollout_video
+
+            write_rollout_video(source, path, report)
+
+        command = f"tactoscope rollout video {dialogs.quote_path(source)} --out {dialogs.quote_path(path)}"
+        self._export.start_writing(f"writing {path.name}", write, path, command)
+
+    def write_bundle(self, folder: Path) -> None:
+        """Write the rollout on screen as a repro bundle."""
+        opened = self._rollouts.shown
+        if opened is None:
+            return
+        source = opened.rollout.path
+
+        def write(_: JobReporter) -> None:
+            from pipeline.tasks.rollout_bundle import write_rollout_bundle
+
+            write_rollout_bundle(source, folder)
+
+        self._export.start_writing(
+            "writing the rollout bundle", write, folder, f"tactoscope replay {dialogs.quote_path(folder)}"
+        )
+
+    def _enable(self) -> None:
+        for name in _COMMANDS:
+            self._window.actions_by_name[name].setEnabled(self._rollouts.shown is not None)
+
+    def _ask_video(self) -> None:
+        path = dialogs.ask_export_path(self._window, "Export rollout video", ".mp4", self._autosave.dialog_folder)
+        if path is not None:
+            self.write_video(path)
+
+    def _ask_bundle(self) -> None:
+        folder = dialogs.ask_save_path(self._window, "export_rollout_bundle", self._autosave.dialog_folder)
+        if folder is not None:
+            self.write_bundle(folder)

@@ -1,0 +1,104 @@
+"""`tactoscope rollout`: list, attribute, film and bundle recorded rollouts."""
+
+from __future__ import annotations
+
+import math
+import os
+import shlex
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from pipeline.base.text import escape_text, shorten_text
+from pipeline.cli.interrupts import interruptible_progress
+from pipeline.cli.terminal import print_line
+from pipeline.tasks.catalogue import load_task
+from pipeline.tasks.rerun import attribute_rollout, describe_error
+from pipeline.tasks.rollout_bundle import write_rollout_bundle
+from pipeline.tasks.rollout_file import read_rollout
+from pipeline.tasks.rollout_video import write_rollout_video
+from pipeline.tasks.trial_table import list_trials
+
+_Note = Annotated[str, Parameter(help="Description of the problem.")]
+_COLUMNS = ("trial", "task", "case", "touch", "mm", "outcome", "error, mm", "error, deg", "cause")
+
+
+def list_rollouts(folder: Path) -> int:
+    """Print one row per rollout: outcome, error of the worst decision, and cause.
+
+    Parameters
+    ----------
+    folder
+        Folder written by `tactoscope task --record`.
+    """
+    with interruptible_progress() as progress:
+        trials = list_trials(folder, progress)
+    table = Table(*_COLUMNS)
+    for trial in trials:
+        cause = trial.problem or ": ".join(filter(None, (trial.cause, trial.share)))
+        cells = (
+            str(trial.trial), trial.task, trial.case or trial.path.name, trial.touch, _format(trial.tolerance_mm, "g"),
+            trial.outcome, _format(trial.error_mm, ".2f"), _format(trial.error_deg, ".1f"), cause,
+        )  # fmt: skip
+        table.add_row(*(Text(shorten_text(escape_text(cell), 100)) for cell in cells))
+    Console(width=200).print(table)
+    return 0
+
+
+def attribute_recorded(file: Path) -> int:
+    """Print why a rollout fails: its error by stages, and the first truth with which it succeeds.
+
+    Stored shares are printed; others are computed by running the rollout again from its plan.
+
+    Parameters
+    ----------
+    file
+        A recorded rollout.
+    """
+    rollout = read_rollout(file)
+    with interruptible_progress() as progress:
+        decisions = attribute_rollout(rollout, progress)
+    title = load_task(rollout.plan.task).error_title
+    for decision in decisions:
+        if decision.shares or len(decisions) == 1:
+            print_line(f"tick {decision.tick}: {describe_error(decision, title)}")
+    return 0
+
+
+def video(file: Path, *, out: Path) -> int:
+    """Write scene, touches and force of every tick as a video.
+
+    Parameters
+    ----------
+    file
+        A recorded rollout.
+    out
+        Video to write, .mp4 or .avi.
+    """
+    with interruptible_progress() as progress:
+        write_rollout_video(file, out, progress)
+    print_line(f"video written to {os.fspath(out)}")
+    return 0
+
+
+def bundle(file: Path, *, out: Path, note: _Note = "") -> int:
+    """Write a repro bundle: the rollout and what runs it again.
+
+    Parameters
+    ----------
+    file
+        A recorded rollout.
+    out
+        New folder to write.
+    """
+    write_rollout_bundle(file, out, note=note)
+    print_line(f"repro bundle written; replay it with: tactoscope replay {shlex.quote(os.fspath(out))}")
+    return 0
+
+
+def _format(value: float, digits: str) -> str:
+    return format(value, digits) if math.isfinite(value) else "-"

@@ -1,0 +1,122 @@
+"""Page of the *Task* layout: trials, the scene in 3D, touches, force against time, and the error of a decision."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
+from PyQt6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QSplitter, QVBoxLayout, QWidget
+
+from pipeline.previews.colours import Rgb
+from widgets.decision_panel import DecisionPanel
+from widgets.preview_view import PreviewView
+from widgets.rollout_plot import RolloutPlot
+from widgets.styling import make_bold, set_spacing
+from widgets.timeline import Timeline
+from widgets.trials_panel import TrialsPanel
+from widgets.view_3d_panel import View3DPanel
+
+_TABLE_SIZE, _SCENE_SIZE = 290, 400  # of 1000: the table in the page, the scene next to the touches
+TOUCHES = {"source": "Source", "touch": "Generated touch", "truth": "True touch"}
+
+
+class TaskPage(QWidget):
+    """Trials at the left; scene and touches over the plot, the ticks and the decision at the right."""
+
+    place_chosen = pyqtSignal(str)  # stream of the finger
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.trials, self.scene, self.plot = TrialsPanel(), View3DPanel(), RolloutPlot()
+        self.decision, self.ticks, self.message = DecisionPanel(), Timeline(unit="tick"), QLabel()
+        self.scene.view.setAccessibleName("scene of the rollout")
+        self.scene.view.setMinimumSize(220, 160)
+        self.message.setWordWrap(True)
+        self.place_box = QComboBox()
+        self.place_box.setObjectName("task_place")
+        self.place_box.setAccessibleName("finger of the touches")
+        self.place_box.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToContents)
+        self.place_box.activated.connect(lambda: self.place_chosen.emit(str(self.place_box.currentData())))
+        self.views = {name: PreviewView() for name in TOUCHES}
+        upper, lower = QSplitter(Qt.Orientation.Horizontal), QSplitter(Qt.Orientation.Vertical)
+        for widget, share in ((self.scene, 4), (self._build_touches(), 5)):
+            upper.addWidget(widget)
+            upper.setStretchFactor(upper.count() - 1, share)
+        for widget, share in ((upper, 5), (self._build_ticks(), 3), (self.decision, 2)):
+            lower.addWidget(widget)
+            lower.setStretchFactor(lower.count() - 1, share)
+        self.split = QSplitter(Qt.Orientation.Horizontal)
+        self.split.setObjectName("task_split")
+        for widget, share in ((self.trials, 3), (lower, 7)):
+            self.split.addWidget(widget)
+            self.split.setStretchFactor(self.split.count() - 1, share)
+        upper.setSizes([_SCENE_SIZE, 1000 - _SCENE_SIZE])
+        self.split.setSizes([_TABLE_SIZE, 1000 - _TABLE_SIZE])
+        layout = set_spacing(QVBoxLayout(self), 2, (2, 2, 2, 2))
+        layout.addWidget(self.message)
+        layout.addWidget(self.split, 1)
+        self.show_message("")
+
+    def _build_touches(self) -> QWidget:
+        panel = QWidget()
+        layout = set_spacing(QVBoxLayout(panel), 2)
+        head = set_spacing(QHBoxLayout(), 6)
+        head.addWidget(self.place_box)
+        head.addStretch(1)
+        row = set_spacing(QHBoxLayout(), 4)
+        for name, title in TOUCHES.items():
+            column, label = set_spacing(QVBoxLayout(), 1), QLabel(title)
+            make_bold(label)
+            view = self.views[name]
+            view.setObjectName(f"task_{name}")
+            view.setAccessibleName(title)
+            column.addWidget(label)
+            column.addWidget(view, 1)
+            row.addLayout(column, 1)
+        layout.addLayout(head)
+        layout.addLayout(row, 1)
+        return panel
+
+    def _build_ticks(self) -> QWidget:
+        panel = QWidget()
+        layout = set_spacing(QVBoxLayout(panel), 0)
+        layout.addWidget(self.plot, 1)
+        layout.addWidget(self.ticks)
+        return panel
+
+    def show_message(self, text: str) -> None:
+        """Show why there is nothing to see; "" hides it."""
+        self.message.setText(text)
+        self.message.setVisible(bool(text))
+
+    def offer_places(self, places: Mapping[str, str], chosen: str) -> None:
+        """Offer stream -> title of the fingers; emits no signal."""
+        with QSignalBlocker(self.place_box):
+            if [self.place_box.itemData(i) for i in range(self.place_box.count())] != list(places):
+                self.place_box.clear()
+                for stream, title in places.items():
+                    self.place_box.addItem(title, stream)
+            self.place_box.setCurrentIndex(max(0, self.place_box.findData(chosen)))
+        self.place_box.setVisible(len(places) > 1)
+
+    def show_legend(self, estimate: Rgb, truth: Rgb, *, has_estimate: bool) -> None:
+        """Name the two poses by their colours and line styles."""
+        lines = [f"<span style='color:{_hex(truth)}'>\N{BLACK SQUARE}</span> true pose, solid"]
+        if has_estimate:
+            lines.append(f"<span style='color:{_hex(estimate)}'>\N{BOX DRAWINGS LIGHT TRIPLE DASH HORIZONTAL}"
+                         "\N{BOX DRAWINGS LIGHT TRIPLE DASH HORIZONTAL}</span> estimated pose, dashed")  # fmt: skip
+        self.scene.caption.set_texts(" &nbsp; ".join(lines))
+
+    def clear(self) -> None:
+        """Show no rollout."""
+        self.plot.show_rollout((), (), ())
+        self.ticks.show_frames(0)
+        self.scene.legend.setText("")
+        self.decision.show_decision("", None, can_attribute=False)
+        for view in self.views.values():
+            view.show_preview(None)
+            view.show_message("")
+
+
+def _hex(colour: Rgb) -> str:
+    return "#{:02x}{:02x}{:02x}".format(*colour)

@@ -1,0 +1,155 @@
+"""Table of the rollouts of a task, with a filter."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from PyQt6.QtCore import QEvent, QModelIndex, Qt, pyqtSignal
+from PyQt6.QtGui import QKeySequence
+from PyQt6.QtWidgets import (
+    QAbstractItemView,
+    QApplication,
+    QHeaderView,
+    QLabel,
+    QLineEdit,
+    QTableView,
+    QVBoxLayout,
+    QWidget,
+)
+
+from pipeline.tasks.trial_rows import TrialRow
+from widgets.styling import set_spacing, shrink_font
+from widgets.trials_model import CAUSE, TRIAL, TrialsFilter, TrialsModel, format_table
+
+_HINT = "filter: fails, t2t, hex_key, >0.5, a word"
+_CAUSE_PX = 320
+
+
+class TrialsTable(QTableView):
+    """A table whose selected rows can be copied; `copy_requested` asks for that."""
+
+    copy_requested = pyqtSignal()
+
+    def event(self, event: QEvent | None) -> bool:
+        """Take the key of Copy from the window while the table has the focus."""
+        key: Any = event
+        if (
+            event is not None
+            and event.type() == QEvent.Type.ShortcutOverride
+            and key.matches(QKeySequence.StandardKey.Copy)
+        ):
+            event.accept()
+            return True
+        return super().event(event)
+
+    def keyPressEvent(self, e: Any) -> None:  # noqa: N802
+        """Copy the selected rows."""
+        if e is not None and e.matches(QKeySequence.StandardKey.Copy):
+            self.copy_requested.emit()
+        else:
+            super().keyPressEvent(e)
+
+
+class TrialsPanel(QWidget):
+    """Filter over table over the number of rows; `trial_chosen` carries the path of the selected rollout."""
+
+    trial_chosen = pyqtSignal(Path)
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.model, self._listed = TrialsModel(self), TrialsFilter(self)
+        self._listed.setSourceModel(self.model)
+        self.filter_line, self.table, self._count = QLineEdit(), TrialsTable(), QLabel()
+        self.filter_line.setObjectName("trials_filter")
+        self.filter_line.setAccessibleName("filter of the trials")
+        self.filter_line.setPlaceholderText(_HINT)
+        self.filter_line.setToolTip("Trials that match all terms: a limit of the error in mm, or a word of any column")
+        self.filter_line.setClearButtonEnabled(True)
+        self.filter_line.textChanged.connect(self._filter)
+        shrink_font(self._count, 1.0)
+        self._prepare_table()
+        layout = set_spacing(QVBoxLayout(self), 3, (2, 2, 2, 2))
+        for widget in (self.filter_line, self.table, self._count):
+            layout.addWidget(widget)
+
+    def _prepare_table(self) -> None:
+        table = self.table
+        table.setObjectName("trials")
+        table.setAccessibleName("trials")
+        table.setModel(self._listed)
+        table.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
+        table.setSelectionMode(QAbstractItemView.SelectionMode.ExtendedSelection)
+        table.setShowGrid(False)
+        table.setAlternatingRowColors(True)
+        table.setWordWrap(False)
+        rows, columns = table.verticalHeader(), table.horizontalHeader()
+        assert rows is not None
+        assert columns is not None
+        rows.hide()
+        rows.setDefaultSectionSize(table.fontMetrics().height() + 5)
+        columns.setMinimumSectionSize(30)
+        columns.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
+        columns.setSectionResizeMode(CAUSE, QHeaderView.ResizeMode.Interactive)
+        columns.resizeSection(CAUSE, _CAUSE_PX)
+        columns.setSortIndicator(TRIAL, Qt.SortOrder.AscendingOrder)
+        table.setSortingEnabled(True)
+        table.clicked.connect(self._choose)
+        table.activated.connect(self._choose)
+        table.copy_requested.connect(self.copy_rows)
+
+    @property
+    def listed_trials(self) -> tuple[TrialRow, ...]:
+        """The rollouts on display in their order."""
+        return tuple(self._get_trial(self._listed.index(row, 0)) for row in range(self._listed.rowCount()))
+
+    def show_trials(self, trials: Sequence[TrialRow]) -> None:
+        """Show these rollouts."""
+        if tuple(trials) != self.model.trials:
+            self.model.show_trials(trials)
+            self._show_count()
+
+    def show_trial(self, path: Path | None) -> None:
+        """Select the rollout on screen."""
+        row = next((k for k, trial in enumerate(self.model.trials) if trial.path == path), -1)
+        index = self._listed.mapFromSource(self.model.index(row, TRIAL)) if row >= 0 else QModelIndex()
+        if not index.isValid():
+            self.table.clearSelection()
+        elif index.row() not in {one.row() for one in self.table.selectedIndexes()}:
+            self.table.setCurrentIndex(index)
+            self.table.scrollTo(index)
+
+    def step_by(self, by: int) -> None:
+        """Choose the next or previous listed rollout that can be read."""
+        trials = self.listed_trials
+        rows = [k for k, trial in enumerate(trials) if not trial.problem]
+        at = next((n for n, k in enumerate(rows) if k == self.table.currentIndex().row()), -by if by > 0 else len(rows))
+        if rows and 0 <= at + by < len(rows):
+            self.trial_chosen.emit(trials[rows[at + by]].path)
+
+    def copy_rows(self) -> None:
+        """Copy the selected rollouts as a table, all listed ones where at most one is selected."""
+        selected = sorted({index.row() for index in self.table.selectedIndexes()})
+        trials = self.listed_trials
+        chosen = [trials[row] for row in selected] if len(selected) > 1 else trials
+        board = QApplication.clipboard()
+        if board is not None:
+            board.setText(format_table(chosen))
+
+    def _filter(self, words: str) -> None:
+        self._listed.set_filter(words)
+        self._show_count()
+
+    def _show_count(self) -> None:
+        trials, listed = self.model.trials, self.listed_trials
+        fails = sum(trial.outcome == "fails" for trial in listed)
+        of = "" if len(listed) == len(trials) else f" of {len(trials)}"
+        self._count.setText(f"{len(listed)}{of} trials, {fails} fail" if trials else "")
+
+    def _get_trial(self, index: QModelIndex) -> TrialRow:
+        return self.model.trials[self._listed.mapToSource(index).row()]
+
+    def _choose(self, index: QModelIndex) -> None:
+        if len({one.row() for one in self.table.selectedIndexes()}) <= 1:
+            self.trial_chosen.emit(self._get_trial(index).path)
