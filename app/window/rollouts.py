@@ -58,7 +58,7 @@ class RolloutController(BackgroundController):
 
     def open_rollouts(self, path: Path) -> None:
         """Open a folder of rollouts, or one of them; a folder without any opens as a recording."""
-        self._opening = path
+        self._opening, self._requested = path, None  # what is being read is dropped
         self.start(partial(list_trial_folder, path))
 
     def choose_trial(self, path: Path) -> None:
@@ -104,7 +104,7 @@ class RolloutController(BackgroundController):
             return
         path = session.recording
         if path is not None and path != self._requested and not is_mounted(path):
-            self._requested = path
+            self._requested, self._opening = path, None
             needs_folder = self.folder is None or self.folder.folder != path.parent
             self.start(partial(_read_rollout, path, needs_folder=needs_folder))
         elif self.shown is not None and path == self.shown.rollout.path:
@@ -134,10 +134,13 @@ class RolloutController(BackgroundController):
     def show_failure(self, error: BaseException) -> None:
         """Show why nothing can be shown, in one sentence."""
         opening, self._opening = self._opening, None
-        if opening is not None and isinstance(error, TouchError):
-            if opening.is_dir():
-                self._controller.open_recording(opening)
+        is_expected = opening is not None and isinstance(error, TouchError)
+        if opening is not None and is_expected and opening.is_dir():
+            self._controller.open_recording(opening)
             return
+        if is_expected and self._controller.session.layout.name != "task":
+            return
+        self._requested = self._controller.session.recording
         self.shown = None
         self._page.clear()
         self._page.show_message(str(error))
