@@ -136,15 +136,14 @@ ARRANGEMENT_COMMANDS = (
     Command("delete_arrangement", "Delete arrangement", "Delete the current arrangement; the window stays as it is"),
 )
 TASK_COMMANDS = (
-    Command("open_rollouts", "Open rollouts…", "Open a folder that `tactoscope task --record` wrote", icon="folder"),
+    Command("open_rollouts", "Open rollouts…", "Open a folder that `tactoscope task --record` wrote"),
     Command("previous_trial", "Previous trial", "Open the trial above in the table", key="Ctrl+Up"),
     Command("next_trial", "Next trial", "Open the trial below in the table", key="Ctrl+Down"),
     Command("next_decision", "Next decision", "Go to the tick of the next decision", key="N"),
     Command("attribute_rollout", "Attribute decision",
             "Run the rollout again with the truth in place of one stage after the other", key="Ctrl+Return"),
-    Command("copy_trials", "Copy trials", "Copy the listed trials as a table", icon="file"),
-    Command("export_rollout_video", "Export rollout video…", "Write scene, touches and force of every tick as video",
-            icon="image"),
+    Command("copy_trials", "Copy trials", "Copy the listed trials as a table"),
+    Command("export_rollout_video", "Export rollout video…", "Write scene, touches and force of every tick as video"),
     Command("export_rollout_bundle", "Export rollout bundle…",
             "Write this rollout and what runs it again to a folder, for `tactoscope replay`"),
 )
