@@ -86,9 +86,15 @@ class PreviewRenderer:
         pixmap = QPixmap(max(1, round(dense * self.size.width())), max(1, round(dense * self.size.height())))
         pixmap.setDevicePixelRatio(dense)
         pixmap.fill(behind)
-        if self.image is None or self.preview is None:
-            return pixmap
         painter = QPainter(pixmap)
+        self.paint(painter, dense, font)
+        painter.end()
+        return pixmap
+
+    def paint(self, painter: QPainter, dense: float, font: QFont) -> None:
+        """Paint image, outlines and scale bar into the area of `size`, at `dense` physical pixels per logical pixel."""
+        if self.image is None or self.preview is None:
+            return
         painter.setOpacity(_DIMMED if self.is_dimmed else 1.0)
         self._draw_image(painter, self.image, 0.0, dense)
         if self.overlay is not None:
@@ -107,8 +113,6 @@ class PreviewRenderer:
         for border, pen in ((observed, casing), (observed, inner), (own, rim)):
             self._draw_border(painter, border, pen)
         self._draw_scale_bar(painter, self.preview, font)
-        painter.end()
-        return pixmap
 
     def _draw_image(self, painter: QPainter, image: QImage, from_share: float, dense: float) -> None:
         first = round(from_share * image.width())
@@ -156,9 +160,11 @@ class PreviewRenderer:
         painter.setPen(QPen(ink, 3))
         painter.drawLine(QPointF(end - length_mm * px_of_mm, y), QPointF(end, y))
         small = QFont(font)
-        small.setPointSizeF(_LETTERS_PT)
+        if font.pointSizeF() > 0:  # a font of a size in pixels belongs to the size of the whole image
+            small.setPointSizeF(_LETTERS_PT)
         painter.setFont(small)
-        room = QRectF(end - length_mm * px_of_mm - 40, y - 18, length_mm * px_of_mm + 80, 15)
+        high = painter.fontMetrics().height()
+        room = QRectF(end - length_mm * px_of_mm - 40, y - 3 - high, length_mm * px_of_mm + 80, high)
         painter.drawText(room, Qt.AlignmentFlag.AlignCenter, f"{length_mm:g} mm")
 
 

@@ -47,6 +47,7 @@ CAPTURE_COMMANDS = (
     Command("live", "Live…", "Open a live source: a simulated sensor, a camera, or a folder that grows", icon="live",
             key="Ctrl+Shift+L"),
     Command("copy_image", "Copy image", "Copy an image of the active pane, or of the window", key="Ctrl+C"),
+    Command("save_video", "Save video…", "Write the presentation of all frames as a video", key="Ctrl+Shift+V"),
     Command("save_screenshot", "Save screenshot…", "Save an image of the window", key="Ctrl+Shift+E"),
     Command("copy_command", "Copy as command", "Copy the command line that reproduces the screen", key="Ctrl+Shift+C"),
 )
@@ -83,7 +84,8 @@ VIEW_COMMANDS = (
     Command("pin_probe", "Pin probe", "Keep the probed pixel", icon="target", key="F", checkable=True),
     Command("magnify", "Magnifier", "Show the pixel values around the pointer in a corner of the image",
             icon="magnifier", key="M", checkable=True),
-    Command("full_screen", "Full screen", "Switch to full screen or back", key="F11", checkable=True),
+    Command("full_screen", "Presentation", "Show source, generated touch and truth on the full screen; Esc leaves",
+            key="F11", checkable=True),
     Command("probe_by_keys", "Probe by keys",
             "Move the probe or the section line by arrow keys; Enter pins, Tab goes to the next image, Esc ends",
             key="P"),

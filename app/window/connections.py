@@ -32,6 +32,7 @@ from app.window.pan_zoom import PanZoomController
 from app.window.panels import add_panels
 from app.window.parameter_search import make_parameter_actions
 from app.window.presentation import PresentationController
+from app.window.presentation_video import PresentationVideoController
 from app.window.probe_3d import Probe3DController
 from app.window.rollout_attribution import RolloutAttributionController
 from app.window.rollout_export import RolloutExportController
@@ -96,6 +97,7 @@ def connect(controller: SessionController, theme: Theme = "light") -> AutosaveCo
     ThemeController(controller, autosave, theme)
     arrangements = ArrangementController(controller, autosave)
     export = ExportController(controller, autosave, sweep)
+    PresentationVideoController(controller, autosave)
     rollouts = RolloutController(controller)
     RolloutAttributionController(controller, rollouts)
     RolloutExportController(controller, rollouts, export, autosave)

@@ -85,6 +85,7 @@ class MainWindow(QMainWindow):
         self.trace, self.log, self.timings = TracePanel(), LogPanel(), TimingsPanel()
         self.error_attribution = ErrorAttributionPanel()
         self.basins, self.steps_panel, self.section_panel = BasinPanel(), StepsPanel(), SectionPanel()
+        self.presented_columns: tuple[str, ...] = ()  # those of a presentation, while there is one
         self._only_stage, self._hidden_stages, self.current_layout = "", frozenset[str](), Layout()
         self.view_panels = {name: View3DPanel(self.steps.get(name)) for name, _ in columns}
         self.truth_column, self.truth_view_panel = StageColumn("truth", "Truth"), View3DPanel()  # of the Demo layout
@@ -293,7 +294,9 @@ class MainWindow(QMainWindow):
         return [name for name in self.columns if name not in self._hidden_stages]
 
     def visible_columns(self) -> tuple[str, ...]:
-        """The stages that are visible, large or as thumbnails."""
+        """The stages that are visible, large or as thumbnails, or in a presentation."""
+        if self.presented_columns:
+            return tuple(name for name in self.presented_columns if name in self.route_columns)
         is_inspecting = self.current_layout.name == "inspect"
         return tuple(
             self.route_columns
@@ -305,6 +308,11 @@ class MainWindow(QMainWindow):
     def active_timeline(self) -> Timeline:
         """The timeline that the playback commands act on."""
         return self.task.ticks if self.current_layout.name == "task" else self.timeline
+
+    @property
+    def shows_truth_column(self) -> bool:
+        """Whether the truth of the generated touch has a column or pane of its own."""
+        return bool(self.presented_columns) or self.current_layout.name in ("demo", "task")
 
     def connect_command(self, name: str, function: Callable[[], object]) -> None:
         """Call `function` when a command is triggered."""

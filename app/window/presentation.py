@@ -1,4 +1,4 @@
-"""Full screen, image to clipboard, and the magnifier."""
+"""Full screen presentation, image to clipboard, and the magnifier."""
 
 from __future__ import annotations
 
@@ -7,7 +7,13 @@ from PyQt6.QtGui import QGuiApplication
 from PyQt6.QtWidgets import QWidget
 
 from app.window.session_controller import SessionController
+from app.work.presentation import choose_presented_stages, make_panes
+from pipeline.previews.contrast import FittedContrast
 from widgets.magnifier import Magnifier
+from widgets.presentation_view import PresentationView
+
+# commands whose shortcuts act in the presentation too
+_COMMANDS = ("full_screen", "play", "first", "previous", "next", "last", "back_10", "forward_10", "loop")
 
 
 class PresentationController(QObject):
@@ -21,6 +27,10 @@ class PresentationController(QObject):
         self._window.connect_command("full_screen", self._set_full_screen)
         self._window.connect_command("copy_image", self.copy_image)
         self._window.connect_command("magnify", self._hide_magnifier)
+        self.view: PresentationView | None = None  # while something is presented
+        self._contrast = FittedContrast()
+        controller.frame_shown.connect(self._show_frame)
+        controller.closing.connect(self.leave)
         for column in self._window.columns.values():
             column.pixel_hovered.connect(self._show_pixel)
         controller.probe.pixel_moved.connect(self._show_pixel)
@@ -39,8 +49,45 @@ class PresentationController(QObject):
             size = widget.size() * widget.devicePixelRatioF()
             self._window.readout.setText(f"image of {size.width()} x {size.height()} pixels copied")
 
+    def present(self) -> None:
+        """Show source, generated touch and truth on the full screen of the window; Esc or F11 leaves."""
+        opened, screen = self._controller.views.translation, self._window.screen()
+        if opened is None:
+            self._window.readout.setText("nothing to present; open a recording first")
+            self._full_screen.setChecked(False)
+            return
+        self._full_screen.setChecked(True)
+        self._contrast, self.view = FittedContrast(), PresentationView()
+        self.view.left.connect(self.leave)
+        self.view.addActions([self._window.actions_by_name[name] for name in _COMMANDS])
+        if screen is not None:
+            self.view.setGeometry(screen.geometry())
+        self._window.presented_columns = choose_presented_stages(opened)
+        self.view.showFullScreen()
+        self._controller.refresh()
+
+    def leave(self) -> None:
+        """Close the presentation; the window is as it was, on the frame shown last."""
+        view, self.view = self.view, None
+        self._full_screen.setChecked(False)
+        if view is not None:
+            self._window.presented_columns = ()
+            view.close()
+            view.deleteLater()
+            self._controller.refresh()
+
+    def _show_frame(self, _index: int) -> None:
+        """Show the frame once all of it is there: the one before stays as it is until then."""
+        opened, views = self._controller.views.translation, self._controller.views
+        if self.view is None or opened is None:
+            return
+        shown = {name: views.get_shown_stage(name) for name in self._window.presented_columns}
+        panes = make_panes(opened, shown, self._contrast)
+        if panes:
+            self.view.show_panes(panes)
+
     def _set_full_screen(self) -> None:
-        self._window.showFullScreen() if self._full_screen.isChecked() else self._window.showNormal()
+        self.present() if self._full_screen.isChecked() else self.leave()
 
     def _hide_magnifier(self) -> None:
         if not self._magnify.isChecked():

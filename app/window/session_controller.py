@@ -307,7 +307,7 @@ class SessionController(SessionDocument):
         evaluate = partial(
             self.evaluator.evaluate_frame, with_observation=self._with_observation,
             get_current=lambda: self.views.translation,
-            with_truth=bool(self.views.comparison_mode) or session.layout.name in ("demo", "task"),
+            with_truth=bool(self.views.comparison_mode) or self.window.shows_truth_column,
         )  # fmt: skip
         interrupt = other_request or not (self._draft_stage or self._interrupt_timer.isActive())
         self._draft_stage = self._dragged_key.partition("/")[0]

@@ -103,6 +103,9 @@ class StageViews:
     def show_stage(self, part: SourcePreview | StagePreview, *, is_newest: bool = True) -> None:
         """Show one column's preview, layers and state; unless `is_newest`, the column still counts as pending."""
         name = part.result.name if isinstance(part, StagePreview) else "source"
+        if self._window.presented_columns:  # what the presentation does not show is shown again after it
+            self._shown[name] = part
+            return
         column = self._window.columns[name]
         self._show_preview(column.view, part.preview, part.truth_view if isinstance(part, StagePreview) else None)
         self._window.panes.filmstrip.thumbnails[name].show_preview(column.view.preview or part.preview)
@@ -325,7 +328,8 @@ class StageViews:
         return changed - {name}
 
     def _list_pending(self) -> list[str]:
-        return [name for name in self._window.visible_columns() if name not in self._fresh]
+        shown = () if self._window.presented_columns else self._window.visible_columns()
+        return [name for name in shown if name not in self._fresh]
 
 
 def _get_view_key(stage: str, other: Translation | None) -> tuple[str, Request | None]:

@@ -83,7 +83,9 @@ class Evaluator:
         self._must_release = False  # whether a recording was opened since memory was last released
         # Kept for the open recording, so that playing and stepping back need not recompute them.
         self._comparisons: Memo[tuple[int, DepthParams], TargetComparison] = Memo(most_bytes=_TRUTH_BYTES)
-        self._truths: Memo[int, Mapping[str, object]] = Memo(most_bytes=_TRUTH_BYTES, weigh=_size_bytes)
+        self._truths: Memo[tuple[int, tuple[str, ...]], Mapping[str, object]] = Memo(
+            most_bytes=_TRUTH_BYTES, weigh=_size_bytes
+        )
 
     def evaluate_frame(
         self,
@@ -116,16 +118,17 @@ class Evaluator:
         )
         report.deliver(source)
         results: dict[str, StageResult] = {}
-        truths = self._get_true_outputs(translation, index) if with_truth else None
+        stages = tuple(name for name in translation.stages if name in stages)
+        truths = self._get_true_outputs(translation, index, stages) if with_truth else None
 
         def on_stage(result: StageResult) -> None:
             result = add_truth_warnings(result, truth)
             results[result.name] = result
             compares = with_observation and result.name == _OUTLINED and "depth" in results
             other = self._get_comparison(translation, index, results["depth"].output, session) if compares else None
-            report.deliver(self._previews.draw_stage(result, results, translation, session, other, truths))
+            known = truths if result.name in stages else None
+            report.deliver(self._previews.draw_stage(result, results, translation, session, other, known))
 
-        stages = tuple(name for name in translation.stages if name in stages)
         self._graph = translation.build_graph(like=self._graph)
         self._graph.evaluate(stages, inputs, session.collect_params(translation.methods), report, on_stage)
         metrics = self._previews.compute_metrics(translation, results, index, truth)
@@ -244,13 +247,13 @@ class Evaluator:
             self._comparisons.put(key, comparison)
         return comparison
 
-    def _get_true_outputs(self, translation: Translation, index: int) -> Mapping[str, object]:
-        """Return the same object for the same frame, which is what the preview cache compares by."""
-        truths = self._truths.get(index)
+    def _get_true_outputs(self, translation: Translation, index: int, stages: tuple[str, ...]) -> Mapping[str, object]:
+        """Return the same object for the same frame and stages, which is what the preview cache compares by."""
+        truths = self._truths.get((index, stages))
         if truths is None:
-            truths = translation.read_true_outputs(index)
+            truths = translation.read_true_outputs(index, stages)
             self._drop_if_live(translation)
-            self._truths.put(index, truths)
+            self._truths.put((index, stages), truths)
         return truths
 
     def _drop_if_live(self, translation: Translation) -> None:

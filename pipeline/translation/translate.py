@@ -177,10 +177,15 @@ class Translation:
             target_observation=None if other is None else other[0], target_truth=None if other is None else other[1],
         )  # fmt: skip
 
-    def read_true_outputs(self, index: int) -> dict[str, object]:
-        """Return stage -> true value on frame `index`; stages without known truth are absent."""
+    def read_true_outputs(self, index: int, shown: tuple[str, ...] = ()) -> dict[str, object]:
+        """Return stage -> true value on frame `index`; stages without known truth are absent.
+
+        Of the `shown` stages and those that their previews read, where given.
+        """
         facts = self.read_ground_truth(index)
         stages = [self.catalogue.stage(name) for name in self.stages]
+        needed = {*shown, *(other for stage in stages if stage.name in shown for other in stage.preview_stages)}
+        stages = [stage for stage in stages if not shown or stage.name in needed]
         values = {
             s.name: s.make_ground_truth(facts, self.source if s.sensor_role == "source" else self.target)
             for s in stages

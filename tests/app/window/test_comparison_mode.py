@@ -105,7 +105,7 @@ def test_truth_is_not_computed_unless_requested(window, monkeypatch):
     asked = []
     honest = translation.read_true_outputs
     monkeypatch.setattr(
-        translation, "read_true_outputs", lambda self, index: asked.append(index) or honest(self, index)
+        translation, "read_true_outputs", lambda self, index, shown: asked.append(index) or honest(self, index, shown)
     )
     window.choose_frame(7)
     assert wait_until_shown(window, LIMIT_S)

@@ -1,0 +1,47 @@
+"""Colour limits fitted to a touch, for a presentation: they only widen, so that colours do not flicker."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from pipeline.previews.colours import apply_colour_map
+from pipeline.previews.preview import Preview
+
+_STEPS = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0, 10.0)  # limits are one of these times a power of ten
+_QUANTILE = 0.998  # of the values within the limits: single pixels of noise do not count
+_LEAST_SHARE = 0.04  # of the absolute limit: noise without a touch stays pale
+
+
+class FittedContrast:
+    """Limits per quantity, the widest that any image so far needed."""
+
+    def __init__(self) -> None:
+        self._limits: dict[str, float] = {}
+
+    def fit(self, *previews: Preview) -> tuple[Preview, ...]:
+        """Return the images with limits that hold all of them; one in true colours stays as it is."""
+        for preview in previews:
+            if preview.scale is not None and preview.values is not None:
+                limit = max(abs(preview.scale.low), abs(preview.scale.high))
+                known = np.abs(preview.values[np.isfinite(preview.values)])
+                needed = float(np.quantile(known, _QUANTILE)) if known.size else 0.0
+                needed = _round_up(max(needed, _LEAST_SHARE * limit))
+                key = preview.scale.quantity
+                self._limits[key] = max(self._limits.get(key, 0.0), needed)
+        return tuple(self._recolour(preview) for preview in previews)
+
+    def _recolour(self, preview: Preview) -> Preview:
+        scale = preview.scale
+        if scale is None or preview.values is None:
+            return preview
+        limit = self._limits[scale.quantity]
+        scale = replace(scale, low=-limit if scale.low < 0.0 else 0.0, high=limit, is_fitted=True)
+        return replace(preview, scale=scale, pixels=apply_colour_map(preview.values, scale))
+
+
+def _round_up(value: float) -> float:
+    power = 10.0 ** math.floor(math.log10(value))
+    return next(step for step in _STEPS if step * power >= value * (1.0 - 1e-9)) * power
