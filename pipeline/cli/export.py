@@ -37,7 +37,7 @@ def export(
     recording: RecordingPath,
     *,
     target: TargetName,
-    out: Path,
+    out: Annotated[Path, Parameter(name=("--out", "--to"))],
     options: TranslationOptions = DEFAULT_OPTIONS,
     pane: str = SHEET,
     content: PaneContent = "computed",
@@ -52,7 +52,8 @@ def export(
     ----------
     out
         File to write: .png or .pdf of a pane or the sheet, .ply of a pane's points in mm, .npz of its arrays, .csv of
-        the metrics of all frames, .mp4 or .avi of a pane through the frames.
+        the metrics of all frames, .mp4 or .avi of a pane through the frames, .rrd (Rerun) or .mcap (Foxglove) of all
+        stages through the frames.
     pane
         A stage, `source`, or `sheet` for all of them side by side.
     content
@@ -60,7 +61,7 @@ def export(
     frame
         Frame of an image, of points or of arrays.
     frames
-        Frames of a table or a video, such as `0,3-7`; default: all.
+        Frames of a table, video or viewer file, such as `0,3-7`; default: all.
     section
         x, y of the start and of the end of a line in mm from the source camera's axis, on the gel: the .csv then holds
         the height of each pane along it on one frame; --pane takes several, comma-separated.

@@ -1,4 +1,4 @@
-"""Export one file of a translation, as the window shows it: image, points, arrays, table or video, by suffix.
+"""Export one file of a translation, as the window shows it: image, points, arrays, table, video or viewer file.
 
 The window and the command line both call `export_file`, so that they write the same bytes.
 """
@@ -19,11 +19,13 @@ from pipeline.base.frame_lists import parse_frames
 from pipeline.base.progress import SILENT, Progress
 from pipeline.engine.cache import Cache
 from pipeline.engine.graph import Graph, StageResult
-from pipeline.reporting import pane_figures
+from pipeline.geometry import rigid
+from pipeline.reporting import pane_figures, viewer_files
 from pipeline.reporting.export_request import SHEET, SOURCE, ExportRequest
 from pipeline.reporting.frame_report import FrameReport
 from pipeline.reporting.report import collect_stage_arrays
 from pipeline.reporting.video import write_video
+from pipeline.reporting.viewer_files import StageSample
 from pipeline.translation import cross_section
 from pipeline.translation.translate import Translation, open_translation
 from pipeline.values.frames import TactileFrame
@@ -198,6 +200,37 @@ def _video(work: _Work) -> None:
     write_video(work.asked.path, draw_images(), _rate_hz(work.translation, indices))
 
 
+def _write_rerun(work: _Work) -> None:
+    viewer_files.write_rrd(work.asked.path, _sample_stages(work), work.translation.mesh)
+
+
+def _write_mcap(work: _Work) -> None:
+    viewer_files.write_mcap(work.asked.path, _sample_stages(work))
+
+
+def _sample_stages(work: _Work) -> Iterator[StageSample]:
+    """Yield source and stages of every requested frame, or the requested pane, with points in the target's frame."""
+    translation, indices = work.translation, work.frame_indices
+    panes = (SOURCE, *translation.stages) if work.asked.pane == SHEET else (work.asked.pane,)
+    for done, index in enumerate(indices):
+        work.progress.step(done / len(indices), f"frame {index}")
+        frame, results = work.evaluate_frame(index, every=True)
+        metrics = translation.compute_metrics(results, index)
+        target_from_source = translation.alignment.target_from_source
+        for name in panes:
+            shown = pane_figures.render_pane(name, frame, results, translation, work.display, work.asked.content)
+            is_source = name == SOURCE or translation.catalogue.stage(name).sensor_role == "source"
+            value = None if name == SOURCE else results[name].output
+            points_mm = rigid.apply(target_from_source, shown.points_mm) if is_source else shown.points_mm
+            yield StageSample(
+                name=name, frame=index, pixels=shown.preview.pixels, points_mm=points_mm.astype(np.float32),
+                rgb=shown.rgb, depth_mm=getattr(value, "depth_mm", None),
+                time_s=frame.time_s if np.isfinite(frame.time_s) else index / DEFAULT_VIDEO_RATE_HZ,
+                target_from_object=getattr(value, "sensor_from_object", None),
+                metrics={key: number for key, number in metrics.items() if key.startswith(f"{name}.")},
+            )  # fmt: skip
+
+
 def _rgb(drawn: Figure) -> Any:
     """Return (rows, cols, 3) uint8 with even sizes, which most codecs need."""
     canvas: Any = drawn.canvas
@@ -219,6 +252,6 @@ def _number(value: float) -> str:
 
 _WRITERS: Mapping[str, Callable[[_Work], None]] = {
     ".png": _picture, ".pdf": _picture, ".ply": _points, ".npz": _arrays, ".csv": _table,
-    ".mp4": _video, ".avi": _video,
+    ".mp4": _video, ".avi": _video, ".rrd": _write_rerun, ".mcap": _write_mcap,
 }  # fmt: skip
 EXPORT_SUFFIXES = tuple(_WRITERS)
