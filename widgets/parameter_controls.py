@@ -55,13 +55,31 @@ class ParameterControl:
         elif self.widget.property(_TIP):
             self.widget.setToolTip(self.widget.property(_TIP))
 
+    @property
+    def _spin_boxes(self) -> list[QSpinBox | QDoubleSpinBox]:
+        """Its spin boxes, none or one."""
+        return [
+            box
+            for box in (self.widget, *self.widget.findChildren(QWidget))
+            if isinstance(box, QSpinBox | QDoubleSpinBox)
+        ]
+
     def set_narrow(self) -> None:
         """Take little room: the spin box has no buttons, and the slider may be short."""
-        for box in (self.widget, *self.widget.findChildren(QWidget)):
-            if isinstance(box, QAbstractSpinBox):
-                box.setButtonSymbols(QAbstractSpinBox.ButtonSymbols.NoButtons)
+        for box in self._spin_boxes:
+            box.setButtonSymbols(QAbstractSpinBox.ButtonSymbols.NoButtons)
         for slider in self.sliders:
             slider.setMinimumWidth(_NARROW_PX)
+
+    def set_compact(self, compact: bool, prefix: str, suffix: str) -> None:
+        """Show the number without its slider, between `prefix` and `suffix`."""
+        for slider in self.sliders:
+            slider.setHidden(compact)
+        across = QSizePolicy.Policy.Ignored if compact else QSizePolicy.Policy.Minimum
+        for box in self._spin_boxes:
+            box.setSizePolicy(across, QSizePolicy.Policy.Fixed)
+            box.setPrefix(prefix if compact else "")
+            box.setSuffix(suffix if compact else "")
 
 
 def make_control(value: Value, setting: Setting, edited: Callable[[Value], None]) -> ParameterControl:

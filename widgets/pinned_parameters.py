@@ -29,6 +29,8 @@ class PinnedParameters(QWidget):
         self._key, self._params, self._height_px = "", object(), 0
         self._controls: dict[str, tuple[Setting, ParameterControl]] = {}
         self._rows: dict[str, QHBoxLayout] = {}
+        self._labels: dict[str, QLabel] = {}
+        self._is_wide = self._is_compact = False
         self._outer = set_spacing(QVBoxLayout(self), 0)
         self._lines = set_spacing(QBoxLayout(QBoxLayout.Direction.TopToBottom), 1)
         self._outer.addLayout(self._lines)
@@ -40,7 +42,7 @@ class PinnedParameters(QWidget):
             for name, (value, setting) in list_settings(params).items():
                 if setting.pinned and name not in self._rows:
                     row = self._rows[name] = set_spacing(QHBoxLayout(), 4)
-                    label = QLabel(setting.pinned)
+                    label = self._labels[name] = QLabel(setting.pinned)
                     label.setFixedWidth(_LABEL_PX)
                     shrink_font(label, 1.0)
                     row.addWidget(label)
@@ -66,10 +68,30 @@ class PinnedParameters(QWidget):
 
     def set_wide(self, wide: bool) -> None:
         """Place all controls in one line if wide."""
+        self._is_wide = wide
+        self._arrange()
+
+    def set_compact(self, compact: bool) -> None:
+        """Place all controls in one line, numbers without labels and sliders, unless wide."""
+        if compact != self._is_compact:
+            self._is_compact = compact
+            self._arrange()
+
+    def _arrange(self) -> None:
         way = QBoxLayout.Direction
-        self._lines.setDirection(way.LeftToRight if wide else way.TopToBottom)
-        self._lines.setSpacing(12 if wide else 1)
+        one_line = self._is_wide or self._is_compact
+        self._lines.setDirection(way.LeftToRight if one_line else way.TopToBottom)
+        self._lines.setSpacing(12 if self._is_wide else 2 if self._is_compact else 1)
+        for name in self._rows:
+            self._arrange_control(name)
         self.reserve_height(0)
+
+    def _arrange_control(self, name: str) -> None:
+        setting, control = self._controls[name]
+        compact = self._is_compact and not self._is_wide
+        self._labels[name].setHidden(compact)
+        unit = f" {setting.unit}" if setting.unit else ""
+        control.set_compact(compact, "" if unit else f"{setting.pinned.lower()} ", unit)
 
     def show_params(self, key: str, params: object, reasons: Mapping[str, str]) -> None:
         """Show the values of a method without emitting a signal; `reasons`: name -> why it cannot act."""
@@ -108,6 +130,7 @@ class PinnedParameters(QWidget):
             slider.sliderReleased.connect(lambda: self.slider_held.emit(""))
         row.addWidget(control.widget, 1)
         self._controls[name] = setting, control
+        self._arrange_control(name)
 
     def _emit_edited(self, name: str, value: Value) -> None:
         if name in list_settings(self._params):

@@ -100,11 +100,13 @@ class StageColumn(QFrame):
         self._fit_time()
 
     def set_compact(self, short: bool, *, joined: bool = False) -> None:
-        """Give caption and note one line instead of two.
+        """Give caption, note and pinned parameters one line each, and the colour bar no histogram.
 
         `joined` puts the state into the title's line.
         """
         self._show_lines(1 if short or self._wide else 2)
+        self.view.colour_bar.set_compact(short)
+        self.pinned.set_compact(short)
         joined = joined and not self._wide
         if joined != self._joined:
             self._joined = joined

@@ -67,10 +67,11 @@ class StageRows(QSplitter):
         some = any(column.view.has_colour_scale or column.view.preview is None for column in shown)
         short = self.height() < _SHORT_PX
         joined = short and all(column.has_room_for_state for column in shown)
-        pinned_px = max((column.pinned.needed_height_px for column in shown), default=0)
         for column in shown:  # all columns reserve room for scales, or none: previews stay aligned
             column.view.colour_bar.setVisible(some)
             column.set_compact(short, joined=joined)
+        pinned_px = max((column.pinned.needed_height_px for column in shown), default=0)
+        for column in shown:
             column.pinned.reserve_height(pinned_px)
         if (short, joined, some) != self._told:
             self._told = short, joined, some

@@ -33,10 +33,8 @@ def limit_threads() -> None:
     """Let the libraries of this process compute on one thread each, so that sums do not depend on the machine."""
     os.environ["OMP_NUM_THREADS"] = "1"  # read by torch when it is imported
     import cv2
-    import numba
 
     cv2.setNumThreads(1)
-    numba.set_num_threads(1)
     if "torch" in sys.modules:
         sys.modules["torch"].set_num_threads(1)
 

@@ -7,6 +7,7 @@ import warnings
 import numpy as np
 
 from pipeline.base.errors import TouchError
+from pipeline.engine.graph import Fallback
 from pipeline.geometry import rigid
 from tests.stability.rows import count_answer
 
@@ -14,7 +15,7 @@ from tests.stability.rows import count_answer
 def outcome(stage, *inputs):
     """(result, "") or (None, the sentence of a TouchError); any other exception is a finding and goes on.
 
-    Sentences are counted: a row bounds their share. numpy's warnings are let pass, as in the app: what counts is what comes out.
+    Sentences are counted, those of a fallback too: a row bounds their share. numpy's warnings are let pass, as in the app: what counts is what comes out.
     """
     try:
         with warnings.catch_warnings():
@@ -26,7 +27,9 @@ def outcome(stage, *inputs):
         assert message
         assert "\n" not in message
         return None, message
-    count_answer(refused=False)
+    is_fallback = isinstance(result, Fallback)
+    assert not is_fallback or result.reason
+    count_answer(refused=is_fallback)
     return result, ""
 
 

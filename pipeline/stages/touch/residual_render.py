@@ -14,7 +14,7 @@ from pipeline.stages.touch.residual_diffusion import DenoisingState, ResidualSam
 from pipeline.values.results import DepthMap, GeneratedTouch, TouchStep
 
 _HALF = 0.5
-NO_CHANGE = "physics: the network changes no pixel; its corrections are smaller than their expected errors"
+NO_CHANGE = "physics: the network changes nothing; its corrections are smaller than their expected errors"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,12 +78,18 @@ def _render_state(
 
 
 def report_change(touch: GeneratedTouch, physical: GeneratedTouch) -> GeneratedTouch | Fallback[GeneratedTouch]:
-    """`touch` with a note of its mean distance from physics in contact; a fallback where no pixel differs."""
-    if np.array_equal(touch.image, physical.image):
-        notes = tuple(dict.fromkeys((*physical.notes, *touch.notes)))
-        return Fallback(result=replace(physical, notes=notes), reason=NO_CHANGE)
+    """`touch` with a note of what the network changed; a fallback where image and contact equal those of physics.
+
+    The note holds the mean distance from physics in contact, or the number of pixels where only the contact differs.
+    """
     assert touch.membrane is not None
     assert physical.membrane is not None
+    n_contact_changes = np.count_nonzero(touch.membrane.contact != physical.membrane.contact)
+    if np.array_equal(touch.image, physical.image):
+        if not n_contact_changes:
+            notes = tuple(dict.fromkeys((*physical.notes, *touch.notes)))
+            return Fallback(result=replace(physical, notes=notes), reason=NO_CHANGE)
+        return replace(touch, notes=(*touch.notes, ChangeNote(f"network changed contact by {n_contact_changes} px")))
     contact = touch.membrane.contact | physical.membrane.contact
     change_mm = np.abs(touch.membrane.indentation_mm - physical.membrane.indentation_mm)[contact]
     note = ChangeNote(f"network changed {float(change_mm.mean()) if change_mm.size else 0.0:.2g} mm")

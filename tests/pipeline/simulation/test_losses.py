@@ -29,6 +29,15 @@ if limit:
     resource.setrlimit(resource.RLIMIT_FSIZE, (limit, resource.RLIM_INFINITY))
 sys.exit(run_app(build_app(), ["simulate", *sys.argv[2:]]))
 """
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from pipeline.base.files import open_atomic
+with open_atomic(Path(sys.argv[1]), "the recording") as file:
+    file.write(b"half a recording")
+    file.flush()
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
 WORKER = """
 import os, sys
 from pipeline.simulation.recorder import make_worker_pool
@@ -99,9 +108,8 @@ def test_a_kill_costs_no_more_than_a_minute(tmp_path, monkeypatch):
 
 
 def test_files_of_a_killed_process_are_removed_by_the_next(tmp_path):
-    gone = subprocess.Popen([sys.executable, "-c", ""])
-    gone.wait()
-    left = tmp_path / f".tactoscope-{gone.pid}-0.part"
-    left.write_bytes(b"half a recording")
+    killed = subprocess.run([sys.executable, "-c", KILLED, tmp_path / "a.h5"], check=False, timeout=LONG_S)
+    assert killed.returncode == -9
+    assert [p.suffix for p in tmp_path.iterdir()] == [".part"]
     recorder.record_plan(replace(PLAN, n_poses=1), tmp_path / "a.h5")
     assert [p.name for p in tmp_path.iterdir()] == ["a.h5"]
