@@ -12,7 +12,7 @@ from pipeline.base.params import Setting, Value, list_settings, replace_value
 from widgets.parameter_controls import ParameterControl, describe_setting, make_control
 from widgets.styling import set_spacing, shrink_font
 
-_LABEL_PX, _ROW_PX = 54, 22
+_LABEL_PX, _ROW_PX, _COMPACT_ROW_PX = 54, 22, 19
 
 
 class PinnedParameters(QWidget):
@@ -91,6 +91,7 @@ class PinnedParameters(QWidget):
         compact = self._is_compact and not self._is_wide
         self._labels[name].setHidden(compact)
         unit = f" {setting.unit}" if setting.unit else ""
+        control.widget.setFixedHeight(_COMPACT_ROW_PX if compact else _ROW_PX)
         control.set_compact(compact, "" if unit else f"{setting.pinned.lower()} ", unit)
 
     def show_params(self, key: str, params: object, reasons: Mapping[str, str]) -> None:
@@ -120,7 +121,6 @@ class PinnedParameters(QWidget):
         control.set_narrow()
         for widget in (control.widget, *control.widget.findChildren(QWidget)):
             shrink_font(widget, 1.0)
-        control.widget.setFixedHeight(_ROW_PX)
         control.widget.setToolTip(describe_setting(setting, f"{key.partition('/')[0]}.{name}"))
         control.widget.setAccessibleName(setting.label)
         control.widget.setObjectName(f"pinned_{name}")

@@ -33,6 +33,7 @@ class StageRows(QSplitter):
         self._told = False, False, True  # compact captions, states next to titles, room for scales
         self.setObjectName("split_rows")
         self.is_user_sized = False  # afterwards the rows keep their share
+        self._restored: tuple[int, ...] = ()  # of an arrangement; its docks are laid out later
         self._above, self.lower_row = QWidget(), QWidget()
         self._upper, self._lower = set_spacing(QHBoxLayout(self._above), 2), set_spacing(QHBoxLayout(self.lower_row), 2)
         self.addWidget(self._above)
@@ -76,9 +77,11 @@ class StageRows(QSplitter):
         if (short, joined, some) != self._told:
             self._told = short, joined, some
             self._fit_soon()  # again after the layout
+        room = self.height() - self.handleWidth()
+        if self._restored and sum(self._restored) == room and self.sizes() != list(self._restored):
+            self.setSizes(self._restored)
         if self.is_user_sized or not shown or self.lower_row.isHidden():
             return
-        room = self.height() - self.handleWidth()
         wanted = max(column.compute_preferred_height_px() for column in shown)
         above = min(wanted, round((1.0 - _LEAST_BELOW) * room))
         if abs(self.sizes()[0] - above) > 1:
@@ -103,10 +106,10 @@ class StageRows(QSplitter):
     def restore_sizes(self, sizes: Sequence[int]) -> None:
         """Restore user sizes; without sizes, fit the previews again."""
         self.is_user_sized = len(sizes) == self.count()
+        self._restored = tuple(sizes) if self.is_user_sized else ()
         if self.is_user_sized:
-            self.setSizes(list(sizes))
-        else:
-            self._fit_soon()
+            self.setSizes(self._restored)
+        self._fit_soon()
 
     def _keep(self) -> None:
-        self.is_user_sized = True
+        self.is_user_sized, self._restored = True, ()

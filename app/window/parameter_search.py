@@ -38,4 +38,4 @@ def _focus_parameter(window: MainWindow, control: QWidget, _checked: bool = Fals
 
 
 def _takes_focus(widget: QWidget) -> bool:
-    return widget.focusPolicy() != Qt.FocusPolicy.NoFocus
+    return widget.focusPolicy() != Qt.FocusPolicy.NoFocus and not widget.isHidden()
