@@ -12,6 +12,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
@@ -27,6 +28,8 @@ from app.session.state import Session
 from app.window.basin_map import BasinMapController
 from app.window.comparison import ComparisonController
 from app.window.live import LiveController
+from app.window.rollout_attribution import RolloutAttributionController
+from app.window.rollouts import RolloutController
 from app.window.session_controller import SessionController
 from app.window.tour import pin_deepest_pixel, save_window_screenshot, wait_until_shown
 from pipeline.live.simulated_source import SimulatedSource
@@ -34,6 +37,8 @@ from pipeline.sensors.offsets import Offsets
 
 SIZE_PX = (1600, 950)
 LIMIT_S, QUIET_S = 300.0, 3.0
+TRIALS, SEED = (14, 15, 16, 17), 3  # trial 17 of this seed fails
+ROLLOUTS = tempfile.TemporaryDirectory()
 PAIRED = SAMPLE_RECORDING.with_name("digit_gelslim.h5")
 
 
@@ -206,9 +211,53 @@ def live(instrument: SessionController, path: Path) -> None:
     living.stop_watching()
 
 
+def trial(instrument: SessionController, path: Path) -> None:
+    """Trial 17 at the tick where it jams, and what its controller read."""
+    _open_trial_17(instrument)
+    save_window_screenshot(instrument, path)
+
+
+def trial_error(instrument: SessionController, path: Path) -> None:
+    """Why trial 17 fails, from the rollout that is run again."""
+    _open_trial_17(instrument)
+    attribution = next(child for child in instrument.children() if isinstance(child, RolloutAttributionController))
+    attribution.attribute()
+    until(lambda: not attribution.is_busy and bool(instrument.window.task.decision.waterfall.bars))
+    save_window_screenshot(instrument, path)
+
+
+def _open_trial_17(instrument: SessionController) -> None:
+    folder = record_trials()
+    instrument.open_path(folder)
+    rollouts = next(child for child in instrument.children() if isinstance(child, RolloutController))
+    until(lambda: rollouts.shown is not None)
+    rollouts.choose_trial(folder / "hex_key_t2t_0.5mm_017.h5")
+    until(lambda: rollouts.shown is not None and rollouts.shown.rollout.summary.trial == TRIALS[-1])
+    wait_for_views(instrument)
+    until(lambda: instrument.window.task.views["truth"].preview is not None)
+    command(instrument, "last")
+    wait_for_idle(instrument)
+
+
+@cache
+def record_trials() -> Path:
+    """Record a few grasps of the hex key, of which the last fails by T2T, in a folder that ends with the program."""
+    from pipeline.tasks.runner import make_jobs, run_job
+
+    folder = Path(ROLLOUTS.name)
+    jobs = make_jobs(
+        "insertion", cases=("hex_key",), touches=("t2t", "true"), tolerances_mm=(0.5,), n_trials=TRIALS[-1] + 1,
+        seed=SEED, folder=folder,
+    )  # fmt: skip
+    for k in TRIALS:
+        run_job(jobs[k])
+    return folder
+
+
 PICTURES = {
     "welcome": welcome, "stages": stages, "filmstrip": filmstrip, "inspect": inspect, "compare": compare, "two": two,
-    "seeds": seeds, "basins": basins, "demo": demo, "align": align, "live": live,
+    "seeds": seeds, "basins": basins, "demo": demo, "align": align, "live": live, "trial": trial,
+    "trial_error": trial_error,
 }  # fmt: skip
 
 

@@ -19,6 +19,8 @@ from pipeline.cli.interrupts import interruptible_progress
 from pipeline.cli.terminal import InterruptibleBar, ProgressBar, create_progress_bar, print_line
 from pipeline.cli.translation_options import Flag, split_list
 from pipeline.tasks.catalogue import load_task
+from pipeline.tasks.rollout_bundle import copy_case
+from pipeline.tasks.rollout_file import CASE_SUFFIX
 from pipeline.tasks.runner import Summary, make_jobs, run_jobs
 from pipeline.tasks.statistics import compute_wilson_interval
 from pipeline.tasks.task import ManipulationTask
@@ -76,6 +78,8 @@ def task(
         prepare_folder_for(json)
     if record is not None:
         prepare_folder(record)
+        if name.endswith(CASE_SUFFIX):
+            copy_case(Path(name), record)
     chosen = load_task(planned[0].plan.task)
     with ExitStack() as stack:
         interrupts, bar = stack.enter_context(interruptible_progress()), stack.enter_context(create_progress_bar())

@@ -23,7 +23,7 @@ from pipeline.tasks.catalogue import load_task
 from pipeline.tasks.rerun import describe_error
 from pipeline.tasks.rollout_file import read_rollout
 from pipeline.tasks.rollout_touches import make_touch_request
-from pipeline.tasks.scene_image import SceneCamera, draw_scene
+from pipeline.tasks.scene_image import SceneCamera, SceneDrawing
 from pipeline.tasks.scene_view import (
     ESTIMATE_COLOUR,
     ESTIMATE_NAME,
@@ -71,7 +71,7 @@ def draw_ticks(rollout: RecordedRollout, progress: Progress = SILENT) -> Iterato
     except TouchError:
         scene = make_plain_scene(rollout)
     left, top, width, height = _SCENE_PX
-    layers, camera = make_scene_layers(scene), SceneCamera(compute_bounds(scene), width, height)
+    drawing = SceneDrawing(make_scene_layers(scene), SceneCamera(compute_bounds(scene), width, height))
     shown, background = -1, None
     for tick in range(rollout.n_ticks):
         progress.step(tick / rollout.n_ticks, f"tick {tick}")
@@ -79,7 +79,7 @@ def draw_ticks(rollout: RecordedRollout, progress: Progress = SILENT) -> Iterato
         if background is None or decision != shown:
             background, shown = _draw_background(rollout, decision), decision
         image = background.pixels.copy()
-        image[top : top + height, left : left + width] = draw_scene(layers, scene.place(tick), camera, (width, height))
+        image[top : top + height, left : left + width] = drawing.draw(scene.place(tick))
         _draw_cursor(image, background, tick)
         _write_text(image, describe_tick(rollout, tick), (left + 8, top + height - 12))
         yield freeze(image)

@@ -21,14 +21,14 @@ class SceneCamera:
     """A pinhole camera that sees a scene as the window's first view does."""
 
     def __init__(self, bounds: ViewBounds, width_px: int, height_px: int) -> None:
-        self._size = width_px, height_px
+        self.size_px = width_px, height_px
         direction, centre = _normalise(np.array(bounds.direction)), np.array(bounds.centre_mm)
         right = _normalise(np.cross(np.array(bounds.up), direction))
         rotation = np.stack([right, np.cross(-direction, right), -direction])
         position = centre + _AWAY * bounds.radius_mm * direction
         self._camera_from_world = np.eye(4)
         self._camera_from_world[:3, :3], self._camera_from_world[:3, 3] = rotation, -rotation @ position
-        self._focal_px = 0.5 * min(self._size) / np.tan(0.5 * np.radians(_FIELD_OF_VIEW_DEG))
+        self._focal_px = 0.5 * min(self.size_px) / np.tan(0.5 * np.radians(_FIELD_OF_VIEW_DEG))
 
     def transform(self, points_mm: Doubles) -> Doubles:
         """Points (n, 3) of the world in the camera's frame: x right, y down, z away."""
@@ -36,31 +36,43 @@ class SceneCamera:
 
     def project(self, points_mm: Doubles) -> Doubles:
         """Points (n, 3) of the camera's frame as x, y in pixels."""
-        middle = 0.5 * np.array(self._size)
+        middle = 0.5 * np.array(self.size_px)
         return middle + self._focal_px * points_mm[:, :2] / np.maximum(points_mm[:, 2:], 1e-3)
 
 
-def draw_scene(
-    layers: tuple[Layer, ...], poses: Mapping[str, Doubles], camera: SceneCamera, size_px: tuple[int, int]
-) -> Image:
-    """Draw layers at their poses: solid surfaces, then faint ones, then lines over all; (rows, cols, 3)."""
-    width, height = size_px
-    pixels = np.full((height, width, 3), float(_BACKGROUND))
-    depth = np.full((height, width), np.inf)
-    surfaces = sorted((one for one in layers if one.triangles is not None), key=lambda layer: -layer.opacity)
-    for layer in surfaces:
-        points = camera.transform(rigid.apply(poses[layer.name], layer.points_mm.astype(np.float64)))
-        own_depth, shade = _rasterise(points, camera.project(points), layer, size_px)
-        front = own_depth < depth
-        colour = shade[..., None] * layer.rgb[0].astype(np.float64)
-        pixels[front] += layer.opacity * (colour - pixels)[front]
-        if layer.opacity == 1.0:
-            depth = np.minimum(depth, own_depth)
-    image = np.clip(pixels, 0, 255).astype(np.uint8)
-    for layer in layers:
-        if layer.segments is not None:
-            _draw_lines(image, layer, camera, poses[layer.name])
-    return freeze(image)
+class SceneDrawing:
+    """Draws the layers of a scene at any poses; what did not move since the last image is not rasterised again."""
+
+    def __init__(self, layers: tuple[Layer, ...], camera: SceneCamera) -> None:
+        self._layers, self._camera = layers, camera
+        self._last: dict[str, tuple[bytes, tuple[Doubles, Doubles]]] = {}  # layer -> its pose, depth and shade
+
+    def draw(self, poses: Mapping[str, Doubles]) -> Image:
+        """Solid surfaces, then faint ones, then lines over all; (rows, cols, 3)."""
+        width, height = self._camera.size_px
+        pixels = np.full((height, width, 3), float(_BACKGROUND))
+        depth = np.full((height, width), np.inf)
+        surfaces = [layer for layer in self._layers if layer.triangles is not None]
+        for layer in sorted(surfaces, key=lambda layer: -layer.opacity):
+            own_depth, shade = self._rasterise(layer, poses[layer.name])
+            front = own_depth < depth
+            colour = shade[front][:, None] * layer.rgb[0].astype(np.float64)
+            pixels[front] += layer.opacity * (colour - pixels[front])
+            if layer.opacity == 1.0:
+                depth = np.minimum(depth, own_depth)
+        image = np.clip(pixels, 0, 255).astype(np.uint8)
+        for layer in self._layers:
+            if layer.segments is not None:
+                _draw_lines(image, layer, self._camera, poses[layer.name])
+        return freeze(image)
+
+    def _rasterise(self, layer: Layer, pose: Doubles) -> tuple[Doubles, Doubles]:
+        last = self._last.get(layer.name)
+        if last is None or last[0] != pose.tobytes():
+            points = self._camera.transform(rigid.apply(pose, layer.points_mm.astype(np.float64)))
+            drawn = _rasterise(points, self._camera.project(points), layer, self._camera.size_px)
+            last = self._last[layer.name] = pose.tobytes(), drawn
+        return last[1]
 
 
 def _rasterise(points: Doubles, places_px: Doubles, layer: Layer, size_px: tuple[int, int]) -> tuple[Doubles, Doubles]:

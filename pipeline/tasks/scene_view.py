@@ -24,6 +24,7 @@ _SURROUNDINGS_OPACITY = 0.3
 _DASHES, _DASH_SHARE = 3.0, 0.6  # length of a dash with its gap in mm, and the dash's part of it
 _SHARP = 0.9  # cosine between two faces up to which their common edge is drawn
 _MAX_EDGES = 600
+_MARGIN = 0.6  # radius of the view over the diagonal of the object's way
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,7 +85,7 @@ def compute_bounds(scene: RolloutScene) -> ViewBounds:
     low, high = reached.min(axis=0), reached.max(axis=0)
     x, y, z = (0.5 * (low + high)).tolist()
     return ViewBounds(
-        centre_mm=(x, y, z), radius_mm=0.55 * float(np.linalg.norm(high - low)), frame=VIEW_FRAME,
+        centre_mm=(x, y, z), radius_mm=_MARGIN * float(np.linalg.norm(high - low)), frame=VIEW_FRAME,
         direction=_DIRECTION, up=_UP,
     )  # fmt: skip
 

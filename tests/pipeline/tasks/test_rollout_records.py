@@ -10,8 +10,13 @@ import pytest
 from pipeline.base.errors import FileProblem
 from pipeline.base.progress import Cancelled
 from pipeline.tasks.catalogue import load_task
+from pipeline.tasks.insertion import make_tool
 from pipeline.tasks.rerun import attribute_rollout, compare_rollouts, describe_error, run_again
+from pipeline.tasks.rollout_bundle import copy_case, replay_rollout, write_rollout_bundle
 from pipeline.tasks.rollout_file import read_rollout
+from pipeline.tasks.runner import make_jobs, run_job
+from pipeline.tasks.scene_bodies import make_box
+from pipeline.tasks.scene_view import build_scene, cut_dashes, find_edges
 from pipeline.tasks.trial_rows import compute_error_deg, is_rollout_folder
 from pipeline.tasks.trial_table import list_trials
 
@@ -121,6 +126,49 @@ def test_a_damaged_file_is_a_row_with_its_problem(rollout_folder, tmp_path):
     with pytest.raises(FileProblem, match="no rollout"):
         list_trials(tmp_path)
     assert is_rollout_folder(tmp_path)
+
+
+def test_a_case_of_ones_own_lies_in_the_folder_of_its_rollouts(tmp_path):
+    mesh, own, folder = make_tool("spanner").mesh, tmp_path / "own", tmp_path / "rollouts"
+    own.mkdir()
+    folder.mkdir()
+    (own / "mine.obj").write_text(
+        "".join(f"v {x} {y} {z}\n" for x, y, z in mesh.vertices_mm)
+        + "".join(f"f {a} {b} {c}\n" for a, b, c in mesh.triangles + 1)
+    )
+    (own / "mine.toml").write_text("mesh = 'mine.obj'\ndepth_mm = 6.0\n")
+    copy_case(own / "mine.toml", folder)
+    (job,) = make_jobs(str(own / "mine.toml"), touches=("none",), n_trials=1, tolerances_mm=(1.0,), folder=folder)
+    run_job(job)
+    shutil.rmtree(own)
+    (row,) = list_trials(folder)
+    rollout = read_rollout(row.path)
+    assert rollout.plan.case == str(folder / "mine.toml")
+    assert [body.name for body in build_scene(rollout).bodies] == ["hole", "left finger", "right finger"]
+    write_rollout_bundle(row.path, tmp_path / "mine.bundle")
+    assert replay_rollout(tmp_path / "mine.bundle").agreement.is_same
+
+
+def test_replay_finds_another_result(failed, tmp_path):
+    copy, bundle = tmp_path / FAILS, tmp_path / "b.bundle"
+    shutil.copy(failed.path, copy)
+    with h5py.File(copy, "r+") as file:
+        plan = file["rollout"].attrs["plan"]
+        file["rollout"].attrs["plan"] = plan.replace('"t2t"', '"none"')
+    write_rollout_bundle(copy, bundle)
+    assert not replay_rollout(bundle).agreement.is_same
+    with pytest.raises(FileProblem, match="already"):
+        write_rollout_bundle(copy, bundle)
+
+
+def test_dashes_lie_on_the_edges_and_leave_gaps():
+    box = make_box((3.0, 2.0, 1.0), "box")
+    edges = find_edges(box)
+    assert len(edges) == 12  # and no diagonal of a face
+    dashes = cut_dashes(edges)
+    lengths = np.linalg.norm(dashes[:, 1] - dashes[:, 0], axis=1).sum()
+    assert lengths == pytest.approx(0.6 * np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1).sum(), rel=1e-5)
+    assert (np.abs(dashes.reshape(-1, 3)) <= (3.0, 2.0, 1.0)).all()
 
 
 def test_angles_differ_by_at_most_half_a_turn(failed):
