@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from PyQt6.QtCore import pyqtSignal
 from PyQt6.QtWidgets import (
@@ -60,11 +60,11 @@ class LiveDialog(QDialog):
         self.source.currentIndexChanged.connect(self._fit)
         self.folder.textChanged.connect(self._fit)
 
-    def show_choices(self, sensors: Sequence[str], tools: Sequence[str]) -> None:
-        """Offer these sensors and objects."""
+    def show_choices(self, sensors: Mapping[str, str], tools: Sequence[str]) -> None:
+        """Offer these sensors (name -> title) and objects."""
         self.sensor.addItem("detect from name or images", "")
-        for name in sensors:
-            self.sensor.addItem(name, name)
+        for name, title in sensors.items():
+            self.sensor.addItem(title, name)
         for name in tools:
             self.object_box.addItem(name, name)
         self.object_box.setCurrentIndex(max(0, self.object_box.findData("sphere")))

@@ -10,7 +10,7 @@ from PyQt6.QtGui import QAction, QPainter, QPaintEvent, QPen
 from PyQt6.QtWidgets import QHBoxLayout, QLabel, QListWidget, QListWidgetItem, QToolButton, QVBoxLayout, QWidget
 
 from pipeline.base.text import escape_text
-from widgets.styling import make_bold, set_spacing, shrink_font
+from widgets.styling import ThemedLabel, make_bold, set_spacing, shrink_font
 from widgets.theme import get_theme_colours, to_qcolor
 
 _WIDTH_PX, _ROW_PX = 620, 24
@@ -18,7 +18,6 @@ _PURPOSE = (
     "Translate the touch of one tactile sensor into another's: every stage side by side, compared with the truth "
     "where it is recorded."
 )
-_DROP = "Drop a recording here: .h5, a folder of images, a video, depth arrays, or .pt of touch2touch or gelslim_depth"
 
 
 class DropArea(QLabel):
@@ -38,15 +37,17 @@ class WelcomePage(QWidget):
 
     recent_chosen = pyqtSignal(object)  # Path
 
-    def __init__(self, over: QWidget, first: QWidget, commands: Sequence[QAction]) -> None:
+    def __init__(self, over: QWidget, first: QWidget, commands: Sequence[QAction], formats: str, sensors: str) -> None:
+        """`formats` and `sensors` are the names of what can be opened."""
         super().__init__(over)
         self._first = first
         self.setObjectName("welcome")
         self.setAutoFillBackground(True)
-        title, purpose, drop = QLabel("Tactoscope"), QLabel(_PURPOSE), DropArea(_DROP)
+        title, purpose, drop = QLabel("Tactoscope"), QLabel(_PURPOSE), DropArea(f"Drop a recording here: {formats}")
+        known = ThemedLabel(lambda colours: colours.secondary_text, f"Sensors: {sensors}")
         make_bold(title)
         shrink_font(title, -9.0)
-        for label in (purpose, drop):
+        for label in (purpose, drop, known):
             label.setWordWrap(True)
         drop.setAlignment(Qt.AlignmentFlag.AlignCenter)
         drop.setMinimumHeight(72)
@@ -69,7 +70,7 @@ class WelcomePage(QWidget):
         for widget in (title, purpose):
             column.addWidget(widget)
         column.addLayout(row)
-        for widget in (drop, self._told, self.recent):
+        for widget in (drop, known, self._told, self.recent):
             column.addWidget(widget)
         outer = QHBoxLayout(self)
         outer.addStretch(1)

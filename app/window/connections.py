@@ -46,7 +46,7 @@ from app.window.themes import ThemeController
 from app.window.welcome import WelcomeController
 from pipeline.evaluation.truth_view import ComparisonMode
 from pipeline.previews.display_params import DisplayParams
-from pipeline.sensors.spec import list_sensor_names
+from pipeline.sensors.spec import list_sensor_titles
 from pipeline.translation.catalogue import Catalogue
 from widgets.command_palette import CommandPalette
 from widgets.icons import make_command_icon
@@ -150,9 +150,10 @@ def _connect_columns(controller: SessionController) -> None:
 
 def _fill_choices(window: MainWindow, catalogue: Catalogue) -> None:
     window.source.addItem("as recorded", "")
-    for name in list_sensor_names():
-        window.source.addItem(name, name)
-        window.target.addItem(name, name)
+    for name, title in list_sensor_titles().items():
+        for box in (window.source, window.target):
+            box.addItem(title, name)
+            box.setItemData(box.count() - 1, name, Qt.ItemDataRole.ToolTipRole)
     for route in catalogue.routes:
         window.route.addItem(route.label, route.name)
         window.route.setItemData(window.route.count() - 1, route.title, Qt.ItemDataRole.ToolTipRole)

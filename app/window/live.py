@@ -17,7 +17,7 @@ from pipeline.live.source import LiveSource
 from pipeline.live.source_parsing import parse_source
 from pipeline.live.usb_camera import list_usb_cameras
 from pipeline.recordings.mounts import mount, unmount
-from pipeline.sensors.spec import list_sensor_names
+from pipeline.sensors.spec import list_sensor_titles
 from pipeline.simulation import shapes
 from widgets.live_bar import LiveBar
 from widgets.live_dialog import LiveDialog
@@ -35,7 +35,7 @@ class LiveController(QObject):
         self._controller, self._autosave, self._window = controller, autosave, controller.window
         self.live_bar, self.dialog = LiveBar(), LiveDialog(self._window)
         self._window.add_strip(self.live_bar)
-        self.dialog.show_choices(list_sensor_names(), shapes.list_shapes())
+        self.dialog.show_choices(list_sensor_titles(), shapes.list_shapes())
         self.reader: LiveReader | None = None
         self.recorder: LiveRecorder | None = None
         self.is_following, self._n_watched, self._shown_text = False, 0, ""

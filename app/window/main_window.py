@@ -54,6 +54,7 @@ from widgets.warning_line import WarningLine
 
 DEFAULT_SIZE = QSize(1600, 950)
 _ACTIVITY_WIDTH_PX = 260
+_CHOOSER_LETTERS, _SENSOR_LIST_PX = 15, 240  # width of a sensor chooser; of its list, which cuts no name off
 MIN_STRIP_PX, INSPECT_STRIP_PX = 24, 44  # height of the error strip
 MAX_STRIP_SHARE = 0.125  # of the window height
 
@@ -188,7 +189,14 @@ class MainWindow(QMainWindow):
         box = QComboBox()
         box.setObjectName(f"choose_{name}")
         box.setAccessibleName(f"{name} sensor" if name != "route" else "route")
-        box.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToContents)
+        if name == "route":
+            box.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToContents)
+            return box
+        box.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
+        box.setMinimumContentsLength(_CHOOSER_LETTERS)
+        view = box.view()
+        assert view is not None
+        view.setMinimumWidth(_SENSOR_LIST_PX)
         return box
 
     def _build_status(self) -> None:

@@ -18,7 +18,7 @@ from app.work.evaluator import EvaluatedFrame
 from pipeline.base.errors import MissingReference, SensorMismatch, TouchError, UnknownSensor
 from pipeline.base.stage_warnings import AlignmentWarning, CalibrationWarning
 from pipeline.geometry.meshes import UnitProblem
-from pipeline.sensors.spec import list_sensor_names, load_sensor
+from pipeline.sensors.spec import list_sensor_titles, load_sensor
 from pipeline.translation.translate import Translation
 from pipeline.values.results import Cloud, DepthMap
 from widgets.choice_buttons import Choice
@@ -72,8 +72,8 @@ class MendingController(QObject):
     def _list_sensors(self) -> tuple[tuple[str, Callable[[], object]], ...]:
         change = self._controller.change
         return tuple(
-            (load_sensor(name).title, partial(change, "choose source", source=name, stream=""))
-            for name in list_sensor_names()
+            (title, partial(change, "choose source", source=name, stream=""))
+            for name, title in list_sensor_titles().items()
         )
 
     def _offer_alternatives(self, paths: tuple[Path, ...]) -> Choice:

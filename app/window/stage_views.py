@@ -72,7 +72,7 @@ class StageViews:
             window.frames.model.reset_frames(t.n_frames)
         window.warning_line.show_warnings(())
         self.scene.clear_cache()
-        window.source.setItemText(0, f"as recorded: {t.source.name}")
+        window.source.setItemText(0, f"{t.source.title} (recorded)")
         window.hide_stages(frozenset(stage.name for stage in t.catalogue.stages) - set(t.stages))
         window.banner.hide()
         self.reset_cameras(session)

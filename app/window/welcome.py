@@ -8,8 +8,11 @@ from app.session.sample import SAMPLE_RECORDING
 from app.session.state import Session
 from app.window.autosave import AutosaveController
 from app.window.session_controller import SessionController
+from pipeline.recordings.formats import list_formats
+from pipeline.sensors.spec import list_sensor_titles
 from widgets.welcome import WelcomePage
 
+_MAX_SUFFIXES = 3  # of a format; the file dialog has all
 _COMMANDS = ("open_sample", "open_recording", "open_folder", "live")
 
 
@@ -22,7 +25,9 @@ class WelcomeController(QObject):
         centre = window.centralWidget()
         assert centre is not None
         actions = window.actions_by_name
-        self.page = WelcomePage(centre, window.pages, [actions[name] for name in _COMMANDS])
+        formats = "; ".join(f"{f.title} ({' '.join(f.suffixes[:_MAX_SUFFIXES]) or 'folder'})" for f in list_formats())
+        sensors = ", ".join(list_sensor_titles().values())
+        self.page = WelcomePage(centre, window.pages, [actions[name] for name in _COMMANDS], formats, sensors)
         self.page.recent_chosen.connect(controller.open_path)
         self.page.hide()
         actions["open_sample"].setEnabled(SAMPLE_RECORDING.exists())

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.arrays import Doubles, freeze
-from pipeline.base.errors import CalibrationError, SettingProblem
+from pipeline.base.errors import CalibrationError, SettingProblem, TouchError
 from pipeline.base.memo import Memo
 from pipeline.engine.digests import UNDIGESTED, compute_cached_digest
 from pipeline.geometry import rigid
@@ -84,6 +84,17 @@ _loaded: Memo[tuple[Path, str, str], SensorSpec] = Memo(32)
 def list_sensor_names() -> tuple[str, ...]:
     """The names of all described sensors, sorted."""
     return tuple(sorted(find_descriptions()))
+
+
+def list_sensor_titles() -> dict[str, str]:
+    """Name -> title of all described sensors, sorted by name; one whose description cannot be read has its name."""
+    titles: dict[str, str] = {}
+    for name, path in sorted(find_descriptions().items()):
+        try:
+            titles[name] = str(read_description(path).get("title", name))
+        except TouchError:
+            titles[name] = name
+    return titles
 
 
 def load_sensor(name_or_file: str) -> SensorSpec:

@@ -7,14 +7,17 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from PyQt6.QtWidgets import QPushButton
+from PyQt6.QtWidgets import QLabel, QPushButton
 
 from app.session.sample import SAMPLE_RECORDING
 from app.window.mending import MendingController
 from app.window.session_controller import SessionController
 from app.window.tour import wait_until_shown
 from pipeline.recordings import open_recording
+from pipeline.recordings.formats import list_formats
 from pipeline.sensors.offsets import Offsets
+from pipeline.sensors.spec import list_sensor_names, load_sensor
+from widgets.welcome import WelcomePage
 
 LIMIT_S = 240
 
@@ -137,6 +140,15 @@ def test_a_recording_with_another_target_offers_it(open_window):
     assert wait_until_shown(controller, LIMIT_S)
     assert controller.views.translation.target.name == "soft_bubble"
     assert bar.isHidden()
+
+
+def test_formats_and_sensors_are_offered_by_their_names(open_window):
+    window = open_window().window
+    names = {load_sensor(name).title: name for name in list_sensor_names()}
+    for box, first in ((window.source, 1), (window.target, 0)):
+        assert {box.itemText(i): box.itemData(i) for i in range(first, box.count())} == names
+    page = " ".join(label.text() for label in window.findChild(WelcomePage).findChildren(QLabel))
+    assert [name for name in (*names, *(f.title for f in list_formats())) if name not in page] == []
 
 
 def test_the_target_of_a_recording_is_of_another_kind_than_its_source(open_window):
