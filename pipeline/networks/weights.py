@@ -6,6 +6,7 @@ Loads no torch: what a method reads is known, and its cache key computed, before
 from __future__ import annotations
 
 import json
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -28,7 +29,9 @@ SUFFIX = ".safetensors"
 _WHAT = "the weights"
 _HEADER_KEY = "tactoscope weights"  # header key; its value is the version of the header
 _VERSION = "1"
-_ONNX = "onnx"  # name of the tensor of bytes that holds the ONNX file
+_ONNX = "onnx"  # name of the tensor of bytes that holds the ONNX file, compressed by zlib or as it is
+_ZLIB = b"\x78"  # first byte of a zlib stream; no ONNX file begins with it
+_MAX_ONNX_BYTES = 1 << 28  # of an unpacked ONNX file; the largest that is shipped has 8 MB
 _FLOATS = {"F64": np.float64, "F32": np.float32, "F16": np.float16}
 _COUNTS = {"I64": np.int64, "I32": np.int32, "I16": np.int16, "I8": np.int8, "U8": np.uint8, "BOOL": np.bool_}
 
@@ -85,7 +88,7 @@ class NoWeights:
 def load_weights(path: Path) -> Weights:
     """The weights of a Tactoscope file, as float32; raises FileProblem for a missing, damaged or foreign file."""
     metadata, entries = _read_entries(path)
-    onnx = bytes(entries.pop(_ONNX)["data"]) if _ONNX in entries else b""
+    onnx = _unpack_onnx(bytes(entries.pop(_ONNX)["data"]), path) if _ONNX in entries else b""
     tensors = _convert_entries(entries, path)
     if not is_tactoscope_file(metadata):
         raise FileProblem("these weights do not name their network; use a file written by Tactoscope", path)
@@ -95,6 +98,20 @@ def load_weights(path: Path) -> Weights:
         raise FileProblem(f"{_WHAT} are damaged: their header cannot be read", path) from error
     header = convert(said, _Header, _WHAT, path)
     return Weights(name=path.stem, kind=header.kind, config=header.config, tensors=tensors, onnx=onnx, card=header.card)
+
+
+def _unpack_onnx(stored: bytes, path: Path) -> bytes:
+    """The ONNX file of a tensor of bytes; raises FileProblem for one that is damaged or unpacks to too much."""
+    if not stored.startswith(_ZLIB):
+        return stored
+    stream = zlib.decompressobj()
+    try:
+        onnx = stream.decompress(stored, _MAX_ONNX_BYTES)
+    except zlib.error as error:
+        raise FileProblem(f"{_WHAT} are damaged: their ONNX graph cannot be unpacked", path) from error
+    if not stream.eof:
+        raise FileProblem(f"{_WHAT} are damaged: their ONNX graph is truncated or unpacks to too many bytes", path)
+    return onnx
 
 
 def is_tactoscope_file(metadata: Mapping[str, str]) -> bool:
@@ -162,7 +179,7 @@ def save_weights(path: Path, weights: Weights, *, use_float16: bool = False) -> 
             f"{_WHAT} hold values beyond the range of {16 if use_float16 else 32} bits; nothing is written", path
         )
     if weights.onnx:
-        stored[_ONNX] = np.frombuffer(weights.onnx, np.uint8)
+        stored[_ONNX] = np.frombuffer(zlib.compress(weights.onnx, 9), np.uint8)
     header = {
         _HEADER_KEY: _VERSION, "kind": weights.kind,
         "config": json.dumps(dict(weights.config)), "card": json.dumps(dict(weights.card)),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import zlib
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from safetensors.numpy import save_file
 
 from pipeline.base.errors import FileProblem
 from pipeline.engine.digests import compute_digest
+from pipeline.networks import weights as weights_module
 from pipeline.networks import weights_registry
 from pipeline.networks.weights import NoWeights, Weights, load_tensors, load_weights, save_weights
 
@@ -116,6 +118,21 @@ def test_shipped_weights_are_readable_and_small():
         assert path.with_suffix(".md").is_file()
         assert path.stat().st_size <= 16 << 20
     assert sum(path.stat().st_size for path in files) <= 60 << 20
+
+
+def test_an_onnx_file_is_packed_and_limited(tmp_path, monkeypatch):
+    path, onnx = tmp_path / "some.safetensors", b"\x08" + bytes(1 << 20)
+    save_weights(path, some(onnx=onnx))
+    assert path.stat().st_size < 1 << 16
+    assert load_weights(path).onnx == onnx
+    content = path.read_bytes()
+    path.write_bytes(content.replace(zlib.compress(onnx, 9)[:8], b"\x78" + bytes(7)))
+    with pytest.raises(FileProblem, match="cannot be unpacked"):
+        load_weights(path)
+    path.write_bytes(content)
+    monkeypatch.setattr(weights_module, "_MAX_ONNX_BYTES", 1 << 10)
+    with pytest.raises(FileProblem, match="too many bytes"):
+        load_weights(path)
 
 
 def test_a_scalar_tensor_keeps_its_shape(tmp_path):
