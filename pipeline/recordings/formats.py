@@ -102,6 +102,19 @@ FORMATS = (  # of formats that share a suffix the first that matches is used
         content="images of a gel with times", applies_options=True, reader=f"{_READERS}.video:read",
     ),
     RecordingFormat(
+        key="mcap", title="MCAP", suffixes=(".mcap",), signatures=(b"\x89MCAP0\r\n",),
+        content="image topics of Foxglove and ROS 2 with times", applies_options=True,
+        reader=f"{_READERS}.mcap_images:read",
+    ),
+    RecordingFormat(
+        key="lerobot", title="LeRobot data set", content="tactile cameras with times", applies_options=True,
+        reader=f"{_READERS}.lerobot:read", folder=f"{_READERS}.lerobot:is_data_set",
+    ),
+    RecordingFormat(
+        key="tacquad", title="TacQuad touch", content="images of a GelSight Mini and a DIGIT",
+        reader=f"{_READERS}.tacquad:read", folder=f"{_READERS}.tacquad:is_touch_folder",
+    ),
+    RecordingFormat(
         key="depth_images", title="16-bit depth images", suffixes=IMAGE_SUFFIXES,
         content="depth images", applies_options=True,
         reader=f"{_READERS}.depth_arrays:read_image_folder", matches=f"{_READERS}.depth_arrays:are_depth_images",

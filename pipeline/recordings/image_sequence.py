@@ -1,0 +1,108 @@
+"""A stream of images that are read one by one: what videos, MCAP topics and LeRobot cameras share."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from pipeline.base.arrays import Image
+from pipeline.base.errors import FileProblem
+from pipeline.base.stage_warnings import StageWarning
+from pipeline.recordings import difference_images, image_files
+from pipeline.recordings.formats import ReadOptions
+from pipeline.recordings.gel_images import make_gel_converter
+from pipeline.recordings.index_check import with_index_check
+from pipeline.recordings.reference_denoising import denoise_reference
+from pipeline.recordings.reference_selection import select_reference_frame
+from pipeline.values.frames import Stream, TactileFrame
+
+_MAX_CANDIDATES = 16  # frames searched for a reference: seeking in a long video is slow
+
+
+class ImageSequence(Protocol):
+    """RGB images of one size with times."""
+
+    @property
+    def n_frames(self) -> int:
+        """Number of images."""
+        ...
+
+    def frame(self, index: int) -> Image:
+        """(rows, cols, 3) RGB; raises FileProblem for a damaged one."""
+        ...
+
+    def time_s(self, index: int) -> float:
+        """Time of an image."""
+        ...
+
+
+def make_stream(
+    images: ImageSequence, path: Path, options: ReadOptions, *, name: str
+) -> tuple[Stream, tuple[str, ...]]:
+    """The stream of a sequence, and notes; without a stated reference its first frames are the reference.
+
+    Where it clearly begins with a touch, a later frame is the reference, with a warning. `name` may hold that of a
+    sensor. Raises FileProblem for a first frame that cannot be decoded, or a reference of another size.
+    """
+    first = images.frame(0)
+    is_difference = options.reference is None and difference_images.estimate_no_change_grey(first) is not None
+    reference, start, n_averaged = None if is_difference else first, 0, 0
+    if options.reference is not None:
+        reference = image_files.read_rgb(options.reference)
+        if reference.shape != first.shape:
+            raise FileProblem(f"the reference has shape {reference.shape}, the frames {first.shape}", options.reference)
+    elif reference is not None:
+        start, reference = select_reference_frame(reference, _sample_frames(images)) or (0, reference)
+        reference, n_averaged = denoise_reference(reference, _frames_after(images, start))
+    shape = (first.shape[0], first.shape[1])
+    converter = make_gel_converter(options.sensor, shape, reference, lambda: first, file_names=(name,))
+    about = () if is_difference else (_describe_reference(options.reference, start, n_averaged),)
+
+    def frame(index: int) -> TactileFrame:
+        image = images.frame(index)
+        if image.shape != first.shape:
+            raise FileProblem(
+                f"frame {index} has shape {image.shape}, the first {first.shape}", path, field=f"frame {index}"
+            )
+        return TactileFrame(sensor=converter.sensor, image=converter.convert_image(image),
+                            reference=converter.reference, index=index, time_s=images.time_s(index),
+                            origin=f"{path} [frame {index}]")  # fmt: skip
+
+    stream = Stream(name=name or converter.sensor or "video", sensor=converter.sensor, n_frames=images.n_frames,
+                    frame=with_index_check(frame, images.n_frames, path))  # fmt: skip
+    return stream, (*converter.notes, *about)
+
+
+def _describe_reference(reference: Path | None, start: int, n_averaged: int) -> str:
+    if reference is not None:
+        return f"{reference.name} is the reference"
+    if start:
+        which = f"frame {start}" if not n_averaged else f"the median of frames {start} to {start + n_averaged}"
+        return StageWarning(
+            f"the first frame shows contact, so {which} is taken as the reference; if it shows contact too, depth is "
+            "wrong: give a reference image with --reference"
+        )
+    if n_averaged:
+        return f"the median of the first {n_averaged + 1} frames, all alike, is taken as the reference"
+    return "the first frame is taken as the reference"
+
+
+def _frames_after(images: ImageSequence, start: int) -> Iterator[Image]:
+    """The frames after `start`, up to the first that cannot be decoded."""
+    try:
+        for index in range(start + 1, images.n_frames):
+            yield images.frame(index)
+    except FileProblem:
+        return
+
+
+def _sample_frames(images: ImageSequence) -> Iterator[tuple[int, Image]]:
+    """(index, frame) of frames spread evenly over the sequence; those that cannot be decoded are skipped."""
+    count = min(_MAX_CANDIDATES, images.n_frames - 1)
+    for index in sorted({round(i) for i in np.linspace(1, images.n_frames - 1, count)}) if count else ():
+        with contextlib.suppress(FileProblem):
+            yield index, images.frame(index)
