@@ -64,13 +64,14 @@ def test_the_copied_command_makes_the_same_pictures_and_figures(compared, tmp_pa
 
 def test_leaving_the_page_releases_cached_results_and_networks(compared, qtbot):
     instrument, comparing = compared
-    tiles, ready = _tiles(instrument), network_factory._loaded_networks  # pyright: ignore[reportPrivateUsage]
+    tiles, ready = _tiles(instrument), network_factory._predictors  # pyright: ignore[reportPrivateUsage]
     cache = comparing._method_runner.graph.cache
     assert cache.n_bytes
     assert len(ready)
     comparing.release_memory()
     assert cache.n_bytes, "the page is visible"
     instrument.window.actions_by_name["layout_stages"].trigger()
+    instrument.choose_method("touch", "physics")  # the page alone has used the network
     assert wait_until_shown(instrument, LIMIT_S)
     qtbot.waitUntil(lambda: not comparing.is_busy, timeout=LIMIT_MS)
     assert comparing._release_timer.isActive()

@@ -192,7 +192,7 @@ def test_the_line_is_set_by_numbers_and_saved_but_not_undone(window, qtbot, tmp_
     assert window.section == wanted
     assert window.window.actions_by_name["section_line"].isChecked()
     path.write_text(path.read_text().replace("3.25", "true"))
-    with pytest.raises(FileProblem, match="section must be"):
+    with pytest.raises(FileProblem, match=r"section\[2\]"):
         load_session(path)
 
 
