@@ -30,6 +30,7 @@ _MANY, _TOO_MANY, _BEND = (
     3.0,
 )  # integer ranges up to the first have a linear slider, up to the second one that favours small values
 _TIP = "tip"  # property that keeps the tooltip while a reason is shown
+_NARROW_DECIMALS = 2  # of a number with little room
 _WIDEST = 1e9  # stands for "no limit" in a spin box
 
 
@@ -68,6 +69,8 @@ class ParameterControl:
         """Take little room: the spin box has no buttons, and the slider may be short."""
         for box in self._spin_boxes:
             box.setButtonSymbols(QAbstractSpinBox.ButtonSymbols.NoButtons)
+            if isinstance(box, QDoubleSpinBox):
+                box.setDecimals(min(_NARROW_DECIMALS, box.decimals()))
         for slider in self.sliders:
             slider.setMinimumWidth(_NARROW_PX)
 

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping
 from functools import partial
 
 from PyQt6.QtCore import pyqtSignal
+from PyQt6.QtGui import QResizeEvent
 from PyQt6.QtWidgets import QBoxLayout, QHBoxLayout, QLabel, QVBoxLayout, QWidget
 
 from pipeline.base.params import Setting, Value, list_settings, replace_value
@@ -13,6 +14,7 @@ from widgets.parameter_controls import ParameterControl, describe_setting, make_
 from widgets.styling import set_spacing, shrink_font
 
 _LABEL_PX, _ROW_PX, _COMPACT_ROW_PX = 54, 22, 19
+_SLIDERS_FROM_PX = 126  # width from which on a slider fits between label and number
 
 
 class PinnedParameters(QWidget):
@@ -30,7 +32,7 @@ class PinnedParameters(QWidget):
         self._controls: dict[str, tuple[Setting, ParameterControl]] = {}
         self._rows: dict[str, QHBoxLayout] = {}
         self._labels: dict[str, QLabel] = {}
-        self._is_wide = self._is_compact = False
+        self._is_wide = self._is_compact = self._is_narrow = False
         self._outer = set_spacing(QVBoxLayout(self), 0)
         self._lines = set_spacing(QBoxLayout(QBoxLayout.Direction.TopToBottom), 1)
         self._outer.addLayout(self._lines)
@@ -77,6 +79,15 @@ class PinnedParameters(QWidget):
             self._is_compact = compact
             self._arrange()
 
+    def resizeEvent(self, a0: QResizeEvent | None) -> None:  # noqa: N802
+        """Leave the room to the numbers where there is little: they are never cut off."""
+        super().resizeEvent(a0)
+        is_narrow = not self._is_wide and self.width() < _SLIDERS_FROM_PX
+        if is_narrow != self._is_narrow:
+            self._is_narrow = is_narrow
+            for name in self._rows:
+                self._arrange_control(name)
+
     def _arrange(self) -> None:
         way = QBoxLayout.Direction
         one_line = self._is_wide or self._is_compact
@@ -93,6 +104,8 @@ class PinnedParameters(QWidget):
         unit = f" {setting.unit}" if setting.unit else ""
         control.widget.setFixedHeight(_COMPACT_ROW_PX if compact else _ROW_PX)
         control.set_compact(compact, "" if unit else f"{setting.pinned.lower()} ", unit)
+        for slider in control.sliders:
+            slider.setHidden(compact or self._is_narrow)
 
     def show_params(self, key: str, params: object, reasons: Mapping[str, str]) -> None:
         """Show the values of a method without emitting a signal; `reasons`: name -> why it cannot act."""

@@ -164,4 +164,5 @@ def make_palette(*, dark: bool) -> QPalette:
         palette.setColor(which, to_qcolor(night if dark else light))
     for which in (role.WindowText, role.Text, role.ButtonText):
         palette.setColor(group.Disabled, which, to_qcolor((116, 122, 132) if dark else (150, 154, 160)))
+    palette.setColor(group.Disabled, role.Highlight, to_qcolor((84, 90, 100) if dark else (200, 204, 210)))  # sliders
     return palette

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import time
 
 import numpy as np
 import pytest
 from PyQt6.QtCore import QCoreApplication
-from PyQt6.QtWidgets import QLabel, QSlider, QSpinBox
+from PyQt6.QtWidgets import QDoubleSpinBox, QLabel, QSlider, QSpinBox
 
 from app.window.tour import wait_until_shown
 from pipeline.engine.graph import Graph
@@ -17,6 +19,7 @@ from pipeline.stages.touch.residual_diffusion import DiffusionParams
 from widgets.command_palette import CommandPalette
 
 LIMIT_S = 240
+DRAG_S, SECONDS_PER_DRAFT = 4.0, 0.5  # of a drag; of processor time
 KEY = "touch/t2d2"
 
 
@@ -143,3 +146,49 @@ def test_a_draft_is_shown_before_the_next_one_starts(sampling, qtbot, monkeypatc
     assert len(drafts) >= 3
     assert at > 2 * len(drafts), "every change was waited for"
     assert not sampling.latest_frame.results["touch"].draft
+
+
+def test_numbers_stay_whole_in_a_narrow_column(sampling, qtbot):
+    """Where label, slider and number do not fit, the slider leaves."""
+    window, pinned = sampling.window, sampling.window.columns["touch"].pinned
+    box = pinned.get_control("guidance").findChild(QDoubleSpinBox)
+    slider = pinned.get_control("guidance").findChild(QSlider)
+    window.resize(1600, 950)
+    qtbot.waitUntil(slider.isVisible, timeout=100_000)
+    window.resize(820, 950)
+    needed_px = box.fontMetrics().horizontalAdvance("15.00")
+    qtbot.waitUntil(lambda: not slider.isVisible() and box.width() >= needed_px, timeout=30_000)
+    assert box.text() == "2.00"
+
+
+def test_a_drag_on_a_busy_machine_shows_drafts(sampling):
+    """At least one draft on screen for every half second of the window's own processor time, whatever else runs."""
+    busy = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(4)]
+    shown = []
+    show = sampling.views.show_stage
+
+    def count(part, **how) -> None:
+        show(part, **how)
+        result = getattr(part, "result", None)
+        if result is not None and result.name == "touch" and result.draft:
+            shown.append(sampling.window.columns["touch"].view.preview)
+
+    sampling.views.show_stage = count
+    slider = sampling.window.columns["touch"].pinned.get_control("guidance").findChild(QSlider)
+    try:
+        slider.sliderPressed.emit()
+        end_s, began_s, at = time.monotonic() + DRAG_S, time.process_time(), 0
+        while time.monotonic() < end_s:
+            at += 1
+            slider.setValue(100 + at % 200)
+            QCoreApplication.processEvents()
+            time.sleep(0.005)
+        used_s = time.process_time() - began_s
+    finally:
+        for process in busy:
+            process.kill()
+            process.wait()
+    slider.sliderReleased.emit()
+    assert wait_until_shown(sampling, LIMIT_S)
+    images = {id(preview) for preview in shown}
+    assert len(images) >= max(2, used_s / SECONDS_PER_DRAFT), f"{len(images)} drafts in {used_s:.1f} s of processor"
