@@ -5,13 +5,20 @@ from __future__ import annotations
 from pathlib import Path
 
 from pipeline.calibration import calibration_file, quality_notes
+from pipeline.cli.interrupts import interruptible_progress
 from pipeline.cli.terminal import print_line
 from pipeline.cli.translation_options import DepthUnit, ReferenceImagePath
 from pipeline.inspection.recording_report import format_report_lines, inspect_recording
+from pipeline.recordings.reference_estimate import write_reference
 
 
 def inspect(
-    recording: Path, *, sensor: str = "", reference: ReferenceImagePath = None, depth_unit: DepthUnit = "auto"
+    recording: Path,
+    *,
+    sensor: str = "",
+    reference: ReferenceImagePath = None,
+    depth_unit: DepthUnit = "auto",
+    make_reference: Path | None = None,
 ) -> int:
     """Print the report of a recording or a calibration file; returns 1 if a check fails.
 
@@ -21,7 +28,15 @@ def inspect(
         File or folder of any known format, or a calibration file.
     sensor
         Sensor that made the recording, if the file does not name it.
+    make_reference
+        Image file to write first: the median of the recording's images, in which touches at different places vanish.
+        The report then uses it as the reference.
     """
+    if make_reference is not None:
+        with interruptible_progress() as progress:
+            _, n_images = write_reference(recording, make_reference, progress)
+        print_line(f"{make_reference} is the median of {n_images} images; check that it shows no touch")
+        reference = make_reference
     if calibration_file.is_calibration_file(recording):
         for line in quality_notes.format_calibration(calibration_file.load(recording)):
             print_line(line)

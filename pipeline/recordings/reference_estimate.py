@@ -1,0 +1,66 @@
+"""A reference image where a recording has none or a bad one: the median of images with touches at different places."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.base.arrays import Image, freeze
+from pipeline.base.errors import FileProblem
+from pipeline.base.files import open_atomic, require_separate
+from pipeline.base.progress import SILENT, Progress
+from pipeline.recordings.folder_contents import find_recording
+from pipeline.recordings.formats import RecordingFiles, get_format
+from pipeline.recordings.image_files import is_image_file, read_rgb
+from pipeline.recordings.video import VideoDecoder
+
+_MAX_BYTES = 400_000_000  # of all images together
+_MAX_IMAGES, _MIN_IMAGES = 101, 3
+
+
+def write_reference(recording: Path, out: Path, progress: Progress = SILENT) -> tuple[Image, int]:
+    """Write the median image as PNG or JPEG; returns it, (rows, cols, 3) RGB, and the number of images it is of.
+
+    Where more than half of the images touch one place, the median shows that touch. Raises FileProblem.
+    """
+    import cv2
+
+    if not is_image_file(out):
+        raise FileProblem("the reference must be an image file such as reference.png", out)
+    files = find_recording(recording) if recording.is_dir() else RecordingFiles(path=recording)
+    require_separate(out, [recording, *files.images])
+    image, n_images = _compute_median(files, progress)
+    encoded = cv2.imencode(out.suffix.lower(), image[:, :, ::-1])[1]
+    with open_atomic(out, "the reference image") as file:
+        file.write(encoded.tobytes())
+    return image, n_images
+
+
+def _compute_median(files: RecordingFiles, progress: Progress) -> tuple[Image, int]:
+    """The median of images spread evenly over a folder or a video, as they are stored."""
+    if files.images:
+        images = files.images
+        return _stack_median(len(images), lambda index: read_rgb(images[index]), files.path, progress)
+    if files.path.suffix.lower() not in get_format("video").suffixes:
+        raise FileProblem("a reference image can be made of a folder of images or a video", files.path)
+    video = VideoDecoder(files.path)
+    try:
+        return _stack_median(video.n_frames, video.frame, files.path, progress)
+    finally:
+        video.close()
+
+
+def _stack_median(n: int, read: Callable[[int], Image], path: Path, progress: Progress) -> tuple[Image, int]:
+    first = read(0)
+    n_chosen = min(n, _MAX_IMAGES, max(_MIN_IMAGES, _MAX_BYTES // first.nbytes))
+    stack: list[Image] = []
+    for index in sorted({round(k) for k in np.linspace(0, n - 1, n_chosen)}):
+        progress.step(index / n, f"image {index}")
+        image = read(index)
+        if image.shape == first.shape:
+            stack.append(image)
+    if len(stack) < _MIN_IMAGES:
+        raise FileProblem(f"a median needs {_MIN_IMAGES} images of one size, there are {len(stack)}", path)
+    return freeze(np.median(np.stack(stack), axis=0).round().astype(np.uint8)), len(stack)
