@@ -16,7 +16,7 @@ from widgets.timeline import Timeline
 from widgets.trials_panel import TrialsPanel
 from widgets.view_3d_panel import View3DPanel
 
-_TABLE_SIZE, _SCENE_SIZE = 290, 400  # of 1000: the table in the page, the scene next to the touches
+_TABLE_SIZE, _SCENE_SIZE = 310, 400  # of 1000: the table in the page, the scene next to the touches
 TOUCHES = {"source": "Source", "touch": "Generated touch", "truth": "True touch"}
 
 

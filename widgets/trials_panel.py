@@ -69,6 +69,7 @@ class TrialsPanel(QWidget):
         self.filter_line.setClearButtonEnabled(True)
         self.filter_line.textChanged.connect(self._filter)
         shrink_font(self._count, 1.0)
+        shrink_font(self.table, 1.0)
         self._prepare_table()
         layout = set_spacing(QVBoxLayout(self), 3, (2, 2, 2, 2))
         for widget in (self.filter_line, self.table, self._count):

@@ -24,6 +24,8 @@ _SURROUNDINGS_OPACITY = 0.3
 _DASHES, _DASH_SHARE = 3.0, 0.6  # length of a dash with its gap in mm, and the dash's part of it
 _SHARP = 0.9  # cosine between two faces up to which their common edge is drawn
 _MAX_EDGES = 600
+_NO_AREA_MM2 = 1e-9
+_DIGITS = 6  # of vertices in mm that are one place
 _MARGIN = 0.6  # radius of the view over the diagonal of the object's way
 
 
@@ -94,8 +96,11 @@ def find_edges(mesh: Mesh) -> Floats:
     """Sharp edges (n, 2, 3) of a mesh in mm; of a smooth mesh some of all its edges."""
     corners = mesh.vertices_mm[mesh.triangles]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    edges = np.sort(mesh.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    area = np.linalg.norm(normals, axis=1)
+    faces, normals = mesh.triangles[area > _NO_AREA_MM2], normals[area > _NO_AREA_MM2]
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    places, place_of_vertex = np.unique(mesh.vertices_mm.round(_DIGITS), axis=0, return_inverse=True)
+    edges = np.sort(place_of_vertex.ravel()[faces[:, [[0, 1], [1, 2], [2, 0]]]].reshape(-1, 2), axis=1)
     unique, of_edge = np.unique(edges, axis=0, return_inverse=True)
     order = np.argsort(of_edge, kind="stable")
     starts = np.searchsorted(of_edge[order], np.arange(len(unique)))
@@ -106,7 +111,7 @@ def find_edges(mesh: Mesh) -> Floats:
     if len(chosen) < 6:
         chosen = unique
     chosen = chosen[:: max(1, len(chosen) // _MAX_EDGES)]
-    return freeze(mesh.vertices_mm[chosen].astype(np.float32))
+    return freeze(places[chosen].astype(np.float32))
 
 
 def cut_dashes(ends_mm: Floats) -> Floats:

@@ -7,6 +7,7 @@ import numpy as np
 from pipeline.stages.stage import StepCurve
 from pipeline.tasks.task import RecordedRollout
 
+_DIGITS = 6  # of a curve: rounding is no motion
 FORCE, COMMAND, MOTION, GAP = "force", "command", "motion", "deviation"
 
 
@@ -24,7 +25,9 @@ def make_traces(rollout: RecordedRollout) -> tuple[StepCurve, ...]:
         (MOTION, "mm", np.linalg.norm(moved - begin, axis=1)),
         (GAP, "mm", np.linalg.norm(commanded - moved, axis=1)),
     )
-    return tuple(StepCurve(name=name, unit=unit, values=tuple(one.tolist())) for name, unit, one in values)
+    return tuple(
+        StepCurve(name=name, unit=unit, values=tuple(one.round(_DIGITS).tolist())) for name, unit, one in values
+    )
 
 
 def describe_tick(rollout: RecordedRollout, tick: int) -> str:
