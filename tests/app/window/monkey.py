@@ -35,9 +35,10 @@ from tests.app.window.window_checks import Watched
 _LEFT_ALONE = frozenset(  # those that ask for a file by a box of the system's, close the window or show a box
     ("open_recording", "set_variant_recording", "open_folder", "open_mesh", "open_calibration", "open_weights", "open_reference",
      "open_alignment", "save_alignment", "open_session", "save_session", "save_session_as", "save_screenshot", "export_bundle",
-     "quit", "keys")
+     "save_video", "quit", "keys")
 )  # fmt: skip
-_NO_BUTTONS = ("record", "browse", "write", "folder")  # parts of names of buttons that ask for a file
+# parts of names of buttons that ask for a file, or open a menu that waits
+_NO_BUTTONS = ("record", "browse", "write", "folder", "offer_choose", "offer_calibrate", "offer_which")
 _REST_EVERY = 25  # acts; then everything must come to rest, every pane must have ink, and memory is taken
 _SIZES = ((1366, 768), (1600, 950), (1100, 700), (1900, 1100))
 
