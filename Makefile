@@ -31,7 +31,7 @@ $(READY): pyproject.toml constraints.txt scripts/system-packages.sh
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 		{ echo "Python 3.11 or newer is needed (3.11 to 3.13 were tried); give it with 'make PYTHON=/path/to/python3.11'" >&2; exit 1; }
 	@$(BIN)/python -m pip --version >/dev/null 2>&1 || $(PYTHON) -m venv --clear $(VENV)
-	@echo "installing Python packages into $(VENV) (1.4 GB to download, 4.6 GB on disk, once)"
+	@echo "installing Python packages into $(VENV) (1.1 GB to download, 4.0 GB on disk, once)"
 	@$(PIP) $(TORCH_FOR_CPU) 2>/dev/null || \
 		{ echo "pip's index has no $(TORCH_FOR_CPU); taking the usual one (2.5 GB more to download on Linux; PIP_EXTRA_INDEX_URL can name PyTorch's index for the processor)"; $(PIP) torch; }
 	@$(PIP) -e '.[dev]'

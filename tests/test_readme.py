@@ -43,7 +43,7 @@ def list_fields(method):
 
 
 def test_set_up_sizes_agree_with_the_makefile():
-    for size in ("1.4 GB", "4.6 GB", "2.5 GB"):
+    for size in ("1.1 GB", "4.0 GB", "2.5 GB"):
         assert size in README
         assert size in MAKEFILE
 

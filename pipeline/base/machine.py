@@ -19,7 +19,7 @@ THREAD_SETTINGS: Mapping[str, str] = {
     "TBB_NUM_THREADS": str(N_THREADS),
     "OMP_WAIT_POLICY": "PASSIVE",  # idle threads of other libraries must not occupy our cores
 }
-_PACKAGES = ("numpy", "scipy", "numba", "opencv-contrib-python-headless", "open3d", "small_gicp", "torch", "taxim")
+_PACKAGES = ("numpy", "scipy", "numba", "opencv-contrib-python-headless", "open3d-cpu", "small_gicp", "torch", "taxim")
 
 
 def describe_machine(environment: Mapping[str, str] = os.environ) -> dict[str, Any]:

@@ -23,7 +23,7 @@ _PACKAGES = (
     "scipy",
     "numba",
     "opencv-contrib-python-headless",
-    "open3d",
+    "open3d-cpu",
     "torch",
     "h5py",
     "PyQt6",
