@@ -56,6 +56,7 @@ class TaskPage(QWidget):
         layout.addWidget(self.message)
         layout.addWidget(self.split, 1)
         self.show_message("")
+        self.clear()
 
     def _build_touches(self) -> QWidget:
         panel = QWidget()
@@ -106,9 +107,11 @@ class TaskPage(QWidget):
             lines.append(f"<span style='color:{_hex(estimate)}'>\N{BOX DRAWINGS LIGHT TRIPLE DASH HORIZONTAL}"
                          "\N{BOX DRAWINGS LIGHT TRIPLE DASH HORIZONTAL}</span> estimated pose, dashed")  # fmt: skip
         self.scene.caption.set_texts(" &nbsp; ".join(lines))
+        self.scene.show()
 
     def clear(self) -> None:
-        """Show no rollout."""
+        """Show no rollout, and no empty scene."""
+        self.scene.hide()
         self.plot.show_rollout((), (), ())
         self.ticks.show_frames(0)
         self.scene.legend.setText("")

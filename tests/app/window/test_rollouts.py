@@ -186,3 +186,4 @@ def test_damaged_and_other_files_end_in_one_sentence(open_window, rollout_folder
     controller.window.actions_by_name["layout_task"].trigger()
     qtbot.waitUntil(lambda: "no rollout" in page.message.text(), timeout=LIMIT_MS)
     assert rollouts.shown is None
+    assert not page.scene.isVisible()
