@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import base64
 import json
-import struct
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 from pipeline.base.arrays import Image
-from pipeline.base.errors import FileProblem, SettingProblem
+from pipeline.base.errors import FileProblem, SettingProblem, TouchError
 from pipeline.base.files import require_file
 from pipeline.recordings.encoded_images import decode_rgb, unpack_rgb
 from pipeline.recordings.formats import ReadOptions, RecordingFiles
@@ -21,7 +20,6 @@ _SCHEMAS = frozenset({
     "foxglove.CompressedImage", "foxglove.RawImage", "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Image",
 })  # fmt: skip
 _MAX_CHUNK_BYTES = 1 << 30  # uncompressed, as stated
-_DAMAGES = (struct.error, ValueError, EOFError, KeyError, IndexError, OSError, RuntimeError, MemoryError)
 
 
 def read(files: RecordingFiles, options: ReadOptions) -> Recording:
@@ -32,7 +30,6 @@ def read(files: RecordingFiles, options: ReadOptions) -> Recording:
     path = files.path
     require_file(path, "the MCAP file", most_bytes=1 << 50)
     try:
-        from mcap.exceptions import McapError
         from mcap.reader import make_reader
     except ImportError as error:
         raise SettingProblem(
@@ -48,7 +45,10 @@ def read(files: RecordingFiles, options: ReadOptions) -> Recording:
                 found.append(make_stream(_Topic(reader, topic, times, path), path, options, name=topic.strip("/")))
             except FileProblem as problem:
                 problems.append(f"the topic {topic} is left out: {problem}")
-    except (McapError, *_DAMAGES) as error:
+    except TouchError:
+        file.close()
+        raise
+    except Exception as error:
         file.close()
         raise FileProblem(f"the MCAP file is damaged ({error!r:.80})", path) from error
     if not found:
@@ -116,8 +116,6 @@ class _Topic:
 
     def frame(self, index: int) -> Image:
         """(rows, cols, 3) RGB."""
-        from mcap.exceptions import McapError
-
         at_ns, where = self._times_ns[index], f"frame {index}"
         try:
             read = self._reader.iter_decoded_messages([self._topic], starting_at=at_ns)
@@ -126,7 +124,9 @@ class _Topic:
                 return decode_rgb(bytes(message.data), where, self._path)
             shape = int(message.height), int(message.width)
             return unpack_rgb(bytes(message.data), shape, int(message.step), str(message.encoding), where, self._path)
-        except (McapError, StopIteration, AttributeError, TypeError, *_DAMAGES) as error:
+        except TouchError:
+            raise
+        except Exception as error:
             raise FileProblem(f"{where} of {self._topic} cannot be read", self._path, field=where) from error
 
     def time_s(self, index: int) -> float:

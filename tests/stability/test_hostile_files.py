@@ -1,4 +1,4 @@
-"""Whatever a file holds: it is read, or refused in one sentence. `--cases 100` draws 2,300."""
+"""Whatever a file holds: it is read, or refused in one sentence. `--cases 100` draws 2,400."""
 
 from __future__ import annotations
 
@@ -34,6 +34,7 @@ from pipeline.sensors.spec import load_sensor
 from pipeline.training.recipe import RECIPES_FOLDER, load_recipe
 from pipeline.translation.cross_section import SectionLine
 from pipeline.values.frames import TactileFrame
+from tests.pipeline.recordings.test_data_sets import write_mcap
 from tests.stability.hostile import spoil_bytes, spoil_value, to_toml
 from tests.stability.rows import cases
 
@@ -161,13 +162,15 @@ def test_weights(tmp_path):
 
 @pytest.mark.parametrize("kind", ["sensor", "alignment", "recipe"])
 def test_descriptions(tmp_path, kind):
-    source = {"sensor": find_descriptions()["digit"], "alignment": ALIGNMENT, "recipe": RECIPES_FOLDER / "bubble.toml"}
+    sources = {"sensor": sorted(find_descriptions().values()), "alignment": [ALIGNMENT],
+               "recipe": sorted(RECIPES_FOLDER.glob("*.toml"))}  # fmt: skip
     read = {"sensor": lambda p: load_sensor(str(p)), "recipe": lambda p: load_recipe(str(p)),
             "alignment": lambda p: load_alignment(p, source="digit", target="gelslim")}  # fmt: skip
-    path, content = tmp_path / "a.toml", source[kind].read_bytes()
-    plain = tomllib.loads(content.decode())
+    path, contents = tmp_path / "a.toml", [file.read_bytes() for file in sources[kind]]
 
     def make(rng: np.random.Generator) -> None:
+        content = contents[int(rng.integers(len(contents)))]
+        plain = tomllib.loads(content.decode())
         text = spoil_bytes(content, rng) if rng.random() < 0.2 else to_toml(spoil_value(plain, rng)).encode()
         path.write_bytes(text)
 
@@ -207,7 +210,7 @@ def _calibration() -> Any:
     )
 
 
-@pytest.mark.parametrize("suffix", [".h5", ".png", ".avi", ".npy", ".npz", ".tiff"])
+@pytest.mark.parametrize("suffix", [".h5", ".png", ".avi", ".npy", ".npz", ".tiff", ".mcap"])
 def test_headers(tmp_path, suffix, capfd):
     path = tmp_path / f"a{suffix}"
     image = np.random.default_rng(1).integers(0, 255, (24, 32, 3), dtype=np.uint8)
@@ -222,6 +225,8 @@ def test_headers(tmp_path, suffix, capfd):
         for _ in range(3):
             video.write(image)
         video.release()
+    elif suffix == ".mcap":
+        write_mcap(path, [image] * 3)
     elif suffix in (".npy", ".npz"):
         (np.save if suffix == ".npy" else np.savez)(path, depth)
     else:

@@ -54,11 +54,45 @@ def write_mcap(path, frames, *, as_json=False):
     with path.open("wb") as file:
         writer = ProtobufWriter(file)
         for index, frame in enumerate(frames):
-            raw = RawImage(width=320, height=240, encoding="bgr8", step=960, data=frame[:, :, ::-1].tobytes())
+            raw = RawImage(
+                width=frame.shape[1],
+                height=frame.shape[0],
+                encoding="bgr8",
+                step=3 * frame.shape[1],
+                data=frame[:, :, ::-1].tobytes(),
+            )
             writer.write_message("/gelsight_mini/image", raw, index * 10**8, index * 10**8)
             depth = RawImage(width=2, height=2, encoding="32FC1", step=8, data=bytes(16))
             writer.write_message("/depth", depth, index * 10**8, index * 10**8)
         writer.finish()
+
+
+def test_topics_of_ros_2_are_streams(tmp_path):
+    from mcap_ros2.writer import Writer
+
+    path, frames = tmp_path / "a.mcap", draw_frames(5)
+    header = "builtin_interfaces/Time stamp\nstring frame_id\n"
+    stamp = "int32 sec\nuint32 nanosec\n"
+    line = "=" * 80 + "\n"
+    definition = (
+        "std_msgs/Header header\nstring format\nuint8[] data\n"
+        f"{line}MSG: std_msgs/Header\n{header}{line}MSG: builtin_interfaces/Time\n{stamp}"
+    )
+    with path.open("wb") as file:
+        writer = Writer(file)
+        schema = writer.register_msgdef("sensor_msgs/msg/CompressedImage", definition)
+        for index, frame in enumerate(frames):
+            message = {
+                "header": {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""},
+                "format": "png",
+                "data": encode(frame),
+            }
+            writer.write_message("/digit", schema, message, log_time=index * 10**8, publish_time=0)
+        writer.finish()
+    recording = open_recording(path)
+    (stream,) = recording.streams
+    np.testing.assert_array_equal(stream.frame(4).image, frames[4])
+    recording.close()
 
 
 @pytest.mark.parametrize("as_json", [False, True])
