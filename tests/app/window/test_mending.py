@@ -10,6 +10,7 @@ import pytest
 from PyQt6.QtWidgets import QLabel, QPushButton
 
 from app.session.sample import SAMPLE_RECORDING
+from app.window.ball_calibration import BallCalibrationController
 from app.window.mending import MendingController
 from app.window.session_controller import SessionController
 from app.window.tour import wait_until_shown
@@ -130,6 +131,15 @@ def test_a_touch_beyond_the_target_is_centred_by_one_click(bubble_window):
     assert abs(col - cols / 2) < 0.1 * cols
     bubble_window.undo_stack.undo()
     assert bubble_window.session.offsets == offsets
+
+
+def test_a_calibration_needs_a_gel(bubble_window, tmp_path, qtbot):
+    calibration = bubble_window.findChild(BallCalibrationController)
+    calibration.calibrate(6.35, tmp_path / "table.npz")
+    qtbot.waitUntil(bubble_window.window.banner.isVisible, timeout=100_000)
+    assert "the source is Soft Bubble" in bubble_window.window.banner.text
+    assert not (tmp_path / "table.npz").exists()
+    assert bubble_window.session.calibration is None
 
 
 def test_a_recording_with_another_target_offers_it(open_window):
