@@ -95,21 +95,11 @@ class CentredPoints:
         return replace(self, centred_mm=np.ascontiguousarray(self.centred_mm[::step]))
 
 
-def register_points(
-    points_mm: NDArray[np.floating], grid: DistanceGrid, start: Doubles, how: FitOptions | None = None
-) -> PoseFit | NotDetermined:
-    """Return the pose (sensor_from_object) near `start` that fits points (n, 3) of the sensor frame to the object.
+def fit_pose(points: CentredPoints, grid: DistanceGrid, start: Doubles, how: FitOptions) -> PoseFit | NotDetermined:
+    """Return the pose (sensor_from_object) near `start` that fits points of the sensor frame to the object.
 
     Raises CalibrationError when `start` is no rigid transform.
     """
-    points = CentredPoints.from_points(points_mm)
-    if isinstance(points, NotDetermined):
-        return points
-    return fit_pose(points, grid, start, how or FitOptions())
-
-
-def fit_pose(points: CentredPoints, grid: DistanceGrid, start: Doubles, how: FitOptions) -> PoseFit | NotDetermined:
-    """Register points that are already centred, as `register_points` does."""
     rows = _rows(rigid.validate_rigid(start, "the start of the registration")[None], points)
     history, scale_mm = np.empty((0, 14)), how.max_distance_mm
     if len(points.centred_mm) >= _SUBSET_ABOVE:

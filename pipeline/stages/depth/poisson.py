@@ -28,7 +28,6 @@ import numpy as np
 
 from pipeline.base.arrays import Doubles, Floats, freeze
 from pipeline.base.errors import SettingProblem, ShapeError
-from pipeline.base.memo import memoise
 
 Boundary = Literal["flat", "free"]
 EndConditions = tuple[Boundary, Boundary]
@@ -147,7 +146,7 @@ def _compute_largest_prime(n: int) -> int:
     return max(n, largest)
 
 
-@memoise(8)
+@lru_cache(maxsize=8)
 def _compute_pivots(rows: int, modes: int, ends: EndConditions, others: EndConditions) -> tuple[Floats, Doubles]:
     """Inverse pivots for `solve_tridiagonal`: images (rows, modes) with `ends` along the rows, `others` across."""
     from pipeline.stages.depth.poisson_kernels import compute_pivots

@@ -9,7 +9,7 @@ from pipeline.base.errors import CalibrationError
 from pipeline.geometry import rigid
 from pipeline.geometry.distance_grid import build_grid
 from pipeline.geometry.meshes import sample_surface
-from pipeline.registration.gauss_newton import FitOptions, NotDetermined, PoseFit, register_points
+from pipeline.registration.gauss_newton import CentredPoints, FitOptions, NotDetermined, PoseFit, fit_pose
 from pipeline.registration.observability import assess_observability
 from tests.pipeline.registration.solids import ball, l_bar, notched_wedge, rod, slab
 
@@ -27,6 +27,11 @@ def wedge():
     grid = build_grid(notched_wedge().mesh)
     roof &= grid.at(points + 0.1 * normals)[0] > 0.05  # not between its parts
     return grid, points[roof][:1500]
+
+
+def register_points(points, grid, start, how=None):
+    centred = CentredPoints.from_points(points)
+    return centred if isinstance(centred, NotDetermined) else fit_pose(centred, grid, start, how or FitOptions())
 
 
 def error(found, truth, points):
