@@ -18,6 +18,7 @@ from pipeline.networks.weights_description import get_description_path
 _SOURCE, _WHEEL = Path(__file__).parents[2] / "sample_data" / "weights", Path(__file__).parent / "shipped"
 WEIGHTS_FOLDER = _SOURCE if _SOURCE.is_dir() else _WHEEL
 _MAX_BYTES = 2 << 30
+TARGET_KIND = "target kind"  # entry of a model card: kind of the sensor that touches are generated for
 _read: Memo[tuple[Any, ...], Weights] = Memo(
     8, most_bytes=_MAX_BYTES, weigh=lambda weights: 4 * weights.n_parameters
 )  # by file, modification time and size
@@ -59,9 +60,16 @@ def _stamp(path: Path) -> tuple[int, int]:
 
 
 def load_for_task(
-    task: str | tuple[str, ...], name: str, file: Path | None, read: Callable[[Path], Weights] = load_weights
+    task: str | tuple[str, ...],
+    name: str,
+    file: Path | None,
+    read: Callable[[Path], Weights] = load_weights,
+    target_kind: str = "",
 ) -> Weights | NoWeights:
-    """Weights trained for a task of `pipeline.training` (or one of several): of `file`, or the shipped `name`."""
+    """Weights trained for a task of `pipeline.training` (or one of several): of `file`, or the shipped `name`.
+
+    Weights whose card names another kind of target sensor than `target_kind` are not used.
+    """
     tasks = (task,) if isinstance(task, str) else task
     weights = load_shipped(name) if file is None else load_file(file, read)
     if isinstance(weights, Weights) and weights.card.get("task") not in tasks:
@@ -69,5 +77,10 @@ def load_for_task(
         return NoWeights(
             why=f"the weights {weights.name!r} were trained for {trained_for}, not {tasks[0]}; "
             "choose others with --weights"
+        )
+    if isinstance(weights, Weights) and weights.card.get(TARGET_KIND, target_kind) != target_kind != "":
+        return NoWeights(
+            why=f"the weights {weights.name!r} generate touches of a {weights.card[TARGET_KIND]}, not of a "
+            f"{target_kind}; choose others with --weights"
         )
     return weights

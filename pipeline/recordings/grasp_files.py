@@ -106,7 +106,7 @@ def list_grasps(root: Path) -> GraspFolder:
     ordered = sorted(
         listed, key=lambda g: (not is_training_split(g.grasp.split), g.grasp.split, g.grasp.tool, g.grasp.number)
     )
-    return GraspFolder(tuple(ordered), sensors, (_describe_splits(ordered), *notes))
+    return GraspFolder(tuple(ordered), sensors, tuple(notes))
 
 
 def find_tool_mesh(grasp: GraspFiles) -> Path | None:
@@ -195,12 +195,13 @@ def read_split_file(file: Path) -> dict[tuple[str, int], str]:
     return out
 
 
-def _describe_splits(grasps: Iterable[GraspFiles]) -> str:
+def describe_splits(grasps: Iterable[GraspFiles], n_fingers: int) -> str:
+    """Numbers of grasps, tools and fingers, and the grasps of each split."""
     counts = Counter(g.grasp.split for g in grasps)
     n_tools = len({g.grasp.tool for g in grasps})
     splits = " + ".join(f"{n} {escape_text(split)}".strip() for split, n in counts.items())
     tools = f"of {n_tools} tool{'s' if n_tools > 1 else ''}"
-    return f"{sum(counts.values())} grasps {tools}, two fingers each" + (
+    return f"{sum(counts.values())} grasps {tools}, {'two fingers' if n_fingers > 1 else 'one finger'} each" + (
         f": {splits}" if len(counts) > 1 or "" not in counts else ""
     )
 

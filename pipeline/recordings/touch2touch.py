@@ -2,6 +2,7 @@
 
 Keys and shapes of the published data set: `bubble_imprint`, `bubble_depth_ref` (2, 1, 140, 175) and `K` of
 the full 224 x 171 image, or `gelslim`, `gelslim_ref` (2, 3, 320, 427). Index 0 is the right finger, 1 the left one.
+Files of a single finger have a first length of 1.
 """
 
 from __future__ import annotations
@@ -21,7 +22,15 @@ from pipeline.geometry.camera import make_camera
 from pipeline.geometry.meshes import Mesh, load_mesh
 from pipeline.recordings import torch_files
 from pipeline.recordings.formats import RecordingFiles
-from pipeline.recordings.grasp_files import BUBBLE, GEL, GraspFiles, find_tool_mesh, list_grasps, parse_tool
+from pipeline.recordings.grasp_files import (
+    BUBBLE,
+    GEL,
+    GraspFiles,
+    describe_splits,
+    find_tool_mesh,
+    list_grasps,
+    parse_tool,
+)
 from pipeline.recordings.index_check import with_index_check
 from pipeline.values.frames import Grasp, Recording, Stream, TactileFrame, Truth
 
@@ -30,6 +39,7 @@ _FULL_ROWS, _FULL_COLS, _TOP, _LEFT = 171, 224, 20, 25  # released pairs are a w
 _BUBBLE, _GELSLIM = (140, 175), (320, 427)  # (rows, cols)
 _IN_HAND_TOLERANCE = {"theta": 0.02, "x": 1e-3, "y": 1e-3}  # rad, m: the tool's pose, the same for both sensors
 _MM_PER_M = 1000.0
+_IMAGES = {BUBBLE: "bubble_imprint", GEL: "gelslim"}  # sensor -> key that counts the fingers
 _GRASP_KEY = "grasp_frame_quat"  # of the frame between the fingers, in the robot's base frame
 _POSE_KEYS = ("bubbles_tr_quat", "tool_tr_quat")  # of the sensors and of the tool, in the robot's base frame
 
@@ -57,10 +67,12 @@ def _read_folder(path: Path) -> Recording:
     """All grasps of a folder; where it has both sensors, frame `i` of each stream is the same grasp."""
     folder = list_grasps(path)
     grasps = folder.grasps
+    streams = [_streams(grasps, path, sensor) for sensor in folder.sensors]
+    n_fingers = max(len(of_sensor) for of_sensor in streams)
     return Recording(
         path=path, format="touch2touch folder", object_mesh=_load_tool_mesh(grasps),
-        streams=tuple(stream for sensor in folder.sensors for stream in _streams(grasps, path, sensor)),
-        notes=(*folder.notes, *_NOTES), grasps=tuple(g.grasp for g in grasps),
+        streams=tuple(stream for of_sensor in streams for stream in of_sensor),
+        notes=(describe_splits(grasps, n_fingers), *folder.notes, *_NOTES), grasps=tuple(g.grasp for g in grasps),
         find_pair_problem=lambda index: _find_pair_problem(grasps[index]),
     )  # fmt: skip
 
@@ -106,7 +118,29 @@ def _streams(grasps: Sequence[GraspFiles], path: Path, sensor: str) -> tuple[Str
         return Stream(name=f"{sensor} {_FINGERS[finger]}", sensor=sensor, n_frames=n, has_truth=is_bubble,
                       frame=with_index_check(frame, n, path), truth=with_index_check(truth, n, path))  # fmt: skip
 
-    return build_stream(0), build_stream(1)
+    return tuple(build_stream(finger) for finger in range(_count_fingers(grasps[0].files[sensor], sensor)))
+
+
+def _count_fingers(file: Path, sensor: str) -> int:
+    """Fingers in a file, of which all of a folder have the same number; two where the file cannot be read."""
+    try:
+        return _count_rows(torch_files.load_tensors(file), _IMAGES[sensor])
+    except FileProblem:
+        return len(_FINGERS)
+
+
+def _count_rows(tensors: Mapping[str, Any], key: str) -> int:
+    """1 where the tensor is of a single finger, else 2."""
+    return 1 if tuple(getattr(tensors.get(key), "shape", ()))[:1] == (1,) else len(_FINGERS)
+
+
+def _select_finger(tensors: Mapping[str, Any], key: str, file: Path, tail: tuple[int, ...], finger: int) -> Any:
+    """The part (*tail) of a tensor (1 or 2, *tail) that is of a finger; raises FileProblem."""
+    n = _count_rows(tensors, key)
+    both = torch_files.require_tensor(tensors, key, file, (n, *tail))
+    if finger >= n:
+        raise FileProblem(f"{key} holds one finger, other files of the folder two", file, field=key)
+    return both[finger]
 
 
 def _add_depth(truth: Truth, frame: TactileFrame, file: Path, finger: int) -> Truth:
@@ -124,9 +158,9 @@ def _add_depth(truth: Truth, frame: TactileFrame, file: Path, finger: int) -> Tr
 
 
 def _bubble_frame(tensors: Mapping[str, Any], finger: int, index: int, file: Path) -> TactileFrame:
-    imprint = torch_files.require_tensor(tensors, "bubble_imprint", file, (2, 1, *_BUBBLE))[finger, 0].double().numpy()
-    reference = (
-        torch_files.require_tensor(tensors, "bubble_depth_ref", file, (2, 1, *_BUBBLE))[finger, 0].double().numpy()
+    imprint, reference = (
+        _select_finger(tensors, key, file, (1, *_BUBBLE), finger)[0].double().numpy()
+        for key in ("bubble_imprint", "bubble_depth_ref")
     )
     median_m = float(np.median(reference[np.isfinite(reference)])) if np.isfinite(reference).any() else np.nan
     if not 0.02 < median_m < 0.5 or (np.abs(reference) > 0.5).any() or (np.abs(imprint) > 0.5).any():
@@ -155,12 +189,13 @@ def _compute_range(values: Any) -> tuple[float, float] | None:
 
 
 def _gelslim_frame(tensors: Mapping[str, Any], finger: int, index: int, file: Path) -> TactileFrame:
-    images = torch_files.require_tensor(tensors, "gelslim", file, (2, 3, *_GELSLIM))
-    references = torch_files.require_tensor(tensors, "gelslim_ref", file, (2, 3, *_GELSLIM))
+    image, reference = (
+        _select_finger(tensors, key, file, (3, *_GELSLIM), finger) for key in ("gelslim", "gelslim_ref")
+    )
     return TactileFrame(
-        sensor="gelslim", image=torch_files.convert_to_rgb(images[finger], "gelslim", file),
-        reference=torch_files.convert_to_rgb(references[finger], "gelslim_ref", file), index=index,
-        origin=f"{file} [{_FINGERS[finger]}]", grasp_range=_compute_range(images),
+        sensor="gelslim", image=torch_files.convert_to_rgb(image, "gelslim", file),
+        reference=torch_files.convert_to_rgb(reference, "gelslim_ref", file), index=index,
+        origin=f"{file} [{_FINGERS[finger]}]", grasp_range=_compute_range(tensors["gelslim"]),
     )  # fmt: skip
 
 

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from pipeline.base.processor_name import describe_processor
 from pipeline.networks.network_factory import ONNX_KINDS, export_weights
 from pipeline.networks.weights import Weights, save_weights
+from pipeline.networks.weights_registry import TARGET_KIND
+from pipeline.sensors.spec import load_sensor
 from pipeline.training import state
 from pipeline.training.state import TrainingState
 
@@ -32,7 +36,7 @@ def make_weights(run: TrainingState, name: str) -> Weights:
     return replace(weights, onnx=export_weights(weights)) if kind in ONNX_KINDS else weights
 
 
-def _card(run: TrainingState, recipe: dict[str, object]) -> dict[str, str]:
+def _card(run: TrainingState, recipe: Mapping[str, Any]) -> dict[str, str]:
     last = max((int(row["step"]) for row in run.metrics), default=-1)
     figures = {f"{row['split'].replace('_', ' ')}: {row['name']}": f"{row['value']:.4g}" for row in run.metrics
                if row["step"] == last}  # fmt: skip
@@ -41,5 +45,11 @@ def _card(run: TrainingState, recipe: dict[str, object]) -> dict[str, str]:
         "task": str(recipe["task"]), "command": run.command, "recipe": json.dumps(recipe, sort_keys=True),
         "examples seen": f"{run.n_examples:,}", "steps": f"{run.step:,}",
         "minutes": f"{run.trained_s / 60.0:.1f}", "machine": machine,
-        **figures,
+        **_name_target(recipe), **figures,
     }  # fmt: skip
+
+
+def _name_target(recipe: Mapping[str, Any]) -> dict[str, str]:
+    """The kind of the sensor that the network generates touches for; {} for another network."""
+    target = recipe["settings"].get("target")
+    return {TARGET_KIND: load_sensor(target).kind} if target else {}

@@ -38,7 +38,7 @@ from pipeline.stages.depth import photometric as depth
 from pipeline.stages.touch import physical_render
 from pipeline.stages.touch.depth_condition import build_depth_square
 from pipeline.stages.touch.depth_limit import check_depth_limit
-from pipeline.stages.touch.image_condition import build_reprojected_square
+from pipeline.stages.touch.image_condition import REPROJECTED_CHANNELS, build_reprojected_square
 from pipeline.stages.touch.t2t import render_from_frame
 from pipeline.stages.touch.touch_from_change import make_touch_from_change
 from pipeline.values.frames import TactileFrame
@@ -109,16 +109,22 @@ def make_draft_params(params: LatentParams) -> LatentParams:
 
 def select_weights(source: SensorSpec, target: SensorSpec, file: Path | None) -> Weights | NoWeights:
     """The weights of touch to touch for this pair of sensors in this direction."""
-    return _load_weights(f"latent_{source.name}_to_{target.name}", file, is_t2d2=False)
+    found = _load_weights(f"latent_{source.name}_to_{target.name}", target, file, is_t2d2=False)
+    if isinstance(found, NoWeights) or found.config.get("condition") != "reprojected":
+        return found
+    if found.config.get("condition_inputs") != REPROJECTED_CHANNELS[source.kind]:
+        return NoWeights(why=f"the weights {found.name!r} do not translate from a {source.kind}; choose others")
+    return found
 
 
 def select_t2d2_weights(source: SensorSpec, target: SensorSpec, file: Path | None) -> Weights | NoWeights:  # noqa: ARG001 - any source
     """The weights of touch to depth to touch for this target, for any source."""
-    return _load_weights(f"latent_t2d2_{target.name}", file, is_t2d2=True)
+    return _load_weights(f"latent_t2d2_{target.name}", target, file, is_t2d2=True)
 
 
-def _load_weights(name: str, file: Path | None, *, is_t2d2: bool) -> Weights | NoWeights:
-    found = weights_registry.load_for_task(latent_diffusion_files.TASK, name, file, latent_diffusion_files.read_weights)
+def _load_weights(name: str, target: SensorSpec, file: Path | None, *, is_t2d2: bool) -> Weights | NoWeights:
+    task, read = latent_diffusion_files.TASK, latent_diffusion_files.read_weights
+    found = weights_registry.load_for_task(task, name, file, read, target.kind)
     if isinstance(found, NoWeights) or (found.config.get("condition") == "depth") == is_t2d2:
         return found
     given, wanted = ("a source image", "a target depth") if is_t2d2 else ("a target depth", "a source image")

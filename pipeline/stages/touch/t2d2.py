@@ -39,7 +39,9 @@ _HALF = 0.5
 
 def select_weights(source: SensorSpec, target: SensorSpec, file: Path | None) -> Weights | NoWeights:  # noqa: ARG001 - any source
     """The weights of a target sensor kind, for any source."""
-    found = weights_registry.load_for_task("touch_residual", SHIPPED_WEIGHTS[target.kind], file)
+    found = weights_registry.load_for_task(
+        "touch_residual", SHIPPED_WEIGHTS[target.kind], file, target_kind=target.kind
+    )
     return (
         found
         if file is not None

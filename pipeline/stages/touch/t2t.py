@@ -38,7 +38,7 @@ from pipeline.stages.touch.confidence_weighting import (
 )
 from pipeline.stages.touch.depth_condition import make_working_sensor
 from pipeline.stages.touch.depth_limit import check_depth_limit
-from pipeline.stages.touch.image_condition import build_image_condition
+from pipeline.stages.touch.image_condition import CHANNELS, build_image_condition
 from pipeline.stages.touch.residual_diffusion import DiffusionParams, sample_residual
 from pipeline.stages.touch.residual_render import EdgeUncertainty, render_correction, report_change
 from pipeline.values.frames import TactileFrame
@@ -58,7 +58,10 @@ def select_weights(source: SensorSpec, target: SensorSpec, file: Path | None) ->
     name = SHIPPED_WEIGHTS.get((source.name, target.kind))
     if file is None and (name is None or not t2d2.has_trained_pixel_size(target)):
         return NoWeights(why=f"the shipped weights are not trained on pairs of {source.title} and {target.title}")
-    return weights_registry.load_for_task(TASK, name or "", file)
+    found = weights_registry.load_for_task(TASK, name or "", file, target_kind=target.kind)
+    if isinstance(found, Weights) and found.config.get("inputs") != CHANNELS[source.kind]:
+        return NoWeights(why=f"the weights {found.name!r} do not translate from a {source.kind}; choose others")
+    return found
 
 
 def generate_touch(

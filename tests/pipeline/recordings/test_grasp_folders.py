@@ -115,6 +115,35 @@ def test_undistorted_images_predictions_and_depth_do_not_mix_with_the_grasps(tmp
     assert not other.contact.any()
 
 
+def test_grasps_of_one_finger_are_one_pair_each(tmp_path: Path):
+    root, right = tmp_path / "data", ("bubble_imprint", "bubble_depth_ref", "K", "gelslim", "gelslim_ref")
+    for number in range(2):
+        save_pair(root, "train", "hex", number)
+    for file in root.rglob("*.pt"):
+        tensors = torch.load(file)
+        saved(file, {key: value[:1] if key in right else value for key, value in tensors.items()})
+    recording = open_recording(root)
+    assert [s.name for s in recording.streams] == ["gelslim right", "soft_bubble right"]
+    assert recording.notes[0].startswith("2 grasps of 1 tool, one finger each")
+    assert recording.stream("gelslim right").frame(1).image[0, 0, 0] == 101
+    assert recording.stream("soft_bubble right").frame(0).image[70, 80] == pytest.approx(70.0, abs=1e-3)
+    file = next((root / "train" / "gelslims").glob("*_0.pt"))
+    saved(file, {**torch.load(file), "gelslim_ref": torch.zeros(3, 3, 320, 427)})
+    with pytest.raises(FileProblem, match=r"gelslim_ref must have shape \(2, 3, 320, 427\), got \(3, 3"):
+        open_recording(root).stream("gelslim right").frame(0)
+
+
+@pytest.mark.parametrize("names", [("gelslims_no_distortion",), ("gelslims", "gelslims_no_distortion")])
+def test_undistorted_images_are_read_where_there_are_no_others(tmp_path: Path, names: tuple[str, ...]):
+    for number in range(2):
+        saved(tmp_path / "train" / "bubbles" / f"hex_data_{number}.pt", bubble(number))
+        for k, name in enumerate(names):
+            saved(tmp_path / "train" / name / f"hex_data_{number}.pt", gelslim(number + 10 * k))
+    recording = open_recording(tmp_path)
+    assert [s.n_frames for s in recording.streams] == [2, 2, 2, 2]
+    assert recording.stream("gelslim right").frame(1).image[0, 0, 0] == 101
+
+
 def test_a_folder_of_tool_folders_is_one_set(tmp_path: Path):
     for tool in TOOLS:
         save_pair(tmp_path, "", tool, 1, nested=True)

@@ -9,8 +9,9 @@ import torch
 from pipeline.base.progress import SILENT
 from pipeline.engine.graph import Fallback, Skipped
 from pipeline.geometry import rigid
+from pipeline.networks import weights_registry
 from pipeline.networks.network_factory import load_network, load_predictor
-from pipeline.networks.weights import NoWeights
+from pipeline.networks.weights import NoWeights, load_weights, save_weights
 from pipeline.physics import optics
 from pipeline.sensors import alignment
 from pipeline.sensors.spec import load_sensor
@@ -27,6 +28,7 @@ from pipeline.stages.touch.image_condition import CHANNELS
 from pipeline.stages.touch.residual_diffusion import DiffusionParams
 from pipeline.stages.touch.stage import PHYSICS, T2D2, T2T
 from pipeline.training.touch_residual import TouchResidualTask
+from pipeline.translation.catalogue import BUILT_IN
 from pipeline.values.frames import TactileFrame
 from pipeline.values.pixel_index import make_pixel_index
 from pipeline.values.results import TargetDepth
@@ -305,6 +307,25 @@ def test_weights_are_selected_by_sensors():
         assert getattr(found, "why", "").find("pixels") < 0, "a source is no matter for T2D2"
     other = T2D2.weights(GEL, load_sensor("digit"), None)
     assert isinstance(other, NoWeights) == (not t2d2.has_trained_pixel_size(load_sensor("digit")))
+
+
+@pytest.mark.parametrize(("method", "file", "source", "target", "problem"), [
+    ("t2t", "t2t_gelslim", "gelslim", "soft_bubble", "do not translate from a gel"),
+    ("t2t", "t2t_bubble", "soft_bubble", "gelslim", "do not translate from a bubble"),
+    ("t2t", "mine", "gelslim", "soft_bubble", "touches of a gel, not of a bubble"),
+    ("t2d2", "mine", "gelslim", "soft_bubble", "touches of a gel, not of a bubble"),
+    ("latent_t2d2", "mine", "gelslim", "soft_bubble", "touches of a gel, not of a bubble"),
+])  # fmt: skip
+def test_weights_of_another_direction_are_not_used(tmp_path, method, file, source, target, problem):
+    path = weights_registry.WEIGHTS_FOLDER / f"{file}.safetensors"
+    if file == "mine":
+        shipped = load_weights(weights_registry.WEIGHTS_FOLDER / "t2t_gelslim.safetensors")
+        task = {"t2t": "touch_to_touch", "t2d2": "touch_residual", "latent_t2d2": "latent"}[method]
+        path = tmp_path / "mine.safetensors"
+        save_weights(path, replace(shipped, card={"task": task, weights_registry.TARGET_KIND: "gel"}))
+    found = BUILT_IN.method("touch", method).weights(load_sensor(source), load_sensor(target), path)
+    assert isinstance(found, NoWeights)
+    assert problem in found.why
 
 
 @pytest.mark.parametrize("target", ["soft_bubble", "gelslim"])

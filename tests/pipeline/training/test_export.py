@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 import torch
 
+from pipeline.networks.weights_registry import TARGET_KIND
 from pipeline.training.export import make_weights
 from pipeline.training.recipe import load_recipe
 from pipeline.training.state import TrainingState, serialise_recipe
@@ -18,3 +19,9 @@ def test_weights_say_whether_guidance_can_act(dropout, guided):
     recipe = replace(recipe, settings=replace(recipe.settings, condition_dropout=dropout))
     run = TrainingState(recipe=serialise_recipe(recipe), averaged_tensors={"scale_factor": torch.tensor(1.0)})
     assert make_weights(run, "made").trained_with_condition_dropout == guided
+
+
+@pytest.mark.parametrize(("name", "kind"), [("latent_t2d2", "bubble"), ("latent_t2d2_gelslim", "gel"), ("pose", None)])
+def test_the_card_names_the_kind_of_the_target(name, kind):
+    run = TrainingState(recipe=serialise_recipe(load_recipe(name)), averaged_tensors={"a": torch.tensor(1.0)})
+    assert make_weights(run, "made").card.get(TARGET_KIND) == kind
