@@ -128,8 +128,9 @@ class RolloutController(BackgroundController):
             self._show_rollout(result)
         elif isinstance(result, TrialFolder):
             opening, self._opening = self._opening, None
-            if opening is not None:
-                self.choose_trial(opening if opening in result.choices else _choose_first(result.trials))
+            chosen = opening if opening in result.choices else _choose_first(result.trials)
+            if opening is not None and chosen is not None:
+                self.choose_trial(chosen)
 
     def show_failure(self, error: BaseException) -> None:
         """Show why nothing can be shown, in one sentence."""
@@ -216,7 +217,7 @@ def _read_rollout(path: Path, report: JobReporter, *, needs_folder: bool) -> Ope
     return open_rollout(path, report)
 
 
-def _choose_first(trials: tuple[TrialRow, ...]) -> Path:
-    """The first rollout that fails, else the first that can be read."""
-    good = [trial for trial in trials if not trial.problem]
-    return next((trial for trial in good if not trial.succeeds), good[0]).path
+def _choose_first(trials: tuple[TrialRow, ...]) -> Path | None:
+    """The first rollout that fails, else the first that can be read; None without one."""
+    good = sorted((trial for trial in trials if not trial.problem), key=lambda trial: trial.succeeds)
+    return good[0].path if good else None
