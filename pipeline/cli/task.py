@@ -27,7 +27,7 @@ from pipeline.tasks.task import ManipulationTask
 
 
 def task(
-    name: Annotated[str, Parameter(help="`insertion`, `stack`, or a TOML file of a tool for insertion.")],
+    name: Annotated[str, Parameter(help="`insertion`, `stack`, `marble`, or a TOML file of a tool for insertion.")],
     *,
     trials: int = 0,
     touch: str = "",
@@ -85,8 +85,6 @@ def task(
         interrupts, bar = stack.enter_context(interruptible_progress()), stack.enter_context(create_progress_bar())
         progress: Progress = InterruptibleBar(ProgressBar(bar), interrupts)
         cluster = stack.enter_context(connect_cluster(scheduler)) if scheduler else None
-        if chosen.prepare is not None:
-            chosen.prepare(planned[0].plan, progress)
         summaries = run_jobs(planned, jobs, cluster, progress)
     _print_table(chosen, summaries)
     if json is not None:

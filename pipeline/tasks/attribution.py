@@ -38,7 +38,7 @@ def correct_estimates(
     corrected: list[CorrectedEstimate] = []
     if touch != NONE:
         given: list[dict[str, object]] = [{} for _ in moments]
-        by_stage = list(zip(*(_list_steps(moment, touch) for moment in moments), strict=True))
+        by_stage = list(zip(*(list_true_stages(moment, touch) for moment in moments), strict=True))
         for done, steps in enumerate(by_stage):
             progress.step(done / len(by_stage), f"truth in place of {steps[0][1]}")
             for one, (stage, _, value) in zip(given, steps, strict=True):
@@ -62,9 +62,9 @@ def share_error(
     return tuple(shares)
 
 
-def _list_steps(moment: Moment, touch: str) -> list[tuple[str, str, object]]:
-    """(stage, title, truth) of one finger for the stages that the controller's touch comes from."""
-    last = "depth" if touch == TRUE else "touch_depth"
+def list_true_stages(moment: Moment, touch: str, last: str = "touch_depth") -> list[tuple[str, str, object]]:
+    """(stage, title, truth) of one finger for the stages that the controller's touch comes from, up to `last`."""
+    last = "depth" if touch == TRUE else last
     translation, results = moment.evaluate(touch, last)
     before = translation.stages[: translation.stages.index(last) + 1]
     truths = translation.read_true_outputs(0)

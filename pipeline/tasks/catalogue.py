@@ -9,6 +9,7 @@ from pipeline.tasks.task import ManipulationTask
 _TASKS = {
     "insertion": "pipeline.tasks.insertion:TASK",
     "stack": "pipeline.tasks.stack:TASK",
+    "marble": "pipeline.tasks.marble:TASK",
 }
 
 

@@ -55,7 +55,8 @@ def make_jobs(
     if not 0 <= seed < 1 << 31:
         raise SettingProblem(f"--seed must lie within 0 and {(1 << 31) - 1}, got {seed}")
     for touch in touches:
-        check_touch(touch, task.source, task.target)
+        if touch not in task.further_touches:
+            check_touch(touch, task.source, task.target)
     return [
         TrialJob(
             plan=TrialPlan(

@@ -16,6 +16,7 @@ from pipeline.base.errors import SettingProblem
 
 STEP_S = 5e-4
 GRAVITY_MM_S2 = 9810.0
+_MM_AND_RAD = np.array([1e3, 1e3, 1e3, 1.0, 1.0, 1.0])
 SOLREF = "0.001 1"  # contacts as stiff as two steps allow
 
 
@@ -74,9 +75,16 @@ class Scene:
 
     def get_velocity(self, body: str) -> Doubles:
         """(6,) linear velocity (mm/s) in the world and angular velocity (rad/s) in the body of a free body."""
-        speed = int(self._model.jnt_dofadr[int(self._model.body(body).jntadr[0])])
-        found = np.array(self._data.qvel[speed : speed + 6])
-        return found * (1e3, 1e3, 1e3, 1.0, 1.0, 1.0)
+        first = self._find_first_velocity(body)
+        return np.array(self._data.qvel[first : first + 6]) * _MM_AND_RAD
+
+    def set_velocity(self, body: str, velocity: Sequence[float]) -> None:
+        """Set the velocity of a free body, as `get_velocity` returns it."""
+        first = self._find_first_velocity(body)
+        self._data.qvel[first : first + 6] = np.asarray(velocity) / _MM_AND_RAD
+
+    def _find_first_velocity(self, body: str) -> int:
+        return int(self._model.jnt_dofadr[int(self._model.body(body).jntadr[0])])
 
     def get_pose(self, body: str) -> Doubles:
         """world_from_body (4, 4) in mm."""
@@ -84,14 +92,15 @@ class Scene:
         pose[:3, :3], pose[:3, 3] = np.array(found.xmat).reshape(3, 3), 1e3 * np.array(found.xpos)
         return pose
 
-    def measure_contact_force(self, body: str) -> Doubles:
-        """Force (3,) in N that the contacts exert on a body, in the world."""
+    def measure_contact_force(self, body: str, other: str = "") -> Doubles:
+        """Force (3,) in N that the contacts with one other body, or with all, exert on a body, in the world."""
         total, one = np.zeros(3), np.zeros(6)
         wanted = int(self._model.body(body).id)
+        partner = int(self._model.body(other).id) if other else -1
         for k in range(int(self._data.ncon)):
             contact = self._data.contact[k]
             bodies = [int(self._model.geom_bodyid[geom]) for geom in contact.geom]
-            if wanted in bodies and bodies[0] != bodies[1]:
+            if wanted in bodies and bodies[0] != bodies[1] and (partner < 0 or partner in bodies):
                 self._mujoco.mj_contactForce(self._model, self._data, k, one)
                 sign = 1.0 if bodies[1] == wanted else -1.0  # the frame's first axis points from body 1 to body 2
                 total += sign * (np.array(contact.frame).reshape(3, 3).T @ one[:3])

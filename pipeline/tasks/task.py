@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
@@ -100,7 +100,7 @@ class Rollout:
 class RunTrial(Protocol):
     """Runs one trial; `progress` receives what is done, and ends the trial by an exception."""
 
-    def __call__(self, plan: TrialPlan, progress: Progress = SILENT) -> tuple[Rollout, ...]:
+    def __call__(self, plan: TrialPlan, progress: Progress = SILENT) -> Iterable[Rollout]:
         """One rollout for each touch and tolerance, in this order."""
         ...
 
@@ -178,8 +178,8 @@ class ManipulationTask:
     tolerance_title: str
     n_trials: int  # by default, as in the paper
     run: RunTrial  # one rollout for each touch and tolerance, in this order
+    further_touches: tuple[str, ...] = ()  # of this task alone, besides "true", "none" and touch methods
     error_title: str = "error"  # what a decision's `error_mm` measures
     published: Mapping[tuple[str, str], str] = field(default_factory=dict)  # (case, touch) -> the paper's result
     load_case: Callable[[Path], str] | None = None  # the name of a user's TOML file as a case; raises TouchError
-    prepare: Callable[[TrialPlan, Progress], None] | None = None  # once before the trials, such as training a policy
     build_scene: Callable[[RecordedRollout], TaskScene] | None = None  # None = the object alone

@@ -13,7 +13,7 @@ from typing import cast
 
 import numpy as np
 
-from pipeline.base.arrays import Doubles
+from pipeline.base.arrays import Doubles, Image
 from pipeline.base.errors import SettingProblem
 from pipeline.engine.cache import Cache
 from pipeline.engine.graph import Graph, StageResult
@@ -120,11 +120,19 @@ class Moment:
         frames: Sequence[tuple[TactileFrame, Truth | None]],
         source: SensorSpec,
         target: SensorSpec,
+        *,
+        context_images: tuple[Image, ...] = (),
+        draft: bool = False,
     ) -> None:
-        """`frames` holds one of the source, and for truth one of the target, of the same index."""
+        """`frames` holds one of the source, and for truth one of the target, of the same index.
+
+        `context_images` are other touches of the source's instance, which determine its illumination. `draft`: the
+        source's depth is computed as while a slider is dragged, in half the time.
+        """
         streams = tuple(_make_stream(*pair) for pair in frames)
         self._recording = Recording(path=Path("moment"), format="moment", streams=streams, object_mesh=mesh)
         self._source, self._target, self._mesh = source, target, mesh
+        self._context_images, self._draft = context_images, draft
         self._graph = Graph((), cache=Cache(_CACHE_BYTES))
 
     @property
@@ -143,6 +151,7 @@ class Moment:
             ),
             recording=self._recording, stream=self._recording.stream(source.name), source=source, target=self._target,
             alignment=resolve_alignment(source, self._target), calibration=None, mesh=self._mesh,
+            load_context_images=tuple if touch == TRUE else lambda: self._context_images,
         )  # fmt: skip
 
     def evaluate(
@@ -152,7 +161,9 @@ class Moment:
         translation = self.open_translation(touch)
         graph = translation.build_graph(like=self._graph)
         inputs = {**translation.read_inputs(0), **(given or {})}
-        return translation, graph.evaluate([stage], inputs, {})
+        depth = next(method for method in translation.methods if method.stage == "depth")
+        params = {"depth": depth.draft(depth.params())} if self._draft and depth.draft is not None else {}
+        return translation, graph.evaluate([stage], inputs, params)
 
     def measure_depth(self, touch: str, given: Mapping[str, object] | None = None) -> DepthMap:
         """Depth of the touch that the controller gets: the target's own frame for "true", else the generated touch."""

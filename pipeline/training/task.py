@@ -89,6 +89,7 @@ TASKS: dict[str, TaskEntry] = {
     "touch_pose": TaskEntry(subcommand="pose", import_path="pipeline.training.touch_pose:TouchPoseTask"),
     "bubble_depth": TaskEntry(subcommand="depth", import_path="pipeline.training.bubble_depth:BubbleDepthTask"),
     "touch_residual": TaskEntry(subcommand="t2d2", import_path="pipeline.training.touch_residual:TouchResidualTask"),
+    "cloned_policy": TaskEntry(subcommand="policy", import_path="pipeline.tasks.cloning:ClonedPolicyTask"),
     "touch_to_touch": TaskEntry(subcommand="t2t", import_path="pipeline.training.touch_to_touch:TouchToTouchTask"),
 }
 

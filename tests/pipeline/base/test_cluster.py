@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import signal
@@ -15,11 +16,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from pipeline.base.cluster import connect_cluster
+from pipeline.base.cluster import NO_WORKER_S, connect_cluster
 from pipeline.base.errors import NotConverged, SettingProblem
 from pipeline.cli.main import EXIT_USER_ERROR, build_app, run_app
 from pipeline.recordings import hdf5
 from pipeline.simulation import shapes
+from pipeline.tasks.runner import make_jobs, run_job, run_jobs
 
 distributed = pytest.importorskip("distributed", reason="Dask is not installed")
 ONE = shapes.list_shapes("training")[0]
@@ -88,6 +90,47 @@ def test_work_without_any_worker_ends_with_a_sentence(monkeypatch, tmp_path):
     ):
         elsewhere.map(noted, [(1, str(tmp_path)), (2, str(tmp_path))], counting)
     assert steps  # Ctrl-C is noticed meanwhile
+
+
+@pytest.mark.slow  # processes that start, and wait
+@pytest.mark.filterwarnings("ignore")
+def test_work_whose_workers_all_leave_ends_with_a_sentence(monkeypatch, tmp_path):
+    assert NO_WORKER_S < 25.0
+    monkeypatch.setattr("pipeline.base.cluster.NO_WORKER_S", 1.5)
+    with distributed.LocalCluster(n_workers=1, processes=False, dashboard_address=None) as leaving:
+
+        class Dismisses:
+            """Dismisses the only worker once one piece is done."""
+
+            def step(self, fraction, text):
+                if fraction > 0.0 and leaving.workers:
+                    leaving.scale(0)
+
+        with connect_cluster(leaving.scheduler_address) as elsewhere, pytest.raises(NotConverged, match="no worker"):
+            elsewhere.map(noted, [(n, str(tmp_path)) for n in range(40)], Dismisses())
+    assert 0 < len(list(tmp_path.iterdir())) < 40
+
+
+@pytest.mark.slow  # processes that start, and wait
+@pytest.mark.filterwarnings("ignore")
+def test_trials_of_a_task_run_elsewhere_are_those_run_here_though_a_worker_dies(cluster):
+    jobs = make_jobs("marble", touches=("expert", "none"), n_trials=6)
+
+    class KillsOne:
+        """Kills a worker once a trial is done."""
+
+        killed = False
+
+        def step(self, fraction, text):
+            if fraction > 0.0 and not self.killed:
+                self.killed = True
+                os.kill(pids(cluster)[0], signal.SIGKILL)
+
+    killer = KillsOne()
+    with connect_cluster(cluster.scheduler_address) as elsewhere:
+        there = run_jobs(jobs, 1, elsewhere, killer)
+    assert killer.killed
+    assert json.dumps(there) == json.dumps([one for job in jobs for one in run_job(job)])
 
 
 @pytest.mark.filterwarnings("ignore")

@@ -8,9 +8,10 @@ import pytest
 from pipeline.geometry import rigid
 from pipeline.simulation.shapes.prisms import make_chamfered_prism
 from pipeline.simulation.shapes.solids import transform_mesh
-from pipeline.tasks.descent import insert
+from pipeline.tasks.descent import BEYOND_MM, STIFFNESS_N_MM, insert
 from pipeline.tasks.in_hand import PlanarPose
 from pipeline.tasks.peg import cut_peg
+from pipeline.tasks.rolling import TICK_S, RollingBall
 from pipeline.tasks.scene import GRAVITY_MM_S2, Scene, write_pose
 
 WITHIN = 0.05
@@ -59,6 +60,42 @@ def test_rolling_keeps_energy():
     scene.advance(0.5)
     potential_mj = MASS_KG * 1e-3 * GRAVITY_MM_S2 * (z_before - scene.get_pose("ball")[2, 3])
     assert abs(scene.compute_energy_mj() - before) < WITHIN * potential_mj
+
+
+def test_rolling_friction_stops_a_ball_after_the_way_of_its_energy():
+    lever_mm, speed_mm_s = 0.2, 100.0
+    rough = f'condim="6" friction="0.5 0.001 {1e-3 * lever_mm}"'
+    scene = Scene(
+        f'<geom type="plane" size="10 10 1" {rough}/><body name="ball" pos="0 0 {1e-3 * RADIUS_MM}"><freejoint/>'
+        f'<geom type="sphere" size="{1e-3 * RADIUS_MM}" mass="{MASS_KG}" {rough}/></body>'
+    )
+    scene.set_velocity("ball", (speed_mm_s, 0.0, 0.0, 0.0, speed_mm_s / RADIUS_MM, 0.0))
+    scene.advance(1.5)
+    # 7/10 m v^2 of a rolling ball over the torque's work per mm, m g lever / R.
+    expected_mm = 0.7 * speed_mm_s**2 * RADIUS_MM / (GRAVITY_MM_S2 * lever_mm)
+    assert scene.get_pose("ball")[0, 3] == pytest.approx(expected_mm, rel=WITHIN)
+    assert np.linalg.norm(scene.get_velocity("ball")[:3]) < 0.01 * speed_mm_s
+
+
+def test_a_ball_between_plate_and_cover_follows_the_plate_by_half():
+    ball = RollingBall((2.0, -1.0), load_n=1.5)
+    ticks = [ball.move_plate(np.array([0.3, -0.2])) for _ in range(10)] + [ball.move_plate(np.zeros(2))]
+    moved = ticks[-1].world_from_hand[:2, 3]
+    assert moved == pytest.approx((3.0, -2.0), rel=WITHIN)
+    assert ticks[-1].world_from_object[:2, 3] - (2.0, -1.0) == pytest.approx(0.5 * moved, rel=WITHIN)
+    assert ball.contact_mm - (2.0, -1.0) == pytest.approx(-0.5 * moved, rel=WITHIN)
+    assert ticks[-1].force_n[2] == pytest.approx(1.5, rel=WITHIN)
+    assert ticks[-1].time_s == pytest.approx(11 * TICK_S)
+
+
+def test_a_jammed_peg_presses_as_the_hand_is_stiff_and_its_own_weight_does_not_count():
+    square = make_chamfered_prism([(-4, -4), (4, -4), (4, 4), (-4, 4)], 30.0, 0.001, "peg")
+    peg = cut_peg(transform_mesh(square, rigid.rotation((0.0, -0.5 * math.pi, 0.0))), 8.0)
+    jam = insert(
+        peg, np.eye(4), PlanarPose(y_mm=2.0).matrix, clearance_mm=0.5, lead_in_mm=0.0, force_limit_n=1e3
+    )  # fmt: skip
+    overtravel_mm = peg.depth_mm + BEYOND_MM
+    assert jam.ticks[-1].force_n[2] == pytest.approx(STIFFNESS_N_MM * overtravel_mm, rel=WITHIN)
 
 
 @pytest.mark.parametrize("clearance_mm", [0.5, 1.0])
