@@ -139,8 +139,8 @@ def show_window(
     if session.recording is not None and is_rollout_folder(session.recording):
         controller.open_path(session.recording)
     elif session.recording is not None:
+        controller.saved_session = session  # what the command line asks for is no change
         controller.show_session(session)
-        controller.saved_session = session
         controller.recording_opened.emit(session.recording)
     if restore:
         autosave.offer_recovery()
