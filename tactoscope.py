@@ -36,3 +36,7 @@ def _find_location(spec: ModuleSpec | None) -> Path | None:
     if spec.submodule_search_locations:
         return Path(next(iter(spec.submodule_search_locations))).resolve()
     return None if spec.origin is None else Path(spec.origin).resolve()
+
+
+if __name__ == "__main__":
+    main()

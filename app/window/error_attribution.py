@@ -5,7 +5,6 @@ from __future__ import annotations
 from PyQt6.QtCore import QEvent, QObject, QTimer
 
 from app.window.session_controller import SessionController
-from pipeline.metrics.stage_metrics import METRICS
 from pipeline.translation.error_attribution import DEFAULT_METRIC, ErrorAttribution
 from pipeline.translation.translate import Translation
 from widgets.error_attribution_panel import make_bars
@@ -58,7 +57,7 @@ class ErrorAttributionController(QObject):
             or not controller.is_idle
         ):
             return
-        known = [name for name in latest.metrics if METRICS[name.partition(".")[2]].better == "lower"]
+        known = [name for name in latest.metrics if is_stage_error(name)]
         metric = self._metric if self._metric in known else next(iter(known), "")
         self._panel.offer_metrics(known, metric)
         if not metric:

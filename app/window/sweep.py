@@ -31,7 +31,7 @@ from pipeline.evaluation.parameter_sweep import (
     parse_axis,
 )
 from pipeline.evaluation.variants import Variant, VariantRunner
-from pipeline.metrics.stage_metrics import METRICS, WITHOUT_TRUTH
+from pipeline.metrics.stage_metrics import METRICS, is_stage_error
 from pipeline.translation.error_attribution import DEFAULT_METRIC
 
 _NO_METRIC = "time only"
@@ -88,9 +88,7 @@ class SweepController(BackgroundController):
         """The errors of stages known for any frame, the default one first; those of a whole frame are not swept."""
         planned = () if self._plan is None or not self._plan.metric else (self._plan.metric,)
         known = dict.fromkeys((*self._controller.window.frames.model.metrics, *planned))
-        parts = {name: name.partition(".") for name in known}
-        names = [name for name, (stage, _, error) in parts.items()
-                 if stage != WITHOUT_TRUTH and METRICS[error].better == "lower"]  # fmt: skip
+        names = [name for name in known if is_stage_error(name)]
         return [*sorted(names, key=lambda name: name != DEFAULT_METRIC), _NO_METRIC]
 
     def _update_metrics(self, _: int) -> None:

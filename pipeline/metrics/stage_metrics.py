@@ -94,6 +94,12 @@ def describe_metric(figure: str) -> str:
     return f"{of}{metric.title}{', ' if metric.unit else ''}{metric.unit}"
 
 
+def is_stage_error(figure: str) -> bool:
+    """Whether `stage.name` is an error of a stage against truth, smaller is better."""
+    stage, _, name = figure.partition(".")
+    return stage != WITHOUT_TRUTH and METRICS[name].better == "lower"
+
+
 def compute_mae_mm(estimate: NDArray[np.floating], truth: NDArray[np.floating], where: Mask) -> float:
     """Mean absolute difference in mm over `where`, pixels without a value left out; NaN if none is left."""
     gap = np.abs(np.asarray(estimate, dtype=np.float64) - truth)[where]

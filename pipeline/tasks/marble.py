@@ -18,7 +18,17 @@ from pipeline.tasks.attribution import CorrectedEstimate, describe_decision, lis
 from pipeline.tasks.marble_trial import N_TICKS, SOURCE, TARGET, MarbleTrial, RecordedFrame, draw_trial
 from pipeline.tasks.policy import command_from_image
 from pipeline.tasks.rolling import TICK_S, make_ball
-from pipeline.tasks.task import Decision, ManipulationTask, Rollout, Tick, TrialPlan
+from pipeline.tasks.scene_bodies import make_box
+from pipeline.tasks.task import (
+    Decision,
+    ManipulationTask,
+    RecordedRollout,
+    Rollout,
+    SceneBody,
+    TaskScene,
+    Tick,
+    TrialPlan,
+)
 from pipeline.tasks.touches import NONE, TRUE, make_pairing
 from pipeline.values.frames import TactileFrame, Truth
 
@@ -27,6 +37,7 @@ WEIGHTS = "marble_gelslim"
 N_HOLD_TICKS = 10
 LOST_MM = 7.0  # from the centre: the contact is outside the view
 GAIN, MAX_STEP_MM = 0.5, 0.8  # of the expert: plate's motion per tick over the ball's distance, and its limit
+_VIEW_HALF_MM, _PLATE_MM = (9.0, 6.75), 1.0  # halves of the gel that the target sees, and of the plate in the scene
 _LAST_STAGE = "touch"  # that the controller reads
 
 
@@ -189,10 +200,16 @@ def _describe(step_mm: Doubles) -> dict[str, float]:
     return {"x_mm": float(step_mm[0]), "y_mm": float(step_mm[1])}
 
 
+def build_scene(_rollout: RecordedRollout) -> TaskScene:
+    """The gel plate under the ball, as large as the target's view."""
+    plate = make_box((*_VIEW_HALF_MM, _PLATE_MM), "gel plate", (0.0, 0.0, -_PLATE_MM))
+    return TaskScene(bodies=(SceneBody(name="gel plate", mesh=plate, parent="hand"),))
+
+
 TASK = ManipulationTask(
     name="marble", title="Marble rolling", source=SOURCE, target=TARGET, cases=("marble",),
     touches=(TRUE, "t2d2", UNTRANSLATED), further_touches=(UNTRANSLATED, EXPERT), tolerances_mm=(1.0,),
-    error_title="from the expert's step",
+    error_title="from the expert's step", build_scene=build_scene,
     tolerance_title="held within, mm", n_trials=20, run=run_trial,
     published={("marble", TRUE): "20/20", ("marble", "t2d2"): "15/20"},
 )  # fmt: skip

@@ -118,3 +118,10 @@ def test_further_touches_are_of_this_task_alone():
     assert make_jobs("marble", touches=(UNTRANSLATED,))[0].plan.touches == (UNTRANSLATED,)
     with pytest.raises(SettingProblem, match=UNTRANSLATED):
         make_jobs("insertion", touches=(UNTRANSLATED,))
+
+
+def test_the_scene_has_the_plate_under_the_ball():
+    (plate,) = marble.build_scene(None).bodies
+    assert plate.parent == "hand"  # which is the plate in every tick
+    assert plate.mesh.vertices_mm[:, 2].max() == 0.0
+    assert np.ptp(plate.mesh.vertices_mm, axis=0)[:2] == pytest.approx((18.0, 13.5))
