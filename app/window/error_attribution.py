@@ -5,6 +5,7 @@ from __future__ import annotations
 from PyQt6.QtCore import QEvent, QObject, QTimer
 
 from app.window.session_controller import SessionController
+from pipeline.metrics.stage_metrics import is_stage_error
 from pipeline.translation.error_attribution import DEFAULT_METRIC, ErrorAttribution
 from pipeline.translation.translate import Translation
 from widgets.error_attribution_panel import make_bars

@@ -161,8 +161,11 @@ class Moment:
         translation = self.open_translation(touch)
         graph = translation.build_graph(like=self._graph)
         inputs = {**translation.read_inputs(0), **(given or {})}
-        depth = next(method for method in translation.methods if method.stage == "depth")
-        params = {"depth": depth.draft(depth.params())} if self._draft and depth.draft is not None else {}
+        params = {
+            method.stage: method.draft(method.params())
+            for method in translation.methods
+            if self._draft and method.stage == "depth" and method.draft is not None
+        }
         return translation, graph.evaluate([stage], inputs, params)
 
     def measure_depth(self, touch: str, given: Mapping[str, object] | None = None) -> DepthMap:
