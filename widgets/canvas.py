@@ -243,7 +243,11 @@ class Canvas(QWidget):
         at = a0.position()
         fixed = self.to_image(at)
         wanted = self._plate.scale * _ZOOM_STEP ** (a0.angleDelta().y() / _PER_NOTCH)
-        scale = min(max(wanted, MIN_ZOOM), MAX_ZOOM)
+        if wanted <= self._plate.fitted_scale:  # the sensor fills the view: there is nothing around it to see
+            self.fit_view()
+            self.view_changed.emit()
+            return
+        scale = min(wanted, MAX_ZOOM)
         self.set_view(fixed - (at - QPointF(0.5 * self.width(), 0.5 * self.height())) / scale, scale)
         self.view_changed.emit()
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from PyQt6.QtCore import QRectF, QSize, Qt, pyqtSignal
@@ -98,10 +98,10 @@ class ErrorAttributionPanel(QWidget):
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.metric_box, self._sentence, self.waterfall = QComboBox(), QLabel(), Waterfall()
-        self.metric_box.setObjectName("blame_figure")
+        self.metric_box.setObjectName("attributed_metric")
         self.metric_box.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToContents)
         self.metric_box.setAccessibleName("metric to attribute")
-        self.metric_box.activated.connect(lambda: self.metric_chosen.emit(self.metric_box.currentText()))
+        self.metric_box.activated.connect(lambda: self.metric_chosen.emit(self.metric_box.currentData()))
         self._sentence.setWordWrap(True)
         make_bold(self._sentence)
         head = set_spacing(QHBoxLayout(), 8)
@@ -117,12 +117,13 @@ class ErrorAttributionPanel(QWidget):
         """The sentence about the frame."""
         return self._sentence.text()
 
-    def offer_metrics(self, names: Sequence[str], chosen: str) -> None:
-        """Offer the metrics that this frame has; emits no signal."""
-        if [self.metric_box.itemText(i) for i in range(self.metric_box.count())] != list(names):
+    def offer_metrics(self, names: Mapping[str, str], chosen: str) -> None:
+        """Offer the metrics (name -> text) that this frame has; emits no signal."""
+        if [self.metric_box.itemData(i) for i in range(self.metric_box.count())] != list(names):
             self.metric_box.clear()
-            self.metric_box.addItems(names)
-        self.metric_box.setCurrentText(chosen)
+            for name, text in names.items():
+                self.metric_box.addItem(text, name)
+        self.metric_box.setCurrentIndex(self.metric_box.findData(chosen))
         self.metric_box.setEnabled(bool(names))
 
     def show_empty(self, why: str) -> None:

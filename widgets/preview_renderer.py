@@ -65,9 +65,15 @@ class PreviewRenderer:
     def fit_view(self) -> None:
         """Fit the whole image into the view."""
         if self.image is not None:
-            cols, rows = self.image.width(), self.image.height()
-            self.scale = max(1e-3, min(self.size.width() / cols, self.size.height() / rows))
-            self.centre = QPointF(0.5 * cols, 0.5 * rows)
+            self.scale = self.fitted_scale
+            self.centre = QPointF(0.5 * self.image.width(), 0.5 * self.image.height())
+
+    @property
+    def fitted_scale(self) -> float:
+        """Screen pixels per image pixel at which the whole image fits the view; 0 without an image."""
+        if self.image is None:
+            return 0.0
+        return max(1e-3, min(self.size.width() / self.image.width(), self.size.height() / self.image.height()))
 
     def to_screen(self, at: QPointF) -> QPointF:
         """Return the screen position of a point in image pixels."""

@@ -9,6 +9,7 @@ from pipeline.base.typed_data import Name
 
 ComparisonTabName = Literal["methods", "two", "seeds"]
 LAST_STAGE, ALL_STAGES = "last", ""
+DEFAULT_STAGE = "touch_depth"  # of two settings: what both methods of touch have, and can be subtracted
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -17,5 +18,5 @@ class ComparisonSettings:
 
     tab: ComparisonTabName = "methods"
     order: Name = "worst first"
-    stage: Name = LAST_STAGE  # of two settings, or all stages
+    stage: Name = DEFAULT_STAGE  # of two settings, or all stages
     seeds: int = 8

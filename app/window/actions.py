@@ -156,7 +156,7 @@ THEME_COMMANDS = (
 )
 HELP_COMMANDS = (
     Command("palette", "Commands…", "Search all commands", key="Ctrl+K"),
-    Command("keys", "Shortcuts", "Show the keyboard shortcuts", icon="help", key="F1"),
+    Command("keys", "Shortcuts", "Search all commands and their shortcuts", icon="help", key="F1"),
 )
 # fmt: on
 MENUS: Mapping[str, tuple[Command, ...]] = {  # title -> commands; every command is in one menu
@@ -201,13 +201,3 @@ def make_actions(window: QMainWindow, commands: tuple[Command, ...]) -> dict[str
         window.addAction(action)
         actions[command.name] = action
     return actions
-
-
-def format_shortcut_table(actions: Mapping[str, QAction]) -> str:
-    """Return the keyboard shortcuts as rich text."""
-    rows = [
-        f"<tr><td><b>{action.shortcut().toString()}</b>&nbsp;&nbsp;&nbsp;</td><td>{action.text()}</td></tr>"
-        for action in actions.values()
-        if action.shortcuts()
-    ]
-    return f"<table>{''.join(rows)}</table>"

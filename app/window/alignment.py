@@ -101,8 +101,15 @@ class AlignmentController(QObject):
             )  # fmt: skip
             save_alignment(path, file)
             log.info("alignment saved: '%s'", path)
+            self._use_saved_file(path)
         except TouchError as error:
             self._controller.show_problem(error)
+
+    def _use_saved_file(self, path: Path) -> None:
+        """Open the saved file in place of the offsets it holds: the dock is clean, and no change is unsaved."""
+        controller = self._controller
+        controller.saved_session = replace(controller.saved_session, offsets=Offsets())
+        controller.change("save alignment", alignment=path, offsets=Offsets())
 
     def _set_visible(self, visible: bool) -> None:
         self._is_visible = visible

@@ -47,7 +47,7 @@ class ComparisonController(BackgroundController):
         self._requested: tuple[object, ...] = ()
         self._sampling_requested = False
         self._release_timer = make_single_shot_timer(self, _RELEASE_DELAY_MS, self.release_memory)
-        self._is_visible = False
+        self._is_visible, self._summary = False, ""
         self._shown_settings = (ComparisonSettings(), None)  # when the page was last updated
         self._builders: Mapping[str, Callable[[Session], ComparisonSteps | str]] = {
             "methods": self._build_methods, "two": self._build_pair, "seeds": self._build_seeds,
@@ -77,7 +77,7 @@ class ComparisonController(BackgroundController):
 
     def clear_variant(self) -> None:
         """Remove variant B."""
-        self._controller.change("let B go", variant=None)
+        self._controller.change("clear B", variant=None)
 
     def release_memory(self) -> None:
         """Drop cached results, and networks that no column uses, unless the page is visible."""
@@ -96,7 +96,7 @@ class ComparisonController(BackgroundController):
         now = self._controller.session
         if now.recording is not None:
             self._controller.change(
-                "hold B", variant=replace(session, variant=None), comparison=replace(now.comparison, tab="two"),
+                "set B", variant=replace(session, variant=None), comparison=replace(now.comparison, tab="two"),
                 layout=replace(now.layout, name="compare"),
             )  # fmt: skip
 
@@ -243,6 +243,7 @@ class ComparisonController(BackgroundController):
     def _show(self, comparison: Comparison) -> None:
         page = self._page
         page.current_tab.grid.show_tiles(comparison.tiles)
+        self._summary = comparison.summary
         page.current_tab.message.setText(comparison.summary)
         if page.current_name == "seeds":
             page.plot.show_points(comparison.reliability_curve)
@@ -269,7 +270,7 @@ class ComparisonController(BackgroundController):
     def show_cancelled(self) -> None:
         """Show that tiles are missing."""
         self._hide_progress()
-        self._page.current_tab.message.setText(f"cancelled; {self._page.current_tab.message.text()}")
+        self._page.current_tab.message.setText(f"cancelled; {self._summary}" if self._summary else "cancelled")
 
     def show_progress(self, fraction: float, text: str) -> None:  # noqa: ARG002 - the tab shows tiles instead
         """Show the progress in the tab."""

@@ -7,12 +7,11 @@ from typing import TypeVar, get_args
 
 from PyQt6.QtCore import Qt
 from PyQt6.QtGui import QAction, QKeySequence
-from PyQt6.QtWidgets import QMessageBox, QWidget
+from PyQt6.QtWidgets import QWidget
 
 from app.session.preferences import Theme
 from app.session.state import DISPLAY_KEY
 from app.window import dialogs
-from app.window.actions import format_shortcut_table
 from app.window.alignment import AlignmentController
 from app.window.alignment_gizmo import AlignmentGizmoController
 from app.window.arrangements import ArrangementController
@@ -51,6 +50,8 @@ from pipeline.translation.catalogue import Catalogue
 from widgets.command_palette import CommandPalette
 from widgets.icons import make_command_icon
 from widgets.keyboard_focus_filter import KeyboardFocusFilter
+from widgets.shortcuts_page import ShortcutsPage
+from widgets.table_copier import TableCopier
 from widgets.timeline import Timeline
 
 T = TypeVar("T")
@@ -197,9 +198,6 @@ def _connect_files(
     window.connect_command("close_mesh", lambda: controller.open_mesh(None))
     window.connect_command("close_weights", lambda: controller.open_weights(None))
     window.connect_command("quit", window.close)
-    window.connect_command(
-        "keys", lambda: QMessageBox.information(window, "Shortcuts", format_shortcut_table(window.actions_by_name))
-    )
 
 
 def _connect_playback(controller: SessionController) -> None:
@@ -262,7 +260,7 @@ def _toggle_comparison_mode(controller: SessionController, mode: ComparisonMode)
 
 
 def _connect_palette(window: MainWindow) -> None:
-    """Connect the command palette and the keyboard focus filter."""
+    """Connect the command palette, the shortcuts page, the keyboard focus filter and the copy of tables."""
     palette, command = CommandPalette(window), window.actions_by_name["palette"]
     command.setShortcuts([command.shortcut(), QKeySequence("Ctrl+Shift+P")])
 
@@ -272,6 +270,11 @@ def _connect_palette(window: MainWindow) -> None:
 
     window.connect_command("palette", lambda: palette.show_commands(list_commands()))
     KeyboardFocusFilter(window)
+    TableCopier(window)
+    shortcuts = ShortcutsPage(window)
+    window.connect_command(
+        "keys", lambda: shortcuts.show_commands({title: menu.actions() for title, menu in window.menus.items()})
+    )
 
 
 def _connect_undo(controller: SessionController) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from PyQt6.QtCore import QEvent, QObject, QTimer
 
 from app.window.session_controller import SessionController
-from pipeline.metrics.stage_metrics import is_stage_error
+from pipeline.metrics.stage_metrics import describe_metric, is_stage_error
 from pipeline.translation.error_attribution import DEFAULT_METRIC, ErrorAttribution
 from pipeline.translation.translate import Translation
 from widgets.error_attribution_panel import make_bars
@@ -60,7 +60,7 @@ class ErrorAttributionController(QObject):
             return
         known = [name for name in latest.metrics if is_stage_error(name)]
         metric = self._metric if self._metric in known else next(iter(known), "")
-        self._panel.offer_metrics(known, metric)
+        self._panel.offer_metrics({name: describe_metric(name) for name in known}, metric)
         if not metric:
             self._panel.show_empty(_NO_TRUTH)
             return

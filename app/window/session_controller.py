@@ -22,6 +22,7 @@ from app.work.evaluator import EvaluatedFrame, Evaluator, InitialFrame
 from app.work.jobs import JobFunction, LatestJob
 from app.work.requests import find_undo_target, make_request, make_request_if_open
 from app.work.stage_previews import SourcePreview, StagePreview
+from pipeline.base.params import list_settings
 from pipeline.engine.graph import Method
 from pipeline.evaluation.truth_view import ComparisonMode
 from pipeline.networks.guidance import raise_steps
@@ -77,9 +78,19 @@ class SessionController(SessionDocument):
         """
         method = next((method for method in self.methods if method.key == key), None)
         given = params if method is None else raise_steps(self.session.get_params(method), params)
-        self.change(f"change {key}", key=f"params {key}", params={**self.session.params, key: given})
+        words = self._describe_params_change(method, self.session.get_params(method) if method else None, given)
+        self.change(words, key=f"params {key}", params={**self.session.params, key: given})
         if given != params:
             self.window.readout.setText(_STEPS_RAISED)
+
+    def _describe_params_change(self, method: Method | None, old: object, new: object) -> str:
+        """Return "change smoothing of depth" for one changed parameter, else the stage alone."""
+        if method is None:
+            return "change display"
+        before, after = list_settings(old), list_settings(new)
+        changed = [setting.label.lower() for name, (value, setting) in after.items() if before[name][0] != value]
+        stage = self.catalogue.stage(method.stage).title.lower()
+        return f"change {changed[0]} of {stage}" if len(changed) == 1 else f"change parameters of {stage}"
 
     def hold_slider(self, key: str) -> None:
         """Compute drafts while a slider of a method is held; "" = it was let go."""
@@ -91,7 +102,11 @@ class SessionController(SessionDocument):
         """Compute a stage by another method; the route's own method clears the choice."""
         others = {s: m for s, m in self.session.methods.items() if s != stage}
         is_default = self.catalogue.route(self.session.route).methods.get(stage) == name
-        self.change(f"choose {name} for {stage}", methods=others if is_default else {**others, stage: name})
+        title = self.catalogue.method(stage, name).title
+        self.change(
+            f"choose {title} for {self.catalogue.stage(stage).title.lower()}",
+            methods=others if is_default else {**others, stage: name},
+        )
 
     def show_session(self, session: Session) -> None:
         """Turn a session change into work: controls at once, stages when they are computed, then `session_shown`."""

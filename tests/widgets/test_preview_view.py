@@ -111,6 +111,17 @@ def test_the_wheel_zooms_about_the_pixel_under_it(view):
     assert abs(still.x()) + abs(still.y()) < 1e-6
 
 
+def test_zooming_out_stops_at_the_whole_image(view):
+    view.show_preview(a_picture())
+    whole, at = view.canvas.scale, QPointF(20.0, 30.0)
+    keys, buttons = Qt.KeyboardModifier.NoModifier, Qt.MouseButton.NoButton
+    for turn in (240, -120, -1200):
+        view.canvas.wheelEvent(
+            QWheelEvent(at, at, QPoint(), QPoint(0, turn), buttons, keys, Qt.ScrollPhase.NoScrollPhase, False)
+        )
+    assert view.canvas.scale == whole
+
+
 def test_a_contact_is_fitted_by_its_outline(view):
     view.show_preview(a_picture())
     box = view.find_contact_box_px()

@@ -269,9 +269,10 @@ def test_a_saved_alignment_opens_unchanged(aligned, tmp_path, settled):
     aligned.findChild(AlignmentController).save_alignment(path)
     kept = load_alignment(path, source="digit", target="gelslim").alignment
     assert np.allclose(kept.target_from_source, expected, rtol=0, atol=1e-9)
-    aligned.open_path(path)
     settled(aligned)
+    assert aligned.session.alignment == path
     assert aligned.session.offsets.is_zero
+    assert aligned.saved_session.offsets.is_zero  # closing does not ask
     assert "mine.toml" in aligned.window.alignment.origin
     assert np.allclose(aligned.views.translation.alignment.target_from_source, expected, rtol=0, atol=1e-9)
 

@@ -31,7 +31,8 @@ def test_the_error_of_the_current_frame_is_attributed(window, qtbot):
     window.choose_frame(6)
     qtbot.waitUntil(lambda: not panel.waterfall.bars, timeout=LIMIT_MS)  # of another frame
     qtbot.waitUntil(lambda: bool(panel.waterfall.bars), timeout=LIMIT_MS)
-    panel.metric_box.setCurrentText("pose.mssd_mm")
+    panel.metric_box.setCurrentIndex(panel.metric_box.findData("pose.mssd_mm"))
+    assert "mm" in panel.metric_box.currentText()
     panel.metric_chosen.emit("pose.mssd_mm")
     qtbot.waitUntil(lambda: len(panel.waterfall.bars) == 7, timeout=LIMIT_MS)
 

@@ -1,0 +1,52 @@
+"""The searchable page of commands, and the copy of tables."""
+
+from __future__ import annotations
+
+from PyQt6.QtCore import Qt
+from PyQt6.QtGui import QAction, QGuiApplication
+from PyQt6.QtWidgets import QTableWidget, QTableWidgetItem
+
+from widgets.shortcuts_page import ShortcutsPage
+from widgets.table_copier import TableCopier, format_table
+
+
+def make_table(qtbot):
+    table = QTableWidget(2, 3)
+    qtbot.addWidget(table)
+    table.setHorizontalHeaderLabels(["frame", "error, mm", "note"])
+    for row, cells in enumerate((("3", "0.12", "a\tb"), ("7", "0.30", ""))):
+        for column, text in enumerate(cells):
+            table.setItem(row, column, QTableWidgetItem(text))
+    return table
+
+
+def test_the_page_keeps_commands_that_hold_all_words(qtbot):
+    page, commands = ShortcutsPage(), [QAction("&Open recording…"), QAction("Save session")]
+    qtbot.addWidget(page)
+    commands[0].setShortcut("Ctrl+O")
+    page.show_commands({"File": commands})
+    shown = lambda: [page.table.item(r, 1).text() for r in range(2) if not page.table.isRowHidden(r)]  # noqa: E731
+    assert shown() == ["Open recording…", "Save session"]
+    assert page.table.item(0, 2).text() == "Ctrl+O"
+    page.line.setText("file open")
+    assert shown() == ["Open recording…"]
+    page.line.setText("nothing of this")
+    assert shown() == []
+
+
+def test_a_table_is_copied_with_titles_and_without_hidden_columns(qtbot):
+    table = make_table(qtbot)
+    assert format_table(table) == "frame\terror, mm\tnote\n3\t0.12\ta b\n7\t0.30\t\n"
+    table.setColumnHidden(2, True)
+    table.selectRow(1)
+    assert format_table(table, only_selected=True) == "frame\terror, mm\n7\t0.30\n"
+
+
+def test_ctrl_c_copies_the_table_that_has_the_focus(qtbot):
+    table = make_table(qtbot)
+    copier = TableCopier(table)
+    copier.watch_tables(table)  # a table is no child of itself
+    table.installEventFilter(copier)
+    table.show()
+    qtbot.keyClick(table, Qt.Key.Key_C, Qt.KeyboardModifier.ControlModifier)
+    assert QGuiApplication.clipboard().text().startswith("frame\terror, mm")
