@@ -20,6 +20,7 @@ _COLOURS, _GREEN, _BLUE = np.uint64(3), np.uint64(1), np.uint64(2)
 _MIN_GREY, _MAX_GREY = np.float32(0.5), np.float32(254.0)  # the camera carries no information beyond
 _NOISE_GREY = np.float32(1.5)
 _MAX_STEP = np.float32(0.3)  # mm/mm: the light is linear in the slope for about that far
+_TINY = np.float32(1e-20)  # a fast reciprocal root of 0 is not finite
 
 
 @inline_kernel()
@@ -156,9 +157,9 @@ def _step(sx, sy, sums, max_slope):
     xx, xy, yy, to_x, to_y, _ = sums
     per = one / (xx * yy - xy * xy)
     step_x, step_y = (yy * to_x - xy * to_y) * per, (xx * to_y - xy * to_x) * per
-    cut = min(one, _MAX_STEP / math.sqrt(step_x * step_x + step_y * step_y))
+    cut = min(one, _MAX_STEP / math.sqrt(step_x * step_x + step_y * step_y + _TINY))
     to_x, to_y = sx + step_x * cut, sy + step_y * cut
-    cut = min(one, max_slope / math.sqrt(to_x * to_x + to_y * to_y))
+    cut = min(one, max_slope / math.sqrt(to_x * to_x + to_y * to_y + _TINY))
     return to_x * cut, to_y * cut
 
 
