@@ -108,13 +108,6 @@ def format_cell(trial: TrialRow, column: int) -> str:
     return {TASK: trial.task, CASE: trial.case, TOUCH: trial.touch, OUTCOME: trial.outcome, CAUSE: cause}[column]
 
 
-def format_table(trials: Sequence[TrialRow]) -> str:
-    """Return the rollouts as a tab-separated table with a header, to be pasted in a spreadsheet."""
-    header = "\t".join(title.replace("\n", ", ") for title in _TITLES)
-    rows = ["\t".join(format_cell(trial, column) for column in range(len(_TITLES))) for trial in trials]
-    return "\n".join([header, *rows, ""])
-
-
 def _get_number(trial: TrialRow, column: int) -> float | None:
     """Return the number of a cell; None for a column of texts."""
     numbers = {

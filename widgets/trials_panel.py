@@ -4,13 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
-from PyQt6.QtCore import QEvent, QModelIndex, Qt, pyqtSignal
-from PyQt6.QtGui import QKeySequence
+from PyQt6.QtCore import QModelIndex, Qt, pyqtSignal
 from PyQt6.QtWidgets import (
     QAbstractItemView,
-    QApplication,
     QHeaderView,
     QLabel,
     QLineEdit,
@@ -21,35 +18,11 @@ from PyQt6.QtWidgets import (
 
 from pipeline.tasks.trial_rows import TrialRow
 from widgets.styling import set_spacing, shrink_font
-from widgets.trials_model import CAUSE, TRIAL, TrialsFilter, TrialsModel, format_table
+from widgets.table_copier import copy_table
+from widgets.trials_model import CAUSE, TRIAL, TrialsFilter, TrialsModel
 
 _HINT = "filter: fails, t2t, hex_key, >0.5, a word"
 _CAUSE_PX = 320
-
-
-class TrialsTable(QTableView):
-    """A table whose selected rows can be copied; `copy_requested` asks for that."""
-
-    copy_requested = pyqtSignal()
-
-    def event(self, event: QEvent | None) -> bool:
-        """Take the key of Copy from the window while the table has the focus."""
-        key: Any = event
-        if (
-            event is not None
-            and event.type() == QEvent.Type.ShortcutOverride
-            and key.matches(QKeySequence.StandardKey.Copy)
-        ):
-            event.accept()
-            return True
-        return super().event(event)
-
-    def keyPressEvent(self, e: Any) -> None:  # noqa: N802
-        """Copy the selected rows."""
-        if e is not None and e.matches(QKeySequence.StandardKey.Copy):
-            self.copy_requested.emit()
-        else:
-            super().keyPressEvent(e)
 
 
 class TrialsPanel(QWidget):
@@ -61,7 +34,7 @@ class TrialsPanel(QWidget):
         super().__init__(parent)
         self.model, self._listed = TrialsModel(self), TrialsFilter(self)
         self._listed.setSourceModel(self.model)
-        self.filter_line, self.table, self._count = QLineEdit(), TrialsTable(), QLabel()
+        self.filter_line, self.table, self._count = QLineEdit(), QTableView(), QLabel()
         self.filter_line.setObjectName("trials_filter")
         self.filter_line.setAccessibleName("filter of the trials")
         self.filter_line.setPlaceholderText(_HINT)
@@ -98,7 +71,6 @@ class TrialsPanel(QWidget):
         table.setSortingEnabled(True)
         table.clicked.connect(self._choose)
         table.activated.connect(self._choose)
-        table.copy_requested.connect(self.copy_rows)
 
     @property
     def listed_trials(self) -> tuple[TrialRow, ...]:
@@ -131,12 +103,8 @@ class TrialsPanel(QWidget):
 
     def copy_rows(self) -> None:
         """Copy the selected rollouts as a table, all listed ones where at most one is selected."""
-        selected = sorted({index.row() for index in self.table.selectedIndexes()})
-        trials = self.listed_trials
-        chosen = [trials[row] for row in selected] if len(selected) > 1 else trials
-        board = QApplication.clipboard()
-        if board is not None:
-            board.setText(format_table(chosen))
+        selected = {index.row() for index in self.table.selectedIndexes()}
+        copy_table(self.table, only_selected=len(selected) > 1)
 
     def _filter(self, words: str) -> None:
         self._listed.set_filter(words)

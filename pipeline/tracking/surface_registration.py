@@ -21,7 +21,7 @@ from pipeline.registration.observability import (
     estimate_systematic_error,
 )
 from pipeline.tracking.membrane_surface import MembraneSurface
-from pipeline.tracking.surface_residuals import KeyPoints, Residuals, compute_residuals, sample_key_points
+from pipeline.tracking.surface_residuals import Residuals, compute_residuals, sample_key_points
 
 _ITERATIONS = 12
 _CONVERGENCE_MM = (5e-3, 5e-4)  # motion of the moved part that ends the iterations, on the coarse and on the fine level
@@ -42,8 +42,6 @@ class SurfaceFit:
     weak_directions: tuple[str, ...]  # motions that were predicted, not measured
     overlap: float  # share of the key frame's points that lie on the current frame's moved part
     agreement: float  # share of those whose residuals are as small as expected
-    distance_mm: float  # rms of the distances
-    normal_rad: float  # rms of the differences of normals
 
 
 def register_surfaces(key: MembraneSurface, current: MembraneSurface, start: Doubles) -> SurfaceFit | None:
@@ -65,7 +63,7 @@ def register_surfaces(key: MembraneSurface, current: MembraneSurface, start: Dou
             if np.linalg.norm(step[3:]) + _radius_mm(residuals) * np.linalg.norm(step[:3]) < _CONVERGENCE_MM[level]:
                 break
     assert residuals is not None
-    return _describe(motion, residuals, levels[-1], key)
+    return _describe(motion, residuals, key)
 
 
 def measure_overlap(key: MembraneSurface, current_from_key: Doubles) -> float:
@@ -128,9 +126,8 @@ def _collect_constraints(residuals: Residuals) -> tuple[Doubles, Doubles]:
     )
 
 
-def _describe(motion: Doubles, residuals: Residuals, key: KeyPoints, surface: MembraneSurface) -> SurfaceFit:
+def _describe(motion: Doubles, residuals: Residuals, surface: MembraneSurface) -> SurfaceFit:
     seen = _assess(residuals, surface)
-    weights = _weigh(residuals)
     on = residuals.on_moved > 0
     small = on & (residuals.error_sq < _OUTLIER_FACTOR**2)
     points, normals = _collect_constraints(residuals)
@@ -139,11 +136,8 @@ def _describe(motion: Doubles, residuals: Residuals, key: KeyPoints, surface: Me
         points[some], normals[some], residuals.centre_mm, seen.observable,
         noise_mm=surface.error.rms_mm, error=surface.error,
     )  # fmt: skip
-    mean_sq = (weights[:, None] * residuals.errors**2).sum(axis=0) / max(float(weights.sum()), 1e-12)
     return SurfaceFit(
         current_from_key=freeze(motion), covariance=freeze(2.0 * covariance), centre_mm=freeze(residuals.centre_mm),
         weak_directions=seen.weak_directions, overlap=float(on.sum()) / max(residuals.n_points, 1),
         agreement=float(small.sum()) / max(int(on.sum()), 1),
-        distance_mm=float(key.expected[0]) * math.sqrt(mean_sq[0]),
-        normal_rad=float(key.expected[1]) * math.sqrt(mean_sq[1:4].sum()),
     )  # fmt: skip
