@@ -21,6 +21,7 @@ MIN_POINTS = 60  # fewer moved pixels are no touch that could be followed
 _MOVED_SHARE, _MOVED_MM = 0.15, 0.03  # moved: indented by this share of the touch, and at least by that much
 _RIM_MM = 0.8  # moved part around the contact that takes part
 _SMOOTHING_MM, _COARSER = 0.08, 3.0  # standard deviation of the fine level, at least 1 px; that of the coarse one
+_MAX_SMOOTHING_PX = 10.0  # pixels of no depth have no width
 OUTLINE_REACH_MM = 1.0  # distances to the contact's outline are cut off here
 _STENCIL_PX = 2  # normals and their change along the image reach this far
 # Offsets of depth samples: the pixel, its neighbours, and theirs.
@@ -96,7 +97,7 @@ def make_surface(depth: DepthMap) -> MembraneSurface:
     )
     pixel_mm = float(np.median(filled)) / depth.camera.fx_px
     moved = _find_moved(indentation, depth.contact, _RIM_MM / max(pixel_mm, 1e-9))
-    fine_px = max(1.0, _SMOOTHING_MM / max(pixel_mm, 1e-9))
+    fine_px = min(max(1.0, _SMOOTHING_MM / max(pixel_mm, 1e-9)), _MAX_SMOOTHING_PX)
     unknown_px = cv2.distanceTransform(known.astype(np.uint8), cv2.DIST_L2, 3) if not known.all() else None
     if unknown_px is not None:
         moved &= unknown_px > 2.5 * fine_px

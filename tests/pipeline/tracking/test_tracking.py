@@ -88,6 +88,13 @@ def test_without_contact_there_is_nothing_to_follow():
     assert track([(untouched(), None)]).patch is None
 
 
+def test_a_frame_without_any_depth_is_no_contact():
+    membrane = press("star")[0]
+    nothing = np.full_like(membrane.depth_mm, np.nan)
+    result = track([press("star"), (replace(membrane, depth_mm=nothing, indentation_mm=nothing), None)])
+    assert [frame.state for frame in result.frames] == ["tracked", "no contact"]
+
+
 def test_missing_depth_is_left_out():
     presses = [press("star"), press("star", 0.5, 0.2, 3.0)]
     holed = presses[1][0].depth_mm.copy()
