@@ -22,7 +22,7 @@ run: $(READY)
 
 # Two processes, a file's tests in one of them; each adds on one thread, so that they do not get in each other's way.
 test: $(READY)
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -m "not slow" -n $(JOBS) --dist loadfile
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -m "not slow" -n $(JOBS) --dist loadfile --max-worker-restart 0
 
 setup: $(READY)
 

@@ -29,7 +29,8 @@ class PinnedParameters(QWidget):
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self._key, self._params, self._height_px = "", object(), 0
-        self._controls: dict[str, tuple[Setting, ParameterControl]] = {}
+        self._controls: dict[str, dict[Setting, ParameterControl]] = {}  # one per range; the shown one is in `_shown`
+        self._shown: dict[str, tuple[Setting, ParameterControl]] = {}
         self._rows: dict[str, QHBoxLayout] = {}
         self._labels: dict[str, QLabel] = {}
         self._is_wide = self._is_compact = self._is_narrow = False
@@ -43,12 +44,8 @@ class PinnedParameters(QWidget):
         for key, params in methods:
             for name, (value, setting) in list_settings(params).items():
                 if setting.pinned and name not in self._rows:
-                    row = self._rows[name] = set_spacing(QHBoxLayout(), 4)
-                    label = self._labels[name] = QLabel(setting.pinned)
-                    label.setFixedWidth(_LABEL_PX)
-                    shrink_font(label, 1.0)
-                    row.addWidget(label)
-                    self._lines.addLayout(row, 1)
+                    self._add_row(name, setting)
+                if setting.pinned and setting not in self._controls[name]:
                     self._add_control(key, name, value, setting)
 
     @property
@@ -98,7 +95,7 @@ class PinnedParameters(QWidget):
         self.reserve_height(0)
 
     def _arrange_control(self, name: str) -> None:
-        setting, control = self._controls[name]
+        setting, control = self._shown[name]
         compact = self._is_compact and not self._is_wide
         self._labels[name].setHidden(compact)
         unit = f" {setting.unit}" if setting.unit else ""
@@ -114,22 +111,33 @@ class PinnedParameters(QWidget):
         for name in self._rows:
             if name in values:
                 value, setting = values[name]
-                if self._controls[name][0] != setting:
-                    self._add_control(key, name, value, setting)
-                self._controls[name][1].show(value)
-            self._controls[name][1].set_unavailable(reasons.get(name, ""))
+                self._show_control(name, setting)
+                self._shown[name][1].show(value)
+            self._shown[name][1].set_unavailable(reasons.get(name, ""))
 
     def get_control(self, name: str) -> QWidget:
         """The control of a parameter."""
-        return self._controls[name][1].widget
+        return self._shown[name][1].widget
+
+    def _add_row(self, name: str, setting: Setting) -> None:
+        row = self._rows[name] = set_spacing(QHBoxLayout(), 4)
+        label = self._labels[name] = QLabel(setting.pinned)
+        label.setFixedWidth(_LABEL_PX)
+        shrink_font(label, 1.0)
+        row.addWidget(label)
+        self._lines.addLayout(row, 1)
+        self._controls[name] = {}
+
+    def _show_control(self, name: str, setting: Setting) -> None:
+        """Show the control of this range, hide the others."""
+        if self._shown[name][0] != setting:
+            self._shown[name][1].widget.hide()
+            self._shown[name] = setting, self._controls[name][setting]
+            self._shown[name][1].widget.show()
+            self._arrange_control(name)
 
     def _add_control(self, key: str, name: str, value: Value, setting: Setting) -> None:
-        """Add a control, in place of the one for another range."""
-        row = self._rows[name]
-        if name in self._controls:
-            old = self._controls[name][1].widget
-            row.removeWidget(old)
-            old.deleteLater()
+        """Add the control of one range; the first one is shown."""
         control = make_control(value, setting, partial(self._emit_edited, name))
         control.set_narrow()
         for widget in (control.widget, *control.widget.findChildren(QWidget)):
@@ -141,8 +149,12 @@ class PinnedParameters(QWidget):
             slider.setAccessibleName(setting.label)
             slider.sliderPressed.connect(lambda: self.slider_held.emit(self._key))
             slider.sliderReleased.connect(lambda: self.slider_held.emit(""))
-        row.addWidget(control.widget, 1)
-        self._controls[name] = setting, control
+        self._rows[name].addWidget(control.widget, 1)
+        self._controls[name][setting] = control
+        if name in self._shown:
+            control.widget.hide()
+            return
+        self._shown[name] = setting, control
         self._arrange_control(name)
 
     def _emit_edited(self, name: str, value: Value) -> None:

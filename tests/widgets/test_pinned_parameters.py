@@ -1,0 +1,53 @@
+"""Pinned parameters: one control for each range of a parameter, none made or destroyed while one is in use."""
+
+from __future__ import annotations
+
+import gc
+from dataclasses import dataclass
+
+from PyQt6.QtWidgets import QSpinBox
+
+from pipeline.base.params import setting
+from widgets.pinned_parameters import PinnedParameters
+
+
+@dataclass(frozen=True)
+class FewSteps:
+    """Up to 50 steps."""
+
+    steps: int = setting(4, label="Steps", low=1, high=50, pinned="Steps")
+
+
+@dataclass(frozen=True)
+class ManySteps:
+    """Up to 1000 steps."""
+
+    steps: int = setting(200, label="Steps", low=1, high=1000, pinned="Steps")
+
+
+def test_a_step_that_changes_the_method_keeps_the_control_alive(qtbot):
+    """The method changes within the control's own signal, and its control is hidden, not destroyed."""
+    pinned = PinnedParameters()
+    qtbot.addWidget(pinned)
+    pinned.offer_methods([("touch/few", FewSteps()), ("touch/many", ManySteps())])
+    pinned.show_params("touch/few", FewSteps(), {})
+    pinned.show()
+    edits: list[tuple[str, object]] = []
+
+    def switch(key: str, params: object) -> None:
+        edits.append((key, params))
+        pinned.show_params("touch/many", ManySteps(steps=params.steps), {})
+        gc.collect()
+
+    pinned.params_edited.connect(switch)
+    box = pinned.get_control("steps")
+    assert isinstance(box, QSpinBox)
+    box.stepBy(1)
+    assert edits == [("touch/few", FewSteps(steps=5))]
+    assert not box.isVisible()
+    visible = [b for b in pinned.findChildren(QSpinBox) if b.isVisible()]
+    assert [(b.maximum(), b.value()) for b in visible] == [(1000, 5)]
+    box.stepBy(1)  # nothing is left dangling behind a hidden control
+    gc.collect()
+    pinned.show_params("touch/few", FewSteps(), {})
+    assert pinned.get_control("steps") is box
