@@ -41,12 +41,15 @@ class PinnedParameters(QWidget):
 
     def offer_methods(self, methods: Iterable[tuple[str, object]]) -> None:
         """Offer the pinned parameters of these methods, (key, default parameters) each."""
-        for key, params in methods:
-            for name, (value, setting) in list_settings(params).items():
+        offered = [(key, list_settings(params)) for key, params in methods]
+        for _, settings in offered:
+            for name, (_, setting) in settings.items():
                 if setting.pinned and name not in self._rows:
                     self._add_row(name, setting)
-                if setting.pinned and setting not in self._controls[name]:
-                    self._add_control(key, name, value, setting)
+        for key, settings in offered:
+            for name in self._rows:
+                if name in settings and settings[name][1] not in self._controls[name]:
+                    self._add_control(key, name, *settings[name])
 
     @property
     def names(self) -> tuple[str, ...]:

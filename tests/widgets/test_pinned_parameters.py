@@ -51,3 +51,18 @@ def test_a_step_that_changes_the_method_keeps_the_control_alive(qtbot):
     gc.collect()
     pinned.show_params("touch/few", FewSteps(), {})
     assert pinned.get_control("steps") is box
+
+
+@dataclass(frozen=True)
+class UnpinnedSteps:
+    """A number of the same name that its method does not pin."""
+
+    steps: int = setting(7, label="Steps", low=1, high=9)
+
+
+def test_a_parameter_that_only_another_method_pins_is_shown(qtbot):
+    pinned = PinnedParameters()
+    qtbot.addWidget(pinned)
+    pinned.offer_methods([("touch/few", FewSteps()), ("touch/unpinned", UnpinnedSteps())])
+    pinned.show_params("touch/unpinned", UnpinnedSteps(), {})
+    assert pinned.get_control("steps").value() == 7

@@ -99,7 +99,10 @@ class Watched:
                 name: getattr(self._instrument, f"_{name}")
                 for name in ("ticket", "opening_ticket", "background_ticket", "is_pending")
             }
-            self._complain(f"{self._stuck()} wait for nothing: {kept}, newest {self._instrument.job.newest_ticket}")
+            columns = {name: column.state for name, column in self._window.columns.items()}
+            kept |= {"newest": self._instrument.job.newest_ticket, "route": self._instrument.session.route}
+            kept |= {"fresh": sorted(self._instrument.views._fresh), "visible": self._window.visible_columns()}
+            self._complain(f"{self._stuck()} wait for nothing: {kept}, {columns}")
         self._instrument.views.scene.draw_pending()
         QCoreApplication.processEvents()
 
