@@ -107,7 +107,8 @@ class Watched:
         QCoreApplication.processEvents()
 
     def _stuck(self) -> list[str]:
-        if self._instrument.session.recording is None:
+        """The columns in sight that wait for work; under a presentation none is in sight."""
+        if self._instrument.session.recording is None or self._window.presented_columns:
             return []
         columns = self._window.columns
         return [
