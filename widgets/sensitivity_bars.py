@@ -39,7 +39,7 @@ class SensitivityBars(QWidget):
         self.set_pixel_size(UNIT_STEP)
 
     def set_pixel_size(self, pixel_mm: float) -> None:
-        """Set full scale: bars are full where depth or outline follow a motion completely, at this pixel width."""
+        """Set the change at which a bar is full, that of a surface that moves as far as the alignment does."""
         self._full = (UNIT_STEP, UNIT_STEP / pixel_mm, _FULL_IOU)
         names = zip(_FIGURES, self._full, strict=True)
         full = ", ".join(f"{name} {limit:.2g} {unit}".strip() for (name, unit, *_), limit in names)

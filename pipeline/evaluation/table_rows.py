@@ -39,7 +39,7 @@ class SetDistances:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TableRow:
-    """One row of a table."""
+    """Errors of one method, between two sensors, over a set of touches."""
 
     source: str
     target: str

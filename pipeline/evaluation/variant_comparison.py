@@ -68,8 +68,9 @@ def compare_pair(
     runner: VariantRunner, first: Variant, open_second: Callable[[], Variant], frame: int, display: DisplayParams,
     stage: str, differs: str, progress: Progress = SILENT, *, second_may_fail: bool = False,
 ) -> Iterator[Comparison]:  # fmt: skip
-    """A stage of both variants, or all stages for ""; first without the second. `differs` says what differs.
+    """Yield the comparison of two variants at one frame: first while the second is computed, then whole.
 
+    `stage` is the compared stage, "" for all; `differs` says in words what differs between the variants.
     Raises TouchError. If `second_may_fail`, an error of the second is shown in its place instead.
     """
     one = evaluate_view(runner, first, frame, display, stage, progress)

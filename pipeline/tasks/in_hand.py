@@ -70,7 +70,10 @@ def project_to_plane(hand_from_object: Doubles) -> PlanarPose:
 
 
 def press_between_fingers(mesh: Mesh, grasp: PlanarPose, finger: str, indentation_mm: float) -> Doubles:
-    """finger_from_object in the finger's alignment frame, indented so far at its deepest point over the gel."""
+    """Return the pose (4, 4) of a grasped object for one finger, its deepest point `indentation_mm` into the gel.
+
+    The pose maps object coordinates (mm) to the finger's alignment frame: z = 0 at the gel, pressing towards -z.
+    """
     pose = (np.eye(4) if finger == "left" else _FLIP) @ grasp.matrix
     pose[2, 3] = -indentation_mm - compute_lowest_mm(rigid.apply(pose, mesh.vertices_mm), mesh.triangles)
     return pose
