@@ -1,66 +1,169 @@
-"""Table of stage times and the reason where a stage took no time."""
+"""Time budget of a frame: a sentence, a bar, and a table of the stages in which each can be skipped."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from PyQt6.QtCore import Qt
-from PyQt6.QtWidgets import QAbstractItemView, QHeaderView, QTableWidget, QTableWidgetItem, QWidget
+from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
+from PyQt6.QtWidgets import (
+    QAbstractItemView,
+    QHBoxLayout,
+    QHeaderView,
+    QLabel,
+    QPushButton,
+    QSpinBox,
+    QTableWidget,
+    QTableWidgetItem,
+    QVBoxLayout,
+    QWidget,
+)
 
 from widgets.icons import make_state_icon
+from widgets.styling import make_bold, set_spacing
+from widgets.time_budget_bar import BudgetPart, TimeBudgetBar
 
-_HEADER = ("stage", "state", "time, ms", "notes")
+_HEADER = ("stage", "state", "this frame, ms", "median, ms", "share", "notes")
+_NAME_ROLE = Qt.ItemDataRole.UserRole
+_STATE, _NUMBERS = 1, (2, 3, 4)  # columns
+_TARGET_HZ, _MOST_HZ = 10, 120
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TimingRow:
     """One stage of one frame."""
 
+    name: str
     title: str
     state: str
-    time_ms: float
-    notes: tuple[str, ...]
+    time_ms: float | None = None  # None where the stage is skipped by the user
+    median_ms: float | None = None  # of recent frames in which it was computed; None before the first
+    share: float = 0.0  # of the frame's time
+    notes: tuple[str, ...] = ()
 
 
-class TimingsPanel(QTableWidget):
-    """One row per stage and one for the sum."""
+class TimingsPanel(QWidget):
+    """Sentence and target rate over the bar over the table; unticking a stage skips it.
+
+    `stage_toggled(name, on)` asks for a stage or for its skip, `skip_requested` for the skip that the button names.
+    """
+
+    stage_toggled = pyqtSignal(str, bool)
+    skip_requested = pyqtSignal()
+    target_changed = pyqtSignal()
 
     def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(0, len(_HEADER), parent)
-        self.setObjectName("timings")
-        self.setHorizontalHeaderLabels(_HEADER)
-        self.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
-        self.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
-        self.setShowGrid(False)
-        self.setWordWrap(False)
-        rows, columns = self.verticalHeader(), self.horizontalHeader()
+        super().__init__(parent)
+        self._sentence, self.bar, self.table = QLabel(), TimeBudgetBar(), QTableWidget(0, len(_HEADER))
+        make_bold(self._sentence)
+        self._sentence.setTextFormat(Qt.TextFormat.PlainText)
+        self._target = QSpinBox()
+        self._target.setObjectName("target_rate")
+        self._target.setRange(1, _MOST_HZ)
+        self._target.setValue(_TARGET_HZ)
+        self._target.setSuffix(" frames/s")
+        self._target.setAccessibleName("target rate")
+        self._target.setToolTip("Rate at which you want to play")
+        self._target.valueChanged.connect(self.target_changed)
+        self.skip_button = QPushButton()
+        self.skip_button.setObjectName("skip_stages")
+        self.skip_button.clicked.connect(self.skip_requested)
+        self.skip_button.hide()
+        head = set_spacing(QHBoxLayout(), 8)
+        head.addWidget(self._sentence, 1)
+        for widget in (self.skip_button, QLabel("target"), self._target):
+            head.addWidget(widget)
+        layout = set_spacing(QVBoxLayout(self), 3, (6, 3, 6, 2))
+        layout.addLayout(head)
+        layout.addWidget(self.bar)
+        layout.addWidget(self.table, 1)
+        self._prepare_table()
+
+    def _prepare_table(self) -> None:
+        table = self.table
+        table.setObjectName("timings")
+        table.setAccessibleName("times of the stages")
+        table.setHorizontalHeaderLabels(_HEADER)
+        table.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
+        table.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
+        table.setShowGrid(False)
+        table.setWordWrap(False)
+        table.itemChanged.connect(self._report_tick)
+        rows, columns = table.verticalHeader(), table.horizontalHeader()
         assert rows is not None
         assert columns is not None
         rows.hide()
-        rows.setDefaultSectionSize(self.fontMetrics().height() + 5)
+        rows.setDefaultSectionSize(table.fontMetrics().height() + 5)
         columns.setSectionResizeMode(QHeaderView.ResizeMode.Fixed)
         columns.setDefaultAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter)
-        for column, widest in enumerate(("Target depth and mask ", "    unchanged  ", "000000.00  ")):
-            self.setColumnWidth(column, self.fontMetrics().horizontalAdvance(widest) + 16)
+        for column, widest in enumerate(
+            ("     Target depth and mask ", "    unchanged  ", "this frame, ms ", "median, ms  ", "100 %  ")
+        ):
+            table.setColumnWidth(column, table.fontMetrics().horizontalAdvance(widest) + 16)
         columns.setStretchLastSection(True)
 
-    def show_rows(self, timings: tuple[TimingRow, ...]) -> None:
-        """Show these stages and their sum; only changed cells are updated."""
-        self.setRowCount(len(timings) + 1)
-        for at, row in enumerate(timings):
-            self._cells(at, (row.title, row.state, f"{row.time_ms:.2f}", " · ".join(row.notes)), row.state)
-        self._cells(len(timings), ("all stages", "", f"{sum(r.time_ms for r in timings):.2f}", ""), "")
+    @property
+    def target_hz(self) -> float:
+        """The rate that the user wants to play at."""
+        return float(self._target.value())
 
-    def _cells(self, at: int, texts: tuple[str, str, str, str], state: str) -> None:
+    @property
+    def sentence(self) -> str:
+        """The sentence about the budget."""
+        return self._sentence.text()
+
+    def show_budget(self, sentence: str, parts: tuple[BudgetPart, ...], offer: str) -> None:
+        """Show a sentence, the bar, and what the button offers to skip ("" = nothing)."""
+        self._sentence.setText(sentence)
+        self.bar.show_parts(parts, 1e3 / self.target_hz)
+        self.skip_button.setText(offer)
+        self.skip_button.setVisible(bool(offer))
+
+    def show_rows(self, timings: tuple[TimingRow, ...], *, can_skip: bool = False) -> None:
+        """Show these stages and their sum; only changed cells are updated."""
+        with QSignalBlocker(self.table):
+            self.table.setRowCount(len(timings) + 1)
+            for at, row in enumerate(timings):
+                times = "" if row.time_ms is None else f"{row.time_ms:.2f}", _format_ms(row.median_ms)
+                share = "" if row.median_ms is None else f"{100 * row.share:.0f} %"
+                self._cells(at, (row.title, row.state, *times, share, " · ".join(row.notes)), row.state)
+                item = self.table.item(at, 0)
+                assert item is not None
+                item.setData(_NAME_ROLE, row.name)
+                item.setFlags(
+                    Qt.ItemFlag.ItemIsSelectable
+                    | Qt.ItemFlag.ItemIsEnabled
+                    | (Qt.ItemFlag.ItemIsUserCheckable if can_skip else Qt.ItemFlag.NoItemFlags)
+                )
+                item.setCheckState(Qt.CheckState.Unchecked if row.time_ms is None else Qt.CheckState.Checked)
+                item.setToolTip("Untick to skip this stage and all that need it" if can_skip else row.title)
+            medians = [row.median_ms for row in timings if row.median_ms is not None and row.time_ms is not None]
+            spent = f"{sum(row.time_ms or 0.0 for row in timings):.2f}"
+            total = _format_ms(sum(medians) if medians else None)
+            self._cells(len(timings), ("all stages", "", spent, total, "", ""), "")
+            last = self.table.item(len(timings), 0)
+            assert last is not None
+            for role in (Qt.ItemDataRole.CheckStateRole, _NAME_ROLE):
+                last.setData(role, None)
+
+    def _cells(self, at: int, texts: tuple[str, ...], state: str) -> None:
         for column, text in enumerate(texts):
-            item = self.item(at, column)
+            item = self.table.item(at, column)
             if item is None:
                 item = QTableWidgetItem()
-                if column == 2:
+                if column in _NUMBERS:
                     item.setTextAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
-                self.setItem(at, column, item)
+                self.table.setItem(at, column, item)
             if item.text() != text:
                 item.setText(text)
                 item.setToolTip(text)
-                if column == 1 and state:
-                    item.setData(Qt.ItemDataRole.DecorationRole, make_state_icon(state))
+                if column == _STATE:
+                    item.setData(Qt.ItemDataRole.DecorationRole, make_state_icon(state) if state else None)
+
+    def _report_tick(self, item: QTableWidgetItem) -> None:
+        name = item.data(_NAME_ROLE)
+        if item.column() == 0 and name:
+            self.stage_toggled.emit(name, item.checkState() == Qt.CheckState.Checked)
+
+
+def _format_ms(time_ms: float | None) -> str:
+    return "" if time_ms is None else f"{time_ms:.2f}"

@@ -41,6 +41,17 @@ class Layout:
     name: LayoutName = "stages"
     panes: _Panes = (("depth", "both"), ("touch_depth", "both"))
     arrangement: Arrangement | None = None  # the user's arrangement it was opened from
+    skipped_stages: tuple[Name, ...] = ()  # that Stages and Inspect leave out, to save their time
+
+    @property
+    def can_skip(self) -> bool:
+        """Whether this layout leaves out skipped stages; the others show what they are made for."""
+        return self.name in ("stages", "inspect")
+
+    @property
+    def skips(self) -> frozenset[str]:
+        """Stages that this layout leaves out."""
+        return frozenset(self.skipped_stages) if self.can_skip else frozenset()
 
     def resolve_panes(self, available: Sequence[str]) -> tuple[tuple[str, Dims], ...]:
         """Return the panes with every stage that is not in `available` replaced by a spare one."""

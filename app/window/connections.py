@@ -42,6 +42,7 @@ from app.window.shortcuts import KeyboardController
 from app.window.step_scrubber import StepScrubberController
 from app.window.sweep import SweepController
 from app.window.themes import ThemeController
+from app.window.time_budget import TimeBudgetController
 from app.window.welcome import WelcomeController
 from pipeline.evaluation.truth_view import ComparisonMode
 from pipeline.previews.display_params import DisplayParams
@@ -83,14 +84,12 @@ def connect(controller: SessionController, theme: Theme = "light") -> AutosaveCo
     window.target.activated.connect(lambda: change("choose target", target=window.target.currentData()))
     window.route.activated.connect(lambda: change("choose route", route=window.route.currentData()))
 
-    ErrorAttributionController(controller)
+    for add_feature in (
+        ErrorAttributionController, TimeBudgetController, Probe3DController, KeyboardController, SectionLineController,
+        PresentationController, PanZoomController, ColourLimitController,
+    ):  # fmt: skip
+        add_feature(controller)
     basin_map, step_scrubber = BasinMapController(controller), StepScrubberController(controller)
-    Probe3DController(controller)
-    KeyboardController(controller)
-    SectionLineController(controller)
-    PresentationController(controller)
-    PanZoomController(controller)
-    ColourLimitController(controller)
     frame_ranking = FrameRankingController(controller)
     sweep, comparison = SweepController(controller), ComparisonController(controller)
     autosave = AutosaveController(controller)

@@ -247,7 +247,6 @@ class MainWindow(QMainWindow):
         """Hide the columns that the route does not compute."""
         self._hidden_stages = names
         self._only_stage = "" if self._only_stage in names else self._only_stage
-        self.panes.hide_stages(names)
         self.show_layout(self.current_layout)
 
     def capture_arrangement(self, name: str) -> Arrangement:
@@ -258,6 +257,7 @@ class MainWindow(QMainWindow):
         """Arrange the columns; a user's arrangement is restored if it is another one or if `force`."""
         restores = layout.arrangement is not None and (force or layout.arrangement != self.current_layout.arrangement)
         self.current_layout = layout
+        self.panes.hide_stages(self._hidden_stages | layout.skips)
         if restores and layout.arrangement is not None:
             self._only_stage = (
                 layout.arrangement.only_stage if layout.arrangement.only_stage in self.route_columns else ""
@@ -298,8 +298,9 @@ class MainWindow(QMainWindow):
 
     @property
     def route_columns(self) -> list[str]:
-        """The columns that the route computes."""
-        return [name for name in self.columns if name not in self._hidden_stages]
+        """The columns that the route computes, without those that the layout skips."""
+        hidden = self._hidden_stages | self.current_layout.skips
+        return [name for name in self.columns if name not in hidden]
 
     def visible_columns(self) -> tuple[str, ...]:
         """The stages that are visible, large or as thumbnails, or in a presentation."""

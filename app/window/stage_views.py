@@ -1,4 +1,4 @@
-"""Shows results in the window: columns, 3D views, captions, timings."""
+"""Shows results in the window: columns, 3D views, captions."""
 
 from __future__ import annotations
 
@@ -22,7 +22,6 @@ from pipeline.translation.translate import Request, Translation
 from widgets.preview_view import PreviewView
 from widgets.scene_renderer import SceneRenderer
 from widgets.steps_slider import AnyStep
-from widgets.timings_panel import TimingRow
 
 _PREVIEWED = "target_depth"  # stage that an alignment drag previews
 _GENERATED = "touch"  # stage whose truth the Demo layout shows
@@ -88,6 +87,7 @@ class StageViews:
         window.frames.model.reset_frames(0)
         window.timeline.show_frames(0)
         window.timings.show_rows(())
+        window.timings.show_budget("", (), "")
         window.source.setItemText(0, "as recorded")
         for column in (*window.columns.values(), window.truth_column):
             column.view.show_preview(None)
@@ -195,7 +195,7 @@ class StageViews:
         self.scene.show_layers(self._order.index(_PREVIEWED), layers)
 
     def show_frame_summary(self, shown: EvaluatedFrame, *, is_comparable: bool) -> None:
-        """Show warnings and timings of a finished frame; its summary only if `is_comparable` with the other frames."""
+        """Show the warnings of a finished frame; its summary only if `is_comparable` with the other frames."""
         if is_comparable and shown.summary is not None:
             self._window.frames.model.show_summary(shown.index, shown.summary)
             self._window.frames.show_frame(shown.index)
@@ -206,11 +206,6 @@ class StageViews:
             # Warnings that every frame has come last.
             warnings.sort(key=lambda pair: f"{pair[0].lower()}: {pair[1]}" in common)
             self._window.warning_line.show_warnings(warnings)
-            rows = [
-                TimingRow(title=stage(r.name).title, state=r.state, time_ms=r.ms, notes=r.notes)
-                for r in shown.results.values()
-            ]
-            self._window.timings.show_rows(tuple(rows))
 
     def mark_all_pending(self) -> None:
         """Mark every column as pending."""

@@ -6,6 +6,7 @@ import logging
 
 import numpy as np
 import pytest
+from PyQt6.QtCore import Qt
 from PyQt6.QtWidgets import QApplication, QComboBox, QLabel, QPushButton
 
 from pipeline.values.results import PoseStep, TouchStep
@@ -65,13 +66,20 @@ def test_timings_show_every_stage_and_their_sum(qtbot):
     qtbot.addWidget(panel)
     panel.show_rows(
         (
-            TimingRow(title="Depth", state="computed", time_ms=10.0, notes=("a", "b")),
-            TimingRow(title="Pose", state="skipped", time_ms=0.5, notes=("no mesh",)),
-        )
+            TimingRow(
+                name="depth", title="Depth", state="computed", time_ms=10.0, median_ms=8.0, share=0.8, notes=("a", "b")
+            ),
+            TimingRow(name="pose", title="Pose", state="skipped", time_ms=0.5, notes=("no mesh",)),
+        ),
+        can_skip=True,
     )
-    assert [panel.item(r, 0).text() for r in range(3)] == ["Depth", "Pose", "all stages"]
-    assert panel.item(2, 2).text() == "10.50"
-    assert panel.item(0, 3).text() == "a · b"
+    table = panel.table
+    assert [table.item(r, 0).text() for r in range(3)] == ["Depth", "Pose", "all stages"]
+    assert [table.item(r, 2).text() for r in range(3)] == ["10.00", "0.50", "10.50"]
+    assert [table.item(0, c).text() for c in (3, 4, 5)] == ["8.00", "80 %", "a · b"]
+    with qtbot.waitSignal(panel.stage_toggled) as unticked:
+        table.item(1, 0).setCheckState(Qt.CheckState.Unchecked)
+    assert unticked.args == ["pose", False]
 
 
 def test_the_trace_reads_like_a_sentence(qtbot):
