@@ -15,12 +15,21 @@ from PyQt6.QtWidgets import QSizePolicy, QWidget
 from pipeline.base.arrays import Image
 from pipeline.previews.preview import Preview
 from widgets.preview_renderer import MAX_ZOOM, MIN_ZOOM, PreviewRenderer
-from widgets.theme import CASING_COLOUR, CROSSHAIR_COLOUR, SECTION_COLOUR, get_backdrop, get_theme_colours, to_qcolor
+from widgets.theme import (
+    CASING_COLOUR,
+    CROSSHAIR_COLOUR,
+    SECTION_COLOUR,
+    get_backdrop,
+    get_probe_colour,
+    get_theme_colours,
+    to_qcolor,
+)
 
 _A_CLICK_PX = 4.0  # a release closer to its press than this is a click
 _ZOOM_STEP = 1.25
 _PER_NOTCH = 120.0  # Qt's units per wheel notch
 _NEAR_PX, _END_PX = 6.0, 6.5
+_MARK_PX, _MARK_SHARE = (5.0, 7.0), 0.05  # radius of a pinned pixel's mark: limits, and share of the height
 
 
 class Canvas(QWidget):
@@ -42,6 +51,7 @@ class Canvas(QWidget):
         self._kept: QPixmap | None = None
         self.crosshair: tuple[int, int] | None = None  # row, col
         self.crosshair_text = ""  # value shown at the crosshair
+        self.marks: tuple[tuple[int, tuple[int, int]], ...] = ()  # number, (row, col) of the pinned pixels
         self.line: tuple[QPointF, QPointF] | None = None  # section line, in image pixels
         self.handle_share: float | None = None  # share of the width where the overlay begins, None = no handle
         self._pressed: QPointF | None = None
@@ -79,6 +89,12 @@ class Canvas(QWidget):
         """Show the crosshair at (row, col) with a value; None hides it."""
         if (pixel, tag) != (self.crosshair, self.crosshair_text):
             self.crosshair, self.crosshair_text = pixel, tag
+            self.update()
+
+    def show_marks(self, marks: tuple[tuple[int, tuple[int, int]], ...]) -> None:
+        """Show numbered marks of pinned pixels: (number, (row, col))."""
+        if marks != self.marks:
+            self.marks = marks
             self.update()
 
     def show_line(self, ends: tuple[QPointF, QPointF] | None) -> None:
@@ -166,6 +182,8 @@ class Canvas(QWidget):
             self._draw_line(painter, *self.line)
         if self.crosshair is not None:
             self._draw_cross(painter, *self.crosshair)
+        for number, (row, col) in self.marks:
+            self._draw_mark(painter, number, self.to_screen(QPointF(col + 0.5, row + 0.5)))
         if self.hasFocus():
             painter.setPen(QPen(self.palette().color(QPalette.ColorRole.Highlight), 2))
             painter.setBrush(Qt.BrushStyle.NoBrush)
@@ -206,6 +224,20 @@ class Canvas(QWidget):
         painter.drawRoundedRect(box, 3, 3)
         painter.setPen(QColor(255, 255, 255))
         painter.drawText(box, Qt.AlignmentFlag.AlignCenter, self.crosshair_text)
+
+    def _draw_mark(self, painter: QPainter, number: int, at: QPointF) -> None:
+        font = QFont(self.font())
+        radius = min(max(_MARK_SHARE * self.height(), _MARK_PX[0]), _MARK_PX[1])
+        font.setPixelSize(round(1.6 * radius))
+        font.setBold(True)
+        painter.setFont(font)
+        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+        painter.setPen(QPen(to_qcolor(CASING_COLOUR), 1.4))
+        painter.setBrush(to_qcolor(get_probe_colour(number)))
+        painter.drawEllipse(at, radius, radius)
+        box = QRectF(at.x() - radius, at.y() - radius, 2 * radius, 2 * radius)
+        painter.drawText(box, Qt.AlignmentFlag.AlignCenter, str(number))
+        painter.setRenderHint(QPainter.RenderHint.Antialiasing, False)
 
     def mousePressEvent(self, a0: Any) -> None:  # noqa: N802
         """Record where a click or drag begins."""

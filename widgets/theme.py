@@ -36,6 +36,15 @@ CATEGORY_COLOURS: tuple[
 )
 
 
+PROBE_COLOURS = (
+    CATEGORY_COLOURS[1],
+    CATEGORY_COLOURS[4],
+    CATEGORY_COLOURS[2],
+    CATEGORY_COLOURS[6],
+    CATEGORY_COLOURS[3],
+)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ThemeColours:
     """Colours on one background."""
@@ -117,6 +126,11 @@ _DARK = ThemeColours(
         "waiting": (162, 168, 177),
     },
 )
+
+
+def get_probe_colour(number: int) -> Rgb:
+    """Return the colour of a pinned pixel by its number, from 1; dark text is readable on it."""
+    return PROBE_COLOURS[(number - 1) % len(PROBE_COLOURS)]
 
 
 def to_qcolor(colour: Rgb, alpha: int = 255) -> QColor:

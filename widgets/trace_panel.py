@@ -12,7 +12,7 @@ from widgets.theme import get_theme_colours, to_hex
 
 _INVITATION = (
     "Move the mouse over an image to follow that pixel through every stage. "
-    "A click pins it (again, or <b>F</b>, to release); <b>Esc</b> hides the crosshairs."
+    "A click pins it, up to five (again, or <b>F</b>, to release); <b>Esc</b> clears all."
 )
 
 _LINES = 2  # more lines scroll

@@ -30,6 +30,7 @@ from app.window.mending import MendingController
 from app.window.pan_zoom import PanZoomController
 from app.window.panels import add_panels
 from app.window.parameter_search import make_parameter_actions
+from app.window.pinned_probes import PinnedProbesController
 from app.window.presentation import PresentationController
 from app.window.presentation_video import PresentationVideoController
 from app.window.probe_3d import Probe3DController
@@ -85,8 +86,8 @@ def connect(controller: SessionController, theme: Theme = "light") -> AutosaveCo
     window.route.activated.connect(lambda: change("choose route", route=window.route.currentData()))
 
     for add_feature in (
-        ErrorAttributionController, TimeBudgetController, Probe3DController, KeyboardController, SectionLineController,
-        PresentationController, PanZoomController, ColourLimitController,
+        ErrorAttributionController, TimeBudgetController, PinnedProbesController, Probe3DController, KeyboardController,
+        SectionLineController, PresentationController, PanZoomController, ColourLimitController,
     ):  # fmt: skip
         add_feature(controller)
     basin_map, step_scrubber = BasinMapController(controller), StepScrubberController(controller)
@@ -231,9 +232,9 @@ def _connect_playback(controller: SessionController) -> None:
 
 def _connect_view(controller: SessionController, layouts: LayoutController) -> None:
     window, probe = controller.window, controller.probe
-    freeze = window.actions_by_name["pin_probe"]
-    freeze.toggled.connect(probe.set_frozen)
-    probe.pin_changed.connect(freeze.setChecked)
+    pin = window.actions_by_name["pin_probe"]
+    window.connect_command("pin_probe", lambda: probe.set_pinned(pin.isChecked()))
+    probe.pin_changed.connect(pin.setChecked)
     link = window.actions_by_name["link_cameras"]
     link.setChecked(controller.session.cameras_linked)
     window.connect_command("link_cameras", lambda: controller.change("link cameras", cameras_linked=link.isChecked()))

@@ -38,6 +38,7 @@ from widgets.log_panel import LogPanel
 from widgets.notification_stack import NotificationStack
 from widgets.panes import PanesPage
 from widgets.parameters_panel import ParametersPanel
+from widgets.probes_panel import ProbesPanel
 from widgets.section_panel import SectionPanel
 from widgets.stage_column import StageColumn
 from widgets.stage_rows import StageRows
@@ -83,7 +84,7 @@ class MainWindow(QMainWindow):
             name: StepsSlider(name) for name in sorted(stages_with_steps)
         }  # under the 3D views of these columns
         self.frames, self.parameters, self.alignment = FramesPanel(), ParametersPanel(), AlignmentPanel()
-        self.trace, self.log, self.timings = TracePanel(), LogPanel(), TimingsPanel()
+        self.trace, self.log, self.timings, self.probes = TracePanel(), LogPanel(), TimingsPanel(), ProbesPanel()
         self.error_attribution = ErrorAttributionPanel()
         self.basins, self.steps_panel, self.section_panel = BasinPanel(), StepsPanel(), SectionPanel()
         self.presented_columns: tuple[str, ...] = ()  # those of a presentation, while there is one
@@ -167,6 +168,7 @@ class MainWindow(QMainWindow):
         self.tabs.setDocumentMode(True)
         tabs = (
             (self.error_attribution, "Attribution"),
+            (self.probes, "Probes"),
             (self.section_panel, "Section"),
             (self.steps_panel, "Steps"),
             (self.basins, "Basins"),

@@ -1,4 +1,4 @@
-"""The probe: one pixel traced through all stages, as crosshairs, 3D points and text."""
+"""The probe: one pixel traced through all stages, as crosshairs, 3D points and text; up to five pixels are pinned."""
 
 from __future__ import annotations
 
@@ -20,12 +20,20 @@ from widgets.styling import make_single_shot_timer
 
 _NO_SOURCE, _NOT_COMPUTED = "no source pixel maps here", "not computed yet"
 _POINTS_DELAY_MS = 40  # shortest interval between updates of the 3D points
+MAX_PINS = 5
+_FULL = f"{MAX_PINS} pixels are pinned; a click on a mark releases it"
+_MARK_PX = 5.0  # a click closer to a mark, on screen, is meant for it
+
+Pixel = tuple[str, int, int]  # column, row, col
+Places = dict[str, tuple[int, int] | None]  # column -> row and col of a traced pixel there
 
 
 class PixelProbe(QObject):
-    """Traces the pixel under the mouse, or the pinned one, through the computed stages."""
+    """Traces the pixel under the mouse, or the pinned one that was chosen last, through the computed stages."""
 
-    pin_changed = pyqtSignal(bool)
+    pin_changed = pyqtSignal(bool)  # whether the crosshair stays at a pinned pixel
+    pins_changed = pyqtSignal()
+    results_changed = pyqtSignal()  # what pixels are traced through
     pixel_moved = pyqtSignal(str, int, int)  # by keys: column, row, col
 
     def __init__(self, window: MainWindow) -> None:
@@ -34,8 +42,9 @@ class PixelProbe(QObject):
         self._results: Mapping[str, StageResult] = {}
         self._frame: TactileFrame | None = None
         self._ground_truth = GroundTruth()
-        self._pixel: tuple[str, int, int] | None = None
-        self._frozen = False
+        self._pixel: Pixel | None = None
+        self.pins: dict[int, Pixel] = {}  # number from 1 -> pixel
+        self._active: int | None = None  # the pin that the crosshair stays at
         self._scene: SceneRenderer | None = None
         self._display = DisplayParams()
         self._translation: Translation | None = None
@@ -54,8 +63,10 @@ class PixelProbe(QObject):
             frame or self._frame,
             ground_truth or self._ground_truth,
         )
+        self.pins = {number: pixel for number, pixel in self.pins.items() if self._is_inside(*pixel)}
         if self._pixel is not None:
             self._trace(*self._pixel)
+        self.results_changed.emit()
 
     def set_scene(self, scene: SceneRenderer, display: DisplayParams, translation: Translation) -> None:
         """Set the 3D views for the points, and the display parameters with their depth stretch."""
@@ -68,29 +79,69 @@ class PixelProbe(QObject):
         true = self._describe_truth(column, row, col) if text else ""
         ending = f" · truth {true}" if true else ""
         self._window.readout.setText(f"{self._get_title(column)} {text}{ending}" if text else "")
-        if not self._frozen and row >= 0:
+        if self._active is None and row >= 0:
             self._trace(column, row, col)
 
     def toggle_pin(self, column: str, row: int, col: int) -> None:
-        """Pin a pixel, or release it if it is the pinned one."""
-        self._frozen = not (self._frozen and self._pixel == (column, row, col))
-        self._trace(column, row, col)
-        self.pin_changed.emit(self._frozen)
+        """Pin a pixel, or release the pinned one whose mark is there."""
+        number = self._find_pin(column, row, col)
+        free = next((n for n in range(1, MAX_PINS + 1) if n not in self.pins), None)
+        if number is not None:
+            self.release_pin(number)
+        elif free is None:
+            self._window.readout.setText(_FULL)
+        else:
+            self.pins[free] = (column, row, col)
+            self.choose_pin(free)
+
+    def choose_pin(self, number: int) -> None:
+        """Move the crosshair to a pinned pixel."""
+        self._active = number
+        self._trace(*self.pins[number])
+        self._report_pins()
+
+    def release_pin(self, number: int) -> None:
+        """Release a pinned pixel."""
+        pixel = self.pins.pop(number)
+        if self._active == number:
+            self._active = None
+            self._trace(*pixel)
+        self._report_pins()
 
     def move_to_pixel(self, column: str, row: int, col: int) -> None:
-        """Move the probe, and the pin if one is set, to another pixel."""
-        frozen, self._frozen = self._frozen, False
+        """Move the probe, and the pin it stays at if there is one, to another pixel."""
+        number, self._active = self._active, None
         self.probe_pixel(column, row, col)
-        self._frozen = frozen
-        if frozen:
-            self._trace(column, row, col)
+        if number is not None:
+            self.pins[number] = (column, row, col)
+            self.choose_pin(number)
         self.pixel_moved.emit(column, row, col)
 
-    def set_frozen(self, frozen: bool) -> None:
-        """Pin or release the probed pixel."""
-        self._frozen = frozen
-        if self._pixel is not None:
-            self._trace(*self._pixel)
+    def set_pinned(self, pinned: bool) -> None:
+        """Pin the probed pixel, or release the pin that the crosshair stays at."""
+        if pinned and self._active is None and self._pixel is not None:
+            self.toggle_pin(*self._pixel)
+        elif not pinned and self._active is not None:
+            self.release_pin(self._active)
+        self._report_pins()
+
+    def _report_pins(self) -> None:
+        self.pin_changed.emit(self._active is not None)
+        self.pins_changed.emit()
+
+    def _find_pin(self, column: str, row: int, col: int) -> int | None:
+        """Return the pin whose mark in a column is at a pixel; None where there is none."""
+        near_px = _MARK_PX / max(self._window.columns[column].view.canvas.scale, 1e-3)
+        for number, pixel in self.pins.items():
+            place = self.locate(*pixel)[1].get(column)
+            if place is not None and max(abs(place[0] - row), abs(place[1] - col)) <= near_px:
+                return number
+        return None
+
+    def _is_inside(self, column: str, row: int, col: int) -> bool:
+        """Whether a pixel is in its column's preview; an empty column holds any."""
+        preview = self._window.columns[column].view.preview
+        return preview is None or (row < preview.pixels.shape[0] and col < preview.pixels.shape[1])
 
     def draw_pending(self) -> None:
         """Show the 3D points now instead of after the delay."""
@@ -98,25 +149,35 @@ class PixelProbe(QObject):
         self._show_points()
 
     def clear_trace(self) -> None:
-        """Clear the probe."""
-        self._frozen, self._pixel, self._points = False, None, ()
+        """Clear the probe and all pins."""
+        self.pins, self._active = {}, None
+        self._clear_crosshair()
+        self._report_pins()
+
+    def _clear_crosshair(self) -> None:
+        self._pixel, self._points = None, ()
         for column in self._window.columns.values():
             column.view.show_crosshair(None)
         self._window.trace.show_steps(())
         self._points_timer.start()
-        self.pin_changed.emit(False)
+
+    def locate(self, column: str, row: int, col: int) -> tuple[tuple[ProbePoint, ...], Places]:
+        """Return a pixel's points in all computed stages, and where it is in every column's preview."""
+        points = self._trace_pixel(column, row, col)
+        places: Places = dict.fromkeys(self._window.columns)
+        for point in points:
+            places[point.stage] = (point.row, point.col) if point.row >= 0 else self._project_point(point)
+        places[column] = (row, col)
+        return points, places
 
     def _trace(self, column: str, row: int, col: int) -> None:
-        preview = self._window.columns[column].view.preview
-        if preview is not None and not (row < preview.pixels.shape[0] and col < preview.pixels.shape[1]):
-            self.clear_trace()  # pinned in a larger preview of another sensor
+        if not self._is_inside(column, row, col):  # of a larger preview of another sensor
+            self._active = None
+            self._clear_crosshair()
+            self._report_pins()
             return
         self._pixel = (column, row, col)
-        points = self._trace_pixel(column, row, col)
-        crosses: dict[str, tuple[int, int] | None] = dict.fromkeys(self._window.columns)
-        for point in points:
-            crosses[point.stage] = (point.row, point.col) if point.row >= 0 else self._project_point(point)
-        crosses[column] = (row, col)
+        points, crosses = self.locate(column, row, col)
         for name, shown in self._window.columns.items():
             shown.view.show_crosshair(crosses[name], self._format_value(name, crosses[name]))
         steps = [(self._get_title(m.stage), m.text) for m in points]
@@ -128,7 +189,9 @@ class PixelProbe(QObject):
         true = self._describe_last_truth(points, (column, row, col))
         if true:
             steps.append(("truth", true))
-        self._window.trace.show_steps(steps, pinned=self._frozen, ending=ending, is_waiting=ending == _NOT_COMPUTED)
+        self._window.trace.show_steps(
+            steps, pinned=self._active is not None, ending=ending, is_waiting=ending == _NOT_COMPUTED
+        )
         self._points = points
         if not self._points_timer.isActive():
             self._points_timer.start()

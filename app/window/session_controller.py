@@ -53,7 +53,7 @@ class SessionController(SessionDocument):
         self.probe = PixelProbe(window)
         self.views = StageViews(window, self.probe)
         self._ticket = self._oldest_shown = self._opening_ticket = self._background_ticket = 0
-        self._closed = self._is_pending = self._with_observation = self._must_refresh = (
+        self._closed = self._is_pending = self._with_observation = self._with_probe_errors = self._must_refresh = (
             False  # must_refresh: stages were dropped
         )
         self._open_requests: set[Request | None] = {None}  # that are open: as requested, and with names resolved
@@ -142,6 +142,12 @@ class SessionController(SessionDocument):
         """Show or hide the outline of the target's own touch."""
         if visible != self._with_observation:
             self._with_observation = visible
+            self.refresh()
+
+    def set_probe_errors(self, visible: bool) -> None:
+        """Read the truth of every stage, or no longer, for the errors at pinned pixels."""
+        if visible != self._with_probe_errors:
+            self._with_probe_errors = visible
             self.refresh()
 
     def set_comparison_mode(self, mode: ComparisonMode) -> None:
@@ -322,7 +328,7 @@ class SessionController(SessionDocument):
         evaluate = partial(
             self.evaluator.evaluate_frame, with_observation=self._with_observation,
             get_current=lambda: self.views.translation,
-            with_truth=bool(self.views.comparison_mode) or self.window.shows_truth_column,
+            with_truth=bool(self.views.comparison_mode) or self.window.shows_truth_column or self._with_probe_errors,
         )  # fmt: skip
         interrupt = other_request or not (self._draft_stage or self._interrupt_timer.isActive())
         self._draft_stage = self._dragged_key.partition("/")[0]

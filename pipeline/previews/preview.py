@@ -56,14 +56,20 @@ class Preview:
     )
     camera: Camera | None = None  # camera of this image, where it is not one pixel per element
 
+    def get_value(self, row: int, col: int) -> float | None:
+        """Return the value of a pixel, NaN for none; None of a colour image and outside."""
+        rows, cols = self.pixels.shape[:2]
+        is_value = self.values is not None and self.scale is not None and 0 <= row < rows and 0 <= col < cols
+        return float(self.values[row, col]) if is_value and self.values is not None else None
+
     def format_value(self, row: int, col: int) -> str:
         """Return the value of a pixel with its unit, or its colour; "" outside the image."""
         rows, cols = self.pixels.shape[:2]
         if not (0 <= row < rows and 0 <= col < cols):
             return ""
-        if self.values is None or self.scale is None:
+        value = self.get_value(row, col)
+        if value is None or self.scale is None:
             return "rgb {} {} {}".format(*(int(v) for v in self.pixels[row, col]))
-        value = float(self.values[row, col])
         return f"{value:.3f} {self.scale.unit}" if math.isfinite(value) else "none"
 
     def describe_pixel(self, row: int, col: int) -> str:

@@ -1,0 +1,94 @@
+"""Table of the pinned pixels: value and error of every stage there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
+from PyQt6.QtGui import QColor, QIcon, QPixmap
+from PyQt6.QtWidgets import (
+    QAbstractItemView,
+    QHBoxLayout,
+    QHeaderView,
+    QLabel,
+    QPushButton,
+    QTableWidget,
+    QTableWidgetItem,
+    QVBoxLayout,
+    QWidget,
+)
+
+from widgets.styling import set_spacing
+from widgets.theme import get_probe_colour, to_qcolor
+
+_HINT = "A click on an image pins a pixel, up to five; a click on its mark releases it."
+_ICON_PX = 10
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProbeRow:
+    """One pinned pixel."""
+
+    number: int
+    cells: tuple[str, ...]  # as the titles
+    tips: tuple[str, ...]  # one per cell
+
+
+class ProbesPanel(QWidget):
+    """Shows one row per pinned pixel; `probe_chosen` carries the number of the selected row."""
+
+    probe_chosen = pyqtSignal(int)
+    clear_requested = pyqtSignal()
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.table, self._clear = QTableWidget(0, 0), QPushButton("Release all")
+        self.table.setObjectName("probes")
+        self.table.setAccessibleName("pinned pixels")
+        self.table.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
+        self.table.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
+        self.table.setShowGrid(False)
+        self.table.setWordWrap(False)
+        self.table.cellClicked.connect(self._choose)
+        rows, columns = self.table.verticalHeader(), self.table.horizontalHeader()
+        assert rows is not None
+        assert columns is not None
+        rows.hide()
+        rows.setDefaultSectionSize(self.table.fontMetrics().height() + 5)
+        columns.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
+        columns.setDefaultAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter)
+        self._numbers: tuple[int, ...] = ()
+        self._clear.setEnabled(False)
+        self._clear.clicked.connect(self.clear_requested)
+        head = set_spacing(QHBoxLayout(), 8)
+        head.addWidget(QLabel(_HINT), 1)
+        head.addWidget(self._clear)
+        layout = set_spacing(QVBoxLayout(self), 3, (6, 3, 6, 2))
+        layout.addLayout(head)
+        layout.addWidget(self.table, 1)
+
+    def _choose(self, row: int, _: int) -> None:
+        self.probe_chosen.emit(self._numbers[row])
+
+    def show_probes(self, titles: Sequence[str], rows: Sequence[ProbeRow]) -> None:
+        """Show these pinned pixels under these titles."""
+        self._numbers = tuple(row.number for row in rows)
+        self._clear.setEnabled(bool(rows))
+        with QSignalBlocker(self.table):
+            self.table.setColumnCount(len(titles))
+            self.table.setHorizontalHeaderLabels(titles)
+            self.table.setRowCount(len(rows))
+            for at, row in enumerate(rows):
+                for column, (text, tip) in enumerate(zip(row.cells, row.tips, strict=True)):
+                    item = QTableWidgetItem(text)
+                    item.setToolTip(tip)
+                    if column == 0:
+                        item.setIcon(_make_icon(row.number))
+                    self.table.setItem(at, column, item)
+
+
+def _make_icon(number: int) -> QIcon:
+    pixmap = QPixmap(_ICON_PX, _ICON_PX)
+    pixmap.fill(QColor(to_qcolor(get_probe_colour(number))))
+    return QIcon(pixmap)
