@@ -663,7 +663,6 @@ def a_recording_cut_short(here):
     return translated(cut, "--frame", "5")
 
 
-@pytest.mark.timeout(30)
 @pytest.mark.parametrize("name", TRIGGERS)
 def test_a_mistake_is_one_sentence_and_leaves_nothing_behind(name, tmp_path, capfd, log):
     here = tmp_path / "here"
