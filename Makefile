@@ -50,7 +50,7 @@ slow: $(READY)
 # A seeded monkey over commands, controls and files for an hour; MONKEY_MINUTES says otherwise.
 MONKEY_MINUTES ?= 60
 monkey: $(READY)
-	MONKEY_MINUTES=$(MONKEY_MINUTES) xvfb-run -a -s "-screen 0 1920x1200x24" $(BIN)/python -m pytest -q --no-xvfb tests/app/window/test_keyboard_focus.py -k monkey -s \
+	MONKEY_MINUTES=$(MONKEY_MINUTES) xvfb-run -a -s "-screen 0 1920x1200x24" $(BIN)/python -m pytest -q --no-xvfb tests/app/window/test_random_input.py -s \
 		--timeout 14400 -o faulthandler_timeout=0
 
 # The pictures of README.md and docs/tour.md, as the window is now.
