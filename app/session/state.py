@@ -20,7 +20,7 @@ from pipeline.base.typed_data import FileName, Name, Note, Number, Plain, conver
 from pipeline.engine.graph import Method
 from pipeline.previews.display_params import DisplayParams
 from pipeline.recordings.formats import DepthUnit
-from pipeline.sensors.offsets import Offsets, parse_offsets
+from pipeline.sensors.offsets import Offsets
 from pipeline.translation.catalogue import BUILT_IN, Catalogue
 from pipeline.translation.cross_section import SectionLine
 
@@ -156,7 +156,7 @@ class _SessionFile(msgspec.Struct, kw_only=True):
     calibration: FileName | None = None
     mesh: FileName | None = None
     alignment: FileName | None = None
-    offsets: object = None
+    offsets: Offsets
     layout: Layout | None = None
     methods: dict[Name, Name] = {}
     weights: dict[Name, FileName] = {}
@@ -185,17 +185,13 @@ def _parse_session(data: object, path: Path, catalogue: Catalogue) -> Session:
         catalogue.methods(said.route, said.methods)
     except SettingProblem as error:
         raise FileProblem(f"the session's route or methods cannot be used ({error})", path, field="route") from error
-    try:
-        offsets = parse_offsets(said.offsets)
-    except ValueError as error:
-        raise FileProblem(f"the session's offsets cannot be used ({error})", path, field="offsets") from error
     files = {name: getattr(said, name) for name in PATH_FIELDS}
     return Session(
         **{name: None if file is None else path.parent / file for name, file in files.items()},
         **{name: getattr(said, name) for name in _TEXT_FIELDS},
         depth_unit=said.depth_unit,
         frame=said.frame,
-        offsets=offsets,
+        offsets=said.offsets,
         layout=said.layout or Layout(),
         cameras_linked=said.cameras_linked,
         methods=said.methods,

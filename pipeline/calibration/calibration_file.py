@@ -4,20 +4,50 @@ from __future__ import annotations
 
 import zipfile
 from pathlib import Path
-from typing import Any, cast
+from typing import Annotated, Any, Literal
 
+import msgspec
 import numpy as np
+from msgspec import Meta
 from numpy.typing import NDArray
 
 from pipeline.base.arrays import Doubles, freeze
 from pipeline.base.errors import CalibrationError, FileProblem
 from pipeline.base.files import open_atomic, read_arrays
+from pipeline.base.typed_data import Name, Note, Number, convert
 from pipeline.calibration import slope_model
 from pipeline.calibration.calibration_table import BallFit, Calibration, ExpectedError
 from pipeline.calibration.slope_model import SlopeModel
 
 _VERSION = 2
-_DEGREE_MAX = 6
+_WHAT, _REMEDY = "the calibration", "calibrate again"
+_ARRAYS = ("coefficients", "reference_thumbnail", "coverage_map")  # the other fields are numbers, texts and lists
+_MOST_VALUES = 100_000  # of a list
+_Side = Annotated[int, Meta(ge=1, le=100_000)]
+_Positive = Annotated[float, Meta(gt=0.0, le=1e12)]
+_Share = Annotated[float, Meta(gt=0.0, le=1.0)]
+
+
+class _Content(msgspec.Struct, kw_only=True, frozen=True):
+    """The fields of the file; a list of at most one stands for a value that may be unknown."""
+
+    version: Literal[2]
+    sensor: Name
+    size: tuple[_Side, _Side]  # rows, cols
+    pixel_mm: _Positive
+    coefficients: Any
+    colour_degree: Annotated[int, Meta(ge=1, le=6)]
+    position_degree: Annotated[int, Meta(ge=0, le=6)]
+    slope_max: _Positive
+    residual: Number
+    origin: Note
+    presses: tuple[tuple[Number, Number, Number, Number, float, Number], ...]  # see `_encode_presses`
+    uses_built_in: bool
+    expected_error: Annotated[tuple[Annotated[float, Meta(ge=0.0, le=1e12)], ...], Meta(max_length=3)]
+    diameter_ratio: Annotated[tuple[_Positive, ...], Meta(max_length=1)]
+    reference_thumbnail: Any
+    coverage_map: Any
+    median_pressure_share: Annotated[tuple[_Share, ...], Meta(max_length=1)]
 
 
 def is_calibration_file(path: Path) -> bool:
@@ -36,7 +66,7 @@ def save(calibration: Calibration, path: Path) -> None:
     path = path if path.suffix == ".npz" else path.with_name(path.name + ".npz")
     model, error, share = calibration.model, calibration.expected_error, calibration.median_pressure_share
     thumbnail, coverage = calibration.reference_thumbnail, calibration.coverage_map
-    with open_atomic(path, "the calibration") as file:
+    with open_atomic(path, _WHAT) as file:
         np.savez_compressed(
             file, version=_VERSION, sensor=calibration.sensor, size=(calibration.rows, calibration.cols),
             pixel_mm=calibration.pixel_mm, coefficients=model.coefficients, colour_degree=model.colour_degree,
@@ -53,44 +83,43 @@ def save(calibration: Calibration, path: Path) -> None:
 
 def load(path: Path) -> Calibration:
     """The calibration in a file; raises FileProblem with the field that is missing or damaged."""
-    fields = read_arrays(path, "the calibration")
+    arrays = read_arrays(path, _WHAT)
+    if any(array.size > _MOST_VALUES for name, array in arrays.items() if name not in _ARRAYS):
+        raise FileProblem(f"{_WHAT} holds a list of more than {_MOST_VALUES} values; {_REMEDY}", path)
+    plain = {name: array if name in _ARRAYS else array.tolist() for name, array in arrays.items()}
+    content = convert(plain, _Content, _WHAT, path, remedy=_REMEDY)
     try:
-        if any(array.dtype.kind not in "biufU" for array in fields.values()):
-            raise CalibrationError("it holds arrays that are neither numbers nor texts")
-        return _decode(fields)
-    except KeyError as error:
-        field = str(error.args[0])
-        raise FileProblem(f"the calibration lacks {field!r}; calibrate again", path, field=field) from error
-    except (CalibrationError, ValueError, TypeError, ArithmeticError) as error:
-        raise FileProblem(f"the calibration is damaged ({error}); calibrate again", path) from error
+        return _decode(content)
+    except (CalibrationError, ValueError) as error:
+        raise FileProblem(f"{_WHAT} is damaged ({error}); {_REMEDY}", path) from error
 
 
-def _decode(fields: dict[str, NDArray[Any]]) -> Calibration:
-    if int(cast("int", fields["version"])) != _VERSION:
-        raise CalibrationError(f"version {fields['version']} is not {_VERSION}")
-    colour_degree, position_degree = (int(cast("int", fields[k])) for k in ("colour_degree", "position_degree"))
-    if not (1 <= colour_degree <= _DEGREE_MAX and 0 <= position_degree <= _DEGREE_MAX):
-        raise CalibrationError("its degrees are out of range")
-    table = np.ascontiguousarray(fields["coefficients"], np.float32)
-    side = position_degree + 1
-    if table.shape != (side, side, len(slope_model.list_exponents(colour_degree)), 2) or not np.isfinite(table).all():
+def _decode(content: _Content) -> Calibration:
+    table, side = np.asarray(content.coefficients), content.position_degree + 1
+    shape = (side, side, len(slope_model.list_exponents(content.colour_degree)), 2)
+    if table.shape != shape or table.dtype.kind != "f" or not np.isfinite(table).all():
         raise CalibrationError("its coefficients do not fit its degrees or are not finite")
-    numbers = {k: float(cast("float", fields[k])) for k in ("pixel_mm", "slope_max", "residual")}
-    if not all(np.isfinite(v) for v in numbers.values()) or min(numbers["pixel_mm"], numbers["slope_max"]) <= 0:
-        raise CalibrationError("pixel_mm and slope_max must be positive")
-    rows, cols = (int(cast("int", n)) for n in fields["size"])
+    if len(content.expected_error) not in (0, 3):
+        raise CalibrationError("expected_error must be three numbers of 0 or more")
+    diameter, depth, n_held_out = content.expected_error or (0.0, 0.0, 0.0)
     model = SlopeModel(
-        colour_degree=colour_degree, position_degree=position_degree, coefficients=freeze(table),
-        slope_max=numbers["slope_max"],
+        colour_degree=content.colour_degree, position_degree=content.position_degree,
+        coefficients=freeze(np.ascontiguousarray(table, np.float32)), slope_max=content.slope_max,
     )  # fmt: skip
+    rows, cols = content.size
     return Calibration(
-        sensor=str(fields["sensor"]), rows=rows, cols=cols, pixel_mm=numbers["pixel_mm"], model=model,
-        residual=numbers["residual"], origin=str(fields["origin"]), presses=_decode_presses(fields["presses"]),
-        uses_built_in=bool(fields["uses_built_in"]), expected_error=_decode_error(fields["expected_error"]),
-        diameter_ratio=next(iter(fields["diameter_ratio"].tolist()), None),
-        reference_thumbnail=_decode_image(fields, "reference_thumbnail", 3, np.uint8),
-        coverage_map=_decode_image(fields, "coverage_map", 2, np.bool_),
-        median_pressure_share=_decode_share(fields["median_pressure_share"]),
+        sensor=content.sensor, rows=rows, cols=cols, pixel_mm=content.pixel_mm, model=model,
+        residual=content.residual, origin=content.origin, uses_built_in=content.uses_built_in,
+        presses=tuple(
+            BallFit(index=int(index), x_px=x, y_px=y, radius_px=radius, residual=residual, used=bool(used))
+            for index, x, y, radius, residual, used in content.presses
+        ),
+        expected_error=ExpectedError(diameter_share=diameter, depth_share=depth, n_held_out=int(n_held_out))
+        if content.expected_error else None,
+        diameter_ratio=next(iter(content.diameter_ratio), None),
+        reference_thumbnail=_decode_image(content.reference_thumbnail, "reference_thumbnail", 3, np.uint8),
+        coverage_map=_decode_image(content.coverage_map, "coverage_map", 2, np.bool_),
+        median_pressure_share=next(iter(content.median_pressure_share), None),
     )  # fmt: skip
 
 
@@ -100,35 +129,10 @@ def _encode_presses(presses: tuple[BallFit, ...]) -> Doubles:
     return np.array(rows, np.float64).reshape(-1, 6)
 
 
-def _decode_presses(table: NDArray[Any]) -> tuple[BallFit, ...]:
-    if table.ndim != 2 or table.shape[1] != 6:
-        raise CalibrationError(f"its table of presses has shape {table.shape}")
-    return tuple(
-        BallFit(index=int(i), x_px=float(x), y_px=float(y), radius_px=float(r), residual=float(e), used=bool(used))
-        for i, x, y, r, e, used in table
-    )
-
-
-def _decode_error(row: NDArray[Any]) -> ExpectedError | None:
-    if row.shape == (0,):
-        return None
-    if row.shape != (3,) or not np.isfinite(row).all() or row.min() < 0:
-        raise CalibrationError("expected_error must be three numbers of 0 or more")
-    return ExpectedError(diameter_share=float(row[0]), depth_share=float(row[1]), n_held_out=int(row[2]))
-
-
-def _decode_image(fields: dict[str, NDArray[Any]], name: str, ndim: int, kind: type[np.generic]) -> NDArray[Any] | None:
+def _decode_image(image: NDArray[Any], name: str, ndim: int, kind: type[np.generic]) -> NDArray[Any] | None:
     """The array of a field with that many dimensions and that type; None if it is empty."""
-    image = fields[name]
     if image.size == 0:
         return None
     if image.ndim != ndim or image.dtype != kind:
         raise CalibrationError(f"{name} is {image.dtype} of shape {image.shape}")
     return freeze(np.ascontiguousarray(image))
-
-
-def _decode_share(share: NDArray[Any]) -> float | None:
-    value = next(iter(share.tolist()), None)
-    if value is not None and not 0.0 < value <= 1.0:
-        raise CalibrationError(f"median_pressure_share must lie within 0 and 1, got {value:g}")
-    return value

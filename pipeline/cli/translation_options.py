@@ -97,14 +97,15 @@ class TranslationOptions:
         )  # fmt: skip
 
     def _build_offsets(self) -> Offsets:
-        from pipeline.sensors.offsets import parse_offsets
+        from pipeline.base.typed_data import InvalidField, check
+        from pipeline.sensors.offsets import Offsets
 
         vectors = {
             "translation_mm": self.translation_mm, "rotation_deg": self.rotation_deg, "pivot_mm": self.pivot_mm,
         }  # fmt: skip
         try:
-            return parse_offsets({name: list(vector) for name, vector in vectors.items()})
-        except ValueError as error:
+            return check(vectors, Offsets)
+        except InvalidField as error:
             raise SettingProblem(f"--{str(error).replace('_', '-', 1)}") from None
 
 

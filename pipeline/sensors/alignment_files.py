@@ -9,23 +9,44 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
 
+import msgspec
 import numpy as np
 
 from pipeline.base.arrays import Doubles, freeze
 from pipeline.base.errors import FileProblem
 from pipeline.base.files import read_toml, write_text
 from pipeline.base.text import escape_text
+from pipeline.base.typed_data import Name, Note, convert
 from pipeline.geometry import rigid
 from pipeline.sensors.alignment import ALIGNMENT_PARTS, Alignment
-from pipeline.sensors.offsets import parse_triple
+from pipeline.sensors.offsets import RotationDeg, TranslationMm
 
 ALIGNMENT_SUFFIX = ".toml"
 _COMMENTS = {
     "alignment_from_source": "the paper's T_S->A: maps points from the source frame to the alignment frame",
     "target_from_alignment": "the paper's T_A->T: maps points from the alignment frame to the target frame",
 }
+
+
+class _Transform(msgspec.Struct, kw_only=True, frozen=True):
+    """A table of an alignment file."""
+
+    translation_mm: TranslationMm
+    rotation_deg: RotationDeg
+
+    def to_matrix(self) -> Doubles:
+        return freeze(rigid.from_parts(self.translation_mm, self.rotation_deg))
+
+
+class _AlignmentTable(msgspec.Struct, kw_only=True, frozen=True):
+    """All tables of an alignment file."""
+
+    source: Name
+    target: Name
+    origin: Note = msgspec.field(name="from", default="")
+    alignment_from_source: _Transform
+    target_from_alignment: _Transform
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,45 +90,20 @@ def format_alignment(content: AlignmentFile) -> str:
 
 def load_alignment(path: Path, *, source: str, target: str) -> AlignmentFile:
     """The alignment of a file, which must be for these two sensors; raises FileProblem."""
-    data = read_toml(path, "the alignment")
-    names = {key: _read_text(data, key, path) for key in ("source", "target")}
-    if (names["source"], names["target"]) == (target, source) != (source, target):
+    content = convert(read_toml(path, "the alignment"), _AlignmentTable, "the alignment", path)
+    if (content.source, content.target) == (target, source) != (source, target):
         raise FileProblem(
             f"this alignment is for {target} to {source}, the reverse direction; swap source and target", path
         )
-    for key, expected in (("source", source), ("target", target)):
-        if names[key] != expected:
+    for key, found, expected in (("source", content.source, source), ("target", content.target, target)):
+        if found != expected:
             raise FileProblem(
-                f"this alignment has the {key} {names[key]!r}, not {expected!r}; choose the file of these two sensors",
+                f"this alignment has the {key} {found!r}, not {expected!r}; choose the file of these two sensors",
                 path,
                 field=key,
             )
-    return AlignmentFile(
-        alignment=Alignment(**{side: _read_transform(data, side, path) for side in ALIGNMENT_PARTS}),
-        origin=_read_text(data, "from", path) if "from" in data else "",
-        **names,
-    )
-
-
-def _read_text(data: dict[str, Any], key: str, path: Path) -> str:
-    value = data.get(key)
-    if not isinstance(value, str) or (not value and key != "from"):
-        raise FileProblem(f'{key} of the alignment must be a text such as {key} = "gelslim"', path, field=key)
-    return value
-
-
-def _read_transform(data: dict[str, Any], side: str, path: Path) -> Doubles:
-    table = data.get(side)
-    if not isinstance(table, dict):
-        raise FileProblem(
-            f"the alignment lacks the table [{side}] with translation_mm and rotation_deg", path, field=side
-        )
-    values = cast("dict[str, Any]", table)
-    try:
-        translation_mm, rotation_deg = (parse_triple(values, key) for key in ("translation_mm", "rotation_deg"))
-    except ValueError as error:
-        raise FileProblem(f"{side}.{error}", path, field=f"{side}.{str(error).split()[0]}") from error
-    return freeze(rigid.from_parts(translation_mm, rotation_deg))
+    alignment = Alignment(**{side: getattr(content, side).to_matrix() for side in ALIGNMENT_PARTS})
+    return AlignmentFile(alignment=alignment, origin=content.origin, source=content.source, target=content.target)
 
 
 def _format_numbers(values: Doubles) -> str:

@@ -9,17 +9,30 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, cast
+from typing import Annotated, Any, cast
 
+import msgspec
 import numpy as np
+from msgspec import Meta
 
 from pipeline.base.entry_points import load_entry_points
 from pipeline.base.errors import CalibrationError, FileProblem
 from pipeline.base.files import read_toml
+from pipeline.base.typed_data import convert
 
 DESCRIPTIONS_FOLDER = Path(__file__).parent  # of the project's own descriptions
-_MAX_NUMBER = 1e9  # of a description; values derived from it still fit float32
+DESCRIPTION = "the sensor description"
+_Number = Annotated[float, Meta(ge=-1e9, le=1e9)]  # finite; values derived from it still fit float32
 _UNITS = {"px", "mm", "px/mm", "kPa", "N/mm", "1", "deg", "grey", "rgb", "grey/px", "mm^3"}
+
+
+class _Entry(msgspec.Struct, kw_only=True, frozen=True):
+    """One number of a description, or a list of numbers."""
+
+    value: _Number | tuple[_Number, ...]
+    unit: str
+    source: str = msgspec.field(name="from")
+    assumed: bool = False
 
 
 _registered: list[Path] = []
@@ -44,7 +57,7 @@ def read_description(path: Path, children: tuple[Path, ...] = ()) -> dict[str, A
     """
     if path in children:
         raise FileProblem("a sensor description extends itself", path, field="extends")
-    data = read_toml(path, "the sensor description")
+    data = read_toml(path, DESCRIPTION)
     parent = data.pop("extends", None)
     if parent is None:
         return data
@@ -72,35 +85,25 @@ class DescriptionSection:
             raise CalibrationError(f"the sensor description lacks the section [{name}]: '{path}'")
         self._items, self._name, self._path, self._assumed = cast("dict[str, Any]", section), name, path, assumed
 
-    def read_value(self, key: str, unit: str) -> Any:
-        """The value of `key`, given in `unit`; raises CalibrationError."""
+    def _read_value(self, key: str, unit: str) -> float | tuple[float, ...]:
+        """The value of `key`, given in `unit`; raises CalibrationError and FileProblem."""
         where = f"{self._name}.{key}"
-        entry = self._items.get(key)
-        if not isinstance(entry, dict) or not {"value", "unit", "from"} <= entry.keys():
-            raise CalibrationError(f"{where} must be a table with value, unit and from: '{self._path}'")
-        entry = cast("dict[str, Any]", entry)
-        if entry["unit"] != unit or unit not in _UNITS:
-            raise CalibrationError(f"{where} must be given in {unit!r}, got {entry['unit']!r}: '{self._path}'")
-        value = entry["value"]
-        numbers = cast("list[Any]", value if isinstance(value, list) else [value])
-        if not all(isinstance(n, (int, float)) and not isinstance(n, bool) for n in numbers):
-            raise CalibrationError(f"{where} must be a number or a list of numbers, got {value!r}: '{self._path}'")
-        if not all(abs(n) <= _MAX_NUMBER for n in numbers):  # false for NaN
-            raise CalibrationError(f"{where} must be finite, within {_MAX_NUMBER:g}, got {value!r}: '{self._path}'")
-        if entry.get("assumed", False):
+        entry = convert(self._items.get(key), _Entry, DESCRIPTION, self._path, within=where)
+        if entry.unit != unit or unit not in _UNITS:
+            raise CalibrationError(f"{where} must be given in {unit!r}, got {entry.unit!r}: '{self._path}'")
+        if entry.assumed:
             self._assumed.append(where)
-        return cast("object", value)
+        return entry.value
 
     def has(self, key: str) -> bool:
         """Whether the section has `key`."""
         return key in self._items
 
     def read_number(self, key: str, unit: str, low: float = -np.inf, high: float = np.inf) -> float:
-        """A number within [low, high]; raises CalibrationError."""
-        raw = self.read_value(key, unit)
-        if isinstance(raw, list):
-            raise CalibrationError(f"{self._name}.{key} must be one number, got {raw!r}: '{self._path}'")
-        value = float(raw)
+        """A number within [low, high]; raises CalibrationError and FileProblem."""
+        value = self._read_value(key, unit)
+        if isinstance(value, tuple):
+            raise CalibrationError(f"{self._name}.{key} must be one number, got {value!r}: '{self._path}'")
         if not low <= value <= high:
             raise CalibrationError(
                 f"{self._name}.{key} must lie within {low:g} and {high:g} {unit}, got {value:g}: '{self._path}'"
@@ -110,11 +113,11 @@ class DescriptionSection:
     def read_vector(
         self, key: str, unit: str, low: float = -np.inf, high: float = np.inf
     ) -> tuple[float, float, float]:
-        """Three numbers within [low, high]; raises CalibrationError."""
-        value = self.read_value(key, unit)
-        if not isinstance(value, list) or len(cast("list[Any]", value)) != 3:
+        """Three numbers within [low, high]; raises CalibrationError and FileProblem."""
+        value = self._read_value(key, unit)
+        if not isinstance(value, tuple) or len(value) != 3:
             raise CalibrationError(f"{self._name}.{key} must be a list of 3 numbers, got {value!r}: '{self._path}'")
-        x, y, z = (float(v) for v in cast("list[Any]", value))
+        x, y, z = value
         if not low <= min(x, y, z) <= max(x, y, z) <= high:
             raise CalibrationError(
                 f"{self._name}.{key} must lie within {low:g} and {high:g} {unit}, got {value!r}: '{self._path}'"

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, cast
+from typing import Annotated, Literal
 
 import numpy as np
+from msgspec import Meta
 
 from pipeline.base.arrays import Doubles
 from pipeline.geometry import rigid
@@ -16,7 +17,10 @@ Axis = Literal["x", "y", "z", "rx", "ry", "rz"]
 AXES: tuple[Axis, ...] = ("x", "y", "z", "rx", "ry", "rz")
 Triple = tuple[float, float, float]
 ZERO_TRIPLE: Triple = (0.0, 0.0, 0.0)
-_LIMITS = {"translation_mm": rigid.MAX_TRANSLATION_MM, "rotation_deg": 360.0, "pivot_mm": rigid.MAX_TRANSLATION_MM}
+_Mm = Annotated[float, Meta(ge=-rigid.MAX_TRANSLATION_MM, le=rigid.MAX_TRANSLATION_MM)]
+_Deg = Annotated[float, Meta(ge=-360.0, le=360.0)]
+TranslationMm = tuple[_Mm, _Mm, _Mm]
+RotationDeg = tuple[_Deg, _Deg, _Deg]  # rotation vector: axis times angle
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -26,9 +30,9 @@ class Offsets:
     The pivot is the centre of the contact under the opened alignment, so that rotations are about the contact.
     """
 
-    translation_mm: Triple = ZERO_TRIPLE
-    rotation_deg: Triple = ZERO_TRIPLE  # rotation vector: axis times angle
-    pivot_mm: Triple = ZERO_TRIPLE  # target frame
+    translation_mm: TranslationMm = ZERO_TRIPLE
+    rotation_deg: RotationDeg = ZERO_TRIPLE
+    pivot_mm: TranslationMm = ZERO_TRIPLE  # target frame
 
     @property
     def values(self) -> tuple[float, ...]:
@@ -77,24 +81,6 @@ def decompose_motion(motion: Doubles, pivot_mm: Sequence[float] | Doubles) -> Of
         rotation_deg=_triple(np.rad2deg(rigid.rotation_vector_rad(motion))),
         pivot_mm=_triple(pivot),
     )
-
-
-def parse_offsets(data: object) -> Offsets:
-    """The offsets of a table in a session file; raises ValueError that names the wrong entry."""
-    if not isinstance(data, dict):
-        raise ValueError("must be a table of translation_mm, rotation_deg and pivot_mm")
-    table = cast("Mapping[str, Any]", data)
-    return Offsets(**{name: parse_triple(table, name) for name in _LIMITS})
-
-
-def parse_triple(table: Mapping[str, Any], name: str) -> Triple:
-    """Three finite numbers of a table, within the limit of `name`; raises ValueError that begins with `name`."""
-    value: object = table.get(name)
-    numbers = cast("list[object]", value) if isinstance(value, list) else []
-    plain = [n for n in numbers if isinstance(n, (int, float)) and not isinstance(n, bool)]
-    if len(plain) != 3 or len(numbers) != 3 or not all(abs(n) <= _LIMITS[name] for n in plain):  # false for NaN
-        raise ValueError(f"{name} must be three finite numbers within {_LIMITS[name]:g}, got {value!r}")
-    return _triple(plain)
 
 
 def _triple(values: Sequence[float] | Doubles) -> Triple:

@@ -4,15 +4,23 @@ from __future__ import annotations
 
 from dataclasses import MISSING, fields
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Annotated, Any, TypeVar
 
-from pipeline.base.errors import CalibrationError
-from pipeline.sensors.descriptions import DescriptionSection
+import msgspec
+from msgspec import Meta
+
+from pipeline.base.typed_data import convert
+from pipeline.sensors.descriptions import DESCRIPTION, DescriptionSection
 from pipeline.sensors.parts import Glow, Led, NumberRange, Optics, SensorLimits
 
 T = TypeVar("T")
 
-_MAX_LIGHT_NUMBER = 1000.0  # degrees, half image sizes, or grey levels
+
+class _Lights(msgspec.Struct, kw_only=True, frozen=True):
+    """The lists of [optics]."""
+
+    leds: Annotated[tuple[Led, ...], Meta(min_length=1)]
+    glows: tuple[Glow, ...] = ()
 
 
 def parse_part(kind: type[T], s: DescriptionSection) -> T:
@@ -42,36 +50,6 @@ def parse_limits(s: DescriptionSection, change_unit: str) -> SensorLimits:
 
 def parse_optics(s: DescriptionSection, data: dict[str, Any], path: Path) -> Optics:
     """[optics] with the lists of LEDs and glows in the description `data`."""
-    leds = tuple(
-        Led(azimuth_deg=v[0], elevation_deg=v[1], rgb=(v[2], v[3], v[4]))
-        for v in _parse_lights(data, "leds", ("azimuth_deg", "elevation_deg"), path)
-    )
-    if not leds:
-        raise CalibrationError(f"optics.leds must list at least one LED: '{path}'")
-    glows = tuple(
-        Glow(x=v[0], y=v[1], width=v[2], height=v[3], rgb=(v[4], v[5], v[6]))
-        for v in _parse_lights(data, "glows", ("x", "y", "width", "height"), path)
-    )
-    if any(g.width <= 0 or g.height <= 0 for g in glows):
-        raise CalibrationError(f"optics.glows must have a positive width and height: '{path}'")
+    lights = convert(data["optics"], _Lights, DESCRIPTION, path, within="optics")
     base = s.read_vector("base", "rgb", 0.0, 255.0)
-    return Optics(base_rgb=base, leds=leds, glows=glows, **parse_numbers(Optics, s))
-
-
-def _parse_lights(data: dict[str, Any], key: str, numbers: tuple[str, ...], path: Path) -> list[tuple[float, ...]]:
-    """The `numbers`, then r, g, b of every entry of the list optics.`key`; raises CalibrationError."""
-    entries = data["optics"].get(key, [])
-    requirement = f"each of optics.{key} needs {', '.join(numbers)} and rgb"
-    if not isinstance(entries, list):
-        raise CalibrationError(f"{requirement}, got {entries!r}: '{path}'")
-    values: list[tuple[float, ...]] = []
-    for entry in cast("list[dict[str, Any]]", entries):
-        try:
-            r, g, b = (float(v) for v in entry["rgb"])
-            value = (*(float(entry[name]) for name in numbers), r, g, b)
-        except (KeyError, TypeError, ValueError, OverflowError) as error:
-            raise CalibrationError(f"{requirement}, got {entry!r}: '{path}'") from error
-        if not all(abs(v) <= _MAX_LIGHT_NUMBER for v in value):  # false for NaN
-            raise CalibrationError(f"{requirement} within {_MAX_LIGHT_NUMBER:g}, got {entry!r}: '{path}'")
-        values.append(value)
-    return values
+    return Optics(base_rgb=base, leds=lights.leds, glows=lights.glows, **parse_numbers(Optics, s))

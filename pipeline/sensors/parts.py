@@ -3,7 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import MISSING, dataclass, field
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
+
+from msgspec import Meta
+
+LightNumber = Annotated[float, Meta(ge=-1000.0, le=1000.0)]  # degrees, half image sizes, or grey levels
+LobeWidth = Annotated[float, Meta(gt=0.0, le=1000.0)]
 
 
 class NumberRange(NamedTuple):
@@ -64,20 +69,20 @@ class DepthCamera:
 class Led:
     """An LED at the gel's edge: the direction it shines from, and its light."""
 
-    azimuth_deg: float  # 0 = from the right (+x), 90 = from below (+y), in the image
-    elevation_deg: float
-    rgb: tuple[float, float, float]  # grey levels added to a surface that faces it
+    azimuth_deg: LightNumber  # 0 = from the right (+x), 90 = from below (+y), in the image
+    elevation_deg: LightNumber
+    rgb: tuple[LightNumber, LightNumber, LightNumber]  # grey levels added to a surface that faces it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Glow:
     """A Gaussian lobe of colour in the reference image; lengths in half image sizes from the centre."""
 
-    x: float  # -1 = left edge, 1 = right edge
-    y: float  # -1 = top edge, 1 = bottom edge
-    width: float  # at which the lobe has fallen to 1/e
-    height: float
-    rgb: tuple[float, float, float]  # grey levels at its centre
+    x: LightNumber  # -1 = left edge, 1 = right edge
+    y: LightNumber  # -1 = top edge, 1 = bottom edge
+    width: LobeWidth  # at which the lobe has fallen to 1/e
+    height: LobeWidth
+    rgb: tuple[LightNumber, LightNumber, LightNumber]  # grey levels at its centre
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -11,39 +11,42 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, cast
+from typing import Annotated, Any, Literal
 
-from pipeline.base.errors import CalibrationError
+import msgspec
+from msgspec import Meta
+
 from pipeline.base.files import read_bytes
 from pipeline.base.memo import Memo
-from pipeline.base.units import UNIT_MM
+from pipeline.base.typed_data import FileName, convert
 from pipeline.engine.digests import compute_digest
 from pipeline.geometry.membrane import Membrane
+from pipeline.sensors.descriptions import DESCRIPTION
 
-_DEFAULT_STEP_MM, _MIN_STEP_MM, _MAX_STEP_MM = 0.5, 0.01, 10.0  # of the lattice
+
+class _RestMesh(msgspec.Struct, kw_only=True, frozen=True):
+    """[rest] with a mesh."""
+
+    kind: Literal["mesh"]
+    file: FileName
+    unit: Literal["mm", "cm", "m", "in", "inch"]
+    step: Annotated[float, Meta(ge=0.01, le=10.0)] = 0.5  # mm
+
+
 _membranes: Memo[tuple[Path, str, str, float], Membrane] = Memo(8)
 
 
 def load_rest_membrane(data: Mapping[str, Any], path: Path) -> Membrane | None:
     """The membrane of `[rest] kind = "mesh"`; None where the section gives numbers.
 
-    Raises CalibrationError for an invalid section, FileProblem or MeshProblem for its file.
+    Raises FileProblem for an invalid section or file, MeshProblem for the mesh in it.
     """
     section: Any = data.get("rest")
     if not isinstance(section, dict) or "kind" not in section:
         return None
-    rest = cast("dict[str, Any]", section)
-    if rest["kind"] != "mesh":
-        raise CalibrationError(f"rest.kind must be 'mesh' or left out, got {rest['kind']!r}: '{path}'")
-    file, unit, step_mm = rest.get("file"), rest.get("unit"), rest.get("step", _DEFAULT_STEP_MM)
-    if not isinstance(file, str) or unit not in UNIT_MM:
-        raise CalibrationError(f"rest.file must name a mesh and rest.unit its unit, {', '.join(UNIT_MM)}: '{path}'")
-    if not isinstance(step_mm, (int, float)) or not _MIN_STEP_MM <= step_mm <= _MAX_STEP_MM:
-        raise CalibrationError(
-            f"rest.step must lie within {_MIN_STEP_MM:g} and {_MAX_STEP_MM:g} mm, got {step_mm!r}: '{path}'"
-        )
+    rest = convert(section, _RestMesh, DESCRIPTION, path, within="rest")
     from pipeline.geometry.mesh_membrane import load_membrane
 
-    mesh, step = path.parent / file, float(step_mm)
-    key = (mesh, compute_digest(read_bytes(mesh, "the mesh")), str(unit), step)
-    return _membranes.get_or_make(key, lambda: load_membrane(mesh, str(unit), step))
+    mesh = path.parent / rest.file
+    key = (mesh, compute_digest(read_bytes(mesh, "the mesh")), rest.unit, rest.step)
+    return _membranes.get_or_make(key, lambda: load_membrane(mesh, rest.unit, rest.step))

@@ -5,11 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal, TypeVar, cast
+from typing import Annotated, Any, Literal, TypeVar
+
+import msgspec
+from msgspec import Meta
 
 from pipeline.base.errors import FileProblem, SettingProblem
 from pipeline.base.files import read_toml
 from pipeline.base.params import Value, list_settings, replace_value, setting
+from pipeline.base.typed_data import InvalidField, Name, check
 from pipeline.networks import weights_registry
 from pipeline.networks.weights import NoWeights, Weights
 from pipeline.training.hold_out import HOLD_OUT_HELP
@@ -22,6 +26,7 @@ OptimiserKind = Literal["adamw", "adam"]
 Schedule = Literal["cosine", "poly", "constant"]
 RECIPES_FOLDER = Path(__file__).parent / "recipes"
 _MARKED_KINDS = ("residual_denoiser", "latent")  # networks that can say that recorded pairs trained them
+_Factor = Annotated[float, Meta(ge=0.0, le=1e9)]
 P = TypeVar("P")
 
 
@@ -73,6 +78,17 @@ class _Data:
     pairs: str = setting("", "Pairs", help="file or folder of recorded pairs, which replace simulated ones")
     hold_out: str = setting("", "Held out", help=HOLD_OUT_HELP)
     share: float = setting(1.0, "Share", low=0.001, high=1.0, help="of the grasps to train on that is used")
+
+
+class _RecipeTables(msgspec.Struct, kw_only=True, frozen=True):
+    """The tables of a recipe's file; its other values are `TrainingSettings`."""
+
+    task: Name
+    network: dict[str, Any] = {}
+    optimiser: dict[str, Any] = {}
+    validation: dict[str, Any] = {}
+    settings: dict[str, Any] = {}
+    data: dict[str, Any] = {}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -137,7 +153,7 @@ def load_recipe(name: str, what: str = "", initial_weights: str = "") -> Recipe:
         recipe = _make_recipe(path.stem, data, path.parent)
         if what and TASKS[recipe.task].subcommand != what:
             raise SettingProblem(f"it trains {TASKS[recipe.task].subcommand}, not {what}")
-    except SettingProblem as error:
+    except (SettingProblem, InvalidField) as error:
         raise FileProblem(f"the recipe cannot be used: {error}", path) from error
     return recipe
 
@@ -147,13 +163,10 @@ def _get_path(name: str) -> Path:
 
 
 def _make_recipe(name: str, data: Mapping[str, Any], folder: Path) -> Recipe:
-    tables = {key: dict(_get_table(data, key)) for key in ("network", "optimiser", "validation", "settings", "data")}
-    top = {key: value for key, value in data.items() if key not in (*tables, "task", "name")}
-    task = data.get("task")
-    if not isinstance(task, str):
-        raise SettingProblem(f"it must name its task, one of {', '.join(TASKS)}")
-    settings = import_task_class(task)()
-    network = _check_plain(tables["network"])
+    tables = check(data, _RecipeTables)
+    top = {key: value for key, value in data.items() if key not in (*_RecipeTables.__struct_fields__, "name")}
+    settings = import_task_class(tables.task)()
+    network = _check_plain(tables.network)
     if not network:
         network = _read_network(str(data.get("initial_weights", "")))
         settings = _fill(
@@ -161,20 +174,14 @@ def _make_recipe(name: str, data: Mapping[str, Any], folder: Path) -> Recipe:
         )
     if not isinstance(network.get("kind"), str):
         raise SettingProblem("[network] must name its kind, or be left out for that of initial_weights")
-    factors = tables["optimiser"].pop("rate_factors", {})
-    valid = isinstance(factors, dict) and all(
-        isinstance(value, (int, float)) and value >= 0 for value in cast("dict[str, Any]", factors).values()
-    )
-    if not valid:
-        raise SettingProblem("[optimiser.rate_factors] must map prefixes of parameter names to factors")
-    recordings = _pop_recordings(tables["data"], folder)
-    values = _fill(_Data(), tables["data"], "[data] ")
+    factors = check(tables.optimiser.pop("rate_factors", {}), dict[str, _Factor], "optimiser.rate_factors")
+    recordings = _pop_recordings(tables.data, folder)
+    values = _fill(_Data(), tables.data, "[data] ")
     recipe = Recipe(
-        name=name, task=task, settings=_fill(settings, tables["settings"], "[settings] "),
+        name=name, task=tables.task, settings=_fill(settings, tables.settings, "[settings] "),
         network=network, training=_fill(TrainingSettings(), top, ""),
-        optimiser=_fill(Optimiser(), tables["optimiser"], "[optimiser] "),
-        rate_factors={key: float(value) for key, value in factors.items()},
-        validation=_fill(Validation(), tables["validation"], "[validation] "),
+        optimiser=_fill(Optimiser(), tables.optimiser, "[optimiser] "), rate_factors=factors,
+        validation=_fill(Validation(), tables.validation, "[validation] "),
         recordings=recordings, recorded_share=values.recorded_share,
     )  # fmt: skip
     if not values.pairs:
@@ -202,24 +209,14 @@ def load_initial_weights(name: str, kind: str = "") -> Weights:
 
 def _pop_recordings(table: dict[str, Any], folder: Path) -> tuple[RecordingSource, ...]:
     """Take [[data.recordings]] out of [data]; their paths are relative to the recipe's folder."""
-    listed = table.pop("recordings", [])
-    if not isinstance(listed, list) or not all(isinstance(one, dict) for one in cast("list[Any]", listed)):
-        raise SettingProblem("recordings must be tables, [[data.recordings]]")
     recordings: list[RecordingSource] = []
-    for one in cast("list[dict[str, Any]]", listed):
+    for one in check(table.pop("recordings", []), list[dict[str, Any]], "data.recordings"):
         recording = _fill(RecordingSource(), one, "[[data.recordings]] ")
         if not recording.path:
             raise SettingProblem("every one of [[data.recordings]] must name its path")
         paths = {"path": recording.path, "reference": recording.reference}
         recordings.append(replace(recording, **{key: str(folder / name) for key, name in paths.items() if name}))
     return tuple(recordings)
-
-
-def _get_table(data: Mapping[str, Any], key: str) -> Mapping[str, Any]:
-    table = data.get(key, {})
-    if not isinstance(table, dict):
-        raise SettingProblem(f"{key} must be a table, [{key}]")
-    return cast("dict[str, Any]", table)
 
 
 def _check_plain(table: Mapping[str, Any]) -> Mapping[str, Value]:

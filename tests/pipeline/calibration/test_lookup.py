@@ -97,13 +97,13 @@ def test_impossible_numbers_are_refused(mini, tmp_path, field, value):
     with np.load(path) as read:
         fields = dict(read)
     np.savez(path, **{**fields, field: value})
-    with pytest.raises(FileProblem, match="must be positive"):
+    with pytest.raises(FileProblem, match=field):
         calibration_file.load(path)
 
 
 def test_a_missing_field_is_named(tmp_path):
     np.savez(tmp_path / "half.npz", version=2)
-    with pytest.raises(FileProblem, match="lacks 'colour_degree'"):
+    with pytest.raises(FileProblem, match=r"it is missing.*; calibrate again"):
         calibration_file.load(tmp_path / "half.npz")
 
 

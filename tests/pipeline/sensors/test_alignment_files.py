@@ -47,13 +47,21 @@ def test_a_saved_alignment_is_loaded_as_written(tmp_path_factory, a, b, c, d):
 @pytest.mark.parametrize(
     ("old", "new", "problem"),
     [
-        ("[target_from_alignment]", "[somewhere]", "lacks the table [target_from_alignment]"),
-        ("translation_mm", "translation_m", "alignment_from_source.translation_mm must be three finite numbers"),
-        ("rotation_deg = [", "rotation_deg = [1.0, ", "alignment_from_source.rotation_deg must be three"),
-        ("rotation_deg = [0.0", "rotation_deg = [nan", "alignment_from_source.rotation_deg must be three finite"),
-        ("rotation_deg = [0.0", "rotation_deg = [true", "alignment_from_source.rotation_deg must be three"),
+        ("[target_from_alignment]", "[somewhere]", "target_from_alignment: it is missing"),
+        ("translation_mm", "translation_m", "alignment_from_source.translation_mm: it is missing"),
+        (
+            "rotation_deg = [",
+            "rotation_deg = [1.0, ",
+            "alignment_from_source.rotation_deg: expected a list of length 3",
+        ),
+        ("rotation_deg = [0.0", "rotation_deg = [nan", "alignment_from_source.rotation_deg[0]: expected a number"),
+        (
+            "rotation_deg = [0.0",
+            "rotation_deg = [true",
+            "alignment_from_source.rotation_deg[0]: expected a number, got true or false",
+        ),
         ('source = "gelslim"', 'source = "digit"', "has the source 'digit', not 'gelslim'; choose the file"),
-        ('source = "gelslim"', "source = 3", "source of the alignment must be a text"),
+        ('source = "gelslim"', "source = 3", "source: expected a text, got a whole number"),
         ("translation_mm = [", "translation_mm = ", "not valid TOML"),
     ],
 )
@@ -93,9 +101,8 @@ def test_a_path_that_cannot_be_written_is_named(tmp_path):
                                             ("translation_mm", "1" + "0" * 400), ("rotation_deg", "1e20"), ("rotation_deg", "true")])  # fmt: skip
 def test_an_alignment_of_a_kilometre_or_of_many_turns_is_refused(tmp_path, key, value):
     lines = [f"{key} = [0.0, {value}, 0.0]" if line.startswith(key) else line for line in GOOD.splitlines()]
-    with pytest.raises(FileProblem, match=f"{key} must be") as caught:
+    with pytest.raises(FileProblem, match=rf"{key}\[1\]: (expected|Number)"):
         load_alignment(written(tmp_path, "\n".join(lines)), source="gelslim", target="soft_bubble")
-    assert "[0.0" in str(caught.value)
 
 
 @pytest.mark.parametrize("origin", ["a\x1b[31m", "b\x7f", "c\udcff.h5", "d\n[x]", 'e"\\', "\U0001f600"])

@@ -7,9 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pipeline.base.typed_data import InvalidField, check
 from pipeline.geometry import rigid
 from pipeline.sensors.alignment import resolve_alignment
-from pipeline.sensors.offsets import Offsets, decompose_motion, parse_offsets
+from pipeline.sensors.offsets import Offsets, decompose_motion
 from pipeline.sensors.spec import load_sensor
 
 ROUNDING_MM = 1e-9  # points within 300 mm, double precision
@@ -54,9 +55,9 @@ def test_a_motion_is_decomposed_about_the_given_pivot():
 
 @pytest.mark.parametrize(
     "plain",
-    [None, {}, {"translation_mm": [1, 2]}, {"translation_mm": [1, 2, "3"], "rotation_deg": [0] * 3, "pivot_mm": [0] * 3},
+    [None, {"translation_mm": [1, 2]}, {"translation_mm": [1, 2, "3"], "rotation_deg": [0] * 3, "pivot_mm": [0] * 3},
      {"translation_mm": [1, 2, float("nan")], "rotation_deg": [0] * 3, "pivot_mm": [0] * 3}],
 )  # fmt: skip
 def test_invalid_offsets_are_refused(plain):
-    with pytest.raises(ValueError, match="must be"):
-        parse_offsets(plain)
+    with pytest.raises(InvalidField, match="expected"):
+        check(plain, Offsets)

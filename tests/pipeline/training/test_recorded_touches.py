@@ -112,7 +112,7 @@ def test_paths_of_recordings_are_relative_to_the_recipe(tmp_path):
     for old, new, sentence in (
         ('path = "a/b.h5"', "", r"must name its path"), ("sensor", "sensr", r"\[\[data.recordings\]\] no parameter"),
         ("recorded_share = 0.4", "recorded_shar = 0.4", r"\[data\] no parameter 'recorded_shar'"), ("recorded_share = 0.4", "recorded_share = 4", "share must lie"),
-        ("[[data.recordings]]", "[data.recordings]", "must be tables"),
+        ("[[data.recordings]]", "[data.recordings]", "data.recordings: expected a list, got a table"),
     ):  # fmt: skip
         (tmp_path / "r.toml").write_text(text.replace(old, new))
         with pytest.raises(FileProblem, match=sentence):
