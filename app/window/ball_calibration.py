@@ -82,7 +82,7 @@ def calibrate_recording(opened: Translation, diameter_mm: float, path: Path, rep
 
     frames = [opened.stream.frame(i) for i in range(opened.n_frames)]
     reference = frames[0].reference
-    if opened.source.kind != "gel" or reference is None:
+    if opened.source.optics is None or reference is None:
         raise SettingProblem(
             f"a calibration by a ball needs frames of a gel and a reference image; the source is {opened.source.title}"
         )

@@ -15,10 +15,9 @@ from pipeline.base.errors import SettingProblem
 from pipeline.engine.graph import Method
 from pipeline.evaluation.held_out import PressRecordings
 from pipeline.evaluation.published_results import PAPER_MODELS
-from pipeline.networks.square_images import compute_change
 from pipeline.networks.weights import NoWeights
 from pipeline.recordings import open_recording
-from pipeline.sensors.spec import SensorSpec
+from pipeline.sensors.spec import SensorSpec, load_sensor
 from pipeline.translation.catalogue import BUILT_IN, Catalogue
 
 RECORDED, NO_CONTACT, MEAN_TOUCH = "recorded", "no_contact", "mean"
@@ -89,7 +88,7 @@ def check_candidate_names(names: Sequence[str], catalogue: Catalogue = BUILT_IN)
 @lru_cache(maxsize=8)
 def compute_mean_change(recordings: tuple[PressRecordings, ...], target: str) -> Floats:
     """Mean change from the reference (rows, cols, channels) of a sensor's frames over recordings of other touches."""
-    total, count = None, 0
+    total, count, kind = None, 0, load_sensor(target).sensor_kind
     for of in recordings:
         recording = open_recording(of.target)
         try:
@@ -97,9 +96,7 @@ def compute_mean_change(recordings: tuple[PressRecordings, ...], target: str) ->
             for index in of.frames or range(stream.n_frames):
                 frame = stream.frame(index)
                 assert frame.reference is not None
-                one = compute_change("bubble" if frame.is_depth else "gel", frame.image, frame.reference).astype(
-                    np.float64
-                )
+                one = kind.compute_relative_change(frame.image, frame.reference).astype(np.float64)
                 total, count = one if total is None else total + one, count + 1
         finally:
             recording.close()

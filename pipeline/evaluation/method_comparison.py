@@ -145,4 +145,5 @@ def _read_recorded_touch(translation: Translation, frame: int) -> RecordedTouch 
         return None
     truth = observed[1]
     is_known = truth is not None and truth.indentation_mm is not None and truth.contact is not None
-    return build_recorded_touch(*observed) if is_known else build_without_truth(observed[0])
+    target = translation.target
+    return build_recorded_touch(*observed, target) if is_known else build_without_truth(observed[0], target)

@@ -15,7 +15,6 @@ import numpy as np
 
 from pipeline.base.arrays import Doubles, Floats, Mask
 from pipeline.base.errors import SettingProblem
-from pipeline.networks.square_images import compute_change
 from pipeline.sensors.spec import SensorSpec
 from pipeline.values.frames import TactileFrame, Truth
 from pipeline.values.results import GeneratedTouch
@@ -25,7 +24,7 @@ REGIONS: Mapping[Region, str] = {
     "all": "the whole image", "contact": "true contact",
     "visible": "visible to the source", "outside": "outside the source's view",
 }  # fmt: skip
-GREY_PEAK, BUBBLE_PEAK_MM = 255.0, 22.5  # peak values of PSNR and SSIM; the bubble's is the published one
+GREY_PEAK = 255.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,17 +36,13 @@ class RecordedTouch:
     reference: Doubles | None  # reference image of a gel (rows, cols, 3) in grey levels
     indentation_mm: Floats
     contact: Mask
-    kind: str
-
-    @property
-    def peak_value(self) -> float:
-        """Peak value of an image, for PSNR and SSIM."""
-        return GREY_PEAK if self.kind == "gel" else BUBBLE_PEAK_MM
+    is_depth: bool
+    peak_value: float  # of an image, for PSNR and SSIM
 
     @property
     def noise_free_change(self) -> Floats:
         """The change without depth camera noise; a gel's as recorded, with a noise of 1 to 2 grey levels."""
-        return self.change if self.kind == "gel" else self.indentation_mm[..., None]
+        return self.indentation_mm[..., None] if self.is_depth else self.change
 
     def compute_region_masks(self, known: Mask) -> dict[Region, Mask]:
         """Masks (rows, cols) of the regions that are not empty; `known` is what is visible to the source."""
@@ -62,29 +57,28 @@ class RecordedTouch:
         return np.clip(self.reference + GREY_PEAK * changed.astype(np.float64), 0.0, GREY_PEAK)
 
 
-def build_recorded_touch(frame: TactileFrame, truth: Truth | None) -> RecordedTouch:
+def build_recorded_touch(frame: TactileFrame, truth: Truth | None, sensor: SensorSpec) -> RecordedTouch:
     """Recorded touch with ground truth; raises SettingProblem without reference or ground truth."""
     if truth is None or truth.indentation_mm is None or truth.contact is None or frame.reference is None:
         raise SettingProblem(f"frame {frame.index} has no reference or no ground truth and cannot be scored")
-    return replace(build_without_truth(frame), indentation_mm=truth.indentation_mm, contact=truth.contact)
+    return replace(build_without_truth(frame, sensor), indentation_mm=truth.indentation_mm, contact=truth.contact)
 
 
-def build_without_truth(frame: TactileFrame) -> RecordedTouch:
+def build_without_truth(frame: TactileFrame, sensor: SensorSpec) -> RecordedTouch:
     """Recorded touch without ground truth: indentation NaN, no contact. Raises SettingProblem without reference."""
     if frame.reference is None:
         raise SettingProblem(f"frame {frame.index} has no reference to compare with; give --reference")
-    kind = "bubble" if frame.is_depth else "gel"
-    change = compute_change(kind, frame.image, frame.reference)
+    change = sensor.sensor_kind.compute_relative_change(frame.image, frame.reference)
     reference = None if frame.is_depth else frame.reference.astype(np.float64)
     image = change.astype(np.float64) if reference is None else frame.image.astype(np.float64)
     shape = frame.image.shape[:2]
     return RecordedTouch(
         change=change, image=image, reference=reference, indentation_mm=np.full(shape, np.nan, np.float32),
-        contact=np.zeros(shape, np.bool_), kind=kind,
+        contact=np.zeros(shape, np.bool_), is_depth=frame.is_depth,
+        peak_value=sensor.sensor_kind.peak_change,
     )  # fmt: skip
 
 
 def compute_generated_change(touch: GeneratedTouch, target: SensorSpec) -> Floats:
     """Change (rows, cols, channels) of a generated touch from the described instance's reference."""
-    kind = "bubble" if target.sensor_kind.is_depth else "gel"
-    return compute_change(kind, touch.image, target.render_reference())
+    return target.sensor_kind.compute_relative_change(touch.image, target.render_reference())

@@ -52,10 +52,10 @@ def compute_touch_metrics(
     values: dict[tuple[str, Region], float] = {}
     image, exact = true.render_image(made), true.render_image(true.noise_free_change)
     ssim_map = compute_similarity_map(image, true.image, true.peak_value)
-    ssim_map_exact = ssim_map if true.kind == "gel" else compute_similarity_map(image, exact, true.peak_value)
+    ssim_map_exact = compute_similarity_map(image, exact, true.peak_value) if true.is_depth else ssim_map
     inner = np.zeros(true.contact.shape, np.bool_)
     inner[BORDER_PX:-BORDER_PX, BORDER_PX:-BORDER_PX] = True
-    membrane = made[..., 0] if true.kind == "bubble" else None if touch_depth is None else touch_depth.indentation_mm
+    membrane = made[..., 0] if true.is_depth else None if touch_depth is None else touch_depth.indentation_mm
     for region, where in regions.items():
         metrics = {
             "squared": _mean_square(image - true.image, where),

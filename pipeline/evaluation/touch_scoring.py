@@ -209,10 +209,11 @@ class _TouchScorer:
 
     def _read_recorded_touch(self, frame: TactileFrame, truth: Truth | None) -> RecordedTouch:
         """The recorded touch with its truth, or with the depth of its own frame where no truth is recorded."""
+        target = self._translation.target
         if truth is not None and truth.indentation_mm is not None:
-            return build_recorded_touch(frame, replace(truth, contact=derive_contact(truth, self._translation.target)))
+            return build_recorded_touch(frame, replace(truth, contact=derive_contact(truth, target)), target)
         depth = self._estimate_target_depth()
-        recorded = build_without_truth(frame)
+        recorded = build_without_truth(frame, target)
         if recorded.contact.shape != depth.contact.shape:
             raise SettingProblem(
                 f"frame {frame.index} of {frame.sensor} has {recorded.contact.shape} pixels, but "

@@ -1,30 +1,17 @@
 """Input format of the paper's end-to-end networks: the change of a frame, resized to a square.
 
-A gel's change is that of its image in shares of full brightness; a bubble's is the displacement of its membrane toward
-the camera. Both are normalised by the published mean and standard deviation of the paper's sensors.
+The change is that of `SensorKind.compute_relative_change`: of a gel's image in shares of full brightness, or the
+displacement of a bubble's membrane toward the camera. It is normalised by the published mean and standard deviation.
 """
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.base.arrays import Floats, freeze
+from pipeline.networks.touch_formats import get_touch_format
 
 SIDE = 128
-CHANNELS: dict[str, int] = {"gel": 3, "bubble": 1}
-MEANS: dict[str, tuple[float, ...]] = {"gel": (-0.0082, -0.0059, -0.0066), "bubble": (3.82,)}  # bubble in mm
-STDS: dict[str, tuple[float, ...]] = {"gel": (0.0989, 0.0746, 0.0731), "bubble": (4.24,)}
-
-
-def compute_change(kind: str, image: NDArray[Any], reference: NDArray[Any]) -> Floats:
-    """(rows, cols, channels): brightness change in -1..1 of a gel, imprint in mm of a bubble; 0 if not measured."""
-    if kind == "gel":
-        return (image.astype(np.float32) - reference.astype(np.float32)) / np.float32(255.0)
-    imprint_mm = np.asarray(reference, np.float32) - np.asarray(image, np.float32)
-    return np.nan_to_num(imprint_mm, nan=0.0, posinf=0.0, neginf=0.0)[..., None]
 
 
 def resize_to_square(changed: Floats, side: int = SIDE) -> Floats:
@@ -60,19 +47,17 @@ def denormalise(normalised: Floats, kind: str) -> Floats:
 
 
 def _get_statistics(kind: str) -> tuple[Floats, Floats]:
-    mean, std = (np.asarray(v[kind], np.float32)[:, None, None] for v in (MEANS, STDS))
+    known = get_touch_format(kind)
+    mean, std = (np.asarray(v, np.float32)[:, None, None] for v in (known.means, known.stds))
     return mean, std
-
-
-# Imprint range of the paper's bubble that latent diffusion maps to -1..1.
-MIN_IMPRINT_MM, MAX_IMPRINT_MM = -11.6, 22.5
 
 
 def encode_image(square_change: Floats, kind: str) -> Floats:
     """Three channels in -1..1 for latent diffusion; an imprint is repeated in all channels."""
-    if kind == "gel":
+    mapped = get_touch_format(kind).image_range
+    if mapped is None:
         return np.clip(square_change, -1.0, 1.0).astype(np.float32)
-    share = (square_change - MIN_IMPRINT_MM) / (MAX_IMPRINT_MM - MIN_IMPRINT_MM)
+    share = (square_change - mapped[0]) / (mapped[1] - mapped[0])
     return np.repeat(np.clip(2.0 * share - 1.0, -1.0, 1.0).astype(np.float32), 3, axis=-3)
 
 
@@ -82,9 +67,10 @@ def decode_image(encoded: Floats, kind: str, *, map_twice: bool = False) -> Floa
     `map_twice` reproduces the released scripts, which map -1..1 to 0..1 twice: every imprint then lies in the upper
     half of the range.
     """
-    if kind == "gel":
+    mapped = get_touch_format(kind).image_range
+    if mapped is None:
         return encoded
     share = 0.5 * (np.clip(encoded, -1.0, 1.0).mean(axis=-3, keepdims=True) + 1.0)
     if map_twice:
         share = 0.5 * (share + 1.0)
-    return (MIN_IMPRINT_MM + share * (MAX_IMPRINT_MM - MIN_IMPRINT_MM)).astype(np.float32)
+    return (mapped[0] + share * (mapped[1] - mapped[0])).astype(np.float32)

@@ -33,6 +33,7 @@ class SensorKind:
     is_depth: bool  # frames are depth images (rows, cols) float32 mm; else RGB images (rows, cols, 3) uint8
     change_sign: float  # 1: change is image - reference; -1: reference - image, an imprint
     full_change: float  # change that networks see as 1: 255 grey levels, or 1 mm
+    peak_change: float  # largest change of an image, in grey levels or mm, for PSNR and SSIM
     display_group: DisplayGroup  # display settings and scales that apply
     still_change: float  # grey levels or mm that the mean of a block may change without contact
     drift_change: float | None  # mm by which a block's mean may drift; None = `limits.no_contact_change` of the sensor
@@ -42,9 +43,12 @@ class SensorKind:
     image_checker: str  # (image) -> what is wrong with it as a clause, "" = nothing
     contact_checker: str  # (image, reference, limit) -> notes of a frame without contact, None = there may be contact
     depth_estimator: str  # (frame, SensorSpec, Calibration | None, DepthParams, Progress) -> DepthMap
+    depth_task: str = ""  # of the weights of depth by network; "" = no network estimates it
+    depth_network: str = ""  # (frame, SensorSpec, Calibration | None, network, NetworkParams, Progress) -> DepthMap
     touch_renderer: str = ""  # of the physical render; "" = the kind cannot be a target of it
     press_simulator: str = ""  # of the simulator; "" = the kind is not simulated
     image_simulator: str = ""
+    touch_format: str = ""  # `networks.touch_formats.TouchFormat`; "" = networks of touches do not know the kind
 
     @property
     def change_unit(self) -> str:
@@ -77,6 +81,11 @@ class SensorKind:
     def compute_change(self, image: NDArray[Any], reference: NDArray[Any]) -> Floats:
         """The change float32 by contact, of the images' shape, in grey levels or mm (positive = pressed in)."""
         return np.float32(self.change_sign) * (image.astype(np.float32) - reference.astype(np.float32))
+
+    def compute_relative_change(self, image: NDArray[Any], reference: NDArray[Any]) -> Floats:
+        """The change (rows, cols, channels) as networks see it, in units of `full_change`; 0 if not measured."""
+        share = self.compute_change(image, reference) / np.float32(self.full_change)
+        return np.nan_to_num(np.atleast_3d(share), nan=0.0, posinf=0.0, neginf=0.0)
 
     def apply_change(self, reference: NDArray[Any], change: NDArray[Any]) -> NDArray[Any]:
         """The image of this change; inverse of `compute_change`."""

@@ -14,15 +14,15 @@ import numpy as np
 
 from pipeline.base.arrays import Floats
 from pipeline.base.errors import SettingProblem
-from pipeline.networks.square_images import compute_change, resize_to_square
-from pipeline.physics import optics
+from pipeline.networks.square_images import resize_to_square
 from pipeline.sensors.alignment import resolve_alignment
 from pipeline.sensors.spec import SensorSpec, load_sensor
+from pipeline.simulation.press import render_sensor_image
 from pipeline.stages.touch.depth_condition import build_depth_square, make_working_sensor
 from pipeline.stages.touch.latent_diffusion import build_image_square
 from pipeline.training.object_sampling import DataSplit
 from pipeline.training.target_touches import simulate_target_touch
-from pipeline.training.touch_pairs import TouchPair, mirror_pair, place_nominal_sensors, simulate_touch_pair
+from pipeline.training.touch_pairs import BUBBLE, TouchPair, mirror_pair, place_nominal_sensors, simulate_touch_pair
 
 _MAX_EMPTY = 100  # touches in a row without contact
 _NOISE_MM, _GRAIN_PX = 0.4, 0.8  # of one depth frame of a bubble
@@ -63,7 +63,7 @@ class SquareRequest:
     def _make_pair_example(
         self, split: DataSplit, seed: int, index: int, rng: np.random.Generator, augmented: bool
     ) -> tuple[Floats, Floats]:
-        onto_bubble = load_sensor(self.target).kind == "bubble"
+        onto_bubble = self.target == BUBBLE
 
         def find(k: int) -> TouchPair | None:
             return simulate_touch_pair(split, seed, k, self.folder, bubble_alone=not onto_bubble)
@@ -82,10 +82,9 @@ class SquareRequest:
         return condition, self._render_target(target, target_mm)
 
     def _render_target(self, sensor: SensorSpec, indentation_mm: Floats) -> Floats:
-        if sensor.kind == "bubble":
-            return resize_to_square(indentation_mm[..., None], self.side)
-        image = optics.render(sensor, indentation_mm, seed=None)
-        return resize_to_square(compute_change("gel", image, optics.render_reference(sensor)), self.side)
+        image = render_sensor_image(sensor, indentation_mm, sensor.rest_depth_mm - indentation_mm, None)
+        change = sensor.sensor_kind.compute_relative_change(image, sensor.render_reference())
+        return resize_to_square(change, self.side)
 
 
 def sample_depth_noise(rng: np.random.Generator, shape: tuple[int, ...]) -> Floats:

@@ -17,6 +17,7 @@ import numpy as np
 
 from pipeline.base.params import setting
 from pipeline.networks.samplers import make_sigma_schedule, sample
+from pipeline.networks.touch_formats import get_touch_format
 from pipeline.sensors.spec import load_sensor
 from pipeline.stages.touch.confidence_weighting import compute_wiener_gain
 from pipeline.stages.touch.residual_diffusion import LOG_ERROR_RANGE
@@ -34,7 +35,6 @@ _HUBER = 0.25  # in units of the residual
 _CONTACT_TERM, _UNCERTAINTY_TERM = 0.5, 0.05  # weights in the loss
 _N_SAMPLE_STEPS = 6  # of the samples in the metrics
 TargetSensor = Literal["soft_bubble", "gelslim"]
-RESIDUAL_SCALE_MM = {"bubble": 3.0, "gel": 0.2}  # unit of the residual: about its standard deviation where it is large
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,7 +61,7 @@ class DenoisingTask:
 
     def evaluate(self, network: nn.Module, held_out: Sequence[Example]) -> dict[str, float]:
         """See `evaluate_denoiser`; the baseline of touch to touch is the untouched target."""
-        return evaluate_denoiser(network, held_out, RESIDUAL_SCALE_MM[self.kind])
+        return evaluate_denoiser(network, held_out, get_touch_format(self.kind).residual_unit_mm)
 
 
 def compute_denoising_loss(

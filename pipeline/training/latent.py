@@ -20,6 +20,7 @@ from pipeline.base.params import setting
 from pipeline.networks import network_factory
 from pipeline.networks.square_images import SIDE, decode_image, encode_image
 from pipeline.networks.weights import load_weights
+from pipeline.sensors.kinds import get_kind
 from pipeline.sensors.spec import load_sensor
 from pipeline.stages.touch.latent_diffusion import build_image_square
 from pipeline.training.condition_squares import SquareRequest
@@ -34,7 +35,6 @@ from pipeline.training.task import (
     seed_setting,
 )
 from pipeline.training.touch_squares import list_pair_sensors, read_square_pair
-from pipeline.training.vqvae import METRIC_UNITS
 
 if TYPE_CHECKING:
     from torch import Tensor, nn
@@ -98,7 +98,7 @@ class LatentTask:
         """Names of source and target; raises SettingProblem where the target's depth is the condition."""
         if self.condition == "depth":
             raise SettingProblem("touch to depth to touch trains on the target's touches alone, not on pairs")
-        return list_pair_sensors(self.kind)
+        return list_pair_sensors(self.target)
 
     def prepare_pair(self, pair: RecordedPair) -> Example:
         """Condition and target image of a recorded touch."""
@@ -147,18 +147,17 @@ class LatentTask:
         """Mean absolute errors of the autoencoder's reconstruction and of the predicted noise."""
         import torch
 
-        kind = self.kind
-        unit, factor = METRIC_UNITS[kind]
+        kind = get_kind(self.kind)
         rows: list[tuple[float, float]] = []
         for example in held_out:
             batch = {name: torch.from_numpy(np.array(a)[None]) for name, a in example.items()}
             time, noises = batch["time"][:, 0].long(), batch["noises"].transpose(0, 1)
             with torch.inference_mode():
                 output = network(batch["target"], batch["source"], time, torch.ones(1), noises)
-            images = (decode_image(a, kind) for a in (output.reconstruction[0].numpy(), example["target"]))
-            reconstruction = factor * float(np.abs(np.subtract(*images)).mean())
+            images = (decode_image(a, kind.key) for a in (output.reconstruction[0].numpy(), example["target"]))
+            reconstruction = kind.full_change * float(np.abs(np.subtract(*images)).mean())
             rows.append((reconstruction, float((output.predicted_noise - output.true_noise).abs().mean())))
-        names = (f"reconstruction error, {unit}", "noise error")
+        names = (f"reconstruction error, {kind.change_unit}", "noise error")
         return dict(zip(names, np.mean(rows, axis=0).tolist(), strict=True))
 
 

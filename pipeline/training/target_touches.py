@@ -97,7 +97,7 @@ def make_target_depth(target: SensorSpec, observation: SourceObservation) -> Tar
 def _vary_instance(nominal: SensorSpec, split: DataSplit, rng: np.random.Generator) -> SensorSpec:
     """Another sensor instance; a bubble comes as close to the object as in the data sets, or nearly so."""
     instance = variation.vary_sensor(nominal, int(rng.integers(1 << 31)), 1.0)
-    if instance.kind != "bubble":
+    if instance.bubble is None:
         return instance
     as_recorded = split != "training" or rng.random() < _AS_RECORDED_SHARE
     return move_bubble_closer(instance, BUBBLE_DEEPER_MM if as_recorded else rng.uniform(*DEEPER_MM))

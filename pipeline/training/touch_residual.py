@@ -9,8 +9,9 @@ import numpy as np
 
 from pipeline.base.arrays import Floats
 from pipeline.base.errors import SettingProblem
+from pipeline.networks.touch_formats import get_touch_format
 from pipeline.stages.touch.depth_condition import build_depth_condition
-from pipeline.training.denoising import RESIDUAL_SCALE_MM, DenoisingTask
+from pipeline.training.denoising import DenoisingTask
 from pipeline.training.object_sampling import DataSplit
 from pipeline.training.target_touches import TargetTouchSample, simulate_target_touch
 from pipeline.training.task import (
@@ -75,11 +76,13 @@ def make_residual_example(condition: Floats, residual_mm: Floats, contact: Any, 
     """Condition, residual and contact of a denoiser.
 
     contact: where the target has contact; baseline: where the physical render has. The residual (2, rows, cols) is that
-    of indentation, in units of `RESIDUAL_SCALE_MM`, and that of contact.
+    of indentation, in units of `TouchFormat.residual_unit_mm`, and that of contact.
     """
     true, physical = contact.astype(np.float32), baseline.astype(np.float32)
     return {
         "condition": np.ascontiguousarray(condition),
-        "residual": np.stack([residual_mm / np.float32(RESIDUAL_SCALE_MM[kind]), true - physical]).astype(np.float32),
+        "residual": np.stack(
+            [residual_mm / np.float32(get_touch_format(kind).residual_unit_mm), true - physical]
+        ).astype(np.float32),
         "contact": np.stack([true, physical]),
     }

@@ -14,7 +14,7 @@ import numpy as np
 
 from pipeline.base.arrays import Doubles, Floats, freeze
 from pipeline.base.errors import SettingProblem
-from pipeline.networks.square_images import SIDE, compute_change, resize_to_square
+from pipeline.networks.square_images import SIDE, resize_to_square
 from pipeline.sensors.spec import SensorSpec, load_sensor
 from pipeline.simulation import poses, variation
 from pipeline.simulation.datasets import BUBBLE_DEEPER_MM
@@ -81,13 +81,13 @@ def read_square_pair(pair: RecordedPair, side: int = SIDE) -> SquarePair:
     changes: list[Floats] = []
     for frame, sensor in ((pair.source_frame, pair.source), (pair.target_frame, pair.target)):
         reference = sensor.render_reference() if frame.reference is None else frame.reference
-        changes.append(resize_to_square(compute_change(sensor.kind, frame.image, reference), side))
+        changes.append(resize_to_square(sensor.sensor_kind.compute_relative_change(frame.image, reference), side))
     return SquarePair(changes[0], pair.source.kind, changes[1], pair.target.kind)
 
 
-def list_pair_sensors(target_kind: str) -> tuple[str, str]:
+def list_pair_sensors(target: str) -> tuple[str, str]:
     """Names of source and target."""
-    return (GEL, BUBBLE) if target_kind == "bubble" else (BUBBLE, GEL)
+    return (GEL, BUBBLE) if target == BUBBLE else (BUBBLE, GEL)
 
 
 def _simulate_squares(split: DataSplit, seed: int, index: int) -> TouchSquares:
@@ -99,7 +99,7 @@ def _simulate_squares(split: DataSplit, seed: int, index: int) -> TouchSquares:
     has_contact, squares = True, list[Floats]()
     for instance in instances:
         seeds = [int(s) for s in rng.integers(1 << 31, size=2)]
-        is_gel = instance.kind == "gel"
+        is_gel = instance.gel is not None
         solved = instance.with_camera(instance.camera.scale(1.0 / _GEL_DOWNSAMPLING)) if is_gel else instance
         press = simulate_press(mesh, pose, solved, seed=None)
         has_contact &= press.converged and bool(press.contact.any())
@@ -107,7 +107,7 @@ def _simulate_squares(split: DataSplit, seed: int, index: int) -> TouchSquares:
         for sensor in (instance, nominal[0]) if is_gel else (instance,):
             image = render_sensor_image(sensor, indentation, sensor.rest_depth_mm - indentation, seeds[0])
             reference = render_sensor_image(sensor, np.zeros_like(indentation), sensor.rest_depth_mm, seeds[1])
-            squares.append(resize_to_square(compute_change(sensor.kind, image, reference)))
+            squares.append(resize_to_square(sensor.sensor_kind.compute_relative_change(image, reference)))
         if not is_gel:
             squares.append(resize_to_square(indentation[..., None]))
     if not has_contact:

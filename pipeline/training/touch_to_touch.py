@@ -23,6 +23,8 @@ from pipeline.training.task import (
     seed_setting,
 )
 from pipeline.training.touch_pairs import (
+    BUBBLE,
+    GEL,
     TouchPair,
     mirror_pair,
     place_nominal_sensors,
@@ -49,7 +51,7 @@ class TouchToTouchTask(DenoisingTask):
     def sample(self, rng: np.random.Generator) -> Example:
         """A pair, augmented in a share of the examples; a gel's image is rendered anew, as its LEDs are asymmetric."""
         pair = self._get_pair("training", self.press_seed, int(rng.integers(self.n_presses)))
-        if self.kind == "gel":
+        if self.target == GEL:
             return flip_example(self._make_example(pair, rng), rng, self.augmentation_share)
         return self._make_example(mirror_pair(pair, rng) if rng.random() < self.augmentation_share else pair, rng)
 
@@ -60,7 +62,7 @@ class TouchToTouchTask(DenoisingTask):
     @property
     def pair_sensors(self) -> tuple[str, str]:
         """Names of source and target."""
-        return list_pair_sensors(self.kind)
+        return list_pair_sensors(self.target)
 
     def prepare_pair(self, pair: RecordedPair) -> ConditionedTouch | None:
         """Condition and true touch of a recorded pair."""
@@ -84,7 +86,7 @@ class TouchToTouchTask(DenoisingTask):
 
     def _make_example(self, pair: TouchPair, rng: np.random.Generator) -> Example:
         gel, bubble = place_nominal_sensors(float(pair.deeper_mm[0]))
-        if self.kind == "bubble":
+        if self.target == BUBBLE:
             change = pair.change_grey + rng.normal(0.0, 1.0, pair.change_grey.shape).astype(np.float32)
             source, target, truth, contact = gel, bubble, pair.bubble_mm, pair.bubble_contact
         else:

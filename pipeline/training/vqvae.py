@@ -13,10 +13,12 @@ from pipeline.base.errors import SettingProblem
 from pipeline.base.params import setting
 from pipeline.networks.square_images import denormalise, normalise
 from pipeline.sensors import alignment
+from pipeline.sensors.spec import load_sensor
 from pipeline.stages.touch.image_condition import reproject_square
 from pipeline.training.distributed import unwrap_network
 from pipeline.training.recorded_pairs import RecordedPair
 from pipeline.training.task import VALIDATION_SEED, folder_setting, presses_setting, seed_setting
+from pipeline.training.touch_pairs import BUBBLE, GEL
 from pipeline.training.touch_squares import (
     Direction,
     SquarePair,
@@ -32,7 +34,6 @@ if TYPE_CHECKING:
     from pipeline.training.task import Example, Split
 
 _TOUCHED_SHARE = 0.05  # of the largest change: larger changes count as touched
-METRIC_UNITS: dict[str, tuple[str, float]] = {"gel": ("grey", 255.0), "bubble": ("mm", 1.0)}  # unit, factor
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,7 +66,7 @@ class VqVaeTask:
     @property
     def pair_sensors(self) -> tuple[str, str]:
         """Names of source and target."""
-        return list_pair_sensors("bubble" if self.direction == "gel_to_bubble" else "gel")
+        return list_pair_sensors(BUBBLE if self.direction == "gel_to_bubble" else GEL)
 
     def prepare_pair(self, pair: RecordedPair) -> SquarePair:
         """Both changes as squares."""
@@ -99,18 +100,17 @@ class VqVaeTask:
         """Mean absolute error over all, and where the touch changes the target."""
         import torch
 
-        kind: str = "bubble" if self.direction == "gel_to_bubble" else "gel"
-        unit, factor = METRIC_UNITS[kind]
+        kind = load_sensor(self.pair_sensors[1]).sensor_kind
         rows: list[tuple[float, float]] = []
         for example in held_out:
             with torch.inference_mode():
                 generated = network(torch.from_numpy(np.array(example["source"]))[None]).generated[0].numpy()
-            truth = denormalise(example["target"], kind)
-            error, size = np.abs(denormalise(generated, kind) - truth), np.abs(truth)
+            truth = denormalise(example["target"], kind.key)
+            error, size = np.abs(denormalise(generated, kind.key) - truth), np.abs(truth)
             touched = size > _TOUCHED_SHARE * size.max()
-            rows.append((factor * float(error.mean()), factor * float(error[touched].mean())))
-        names = (f"error, {unit}", f"error where touched, {unit}")
-        return dict(zip(names, np.mean(rows, axis=0).tolist(), strict=True))
+            rows.append((float(error.mean()), float(error[touched].mean())))
+        names = (f"error, {kind.change_unit}", f"error where touched, {kind.change_unit}")
+        return dict(zip(names, (kind.full_change * np.mean(rows, axis=0)).tolist(), strict=True))
 
     def _make_example(self, pair: SquarePair) -> Example:
         if self.reprojects_input:

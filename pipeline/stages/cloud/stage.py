@@ -66,7 +66,10 @@ def _trace_point(cloud: Cloud, before: ProbePoint) -> ProbePoint:
 
 
 def _make_scale(context: PreviewContext) -> ColourScale:
-    limit, setting = context.display.get_limit_mm(context.target), f"{context.target.kind}_limit_mm"
+    limit, setting = (
+        context.display.get_limit_mm(context.target),
+        f"{context.target.sensor_kind.display_group}_limit_mm",
+    )
     return ColourScale(
         colour_map="diverging", low=-limit, high=limit, unit="mm", quantity="past rest surface, + toward camera",
         low_setting=setting, high_setting=setting,

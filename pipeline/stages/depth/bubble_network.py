@@ -8,17 +8,21 @@ sensor would touch. It works on pixels of about `WORKING_PIXEL_MM`; other depth 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
 from pipeline.base.arrays import Floats, Mask, freeze
 from pipeline.base.errors import ShapeError
+from pipeline.base.progress import Progress
 from pipeline.base.stage_warnings import AT_BORDER
+from pipeline.calibration.calibration_table import Calibration
 from pipeline.sensors.spec import SensorSpec
-from pipeline.stages.depth import contact
+from pipeline.stages.depth import contact, photometric
 from pipeline.stages.depth.bubble_depth import compute_displacement
 from pipeline.stages.depth.bubble_network_input import WORKING_PIXEL_MM, estimate_rest_surface, make_network_input
 from pipeline.stages.depth.bubble_network_output import BubblePrediction, decode_prediction
+from pipeline.stages.depth.gel_network import NetworkParams
 from pipeline.values.frames import TactileFrame
 from pipeline.values.pixel_index import make_pixel_index
 from pipeline.values.results import DepthMap
@@ -28,6 +32,22 @@ _SCALE_TOLERANCE = 1.4  # pixels up to this factor finer or coarser than `WORKIN
 _ISLAND_MM2 = 2.0  # smaller contacts are noise
 _HALF = 0.5
 _IN_VIEW_MIN = 0.6  # probability above which the object's surface is stated; 0.5 fills rings, 0.7 loses faint touches
+
+
+def estimate_frame(
+    frame: TactileFrame,
+    source: SensorSpec,
+    _calibration: Calibration | None,
+    network: BubbleNetwork,
+    params: NetworkParams,
+    _progress: Progress,
+) -> DepthMap:
+    """The depth of a frame with the physical estimate's error in contact; raises ShapeError for an invalid frame."""
+    photometric.check_frame(frame, source)  # a draft is the full result: fewer pixels are no faster here
+    seen_by = photometric.see_by_frame(source, frame)
+    least_mm = params.contact_limit * source.limits.contact_min_mm
+    depth = estimate_depth(frame, seen_by, network, certainty=params.certainty, least_mm=least_mm)
+    return replace(depth, error=photometric.make_bubble_error(source))
 
 
 def estimate_depth(

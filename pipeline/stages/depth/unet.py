@@ -20,7 +20,7 @@ from pipeline.calibration.calibration_table import Calibration
 from pipeline.engine.graph import Skipped
 from pipeline.networks import unet_files, weights_registry
 from pipeline.networks.reproducible_inference import reproducible_inference
-from pipeline.networks.square_images import MAX_IMPRINT_MM, MIN_IMPRINT_MM, compute_change
+from pipeline.networks.touch_formats import BUBBLE
 from pipeline.networks.weights import NoWeights, Weights
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import photometric
@@ -57,7 +57,9 @@ def estimate_depth(
     seen_by = photometric.see_by_frame(source, frame)
     if frame.is_depth:
         physical = photometric.estimate_depth(frame, source, calibration, photometric.DepthParams(), progress)
-        touches = predict_contact(network, compute_change(source.kind, frame.image, frame.reference)[..., 0])
+        touches = predict_contact(
+            network, source.sensor_kind.compute_relative_change(frame.image, frame.reference)[..., 0]
+        )
         return replace(physical, contact=freeze(touches & np.isfinite(physical.depth_mm)))
     progress.step(0.5, "running the network")
     indentation_mm = predict_indentation_mm(network, frame.image, frame.reference)
@@ -85,7 +87,9 @@ def predict_contact(network: Any, imprint_mm: Floats) -> Mask:
     """(rows, cols) of a displacement toward the camera; beyond the published range it is clipped."""
     import torch
 
-    share = (np.clip(imprint_mm, MIN_IMPRINT_MM, MAX_IMPRINT_MM) - MIN_IMPRINT_MM) / (MAX_IMPRINT_MM - MIN_IMPRINT_MM)
+    assert BUBBLE.image_range is not None
+    low_mm, high_mm = BUBBLE.image_range
+    share = (np.clip(imprint_mm, low_mm, high_mm) - low_mm) / (high_mm - low_mm)
     shown = (255.0 * share).astype(np.uint8).astype(np.float32) / np.float32(255.0)
     with reproducible_inference():
         return network(torch.from_numpy(shown)[None, None])[0].argmax(0).numpy() == _TOUCHES

@@ -20,7 +20,7 @@ from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh
 from pipeline.networks import weights_registry
 from pipeline.networks.reproducible_inference import reproducible_inference
-from pipeline.networks.square_images import compute_change, normalise, resize_to_square
+from pipeline.networks.square_images import normalise, resize_to_square
 from pipeline.networks.weights import NoWeights, Weights
 from pipeline.sensors.spec import SensorSpec
 from pipeline.simulation import shapes
@@ -56,7 +56,9 @@ def predict_pose(
         assert skipped is not None
         return Skipped(output=skipped, reason=skipped.notes[0])
     reference = target.render_reference()
-    square = normalise(resize_to_square(compute_change(target.kind, touch.image, reference)), target.kind)
+    square = normalise(
+        resize_to_square(target.sensor_kind.compute_relative_change(touch.image, reference)), target.kind
+    )
     x, y, angle_rad = _predict_planar_pose(network, square, mesh)
     alignment_from_object = rigid.translation(x, y, 0.0) @ rigid.rotation((0.0, 0.0, angle_rad))
     at = rigid.invert(target.alignment_from_sensor) @ alignment_from_object

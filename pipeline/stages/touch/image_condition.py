@@ -19,16 +19,11 @@ from pipeline.engine.digests import compute_cached_digest
 from pipeline.geometry import rigid
 from pipeline.geometry.camera import MIN_DEPTH_MM, Camera
 from pipeline.networks.square_images import normalise
+from pipeline.networks.touch_formats import get_touch_format
 from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import SensorSpec
 
-UPSAMPLING = {"gel": 2, "bubble": 1}  # by source kind: samples per working pixel, in each direction
-CHANNELS = {"gel": 13, "bubble": 3}
-_GREY_UNIT, _MM_UNIT, _RELIEF_UNIT_MM = (
-    48.0,
-    6.0,
-    1.0,
-)  # units of gel changes (grey), bubble changes and bubble relief (mm)
+_OVERLAP_UNIT_MM, _RELIEF_UNIT_MM = np.float32(6.0), np.float32(1.0)
 _SMOOTHING_PX, _TOP_PERCENTILE = 1.2, 99.5  # of a bubble's relief: smoothing; percentile that is its top
 _MAX_HEIGHT_MM = np.float32(3.0)  # of a bubble's surface above a gel's
 _SOURCE_PX_MM = 0.085  # a gel's image is averaged to about this pixel size before resampling
@@ -42,13 +37,14 @@ def build_image_condition(
     `image_change` is frame minus reference of `source_camera`: (rows, cols, 3) in grey levels of a gel, (rows, cols) in
     mm toward the camera of a bubble; NaN (not measured) counts as no change.
     """
-    upsampling = UPSAMPLING[source.kind]
+    known = get_touch_format(source.kind)
+    upsampling = known.upsampling
     sampling_map = _get_sampling_map(source, source_camera, target, alignment, upsampling)
     field = np.nan_to_num(np.asarray(image_change, np.float32))
-    resampled = _resample(field, sampling_map) / np.float32(_GREY_UNIT if source.kind == "gel" else _MM_UNIT)
+    resampled = _resample(field, sampling_map) / np.float32(known.change_unit)
     channels = [_fold_pixels(np.ascontiguousarray(c), upsampling) for c in np.moveaxis(np.atleast_3d(resampled), -1, 0)]
     in_view = sampling_map.inside[::upsampling, ::upsampling].astype(np.float32)
-    if source.kind == "bubble":
+    if source.sensor_kind.is_depth:
         channels.append(_compute_relief(field, sampling_map)[None])
     return freeze(np.concatenate([*channels, in_view[None]]).astype(np.float32))
 
@@ -65,19 +61,16 @@ def reproject_square(square_change: Floats, source: SensorSpec, target: SensorSp
         target.with_camera(target.camera.resize(side, side)),
     )
     sampling_map = _get_sampling_map(source, source_camera, target_square, alignment, 1)
-    if source.kind == "bubble":
+    if source.sensor_kind.is_depth:
         return freeze(_compute_relief(square_change[0], sampling_map)[None].astype(np.float32))
-    resampled = _resample(np.ascontiguousarray(normalise(square_change, "gel").transpose(1, 2, 0)), sampling_map)
+    resampled = _resample(np.ascontiguousarray(normalise(square_change, source.kind).transpose(1, 2, 0)), sampling_map)
     return freeze(np.ascontiguousarray(resampled.transpose(2, 0, 1)))
-
-
-REPROJECTED_CHANNELS = {"gel": 5, "bubble": 3}  # by source kind, of `build_reprojected_square`
 
 
 def build_reprojected_square(
     square_change: Floats, source: SensorSpec, target: SensorSpec, alignment: Alignment
 ) -> Floats:
-    """(REPROJECTED_CHANNELS, side, side): what `reproject_square` gives, how sensors overlap, and the source's view.
+    """(reprojected channels, side, side): what `reproject_square` gives, how sensors overlap, and the source's view.
 
     Sensors overlap by how far the gel's surface at rest lies inside the bubble's. A gel's change comes with the
     overlap; a bubble's relief comes with the height of its surface above the gel's.
@@ -88,8 +81,8 @@ def build_reprojected_square(
     change = reproject_square(square_change, source, target, alignment)
     overlap_mm = _compute_overlap_mm(source_square, target_square, alignment, sampling_map)
     inside = sampling_map.inside.astype(np.float32)
-    if source.kind == "gel":
-        return freeze(np.concatenate([change, (overlap_mm / np.float32(_MM_UNIT))[None], inside[None]]))
+    if not source.sensor_kind.is_depth:
+        return freeze(np.concatenate([change, (overlap_mm / _OVERLAP_UNIT_MM)[None], inside[None]]))
     height_mm = _resample(_smooth(square_change[0]), sampling_map) - overlap_mm
     height = np.clip(np.where(sampling_map.inside, height_mm, -_MAX_HEIGHT_MM), -_MAX_HEIGHT_MM, _MAX_HEIGHT_MM)
     return freeze(np.concatenate([height[None], change, inside[None]]).astype(np.float32))
@@ -100,7 +93,7 @@ def _compute_overlap_mm(
 ) -> Floats:
     """(rows, cols) of the target: how far the gel's surface at rest lies inside the bubble's surface at rest."""
     points = _find_rest_plane(source, target, target.camera, alignment)
-    if target.kind == "bubble":
+    if target.sensor_kind.is_depth:
         plane_z_mm = rigid.apply(alignment.target_from_source, points)[:, 2].reshape(target.camera.shape)
         return (target.rest_depth_mm - plane_z_mm).astype(np.float32)
     rest_mm = _resample(source.rest_depth_mm.astype(np.float32), sampling_map)
@@ -124,7 +117,7 @@ def _compute_relief(change: Floats, sampling_map: _SamplingMap) -> Floats:
     """Distance of a smoothed bubble behind its top within the target's view, which is what a gel would feel."""
     resampled, inside = _resample(_smooth(change), sampling_map), sampling_map.inside
     top = np.float32(np.percentile(resampled[inside], _TOP_PERCENTILE)) if inside.any() else np.float32(0.0)
-    return np.where(inside, np.clip((resampled - top) / np.float32(_RELIEF_UNIT_MM), -3.0, 1.0), np.float32(-3.0))
+    return np.where(inside, np.clip((resampled - top) / _RELIEF_UNIT_MM, -3.0, 1.0), np.float32(-3.0))
 
 
 def _smooth(field: Floats) -> Floats:
@@ -156,7 +149,9 @@ def _compute_sampling_map(
     source: SensorSpec, source_camera: Camera, target: SensorSpec, alignment: Alignment, upsampling: int
 ) -> _SamplingMap:
     x, y, inside = _project_to_source(source, source_camera, target, alignment, upsampling)
-    scale = min(1.0, source.with_camera(source_camera).pixel_mm / _SOURCE_PX_MM) if source.kind == "gel" else 1.0
+    scale = (
+        min(1.0, source.with_camera(source_camera).pixel_mm / _SOURCE_PX_MM) if not source.sensor_kind.is_depth else 1.0
+    )
     size = (
         None if scale == 1.0 else (max(8, round(source_camera.cols * scale)), max(8, round(source_camera.rows * scale)))
     )
@@ -191,7 +186,7 @@ def _project_to_source(
 def _find_rest_plane(source: SensorSpec, target: SensorSpec, camera: Camera, alignment: Alignment) -> Doubles:
     """(pixels, 3): where pixels of the target's `camera` meet the gel's surface at rest, in the source's frame."""
     from_target = rigid.invert(rigid.validate_rigid(alignment.target_from_source, "the alignment T_S->T"))
-    if target.kind == "gel":
+    if not target.sensor_kind.is_depth:
         rest_mm = float(np.median(target.rest_depth_mm))
         return rigid.apply(from_target, camera.back_project(np.full(camera.shape, rest_mm)).reshape(-1, 3))
     origin = from_target[:3, 3]

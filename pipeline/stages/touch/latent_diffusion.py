@@ -25,12 +25,12 @@ from pipeline.networks.guidance import GUIDED_STEPS, MAX_WEIGHT, WEIGHTS, Guided
 from pipeline.networks.reproducible_inference import reproducible_inference
 from pipeline.networks.samplers import MAX_STEPS, Solver, make_timestep_schedule, sample
 from pipeline.networks.square_images import (
-    compute_change,
     decode_image,
     normalise,
     resize_from_square,
     resize_to_square,
 )
+from pipeline.networks.touch_formats import answer_for_known_kinds, get_touch_format
 from pipeline.networks.weights import NoWeights, Weights
 from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import SensorSpec
@@ -38,7 +38,7 @@ from pipeline.stages.depth import photometric as depth
 from pipeline.stages.touch import physical_render
 from pipeline.stages.touch.depth_condition import build_depth_square
 from pipeline.stages.touch.depth_limit import check_depth_limit
-from pipeline.stages.touch.image_condition import REPROJECTED_CHANNELS, build_reprojected_square
+from pipeline.stages.touch.image_condition import build_reprojected_square
 from pipeline.stages.touch.t2t import render_from_frame
 from pipeline.stages.touch.touch_from_change import make_touch_from_change
 from pipeline.values.frames import TactileFrame
@@ -107,16 +107,18 @@ def make_draft_params(params: LatentParams) -> LatentParams:
     return replace(params, steps=min(params.steps, _DRAFT_STEPS), draft=params.steps > _DRAFT_STEPS)
 
 
+@answer_for_known_kinds
 def select_weights(source: SensorSpec, target: SensorSpec, file: Path | None) -> Weights | NoWeights:
     """The weights of touch to touch for this pair of sensors in this direction."""
     found = _load_weights(f"latent_{source.name}_to_{target.name}", target, file, is_t2d2=False)
     if isinstance(found, NoWeights) or found.config.get("condition") != "reprojected":
         return found
-    if found.config.get("condition_inputs") != REPROJECTED_CHANNELS[source.kind]:
+    if found.config.get("condition_inputs") != get_touch_format(source.kind).reprojected_channels:
         return NoWeights(why=f"the weights {found.name!r} do not translate from a {source.kind}; choose others")
     return found
 
 
+@answer_for_known_kinds
 def select_t2d2_weights(source: SensorSpec, target: SensorSpec, file: Path | None) -> Weights | NoWeights:  # noqa: ARG001 - any source
     """The weights of touch to depth to touch for this target, for any source."""
     return _load_weights(f"latent_t2d2_{target.name}", target, file, is_t2d2=True)
@@ -161,7 +163,7 @@ def generate_touch(
     if depth.skip_without_contact(frame, source, calibration, depth.DepthParams()) is not None:
         return Skipped(output=physical_render.make_reference_touch(target), reason=physical_render.NO_CONTACT)
     net: Any = network
-    square = resize_to_square(compute_change(source.kind, frame.image, frame.reference), net.side)
+    square = resize_to_square(source.sensor_kind.compute_relative_change(frame.image, frame.reference), net.side)
     if params.raw_condition == "yes" or (params.raw_condition == "as trained" and net.raw_condition):
         square = square * np.float32(source.sensor_kind.full_change)
     condition = build_image_square(square, net.condition, source, target, alignment)
@@ -200,7 +202,7 @@ def skip_without_contact(
 
 def _warn_outside_view(target: SensorSpec) -> tuple[StageWarning, ...]:
     """A warning for a bubble, which feels more of an object than any source sees."""
-    return (StageWarning(OUTSIDE_VIEW),) if target.kind == "bubble" else ()
+    return (StageWarning(OUTSIDE_VIEW),) if target.sensor_kind.is_depth else ()
 
 
 def _sample_touch(
@@ -209,7 +211,7 @@ def _sample_touch(
     """Sample an image and add it to the target's reference image."""
     encoded, notes = sample_image(net, condition, params, progress)
     generated = decode_image(encoded, target.kind, map_twice=params.double_mapping)
-    if target.kind == "bubble" and params.renormalise_depth:
+    if target.sensor_kind.is_depth and params.renormalise_depth:
         generated = _renormalise_depth(generated, net.generated_stats, net.true_stats)
     if net.half_turn:
         generated = generated[:, ::-1, ::-1]

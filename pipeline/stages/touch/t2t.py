@@ -21,6 +21,7 @@ from pipeline.engine.digests import compute_cached_digest
 from pipeline.engine.graph import Fallback, Method, Skipped
 from pipeline.networks import network_factory, weights_registry
 from pipeline.networks.first_pass import ResidualNetwork
+from pipeline.networks.touch_formats import answer_for_known_kinds, get_touch_format
 from pipeline.networks.weights import NoWeights, Weights
 from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import SensorSpec
@@ -38,7 +39,7 @@ from pipeline.stages.touch.confidence_weighting import (
 )
 from pipeline.stages.touch.depth_condition import make_working_sensor
 from pipeline.stages.touch.depth_limit import check_depth_limit
-from pipeline.stages.touch.image_condition import CHANNELS, build_image_condition
+from pipeline.stages.touch.image_condition import build_image_condition
 from pipeline.stages.touch.residual_diffusion import DiffusionParams, sample_residual
 from pipeline.stages.touch.residual_render import EdgeUncertainty, render_correction, report_change
 from pipeline.values.frames import TactileFrame
@@ -53,13 +54,14 @@ NETWORK_ONLY_WARNING = (
 READS = ("frame", "source", "calibration", "alignment", "target")
 
 
+@answer_for_known_kinds
 def select_weights(source: SensorSpec, target: SensorSpec, file: Path | None) -> Weights | NoWeights:
     """The weights of a source and a target sensor: only trained pairs."""
     name = SHIPPED_WEIGHTS.get((source.name, target.kind))
     if file is None and (name is None or not t2d2.has_trained_pixel_size(target)):
         return NoWeights(why=f"the shipped weights are not trained on pairs of {source.title} and {target.title}")
     found = weights_registry.load_for_task(TASK, name or "", file, target_kind=target.kind)
-    if isinstance(found, Weights) and found.config.get("inputs") != CHANNELS[source.kind]:
+    if isinstance(found, Weights) and found.config.get("inputs") != get_touch_format(source.kind).resampled_channels:
         return NoWeights(why=f"the weights {found.name!r} do not translate from a {source.kind}; choose others")
     return found
 
@@ -99,7 +101,7 @@ def generate_touch(
         build_condition(frame, source, alignment, target),
         params,
         sampling_progress,
-        draw_last_noise=target.kind == "bubble",
+        draw_last_noise=target.sensor_kind.is_depth,
     )
     membrane = physical.membrane
     if not is_weighted or membrane is None or not membrane.contact.any():
@@ -120,9 +122,8 @@ def generate_touch(
 
 def _estimate_edge_uncertainty(source: SensorSpec, target: SensorSpec, network: ResidualNetwork) -> EdgeUncertainty:
     """Uncertainty of edges from a source whose pixels are larger than the working grid's."""
-    source_pixel_mm = (
-        source.pixel_mm if source.pixel_mm > t2d2.WORKING_GRID_FACTOR[target.kind] * target.pixel_mm else 0.0
-    )
+    grid_mm = get_touch_format(target.kind).grid_factor * target.pixel_mm
+    source_pixel_mm = source.pixel_mm if source.pixel_mm > grid_mm else 0.0
     blur_px, margin_px = cast("float", network.blur_px), cast("float", network.contact_margin_px)
     return EdgeUncertainty(blur_mm=source_pixel_mm * blur_px, contact_margin_mm=source_pixel_mm * margin_px)
 

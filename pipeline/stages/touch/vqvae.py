@@ -19,13 +19,12 @@ from pipeline.engine.graph import Skipped
 from pipeline.networks import vqvae_files, weights_registry
 from pipeline.networks.reproducible_inference import reproducible_inference
 from pipeline.networks.square_images import (
-    CHANNELS,
-    compute_change,
     denormalise,
     normalise,
     resize_from_square,
     resize_to_square,
 )
+from pipeline.networks.touch_formats import answer_for_known_kinds, get_touch_format
 from pipeline.networks.weights import NoWeights, Weights
 from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import SensorSpec
@@ -47,6 +46,7 @@ NOT_USED = (
 NOTE = "image only, from the source image: no depth or membrane is used"
 
 
+@answer_for_known_kinds
 def select_weights(source: SensorSpec, target: SensorSpec, file: Path | None) -> Weights | NoWeights:
     """The weights of this pair of sensors in this direction, if a file is given; see `NOT_USED`."""
     if file is None:
@@ -54,7 +54,7 @@ def select_weights(source: SensorSpec, target: SensorSpec, file: Path | None) ->
     found = weights_registry.load_for_task(vqvae_files.TASK, "", file, vqvae_files.read_weights)
     if isinstance(found, NoWeights):
         return found
-    channels = {"inputs": CHANNELS[source.kind], "outputs": CHANNELS[target.kind]}
+    channels = {"inputs": len(get_touch_format(source.kind).means), "outputs": len(get_touch_format(target.kind).means)}
     if any(found.config.get(name) != n for name, n in channels.items()):
         return NoWeights(why=f"the weights {found.name!r} do not translate from a {source.kind} to a {target.kind}")
     return found
@@ -76,7 +76,7 @@ def generate_touch(
         raise ShapeError(f"the touch by VQ-VAE needs a reference image of {source.name}; add --reference")
     if depth.skip_without_contact(frame, source, calibration, depth.DepthParams()) is not None:
         return Skipped(output=physical_render.make_reference_touch(target), reason=physical_render.NO_CONTACT)
-    square = resize_to_square(compute_change(source.kind, frame.image, frame.reference))
+    square = resize_to_square(source.sensor_kind.compute_relative_change(frame.image, frame.reference))
     reprojects = getattr(network, "reprojects_input", False)
     network_input = (
         reproject_square(square, source, target, alignment) if reprojects else normalise(square, source.kind)

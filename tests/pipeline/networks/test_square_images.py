@@ -4,16 +4,17 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.networks.square_images import compute_change, denormalise, normalise, resize_from_square, resize_to_square
+from pipeline.networks.square_images import denormalise, normalise, resize_from_square, resize_to_square
+from pipeline.sensors.kinds import get_kind
 
 
 def test_gel_changes_are_signed_and_bubble_changes_are_toward_the_camera():
     rest = np.full((4, 5, 3), 100, np.uint8)
-    assert np.allclose(compute_change("gel", rest - 51, rest), -0.2)
+    assert np.allclose(get_kind("gel").compute_relative_change(rest - 51, rest), -0.2)
     depth = np.full((4, 5), 60.0, np.float32)
     pressed = depth.copy()
     pressed[1, 2], pressed[0, 0] = 57.5, np.nan
-    moved = compute_change("bubble", pressed, depth)
+    moved = get_kind("bubble").compute_relative_change(pressed, depth)
     assert moved.shape == (4, 5, 1)
     assert (moved[1, 2, 0], moved[0, 0, 0]) == (2.5, 0.0)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.metadata
+from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 
@@ -13,6 +14,9 @@ from pipeline.base import entry_points
 from pipeline.base.arrays import freeze
 from pipeline.base.errors import CalibrationError, SettingProblem, ShapeError
 from pipeline.geometry import membrane
+from pipeline.networks import weights_registry
+from pipeline.networks.touch_formats import TouchFormat
+from pipeline.networks.weights import NoWeights
 from pipeline.previews.display_params import DisplayParams
 from pipeline.previews.preview import make_frame_preview, make_indentation_scale
 from pipeline.recordings.hdf5_writer import RecordingWriter
@@ -22,6 +26,7 @@ from pipeline.sensors.spec import SensorSpec, load_sensor
 from pipeline.simulation.press import simulate_press
 from pipeline.stages.depth import photometric
 from pipeline.stages.depth.photometric import DepthParams
+from pipeline.stages.touch import latent_diffusion, t2d2, t2t, vqvae
 from pipeline.translation.translate import Request, open_translation
 from pipeline.values.frames import TactileFrame
 from pipeline.values.pixel_index import make_pixel_index
@@ -80,8 +85,8 @@ def estimate_depth(frame, sensor, _calibration, params, _progress):
 
 
 TAXELS = SensorKind(
-    key="taxels", is_depth=True, change_sign=1.0, full_change=1.0, display_group="gel", still_change=0.1,
-    drift_change=None, part_parser=f"{__name__}:parse_parts", membrane_parser=f"{__name__}:parse_membrane",
+    key="taxels", is_depth=True, change_sign=1.0, full_change=1.0, peak_change=2.0, display_group="gel",
+    still_change=0.1, drift_change=None, part_parser=f"{__name__}:parse_parts", membrane_parser=f"{__name__}:parse_membrane",
     reference_renderer=f"{__name__}:render_reference", image_checker=f"{__name__}:find_image_problem",
     contact_checker=f"{__name__}:describe_if_no_contact", depth_estimator=f"{__name__}:estimate_depth",
 )  # fmt: skip
@@ -176,9 +181,18 @@ def test_a_change_restores_the_image(name: str):
 
 
 @pytest.mark.parametrize("key", ["gel", "bubble"])
-def test_every_function_that_a_kind_names_exists(key: str):
+def test_everything_that_a_kind_names_exists(key: str):
     kind = kinds.get_kind(key)
     for field in kind.__dataclass_fields__:
         value = getattr(kind, field)
         if isinstance(value, str) and ":" in value:
-            assert callable(entry_points.load_reference(value))
+            assert isinstance(entry_points.load_reference(value), (Callable, TouchFormat))
+
+
+@pytest.mark.parametrize("method", [t2d2, t2t, latent_diffusion, vqvae])
+def test_networks_of_touches_say_that_they_do_not_know_the_third_kind(sensor: SensorSpec, method):
+    """With weights of the user's, which a kind in a table of its own raised KeyError for."""
+    gelslim = load_sensor("gelslim")
+    file = weights_registry.WEIGHTS_FOLDER / "t2t_bubble.safetensors"
+    found = method.select_weights(*((gelslim, sensor) if method is t2d2 else (sensor, gelslim)), file)
+    assert isinstance(found, NoWeights)

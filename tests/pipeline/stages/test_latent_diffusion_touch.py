@@ -14,7 +14,8 @@ from pipeline.base.progress import Cancelled
 from pipeline.engine.graph import Fallback, Graph
 from pipeline.networks.guidance import NO_CONDITION_DROPOUT
 from pipeline.networks.latent_diffusion import LatentDiffusion
-from pipeline.networks.square_images import MAX_IMPRINT_MM, MIN_IMPRINT_MM, decode_image, encode_image, normalise
+from pipeline.networks.square_images import decode_image, encode_image, normalise
+from pipeline.networks.touch_formats import BUBBLE as BUBBLE_FORMAT
 from pipeline.networks.weights import NoWeights, Weights, save_weights
 from pipeline.sensors.spec import load_sensor
 from pipeline.stages.touch import latent_diffusion
@@ -95,14 +96,14 @@ def test_sampling_can_be_cancelled_between_steps(net):
 
 
 def test_imprint_encoding_is_invertible():
-    imprint = np.linspace(MIN_IMPRINT_MM, MAX_IMPRINT_MM, 64, dtype=np.float32).reshape(1, 8, 8)
+    imprint = np.linspace(*BUBBLE_FORMAT.image_range, 64, dtype=np.float32).reshape(1, 8, 8)
     shown = encode_image(imprint, "bubble")
     assert shown.shape == (3, 8, 8)
     assert (shown.min(), shown.max()) == (-1.0, 1.0)
     assert np.allclose(decode_image(shown, "bubble"), imprint, atol=1e-4)
     twice = decode_image(shown, "bubble", map_twice=True)
-    assert twice.min() == pytest.approx(0.5 * (MIN_IMPRINT_MM + MAX_IMPRINT_MM))  # the released scripts' upper half
-    assert twice.max() == pytest.approx(MAX_IMPRINT_MM)
+    assert twice.min() == pytest.approx(0.5 * sum(BUBBLE_FORMAT.image_range))  # the released scripts' upper half
+    assert twice.max() == pytest.approx(BUBBLE_FORMAT.image_range[1])
 
 
 def test_generated_imprints_are_renormalised():
@@ -145,7 +146,7 @@ def test_the_condition_is_scaled_as_in_training_and_impossible_depths_are_left_t
     both = alignment.resolve_alignment(gel, bubble)
     touch = latent_diffusion.generate_touch(frame, gel, None, both, bubble, network, params)
     assert latent_diffusion.OUTSIDE_VIEW in touch.notes
-    plain = latent_diffusion.resize_to_square(latent_diffusion.compute_change("gel", image, rest), 32)
+    plain = latent_diffusion.resize_to_square(gel.sensor_kind.compute_relative_change(image, rest), 32)
     assert np.allclose(seen[0], normalise(times * plain, "gel"), atol=1e-4)
     monkeypatch.setattr(latent_diffusion, "sample_image", lambda *_: (np.ones((3, 32, 32), np.float32), ()))
     impossible = latent_diffusion.generate_touch(frame, gel, None, both, bubble, network, params)

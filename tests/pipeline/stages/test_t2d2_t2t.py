@@ -11,6 +11,7 @@ from pipeline.engine.graph import Fallback, Skipped
 from pipeline.geometry import rigid
 from pipeline.networks import weights_registry
 from pipeline.networks.network_factory import load_network, load_predictor
+from pipeline.networks.touch_formats import get_touch_format
 from pipeline.networks.weights import NoWeights, load_weights, save_weights
 from pipeline.physics import optics
 from pipeline.sensors import alignment
@@ -24,7 +25,6 @@ from pipeline.stages.depth.gel_network import NetworkParams
 from pipeline.stages.target_depth.surface_projection import SurfaceProjectionParams, project_cloud
 from pipeline.stages.touch import physical_render, t2d2, t2t
 from pipeline.stages.touch.depth_condition import CONDITION_CHANNELS, make_working_sensor
-from pipeline.stages.touch.image_condition import CHANNELS
 from pipeline.stages.touch.residual_diffusion import DiffusionParams
 from pipeline.stages.touch.stage import PHYSICS, T2D2, T2T
 from pipeline.training.touch_residual import TouchResidualTask
@@ -217,7 +217,10 @@ def test_the_condition_is_aligned_with_the_target(ball_frames):
         (gel_frame, GEL, BUBBLE, bubble_truth), (bubble_frame, BUBBLE, GEL, gel_truth),
     ):  # fmt: skip
         shown = t2t.build_condition(frame, source, alignment.resolve_alignment(source, target), target)
-        assert shown.shape == (CHANNELS[source.kind], *make_working_sensor(target).camera.shape)
+        assert shown.shape == (
+            get_touch_format(source.kind).resampled_channels,
+            *make_working_sensor(target).camera.shape,
+        )
         change, known = np.abs(shown[: -1 if source is GEL else 1]).sum(0), shown[-1] > 0
         at = np.argwhere(truth.contact).mean(0) * np.array(change.shape) / truth.contact.shape
         weight = change * known * (change > 0.5 * change[known].max())

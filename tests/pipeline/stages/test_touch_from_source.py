@@ -11,7 +11,7 @@ import torch
 from pipeline.engine.graph import Graph
 from pipeline.geometry import rigid
 from pipeline.networks.network_factory import build_network
-from pipeline.networks.square_images import SIDE, compute_change, normalise, resize_to_square
+from pipeline.networks.square_images import SIDE, normalise, resize_to_square
 from pipeline.networks.weights import NoWeights, Weights
 from pipeline.physics import optics
 from pipeline.sensors import alignment
@@ -152,7 +152,7 @@ def test_only_reprojecting_weights_get_a_resampled_square(contact_frame, monkeyp
     monkeypatch.setattr(vqvae, "_run_network", lambda _net, shown: seen.append(shown) or np.zeros((1, SIDE, SIDE)))
     for drawn in (False, True):
         run(contact_frame, weights_of("vqvae", "vqvae", inputs=3, outputs=1, width=4, codes=8, reprojects_input=drawn))
-    plain = resize_to_square(compute_change("gel", contact_frame.image, contact_frame.reference))
+    plain = resize_to_square(GEL.sensor_kind.compute_relative_change(contact_frame.image, contact_frame.reference))
     assert np.array_equal(seen[0], normalise(plain, "gel"))
     assert np.array_equal(seen[1], reproject_square(plain, GEL, BUBBLE, alignment.resolve_alignment(GEL, BUBBLE)))
 

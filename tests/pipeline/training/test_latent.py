@@ -10,11 +10,12 @@ import torch
 
 from pipeline.base.errors import SettingProblem
 from pipeline.networks.network_factory import build_network
+from pipeline.networks.touch_formats import BUBBLE
 from pipeline.networks.weights import Weights, save_weights
 from pipeline.sensors.alignment import resolve_alignment
 from pipeline.sensors.spec import load_sensor
 from pipeline.simulation.press import move_bubble_closer
-from pipeline.stages.touch.image_condition import REPROJECTED_CHANNELS, build_reprojected_square
+from pipeline.stages.touch.image_condition import build_reprojected_square
 from pipeline.training.latent import LatentTask
 from pipeline.training.loop import to_tensors
 from pipeline.training.touch_pairs import simulate_touch_pair
@@ -116,7 +117,7 @@ def test_a_bubbles_surface_is_measured_from_the_gels_at_rest():
         moved = move_bubble_closer(bubble, closer_mm)
         square = np.full((1, 64, 64), imprint_mm, np.float32)
         made = build_reprojected_square(square, moved, gel, resolve_alignment(moved, gel))
-        assert made.shape == (REPROJECTED_CHANNELS["bubble"], 64, 64)
+        assert made.shape == (BUBBLE.reprojected_channels, 64, 64)
         return made[0, 28:36, 28:36]
 
     first = measure_height(0.0, 4.0)

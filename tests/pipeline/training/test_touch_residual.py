@@ -9,10 +9,10 @@ import torch
 from pipeline.base.arrays import freeze
 from pipeline.geometry import rigid
 from pipeline.networks.network_factory import build_network
+from pipeline.networks.touch_formats import BUBBLE, GEL
 from pipeline.simulation import shapes
 from pipeline.stages.touch.depth_condition import CONDITION_CHANNELS
 from pipeline.training import denoising, target_touches, touch_pairs
-from pipeline.training.denoising import RESIDUAL_SCALE_MM
 from pipeline.training.recipe import list_shipped_recipes, load_recipe
 from pipeline.training.target_touches import simulate_target_touch
 from pipeline.training.touch_residual import TouchResidualTask
@@ -80,7 +80,7 @@ def test_physics_plus_residual_is_the_target(task):
     for index, touch in observed.items():
         example = task.make_validation_example("unseen_tools", index)
         assert example["condition"].shape == (CONDITION_CHANNELS, *touch.target_contact.shape)
-        whole = touch.physical_mm + RESIDUAL_SCALE_MM["gel"] * example["residual"][0]
+        whole = touch.physical_mm + GEL.residual_unit_mm * example["residual"][0]
         assert np.allclose(whole, touch.target_mm, atol=1e-4)
         change = touch.physical_contact.astype(float) + example["residual"][1]
         assert np.array_equal(change > 0.5, touch.target_contact)
@@ -122,7 +122,7 @@ def test_a_pair_gives_the_source_change_and_the_target_touch(folder, target, cha
     pair = touch_pairs.simulate_touch_pair("unseen_tools", 7, 0, folder)
     truth = pair.bubble_mm if target == "soft_bubble" else pair.gel_mm
     assert example["condition"].shape == (channels, *truth.shape)
-    scale_mm = RESIDUAL_SCALE_MM["bubble" if target == "soft_bubble" else "gel"]
+    scale_mm = (BUBBLE if target == "soft_bubble" else GEL).residual_unit_mm
     assert np.allclose(scale_mm * example["residual"][0], truth, atol=1e-4)
     assert not example["contact"][1].any()
     assert load_recipe(f"t2t_{'bubble' if channels == 13 else 'gelslim'}", "t2t").network["inputs"] == channels
