@@ -13,6 +13,7 @@ import numpy as np
 from pipeline.base.arrays import Image
 from pipeline.base.errors import FileProblem
 from pipeline.base.files import open_atomic
+from pipeline.base.native_stderr import silence_native_libraries
 
 CODECS = {".mp4": "mp4v", ".avi": "MJPG"}
 
@@ -29,7 +30,8 @@ def write_video(path: Path, images: Iterable[Image], rate_hz: float) -> None:
         made, writer, n_images = Path(folder) / f"video{suffix}", None, 0
         for pixels in images:
             if writer is None:
-                writer = cv2.VideoWriter(str(made), codec, rate_hz, (pixels.shape[1], pixels.shape[0]))
+                with silence_native_libraries():
+                    writer = cv2.VideoWriter(str(made), codec, rate_hz, (pixels.shape[1], pixels.shape[0]))
             writer.write(np.ascontiguousarray(pixels[:, :, ::-1]))
             n_images += 1
         if writer is None or not writer.isOpened():
@@ -45,8 +47,9 @@ def count_frames(video: Path) -> int:
     """Return the number of frames that can be read."""
     import cv2
 
-    reader, n = cv2.VideoCapture(str(video)), 0
-    while reader.grab():
-        n += 1
-    reader.release()
+    with silence_native_libraries():
+        reader, n = cv2.VideoCapture(str(video)), 0
+        while reader.grab():
+            n += 1
+        reader.release()
     return n

@@ -11,6 +11,8 @@ import pytest
 
 from pipeline.base import compiling
 from pipeline.cli import prepare
+from pipeline.engine.graph import Graph
+from pipeline.translation.catalogue import BUILT_IN, default_params
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -21,6 +23,16 @@ def test_nothing_runs_once_all_is_compiled(monkeypatch, tmp_path, capsys):
     monkeypatch.setattr(prepare, "_list_tasks", pytest.fail)
     assert prepare.prepare() == 0
     assert str(tmp_path) in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("source", "target"), prepare._DIRECTIONS)
+def test_an_installed_package_without_samples_prepares_by_a_simulated_press(monkeypatch, tmp_path, source, target):
+    monkeypatch.setattr(prepare, "SAMPLE_RECORDING", tmp_path / "missing.h5")
+    ran = []
+    evaluate = Graph.evaluate
+    monkeypatch.setattr(Graph, "evaluate", lambda *args, **how: ran.append(evaluate(*args, **how)))
+    prepare._translate_sample(source, target, default_params(BUILT_IN.methods("t2d2")))
+    assert ran[0]["target_depth"].output.contact.any()
 
 
 @pytest.mark.slow

@@ -241,6 +241,19 @@ def test_a_folder_gives_the_newest_complete_image_and_counts_the_others(tmp_path
         source.read()
 
 
+def test_a_folder_without_news_is_not_listed_again(tmp_path, monkeypatch):
+    """Or 50,000 images would cost a quarter of a processor core while nothing comes."""
+    source, listed = FolderSource(tmp_path, sensor="digit"), []
+    scan = os.scandir
+    monkeypatch.setattr(os, "scandir", lambda folder: listed.append(folder) or scan(folder))
+    os.utime(tmp_path, (time.time() - 60.0,) * 2)
+    source.open()
+    assert source.read() is None
+    assert len(listed) <= 2
+    cv2.imwrite(str(tmp_path / "a.png"), np.full((*DIGIT.camera.shape, 3), 7, np.uint8))
+    assert source.read().image[0, 0].tolist() == [7, 7, 7]
+
+
 def test_a_camera_is_found_by_name_and_serial_number_and_never_by_its_metadata_node(tmp_path):
     for name in ("usb-Facebook_DIGIT_D20123-video-index0", "usb-Facebook_DIGIT_D20123-video-index1",
                  "usb-Arducam_GelSight_Mini_R0B_28WZ-video-index0", "usb-HD_Webcam-video-index0"):  # fmt: skip
