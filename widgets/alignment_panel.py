@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from PyQt6.QtCore import Qt, pyqtSignal
+from PyQt6.QtCore import pyqtSignal
 from PyQt6.QtGui import QAction
 from PyQt6.QtWidgets import (
-    QFrame,
     QGridLayout,
     QHBoxLayout,
     QLabel,
-    QScrollArea,
     QVBoxLayout,
     QWidget,
 )
@@ -20,6 +18,7 @@ from pipeline.alignment.score import AlignmentScore
 from pipeline.alignment.sensitivity import Sensitivity
 from pipeline.sensors.offsets import AXES, Axis
 from widgets.axis_row import AxisRow
+from widgets.fonts import resize_font
 from widgets.gauge import Gauge, GaugeScale
 from widgets.refine_box import RefineBox
 from widgets.sensitivity_bars import SensitivityBars
@@ -30,8 +29,8 @@ from widgets.styling import (
     make_icon_button,
     make_single_shot_timer,
     set_spacing,
-    shrink_font,
 )
+from widgets.vertical_scroll_area import VerticalScrollArea
 
 SETTLE_MS = 350  # a change by wheel or keys ends after this pause
 
@@ -53,7 +52,7 @@ def make_depth_gauge_scale(full_mm: float) -> GaugeScale:
     )  # fmt: skip
 
 
-class AlignmentPanel(QScrollArea):
+class AlignmentPanel(VerticalScrollArea):
     """Emits `moved` for every motion of a handle, between `drag_begun` and `drag_ended`."""
 
     drag_started = pyqtSignal()
@@ -66,9 +65,7 @@ class AlignmentPanel(QScrollArea):
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.setObjectName("alignment")
-        self.setWidgetResizable(True)
-        self.setFrameShape(QFrame.Shape.NoFrame)
-        self.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        self.setAccessibleName("alignment")
         self.rows = {axis: AxisRow(axis, self) for axis in AXES}
         self.gauges = {"iou": Gauge(_IOU), "edge_px": Gauge(_EDGE), "depth_mm": Gauge(make_depth_gauge_scale(1.0))}
         self.bars, self.refine = SensitivityBars(), RefineBox()
@@ -104,23 +101,23 @@ class AlignmentPanel(QScrollArea):
         layout.addWidget(self.refine)
         layout.addStretch(1)
         self.setWidget(body)
-        self.setMinimumWidth(body.minimumSizeHint().width())
         self.show_empty()
 
-    def _head(self) -> QHBoxLayout:
+    def _head(self) -> QVBoxLayout:
         self._origin.setWordWrap(True)
         self._original = make_icon_button("reset", "alignment_original", "Return to the alignment of the recording")
         self._original.clicked.connect(self.original_requested)
         self._files = set_spacing(QHBoxLayout(), 1)
-        head = QHBoxLayout()
-        head.addWidget(self._origin, 1)
-        head.addWidget(self._original)
+        head, first = set_spacing(QVBoxLayout(), 2), QHBoxLayout()
+        first.addWidget(self._origin, 1)
+        first.addWidget(self._original)
+        head.addLayout(first)
         head.addLayout(self._files)
         return head
 
     def _foot(self) -> QHBoxLayout:
         self._pivot.setWordWrap(True)
-        shrink_font(self._pivot, 1.0, least_pt=7.5)
+        resize_font(self._pivot)
         self._here = make_icon_button(
             "target", "alignment_pivot", "Express the same motion about the centre of this frame's contact"
         )
@@ -135,7 +132,8 @@ class AlignmentPanel(QScrollArea):
 
     def add_command(self, action: QAction) -> None:
         """Add a button for a command at the top."""
-        self._files.addWidget(make_command_button(action))
+        self._files.addWidget(make_command_button(action), 1)
+        self.updateGeometry()
 
     @property
     def no_score_reason(self) -> str:

@@ -48,6 +48,7 @@ class Banner(QFrame):
         self._away.setToolTip("Dismiss")
         self._away.setAccessibleName("Dismiss")
         self._details = QPlainTextEdit()
+        self._details.setAccessibleName("details")
         self._details.setReadOnly(True)
         self._details.setMaximumHeight(160)
         row = QHBoxLayout()

@@ -21,7 +21,8 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
-from widgets.styling import set_spacing, shrink_font
+from widgets.fonts import resize_font
+from widgets.styling import set_spacing
 from widgets.theme import CATEGORY_COLOURS, to_qcolor
 
 CellIndex = tuple[int, int]  # row, col
@@ -51,7 +52,7 @@ class BasinMap(QWidget):
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.setAccessibleName("result of the registration from each start; arrow keys select one")
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
-        shrink_font(self, 1.0)
+        resize_font(self)
         self.cells: tuple[tuple[BasinCell, ...], ...] = ()
         self._columns: Sequence[str] = ()
         self._rows: Sequence[str] = ()

@@ -9,11 +9,12 @@ import math
 from typing import Any
 
 from PyQt6.QtCore import QEvent, QPointF, QRectF, QSize, Qt, pyqtSignal
-from PyQt6.QtGui import QColor, QFont, QPainter, QPalette, QPen, QPixmap
+from PyQt6.QtGui import QColor, QPainter, QPalette, QPen, QPixmap
 from PyQt6.QtWidgets import QSizePolicy, QWidget
 
 from pipeline.base.arrays import Image
 from pipeline.previews.preview import Preview
+from widgets.fonts import make_caption_font
 from widgets.preview_renderer import MAX_ZOOM, MIN_ZOOM, PreviewRenderer
 from widgets.theme import (
     CASING_COLOUR,
@@ -29,7 +30,7 @@ _A_CLICK_PX = 4.0  # a release closer to its press than this is a click
 _ZOOM_STEP = 1.25
 _PER_NOTCH = 120.0  # Qt's units per wheel notch
 _NEAR_PX, _END_PX = 6.0, 6.5
-_MARK_PX, _MARK_SHARE = (5.0, 7.0), 0.05  # radius of a pinned pixel's mark: limits, and share of the height
+_MARK_PX, _MARK_SHARE = (6.5, 8.0), 0.05  # radius of a pinned pixel's mark: limits, and share of the height
 
 
 class Canvas(QWidget):
@@ -212,9 +213,7 @@ class Canvas(QWidget):
         painter.drawLine(QPointF(0, at.y()), QPointF(self.width(), at.y()))
         if not self.crosshair_text:
             return
-        font = QFont(self.font())
-        font.setPointSizeF(max(7.5, font.pointSizeF() - 1.0))
-        painter.setFont(font)
+        painter.setFont(make_caption_font(self.font()))
         box = QRectF(painter.fontMetrics().boundingRect(self.crosshair_text)).adjusted(-4, -1, 4, 2)
         left = at.x() + 6 if at.x() + 8 + box.width() < self.width() else at.x() - 6 - box.width()
         top = at.y() + 5 if at.y() + 8 + box.height() < self.height() else at.y() - 5 - box.height()
@@ -226,9 +225,8 @@ class Canvas(QWidget):
         painter.drawText(box, Qt.AlignmentFlag.AlignCenter, self.crosshair_text)
 
     def _draw_mark(self, painter: QPainter, number: int, at: QPointF) -> None:
-        font = QFont(self.font())
+        font = make_caption_font(self.font())
         radius = min(max(_MARK_SHARE * self.height(), _MARK_PX[0]), _MARK_PX[1])
-        font.setPixelSize(round(1.6 * radius))
         font.setBold(True)
         painter.setFont(font)
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)

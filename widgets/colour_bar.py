@@ -13,7 +13,8 @@ from PyQt6.QtWidgets import QSizePolicy, QWidget
 
 from pipeline.base.arrays import Doubles, Floats
 from pipeline.previews.colours import ColourScale, get_colour_table
-from widgets.styling import make_single_shot_timer, shrink_font
+from widgets.fonts import resize_font
+from widgets.styling import make_single_shot_timer
 from widgets.theme import get_theme_colours, to_qcolor
 
 _STRIP_PX, _BARS_PX, _EDGE_PX = 8, 22, 2
@@ -81,7 +82,7 @@ class ColourBar(QWidget):
         self._wanted = math.nan
         self._bars_px = _BARS_PX
         self._soon = make_single_shot_timer(self, _THROTTLE_MS, self._tell)
-        shrink_font(self)
+        resize_font(self)
         self.setMouseTracking(True)
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
 

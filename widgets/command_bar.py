@@ -20,6 +20,7 @@ class CommandBar(QToolBar):
 
     def __init__(self, title: str, parent: QWidget | None = None) -> None:
         super().__init__(title, parent)
+        name_extension(self)
         self._ordered: tuple[QToolButton, ...] = ()
         self._fit_soon = make_single_shot_timer(self, 0, self.fit_texts)
 
@@ -65,6 +66,13 @@ class CommandBar(QToolBar):
     def minimumSizeHint(self) -> QSize:  # noqa: N802
         """Return a width that does not keep the window from being small."""
         return QSize(200, super().minimumSizeHint().height())
+
+
+def name_extension(bar: QWidget) -> None:
+    """Name Qt's button for what does not fit into a tool bar or menu bar, for screen readers."""
+    for button in bar.findChildren(QToolButton):
+        if button.objectName().endswith("_ext_button"):
+            button.setAccessibleName("more commands")
 
 
 def _measure(button: QToolButton, style: Qt.ToolButtonStyle) -> int:

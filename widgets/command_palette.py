@@ -8,7 +8,8 @@ from PyQt6.QtCore import QEvent, QObject, Qt
 from PyQt6.QtGui import QAction, QKeyEvent
 from PyQt6.QtWidgets import QDialog, QLabel, QLineEdit, QListWidget, QListWidgetItem, QVBoxLayout, QWidget
 
-from widgets.styling import set_spacing, shrink_font
+from widgets.fonts import resize_font
+from widgets.styling import set_spacing
 
 _WIDTH_PX, _MOST_SHOWN = 560, 200
 _KEYS = (Qt.Key.Key_Up, Qt.Key.Key_Down, Qt.Key.Key_PageUp, Qt.Key.Key_PageDown)
@@ -26,8 +27,9 @@ class CommandPalette(QDialog):
         self.line.setPlaceholderText("type a few letters of a command")
         self.line.setAccessibleName("command")
         self.results.setObjectName("palette_found")
+        self.results.setAccessibleName("commands that match")
         self._tip.setWordWrap(True)
-        shrink_font(self._tip, 0.5)
+        resize_font(self._tip)
         layout = set_spacing(QVBoxLayout(self), 4, (8, 8, 8, 8))
         for widget in (self.line, self.results, self._tip):
             layout.addWidget(widget)

@@ -76,6 +76,7 @@ class ComparisonPage(QWidget):
         self._tab_bar, self._n_commands = QTabWidget(), 0
         self._tab_bar.setDocumentMode(True)
         self._tab_bar.setObjectName("compare_tabs")
+        self._tab_bar.setAccessibleName("comparisons")
         for tab, title in zip(self._pages.values(), ("Methods", "Two settings", "Seeds", "Parameters"), strict=True):
             self._tab_bar.addTab(tab, title)
         layout = set_spacing(QVBoxLayout(self), 0)

@@ -10,7 +10,7 @@ from PyQt6.QtCore import QPointF, QRectF, QSize, Qt, pyqtSignal
 from PyQt6.QtGui import QHelpEvent, QPainter, QPalette, QPen, QPolygonF
 from PyQt6.QtWidgets import QSizePolicy, QToolTip, QWidget
 
-from widgets.styling import shrink_font
+from widgets.fonts import resize_font
 from widgets.theme import get_theme_colours, to_qcolor
 
 _INSET_PX = 6  # half the slider's handle
@@ -18,7 +18,7 @@ _MARK_PX = 7.0
 _WIDEST_PX = 26.0
 _LEAST_PX = 24  # minimum height
 _TOP_PX, _BASE_PX = _MARK_PX + 2.0, 2.0  # of the highest bar, from the top; of all bars, from the bottom
-_TICK_PX, _FIGURES_PT = 3.0, 2.5  # length of a tick; how much smaller its numbers are
+_TICK_PX = 3.0  # length of a tick
 
 
 class ErrorStrip(QWidget):
@@ -159,7 +159,7 @@ class ErrorScale(QWidget):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        shrink_font(self, _FIGURES_PT, least_pt=6.0)
+        resize_font(self)
         self.setFixedWidth(self.fontMetrics().horizontalAdvance("0.0000") + round(_TICK_PX) + 2)
         self.setSizePolicy(QSizePolicy.Policy.Fixed, QSizePolicy.Policy.Ignored)
         self.max_text = ""  # label at the upper end

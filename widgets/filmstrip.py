@@ -14,6 +14,7 @@ from PyQt6.QtGui import QFont, QFontMetrics, QPainter, QPalette, QPen, QPixmap
 from PyQt6.QtWidgets import QAbstractButton, QHBoxLayout, QSizePolicy, QWidget
 
 from pipeline.previews.preview import Preview
+from widgets.fonts import make_caption_font
 from widgets.icons import paint_state
 from widgets.preview_renderer import MAX_ZOOM, PreviewRenderer
 from widgets.styling import set_spacing
@@ -107,8 +108,7 @@ class Thumbnail(QAbstractButton):
             self._pixmap = None
 
     def _font(self) -> QFont:
-        font = QFont(self.font())
-        font.setPointSizeF(max(7.5, font.pointSizeF() - 1.0))
+        font = make_caption_font(self.font())
         font.setBold(self.is_active)
         return font
 

@@ -17,10 +17,12 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
+from widgets.eliding_combo_box import ElidingComboBox
+from widgets.fonts import resize_font
 from widgets.frame_summary import THUMBNAIL_PX
 from widgets.frames_filter import FramesFilter
 from widgets.frames_model import CAUSE, CONTACT, DEPTH, FRAME, METRIC, NOTE, SORT_ROLE, WARNINGS, FramesModel
-from widgets.styling import set_spacing, shrink_font
+from widgets.styling import set_spacing
 
 
 class FramesPanel(QWidget):
@@ -36,7 +38,7 @@ class FramesPanel(QWidget):
         self._sorted.setSourceModel(self.model)
         self._sorted.setSortRole(SORT_ROLE)
         self._frame = 0
-        self.metric_box, self._told, self.filter_line = QComboBox(), QLabel(), QLineEdit()
+        self.metric_box, self._told, self.filter_line = ElidingComboBox(), QLabel(), QLineEdit()
         self.filter_line.setObjectName("frames_filter")
         self.filter_line.setAccessibleName("filter of the frames")
         self.filter_line.setPlaceholderText("filter: >0.3, <2, contact, warned, noted, a word")
@@ -48,7 +50,7 @@ class FramesPanel(QWidget):
         self.metric_box.setAccessibleName("metric of the frames")
         self.metric_box.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
         self.metric_box.activated.connect(lambda: self.metric_chosen.emit(self.metric_box.currentData()))
-        shrink_font(self._told, 1.0)
+        resize_font(self._told)
         self.table = _table(self._sorted)
         layout = set_spacing(QVBoxLayout(self), 3, (2, 2, 2, 2))
         for widget in (self.metric_box, self.filter_line, self.table, self._told):
@@ -118,6 +120,7 @@ class FramesPanel(QWidget):
 def _table(model: QSortFilterProxyModel) -> QTableView:
     table = QTableView()
     table.setObjectName("frames")
+    table.setAccessibleName("frames")
     table.setModel(model)
     table.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
     table.setSelectionMode(QAbstractItemView.SelectionMode.SingleSelection)

@@ -45,9 +45,12 @@ class LiveDialog(QDialog):
         second.addWidget(browse)
         form.addRow("source", first)
         form.addRow("folder", second)
-        for label, widget in (("sensor", self.sensor), ("object", self.object_box), ("rate", self.rate)):
-            widget.setObjectName(f"live_{label}")
+        named = (("sensor", self.sensor), ("object", self.object_box), ("rate", self.rate))
+        for label, widget in named:
             form.addRow(label, widget)
+        for label, widget in (*named, ("source", self.source), ("folder", self.folder)):
+            widget.setObjectName(f"live_{label}")
+            widget.setAccessibleName(f"live {label}")
         self._told = QLabel()
         self._told.setWordWrap(True)
         form.addRow(self._told)

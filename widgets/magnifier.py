@@ -11,12 +11,12 @@ from PyQt6.QtWidgets import QWidget
 
 from pipeline.previews.preview import Preview
 from widgets.canvas import Canvas
-from widgets.styling import shrink_font
+from widgets.fonts import resize_font
 from widgets.theme import CROSSHAIR_COLOUR, to_qcolor
 
 MAX_RADIUS_PX = 3  # pixels on either side, fewer in a small image
 _SHARE = 0.5  # share of the image that may be covered
-_CELL_PX, _LINE_PX = (31, 17), 3  # size of a cell with a value; margin to the image's edge
+_WIDEST_VALUE, _LINE_PX = "-0.00", 3  # that a cell has room for; margin to the image's edge
 _DARK = 140  # of 255: text on darker pixels is light
 
 
@@ -27,7 +27,9 @@ class Magnifier(QWidget):
         super().__init__(parent)
         self.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
         self.setAccessibleName("values around the pixel")
-        shrink_font(self, 2.5, least_pt=6.5)
+        resize_font(self)
+        metrics = self.fontMetrics()
+        self._cell_px = metrics.horizontalAdvance(_WIDEST_VALUE) + 2, metrics.height() + 2
         self.radius_px = MAX_RADIUS_PX
         self.preview: Preview | None = None
         self.centre_pixel = 0, 0  # row, col of the central pixel
@@ -38,9 +40,10 @@ class Magnifier(QWidget):
         self.preview, self.centre_pixel = picture, (row, col)
         if self.parentWidget() is not canvas:
             self.setParent(canvas)
-        room = min(_SHARE * canvas.width() / _CELL_PX[0], _SHARE * canvas.height() / _CELL_PX[1])
+        wide, high = self._cell_px
+        room = min(_SHARE * canvas.width() / wide, _SHARE * canvas.height() / high)
         self.radius_px = min(MAX_RADIUS_PX, max(1, int(0.5 * (room - 1.0))))
-        self.resize((2 * self.radius_px + 1) * _CELL_PX[0] + 2, (2 * self.radius_px + 1) * _CELL_PX[1] + 2)
+        self.resize((2 * self.radius_px + 1) * wide + 2, (2 * self.radius_px + 1) * high + 2)
         low = row < 0.5 * picture.pixels.shape[0]
         right = col < 0.5 * picture.pixels.shape[1]
         self.move(
@@ -66,7 +69,7 @@ class Magnifier(QWidget):
         del a0
         if self.preview is None:
             return
-        painter, (wide, high) = QPainter(self), _CELL_PX
+        painter, (wide, high) = QPainter(self), self._cell_px
         painter.fillRect(self.rect(), QColor(20, 24, 30))
         rows, cols = self.preview.pixels.shape[:2]
         reach = self.radius_px

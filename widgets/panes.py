@@ -11,9 +11,10 @@ from PyQt6.QtGui import QResizeEvent
 from PyQt6.QtWidgets import QFrame, QHBoxLayout, QLabel, QToolButton, QVBoxLayout, QWidget
 
 from widgets.filmstrip import Filmstrip
+from widgets.fonts import resize_font
 from widgets.pane_splitter import PaneSplitter
 from widgets.stage_column import StageColumn
-from widgets.styling import set_spacing, shrink_font
+from widgets.styling import set_spacing
 from widgets.view_3d_panel import View3DPanel
 
 MAX_PANES = 3
@@ -37,14 +38,14 @@ class Pane(QFrame):
         self._buttons = {dims: QToolButton() for dims in DIMS}
         head = set_spacing(QHBoxLayout(), 1)
         word = QLabel(f"pane {number}")
-        shrink_font(word, 1.0)
+        resize_font(word)
         head.addWidget(word)
         head.addStretch(1)
         for dims, button in self._buttons.items():
             button.setText(dims)
             button.setCheckable(True)
             button.setAutoRaise(True)
-            shrink_font(button, 1.0)
+            resize_font(button)
             button.setObjectName(f"pane_{number}_{dims.lower()}")
             button.setToolTip(f"Show {'the image and the 3D view' if dims == 'both' else dims} in this pane")
             button.clicked.connect(partial(self.dims_chosen.emit, dims))
@@ -111,6 +112,7 @@ class PanesPage(QWidget):
         self._slots: tuple[str, ...] = ()
         self._count = QToolButton()
         self._count.setObjectName("pane_count")
+        self._count.setAccessibleName("third pane")
         self._count.setAutoRaise(True)
         self._count.clicked.connect(lambda: self.count_chosen.emit(2 if len(self._slots) == MAX_PANES else MAX_PANES))
         self.filmstrip.add_control(self._count)

@@ -11,7 +11,6 @@ from PyQt6.QtCore import QSignalBlocker, Qt
 from PyQt6.QtWidgets import (
     QAbstractSpinBox,
     QCheckBox,
-    QComboBox,
     QDoubleSpinBox,
     QHBoxLayout,
     QLineEdit,
@@ -22,6 +21,7 @@ from PyQt6.QtWidgets import (
 )
 
 from pipeline.base.params import Setting, Value
+from widgets.eliding_combo_box import ElidingComboBox
 
 _SLIDER_STEPS, _NARROW_PX = 400, 24
 _MANY, _TOO_MANY, _BEND = (
@@ -45,6 +45,12 @@ class ParameterControl:
     def sliders(self) -> list[QSlider]:
         """Its sliders, none or one."""
         return self.widget.findChildren(QSlider)
+
+    def set_names(self, object_name: str, text: str) -> None:
+        """Set the name that finds it, and the one that a screen reader says for each of its parts."""
+        self.widget.setObjectName(object_name)
+        for part in (self.widget, *self.sliders, *self._spin_boxes):
+            part.setAccessibleName(text)
 
     def set_unavailable(self, reason: str) -> None:
         """Grey it out with the reason as its tooltip; "" = it can act."""
@@ -141,10 +147,10 @@ def _switch(value: bool, edited: Callable[[Value], None]) -> ParameterControl:
 
 
 def _choice(value: str, setting: Setting, edited: Callable[[Value], None]) -> ParameterControl:
-    box = QComboBox()
+    box = ElidingComboBox()
     box.addItems(list(setting.choices))
     box.setCurrentText(value)
-    box.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
+    box.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
     box.currentTextChanged.connect(edited)
     return _quiet(box, box.setCurrentText)
 

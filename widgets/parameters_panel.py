@@ -5,15 +5,19 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import partial
 
-from PyQt6.QtCore import Qt, pyqtSignal
-from PyQt6.QtWidgets import QFormLayout, QFrame, QHBoxLayout, QLabel, QScrollArea, QVBoxLayout, QWidget
+from PyQt6.QtCore import pyqtSignal
+from PyQt6.QtWidgets import QFormLayout, QHBoxLayout, QLabel, QVBoxLayout, QWidget
 
 from pipeline.base.params import Setting, Value, list_settings, replace_value
+from widgets.fixed_size_label import FixedSizeLabel
 from widgets.parameter_controls import ParameterControl, describe_setting, format_label, make_control
 from widgets.styling import make_bold, make_icon_button, set_spacing
+from widgets.vertical_scroll_area import VerticalScrollArea
+
+_LABEL_PX = 104  # width of all labels, which wrap: a form takes the room of wider ones from the values
 
 
-class ParametersPanel(QScrollArea):
+class ParametersPanel(VerticalScrollArea):
     """One group per method; `params_edited(key, params)` carries the complete new parameters."""
 
     params_edited = pyqtSignal(str, object)
@@ -21,9 +25,7 @@ class ParametersPanel(QScrollArea):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self.setWidgetResizable(True)
-        self.setFrameShape(QFrame.Shape.NoFrame)
-        self.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        self.setAccessibleName("parameters")
         self._body = QWidget()
         self._layout = QVBoxLayout(self._body)
         self._layout.setContentsMargins(6, 4, 6, 4)
@@ -45,14 +47,14 @@ class ParametersPanel(QScrollArea):
             self._controls[key][name] = control
             label = QLabel(format_label(told))
             label.setWordWrap(True)
+            label.setFixedWidth(_LABEL_PX)
             tip = describe_setting(told, f"{key.partition('/')[0]}.{name}")
             label.setToolTip(tip)
             control.widget.setToolTip(tip)
             for slider in control.sliders:
                 slider.sliderPressed.connect(partial(self.slider_held.emit, key))
                 slider.sliderReleased.connect(partial(self.slider_held.emit, ""))
-            control.widget.setAccessibleName(told.label)
-            control.widget.setObjectName(f"{key}.{name}")
+            control.set_names(f"{key}.{name}", format_label(told))
             form.addRow(label, control.widget)
             if told.sensor_kind:
                 self._only.append((key, form, control.widget, told))
@@ -77,6 +79,7 @@ class ParametersPanel(QScrollArea):
             form.setRowVisible(control, told.applies_to(kinds.get(key, "")))
         for key, group in self._groups.items():
             group.setVisible(key in kinds and bool(self._controls[key]))
+        self.updateGeometry()
 
     def show_unavailable(self, key: str, reasons: Mapping[str, str]) -> None:
         """Grey out the parameters of a method that cannot act; `reasons` is name -> why."""
@@ -104,8 +107,8 @@ class ParametersPanel(QScrollArea):
         group = QWidget()
         outer = set_spacing(QVBoxLayout(group), 3, (0, 2, 0, 6))
         head = QHBoxLayout()
-        name = QLabel(title)
-        name.setToolTip(tip)
+        name = FixedSizeLabel(title)
+        name.setToolTip(f"{title}\n{tip}" if tip else title)
         make_bold(name)
         button = make_icon_button("reset", f"reset_{key}", f"Reset {title.lower()} to its defaults")
         button.setAccessibleName(f"reset {key}")

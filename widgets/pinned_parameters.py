@@ -10,8 +10,9 @@ from PyQt6.QtGui import QResizeEvent
 from PyQt6.QtWidgets import QBoxLayout, QHBoxLayout, QLabel, QVBoxLayout, QWidget
 
 from pipeline.base.params import Setting, Value, list_settings, replace_value
+from widgets.fonts import resize_font
 from widgets.parameter_controls import ParameterControl, describe_setting, make_control
-from widgets.styling import set_spacing, shrink_font
+from widgets.styling import set_spacing
 
 _LABEL_PX, _ROW_PX, _COMPACT_ROW_PX = 54, 22, 19
 _SLIDERS_FROM_PX = 126  # width from which on a slider fits between label and number
@@ -80,7 +81,7 @@ class PinnedParameters(QWidget):
             self._arrange()
 
     def resizeEvent(self, a0: QResizeEvent | None) -> None:  # noqa: N802
-        """Leave the room to the numbers where there is little: they are never cut off."""
+        """Leave the room to the numbers where there is little: without slider, name and unit."""
         super().resizeEvent(a0)
         is_narrow = not self._is_wide and self.width() < _SLIDERS_FROM_PX
         if is_narrow != self._is_narrow:
@@ -102,8 +103,9 @@ class PinnedParameters(QWidget):
         compact = self._is_compact and not self._is_wide
         self._labels[name].setHidden(compact)
         unit = f" {setting.unit}" if setting.unit else ""
+        around = ("", "") if self._is_narrow else ("", unit) if unit else (f"{setting.pinned.lower()} ", "")
         control.widget.setFixedHeight(_COMPACT_ROW_PX if compact else _ROW_PX)
-        control.set_compact(compact, "" if unit else f"{setting.pinned.lower()} ", unit)
+        control.set_compact(compact, *around)
         for slider in control.sliders:
             slider.setHidden(compact or self._is_narrow)
 
@@ -126,7 +128,7 @@ class PinnedParameters(QWidget):
         row = self._rows[name] = set_spacing(QHBoxLayout(), 4)
         label = self._labels[name] = QLabel(setting.pinned)
         label.setFixedWidth(_LABEL_PX)
-        shrink_font(label, 1.0)
+        resize_font(label)
         row.addWidget(label)
         self._lines.addLayout(row, 1)
         self._controls[name] = {}
@@ -144,12 +146,10 @@ class PinnedParameters(QWidget):
         control = make_control(value, setting, partial(self._emit_edited, name))
         control.set_narrow()
         for widget in (control.widget, *control.widget.findChildren(QWidget)):
-            shrink_font(widget, 1.0)
+            resize_font(widget)
         control.widget.setToolTip(describe_setting(setting, f"{key.partition('/')[0]}.{name}"))
-        control.widget.setAccessibleName(setting.label)
-        control.widget.setObjectName(f"pinned_{name}")
+        control.set_names(f"pinned_{name}", setting.label)
         for slider in control.sliders:
-            slider.setAccessibleName(setting.label)
             slider.sliderPressed.connect(lambda: self.slider_held.emit(self._key))
             slider.sliderReleased.connect(lambda: self.slider_held.emit(""))
         self._rows[name].addWidget(control.widget, 1)

@@ -13,12 +13,12 @@ from PyQt6.QtGui import QColor, QFont, QImage, QPainter, QPalette, QPen, QPixmap
 from pipeline.base.arrays import Floats, Image
 from pipeline.previews.colours import NO_VALUE_COLOUR, Rgb
 from pipeline.previews.preview import Preview
+from widgets.fonts import make_caption_font
 from widgets.theme import CASING_COLOUR, CONTACT_COLOUR, OBSERVED_CONTACT_COLOUR, get_theme_colours, to_qcolor
 
 MAX_ZOOM, MIN_ZOOM = 60.0, 0.02
 _BAR_LENGTHS_MM = (50.0, 20.0, 10.0, 5.0, 2.0, 1.0, 0.5, 0.2, 0.1)
 _DIMMED = 0.45
-_LETTERS_PT = 7.5
 
 
 class PreviewRenderer:
@@ -165,10 +165,8 @@ class PreviewRenderer:
         ink = QColor(255, 255, 255) if dark else QColor(30, 32, 36)
         painter.setPen(QPen(ink, 3))
         painter.drawLine(QPointF(end - length_mm * px_of_mm, y), QPointF(end, y))
-        small = QFont(font)
-        if font.pointSizeF() > 0:  # a font of a size in pixels belongs to the size of the whole image
-            small.setPointSizeF(_LETTERS_PT)
-        painter.setFont(small)
+        # A font of a size in pixels belongs to the size of the whole image.
+        painter.setFont(make_caption_font(font) if font.pointSizeF() > 0 else font)
         high = painter.fontMetrics().height()
         room = QRectF(end - length_mm * px_of_mm - 40, y - 3 - high, length_mm * px_of_mm + 80, high)
         painter.drawText(room, Qt.AlignmentFlag.AlignCenter, f"{length_mm:g} mm")

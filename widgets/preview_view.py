@@ -14,7 +14,8 @@ from widgets.canvas import Canvas
 from widgets.colour_bar import ColourBar
 from widgets.comparison_overlay import ComparisonOverlay
 from widgets.fixed_size_label import FixedSizeLabel
-from widgets.styling import set_spacing, shrink_font
+from widgets.fonts import resize_font
+from widgets.styling import set_spacing
 
 SIDE_TEXT_PX = 170  # width of text next to an image
 _AROUND = 1.3  # margin around a fitted contact, as a factor
@@ -53,7 +54,7 @@ class PreviewView(QWidget):
         self._both = set_spacing(QBoxLayout(QBoxLayout.Direction.TopToBottom, self), 2)
         self._both.addWidget(self.canvas, 1)
         self._both.addWidget(self.text_area)
-        shrink_font(self._caption)
+        resize_font(self._caption)
         self.set_caption_lines(2)
         self.canvas.mouse_moved.connect(self._report_hover)
         self.canvas.mouse_left.connect(lambda: self.pixel_hovered.emit(-1, -1))

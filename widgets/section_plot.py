@@ -16,7 +16,7 @@ from PyQt6.QtWidgets import QSizePolicy, QWidget
 
 from pipeline.previews.colours import Rgb
 from pipeline.translation.cross_section import CrossSection, HeightProfile
-from widgets.styling import shrink_font
+from widgets.fonts import resize_font
 from widgets.theme import CATEGORY_COLOURS, get_theme_colours, to_qcolor
 
 _LEFT_PX, _BELOW_PX, _ROOM_PX, _LEGEND_PX, _KEY_PX, _EDGE_PX = 60.0, 32.0, 8.0, 150.0, 26.0, 9.0
@@ -70,7 +70,7 @@ class SectionPlot(QWidget):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        shrink_font(self)
+        resize_font(self)
         self.section: CrossSection | None = None
         self.sensor_role = ""  # sensor whose curves are drawn, "" = both
         self.setMinimumSize(280, 110)

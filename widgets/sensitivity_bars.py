@@ -9,7 +9,7 @@ from PyQt6.QtGui import QPainter, QPaintEvent
 from PyQt6.QtWidgets import QSizePolicy, QWidget
 
 from pipeline.alignment.sensitivity import UNIT_STEP, ScoreChange, Sensitivity
-from widgets.styling import shrink_font
+from widgets.fonts import resize_font
 from widgets.theme import get_theme_colours, to_qcolor
 
 # title, unit, digits, whether larger is better
@@ -30,7 +30,7 @@ class SensitivityBars(QWidget):
         super().__init__(parent)
         self.axes: tuple[Sensitivity, ...] = ()  # the axes on display
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
-        shrink_font(self, 0.5, least_pt=7.5)
+        resize_font(self)
         self.setAccessibleName("sensitivity of the axes")
         self._full = (UNIT_STEP, 1.0, _FULL_IOU)
         wide = self.fontMetrics().horizontalAdvance

@@ -10,7 +10,7 @@ from PyQt6.QtCore import QPointF, QRectF, QSize, Qt
 from PyQt6.QtGui import QPainter, QPalette, QPen
 from PyQt6.QtWidgets import QSizePolicy, QWidget
 
-from widgets.styling import shrink_font
+from widgets.fonts import resize_font
 from widgets.theme import get_theme_colours, to_qcolor
 
 _LEFT_PX, _BELOW_PX, _ROOM_PX, _DOT_PX = 46.0, 34.0, 14.0, 4.0
@@ -21,7 +21,7 @@ class SpreadPlot(QWidget):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        shrink_font(self)
+        resize_font(self)
         self.points: tuple[tuple[float, float], ...] = ()
         self.setMinimumWidth(240)
         self.setSizePolicy(QSizePolicy.Policy.Fixed, QSizePolicy.Policy.Expanding)

@@ -11,11 +11,13 @@ from typing import Any
 from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
 from PyQt6.QtWidgets import QBoxLayout, QComboBox, QFrame, QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
 
+from widgets.eliding_combo_box import ElidingComboBox
 from widgets.fixed_size_label import FixedSizeLabel
+from widgets.fonts import resize_font
 from widgets.icons import StateIcon
 from widgets.pinned_parameters import PinnedParameters
 from widgets.preview_view import PreviewView
-from widgets.styling import make_bold, set_spacing, shrink_font
+from widgets.styling import make_bold, set_spacing
 
 _BETWEEN_PX = 40  # sign, text and time of a state, with margins
 _SIGN_PX = 10  # between a title and the state's sign
@@ -39,7 +41,7 @@ class StageColumn(QFrame):
         self.setFrameShape(QFrame.Shape.StyledPanel)
         self._title = FixedSizeLabel(title)
         make_bold(self._title)
-        shrink_font(self._title, 0.5)
+        resize_font(self._title)
         self._title.setToolTip(title)
         self._sign, self._word, self._ms = StateIcon(), QLabel(), QLabel()
         self._ms.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
@@ -49,15 +51,15 @@ class StageColumn(QFrame):
         status.addWidget(self._sign)
         status.addWidget(self._word)
         status.addWidget(self._ms, 1)
-        layout = set_spacing(QVBoxLayout(self), 2, (1, 3, 1, 2))
-        self._method = QComboBox()
+        layout = set_spacing(QVBoxLayout(self), 1, (1, 2, 1, 1))
+        self._method = ElidingComboBox()
         self._method.setObjectName(f"method_{name}")
         self._method.setAccessibleName(f"method of {title}")
         self._method.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
         self._method.activated.connect(lambda: self.method_chosen.emit(name, self._method.currentData()))
         self._only = QLabel()  # in place of the chooser where there is one method only
         for widget in (self._word, self._ms, self._method, self._only):
-            shrink_font(widget, 1.0)
+            resize_font(widget)
         self._only.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
         self._only.setFixedHeight(self._method.sizeHint().height())
         self._method.hide()
@@ -71,7 +73,7 @@ class StageColumn(QFrame):
         layout.addWidget(self.view, 1)
         self._note = FixedSizeLabel()
         self._note.setObjectName(f"note_{name}")
-        shrink_font(self._note, 1.0)
+        resize_font(self._note)
         self._note.setAlignment(Qt.AlignmentFlag.AlignTop | Qt.AlignmentFlag.AlignLeft)
         self._wide = self._joined = False
         self._show_lines(2)

@@ -12,10 +12,12 @@ from PyQt6.QtGui import QPainter, QPalette, QPen
 from PyQt6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QPushButton, QSizePolicy, QVBoxLayout, QWidget
 
 from pipeline.stages.stage import StepCurve, StepHistory
-from widgets.styling import set_spacing, shrink_font
+from widgets.fonts import resize_font
+from widgets.styling import set_spacing
 from widgets.theme import get_theme_colours, to_qcolor
 
-_LEFT_PX, _RIGHT_PX, _GAP_PX, _DOT_PX = 128.0, 14.0, 10.0, 2.5
+_RIGHT_PX, _GAP_PX, _DOT_PX = 14.0, 10.0, 2.5
+_WIDEST_LIMIT, _BETWEEN_PX = "0.0000 mm", 8.0  # number at the upper end of a curve; space around names and numbers
 _NOTHING = "Step through keeps the steps and shows them one by one; the result stays the same"
 KEEP_STEPS, DISCARD_STEPS = "Step through", "Discard steps"
 
@@ -31,14 +33,18 @@ class StepsPlot(QWidget):
         self.setAccessibleName("metrics of every step")
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
-        shrink_font(self)
+        resize_font(self)
         self._curves: tuple[StepCurve, ...] = ()
+        self._left_px = 0.0  # room of names and numbers, left of the curves
         self._turns: tuple[int, ...] = ()
         self.current_step = -1
 
     def show_curves(self, curves: Sequence[StepCurve], turns: Sequence[int]) -> None:
         """Show these curves, with a line before each of the `turns`."""
         self._curves, self._turns = tuple(curves), tuple(turns)
+        wide = self.fontMetrics().horizontalAdvance
+        names_px = max((wide(curve.name) for curve in self._curves), default=0)
+        self._left_px = names_px + wide(_WIDEST_LIMIT) + 3 * _BETWEEN_PX
         self.update()
 
     def show_step(self, at: int) -> None:
@@ -58,8 +64,8 @@ class StepsPlot(QWidget):
 
     def compute_step_x_px(self, at: int) -> float:
         """Return the horizontal position of a step."""
-        wide = self.width() - _LEFT_PX - _RIGHT_PX
-        return _LEFT_PX + wide * at / max(1, self.n_steps - 1)
+        wide = self.width() - self._left_px - _RIGHT_PX
+        return self._left_px + wide * at / max(1, self.n_steps - 1)
 
     def paintEvent(self, a0: Any) -> None:  # noqa: N802
         """Paint strips, marks and the current step."""
@@ -81,7 +87,7 @@ class StepsPlot(QWidget):
             painter.drawLine(QPointF(x, 0), QPointF(x, self.height()))
         for k, curve in enumerate(self._curves):
             top = _GAP_PX + k * (tall + _GAP_PX)
-            self._draw(painter, curve, QRectF(_LEFT_PX, top, self.width() - _LEFT_PX - _RIGHT_PX, tall))
+            self._draw(painter, curve, QRectF(self._left_px, top, self.width() - self._left_px - _RIGHT_PX, tall))
 
     def _draw(self, painter: QPainter, curve: StepCurve, room: QRectF) -> None:
         palette = self.palette()
@@ -90,7 +96,7 @@ class StepsPlot(QWidget):
         painter.setPen(palette.color(QPalette.ColorRole.Mid))
         painter.drawLine(room.bottomLeft(), room.bottomRight())
         painter.setPen(palette.color(QPalette.ColorRole.WindowText))
-        words = QRectF(4, room.top() - 4, _LEFT_PX - 12, room.height() + 8)
+        words = QRectF(0.5 * _BETWEEN_PX, room.top() - 4, self._left_px - 1.5 * _BETWEEN_PX, room.height() + 8)
         right = Qt.AlignmentFlag.AlignRight
         painter.drawText(words, Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter, curve.name)
         painter.drawText(words, right | Qt.AlignmentFlag.AlignTop, f"{most:.3g} {curve.unit}")
@@ -114,8 +120,8 @@ class StepsPlot(QWidget):
 
     def mousePressEvent(self, a0: Any) -> None:  # noqa: N802
         """Choose the step at this position."""
-        wide = max(1.0, self.width() - _LEFT_PX - _RIGHT_PX)
-        self._choose(round((a0.position().x() - _LEFT_PX) / wide * max(1, self.n_steps - 1)))
+        wide = max(1.0, self.width() - self._left_px - _RIGHT_PX)
+        self._choose(round((a0.position().x() - self._left_px) / wide * max(1, self.n_steps - 1)))
 
     def mouseMoveEvent(self, a0: Any) -> None:  # noqa: N802
         """Choose steps while dragging."""

@@ -6,7 +6,8 @@ from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
 from PyQt6.QtWidgets import QHBoxLayout, QLabel, QSizePolicy, QSlider, QToolButton, QWidget
 
 from pipeline.values.results import PoseStep, TouchStep
-from widgets.styling import set_spacing, shrink_font
+from widgets.fonts import resize_font
+from widgets.styling import set_spacing
 
 AnyStep = PoseStep | TouchStep
 
@@ -34,7 +35,7 @@ class StepsSlider(QWidget):
         self._keeps = False
         self.slider.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
         for widget in (self._text, self.keep_button):
-            shrink_font(widget)
+            resize_font(widget)
             widget.setFixedHeight(widget.fontMetrics().height() + 1)  # the height of the legends next to it
         layout = set_spacing(QHBoxLayout(self), 4)
         layout.addWidget(self.slider, 1)

@@ -23,13 +23,6 @@ def set_spacing(layout: _Layout, between_px: int, around_px: tuple[int, int, int
     return layout
 
 
-def shrink_font(widget: QWidget, by_pt: float = 1.5, *, least_pt: float = 7.0) -> None:
-    """Make a widget's font smaller than the window's, but at least `least_pt`."""
-    font = widget.font()
-    font.setPointSizeF(max(least_pt, font.pointSizeF() - by_pt))
-    widget.setFont(font)
-
-
 def make_bold(widget: QWidget) -> None:
     """Make a widget's font bold."""
     font = widget.font()

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from PyQt6.QtGui import QColor, QPalette
+from PyQt6.QtWidgets import QApplication, QToolTip
 
 from pipeline.previews.colours import NO_VALUE_COLOUR, Rgb
 
@@ -34,6 +35,10 @@ CATEGORY_COLOURS: tuple[
     (240, 228, 66),
     (90, 90, 100),
 )
+
+_OUTLINED = "QCheckBox", "QSlider", "QLineEdit", "QAbstractSpinBox", "QComboBox"
+_OUTLINE: dict[bool, Rgb] = {False: (122, 129, 140), True: (145, 152, 164)}  # of controls, by whether it is dark
+_FUSION_OUTLINE = 140  # per cent, as `QColor.darker` takes it
 
 
 PROBE_COLOURS = (
@@ -180,3 +185,19 @@ def make_palette(*, dark: bool) -> QPalette:
         palette.setColor(group.Disabled, which, to_qcolor((116, 122, 132) if dark else (150, 154, 160)))
     palette.setColor(group.Disabled, role.Highlight, to_qcolor((84, 90, 100) if dark else (200, 204, 210)))  # sliders
     return palette
+
+
+def use_palette(*, dark: bool) -> None:
+    """Set the palette of the application, unless it is set already.
+
+    Fusion outlines a control in its window colour, darker by `_FUSION_OUTLINE`: nearly invisible on a dark window. So
+    the controls of `_OUTLINED`, which paint nothing else in that colour, get a window colour that makes the outline
+    stand out 3 to 1.
+    """
+    palette = make_palette(dark=dark)
+    if palette != QApplication.palette():
+        QApplication.setPalette(palette)
+        QToolTip.setPalette(palette)
+        palette.setColor(QPalette.ColorRole.Window, to_qcolor(_OUTLINE[dark]).lighter(_FUSION_OUTLINE))
+        for kind in _OUTLINED:
+            QApplication.setPalette(palette, kind)

@@ -10,8 +10,9 @@ from PyQt6.QtCore import QPointF, QSize, Qt, pyqtSignal
 from PyQt6.QtWidgets import QBoxLayout, QFrame, QGridLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
 
 from pipeline.previews.tile import Tile
+from widgets.fonts import resize_font
 from widgets.preview_view import SIDE_TEXT_PX, PreviewView
-from widgets.styling import make_bold, set_spacing, shrink_font
+from widgets.styling import make_bold, set_spacing
 
 _MOST_COLUMNS = 8
 _NARROW_PX = 360
@@ -34,7 +35,7 @@ class TileView(QFrame):
         self.tile = Tile(title="")
         self._title, self._subtitle, self.view = QLabel(), QLabel(), PreviewView()
         make_bold(self._title)
-        shrink_font(self._subtitle, 0.5)
+        resize_font(self._subtitle)
         for label in (self._title, self._subtitle):
             label.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
             label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)

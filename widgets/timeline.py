@@ -12,7 +12,8 @@ from PyQt6.QtGui import QAction
 from PyQt6.QtWidgets import QComboBox, QGridLayout, QHBoxLayout, QLabel, QSlider, QSpinBox, QWidget
 
 from widgets.error_strip import ErrorScale, ErrorStrip
-from widgets.styling import make_command_button, set_spacing, shrink_font
+from widgets.fonts import resize_font
+from widgets.styling import make_command_button, set_spacing
 
 SPEEDS = (0.25, 0.5, 1.0, 2.0, 4.0)
 FRAMES_PER_SECOND = 10.0  # at speed 1, when the recording has no timestamps
@@ -45,6 +46,7 @@ class Timeline(QWidget):
         self.slider.setAccessibleName(unit)
         self.number = QSpinBox()
         self.number.setObjectName(f"{unit}_number")
+        self.number.setAccessibleName(f"{unit} number")
         self.number.setKeyboardTracking(False)
         self.errors, self.scale, self._figure, self._worst = ErrorStrip(), ErrorScale(), QLabel(), QLabel()
         self._of, self._time, self._left_out = QLabel(), QLabel(), QLabel()
@@ -53,6 +55,7 @@ class Timeline(QWidget):
         self._steps: deque[int] = deque(maxlen=_STEPS_SHOWN)  # frames advanced in recent playback steps
         self._time.setMinimumWidth(self.fontMetrics().horizontalAdvance("t = 0000.00 s"))
         self.speed = QComboBox()
+        self.speed.setAccessibleName("playback speed")
         for value in SPEEDS:
             self.speed.addItem(f"{value:g}\N{MULTIPLICATION SIGN}", value)
         self.speed.setCurrentIndex(SPEEDS.index(1.0))
@@ -97,7 +100,7 @@ class Timeline(QWidget):
         for widget in (self.errors, self._worst, self._figure, self.scale):
             widget.setVisible(self._unit == "frame")
         for label in (self._figure, self._worst):
-            shrink_font(label, 1.0)
+            resize_font(label)
             label.setAlignment(Qt.AlignmentFlag.AlignTop | Qt.AlignmentFlag.AlignLeft)  # at the upper end of the bars
 
     def add_command(self, action: QAction) -> None:

@@ -66,6 +66,7 @@ class TimingsPanel(QWidget):
         self._target.valueChanged.connect(self.target_changed)
         self.skip_button = QPushButton()
         self.skip_button.setObjectName("skip_stages")
+        self.skip_button.setAccessibleName("skip stages")
         self.skip_button.clicked.connect(self.skip_requested)
         self.skip_button.hide()
         head = set_spacing(QHBoxLayout(), 8)

@@ -24,6 +24,7 @@ class TracePanel(QScrollArea):
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.setObjectName("trace")
+        self.setAccessibleName("trace of the pixel")
         self.setWidgetResizable(True)
         self.setFrameShape(QFrame.Shape.NoFrame)
         self._label = QLabel(_INVITATION)

@@ -17,7 +17,8 @@ from PyQt6.QtWidgets import (
 )
 
 from pipeline.tasks.trial_rows import TrialRow
-from widgets.styling import set_spacing, shrink_font
+from widgets.fonts import resize_font
+from widgets.styling import set_spacing
 from widgets.table_copier import copy_table
 from widgets.trials_model import CAUSE, TRIAL, TrialsFilter, TrialsModel
 
@@ -41,8 +42,8 @@ class TrialsPanel(QWidget):
         self.filter_line.setToolTip("Trials that match all terms: a limit of the error in mm, or a word of any column")
         self.filter_line.setClearButtonEnabled(True)
         self.filter_line.textChanged.connect(self._filter)
-        shrink_font(self._count, 1.0)
-        shrink_font(self.table, 1.0)
+        resize_font(self._count)
+        resize_font(self.table)
         self._prepare_table()
         layout = set_spacing(QVBoxLayout(self), 3, (2, 2, 2, 2))
         for widget in (self.filter_line, self.table, self._count):

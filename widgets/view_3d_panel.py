@@ -9,7 +9,8 @@ from PyQt6.QtGui import QTextDocumentFragment
 from PyQt6.QtWidgets import QLabel, QSizePolicy, QVBoxLayout, QWidget
 
 from widgets.fixed_size_label import FixedSizeLabel
-from widgets.styling import set_spacing, shrink_font
+from widgets.fonts import resize_font
+from widgets.styling import set_spacing
 from widgets.view_3d import View3D
 
 
@@ -19,7 +20,7 @@ class View3DPanel(QWidget):
     def __init__(self, under: QWidget | None = None, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.view, self.legend, self.caption = View3D(), FixedSizeLabel(), FittingLabel()
-        shrink_font(self.legend)
+        resize_font(self.legend)
         self.legend.setAlignment(Qt.AlignmentFlag.AlignHCenter)
         layout = set_spacing(QVBoxLayout(self), 0)
         layout.addWidget(self.view, 1)
@@ -37,7 +38,7 @@ class FittingLabel(QLabel):
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.setTextFormat(Qt.TextFormat.RichText)
-        shrink_font(self)
+        resize_font(self)
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
         self.setAlignment(Qt.AlignmentFlag.AlignHCenter)
         self._tellings: tuple[str, ...] = ()

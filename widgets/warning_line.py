@@ -11,8 +11,9 @@ from PyQt6.QtWidgets import QHBoxLayout, QPushButton, QToolTip, QWidget
 
 from widgets.choice_buttons import Choice, make_choice_button
 from widgets.fixed_size_label import FixedSizeLabel
+from widgets.fonts import resize_font
 from widgets.icons import StateIcon
-from widgets.styling import set_spacing, shrink_font
+from widgets.styling import set_spacing
 
 _BETWEEN = "   ·   "
 _SPARE_PX = 4  # what the last letter of a text may need beyond its measured width
@@ -58,7 +59,7 @@ class WarningLine(QWidget):
             button.deleteLater()
         self.buttons = [make_choice_button(choice, lambda: None) for choice in choices]
         for button in self.buttons:
-            shrink_font(button, 1.0)
+            resize_font(button)
             button.setFixedHeight(self._label.sizeHint().height())
             layout.addWidget(button)
         self._fit()

@@ -10,7 +10,8 @@ from PyQt6.QtGui import QAction, QPainter, QPaintEvent, QPen
 from PyQt6.QtWidgets import QHBoxLayout, QLabel, QListWidget, QListWidgetItem, QToolButton, QVBoxLayout, QWidget
 
 from pipeline.base.text import escape_text
-from widgets.styling import ThemedLabel, make_bold, set_spacing, shrink_font
+from widgets.fonts import resize_font
+from widgets.styling import ThemedLabel, make_bold, set_spacing
 from widgets.theme import get_theme_colours, to_qcolor
 
 _WIDTH_PX, _ROW_PX = 620, 24
@@ -46,7 +47,7 @@ class WelcomePage(QWidget):
         title, purpose, drop = QLabel("Tactoscope"), QLabel(_PURPOSE), DropArea(f"Drop a recording here: {formats}")
         known = ThemedLabel(lambda colours: colours.secondary_text, f"Sensors: {sensors}")
         make_bold(title)
-        shrink_font(title, -9.0)
+        resize_font(title, 9.0)
         for label in (purpose, drop, known):
             label.setWordWrap(True)
         drop.setAlignment(Qt.AlignmentFlag.AlignCenter)

@@ -8,6 +8,7 @@ from __future__ import annotations
 from PyQt6.QtCore import QSize, Qt
 from PyQt6.QtWidgets import QDockWidget, QMainWindow, QTabWidget, QToolBar, QWidget
 
+from widgets.command_bar import name_extension
 from widgets.icons import make_command_icon
 
 _AREA = Qt.DockWidgetArea
@@ -26,6 +27,7 @@ class Drawers:
         self.rail = QToolBar("Drawers", window)
         self.rail.setObjectName("rail")
         self.rail.setMovable(False)
+        name_extension(self.rail)
         self.rail.setIconSize(QSize(20, 20))
         window.addToolBar(Qt.ToolBarArea.LeftToolBarArea, self.rail)
         self.frames = self._add_drawer("Frames", frames, _AREA.LeftDockWidgetArea, "table", "F2")

@@ -31,6 +31,7 @@ from widgets.alignment_panel import AlignmentPanel
 from widgets.banner import Banner
 from widgets.basin_map import BasinPanel
 from widgets.comparison_page import ComparisonPage
+from widgets.eliding_combo_box import ElidingComboBox
 from widgets.error_attribution_panel import ErrorAttributionPanel
 from widgets.fixed_size_label import FixedSizeLabel
 from widgets.frames_panel import FramesPanel
@@ -165,6 +166,7 @@ class MainWindow(QMainWindow):
             self.alignment.add_command(self.actions_by_name[name])
         self.tabs = QTabWidget()
         self.tabs.setObjectName("diagnostic_tabs")
+        self.tabs.setAccessibleName("diagnostics")
         self.tabs.setDocumentMode(True)
         tabs = (
             (self.error_attribution, "Attribution"),
@@ -188,7 +190,7 @@ class MainWindow(QMainWindow):
         self.menus[menu].insertMenu(self.actions_by_name[before], submenu)
 
     def _make_chooser(self, name: str) -> QComboBox:
-        box = QComboBox()
+        box = ElidingComboBox()
         box.setObjectName(f"choose_{name}")
         box.setAccessibleName(f"{name} sensor" if name != "route" else "route")
         if name == "route":

@@ -10,7 +10,7 @@ from PyQt6.QtWidgets import QDockWidget, QLabel, QMainWindow, QMenu, QWidget
 
 from app.window.actions import MENUS, THEME_COMMANDS
 from widgets.action_tabs import ActionTabs
-from widgets.command_bar import CommandBar
+from widgets.command_bar import CommandBar, name_extension
 from widgets.timeline import Timeline
 
 _TOOLS = (
@@ -51,6 +51,7 @@ def build_menus(
     """Create the menus, with every command once; title -> menu."""
     bar, menus = window.menuBar(), dict[str, QMenu]()
     assert bar is not None
+    name_extension(bar)
     for text, commands in MENUS.items():
         title = text.replace("&", "")
         menu = menus[title] = QMenu(text, bar)

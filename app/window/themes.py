@@ -7,22 +7,18 @@ from typing import get_args
 
 from PyQt6.QtCore import QObject, Qt
 from PyQt6.QtGui import QActionGroup, QGuiApplication
-from PyQt6.QtWidgets import QApplication, QToolTip
 
 from app.session.preferences import Theme
 from app.window.autosave import AutosaveController
 from app.window.session_controller import SessionController
-from widgets.theme import make_palette
+from widgets.theme import use_palette
 
 
 def apply_theme(theme: Theme) -> None:
     """Set the palette of the application."""
     hints = QGuiApplication.styleHints()
     is_system_dark = theme == "system" and hints is not None and hints.colorScheme() == Qt.ColorScheme.Dark
-    palette = make_palette(dark=theme == "dark" or is_system_dark)
-    if palette != QApplication.palette():
-        QApplication.setPalette(palette)
-        QToolTip.setPalette(palette)
+    use_palette(dark=theme == "dark" or is_system_dark)
 
 
 class ThemeController(QObject):

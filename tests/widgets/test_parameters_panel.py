@@ -5,7 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import pytest
-from PyQt6.QtWidgets import QCheckBox, QComboBox, QDoubleSpinBox, QLabel, QSlider, QSpinBox, QToolButton, QWidget
+from PyQt6.QtWidgets import (
+    QAbstractSpinBox,
+    QCheckBox,
+    QComboBox,
+    QDoubleSpinBox,
+    QLabel,
+    QSlider,
+    QSpinBox,
+    QToolButton,
+    QWidget,
+)
 
 from pipeline.base.params import list_settings, setting
 from pipeline.translation.catalogue import BUILT_IN
@@ -140,3 +150,25 @@ def test_what_says_nothing_of_the_sensor_on_screen_is_left_out(panel, kind, seen
     assert panel.findChild(QWidget, "picky.gel_share").isVisible() is seen
     assert label.isVisible() is seen
     assert panel.findChild(QWidget, "picky.any_mm").isVisible()
+
+
+def test_no_value_is_cut_off_at_the_least_width_and_long_titles_elide(qtbot):
+    """The panel is never narrower than its values, and a title asks for no width."""
+    panel, methods = ParametersPanel(), [m for stage in BUILT_IN.stages for m in stage.methods]
+    qtbot.addWidget(panel)
+    for method in methods:
+        panel.add_group(
+            method.key, f"{method.title}, which has a very long name that no dock has room for", method.params()
+        )
+    panel.show()
+    for kind in ("gel", "bubble"):
+        panel.show_groups({method.key: kind for method in methods})
+        panel.resize(panel.minimumSizeHint().width(), 400)
+        qtbot.waitUntil(lambda: panel.widget().width() <= panel.viewport().width())
+        assert panel.width() < 330
+        values = [w for w in panel.findChildren((QAbstractSpinBox, QComboBox)) if w.isVisible()]
+        assert len(values) > 20
+        cut = [
+            w.objectName() or w.parentWidget().objectName() for w in values if w.width() < w.minimumSizeHint().width()
+        ]
+        assert cut == []

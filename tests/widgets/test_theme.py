@@ -7,17 +7,18 @@ from itertools import product
 
 import numpy as np
 import pytest
-from PyQt6.QtCore import QSize
+from PyQt6.QtCore import QSize, Qt
 from PyQt6.QtGui import QIcon, QPalette
-from PyQt6.QtWidgets import QApplication
+from PyQt6.QtWidgets import QApplication, QCheckBox, QComboBox, QLineEdit, QSlider, QSpinBox, QWidget
 
 from pipeline.previews.colours import NO_VALUE_COLOUR, ColourScale
 from pipeline.previews.preview import Preview
 from widgets.canvas import Canvas
 from widgets.icon_drawings import COMMAND_DRAWINGS
 from widgets.icons import make_command_icon
+from widgets.plain_text_style import PlainTextStyle
 from widgets.styling import ThemedLabel
-from widgets.theme import get_theme_colours, is_dark, make_palette
+from widgets.theme import get_theme_colours, is_dark, make_palette, use_palette
 from widgets.warning_line import WarningLine, fit_sentences
 
 LEAST = 4.5  # WCAG 2.1 for words
@@ -27,9 +28,8 @@ _ROLE = QPalette.ColorRole
 @pytest.fixture
 def themes(qapp):
     """Puts a theme on for the time of a test."""
-    before = QApplication.palette()
-    yield lambda dark: QApplication.setPalette(make_palette(dark=dark))
-    QApplication.setPalette(before)
+    yield lambda dark: use_palette(dark=dark)
+    use_palette(dark=False)
 
 
 def contrast(one, other):
@@ -74,6 +74,26 @@ def test_who_sees_no_red_or_no_green_tells_better_from_worse(dark, seen):
     ink = get_theme_colours(make_palette(dark=dark))
     one, other = (np.array(planes[seen]) @ (np.array(c) / 255) ** 2.2 for c in (ink.accent, ink.worse))
     assert np.abs(one ** (1 / 2.2) - np.clip(other, 0, 1) ** (1 / 2.2)).max() > 0.35
+
+
+@pytest.mark.parametrize("dark", [False, True])
+@pytest.mark.parametrize("kind", [QCheckBox, QSlider, QLineEdit, QSpinBox, QComboBox])
+def test_the_outline_of_a_control_stands_out_from_the_window(themes, qtbot, dark, kind):
+    """3 to 1, as WCAG 2.1 asks for the shapes of controls; Fusion's own outline is darker than a dark window."""
+    QApplication.setStyle(PlainTextStyle())
+    themes(dark)
+    ground = QWidget()
+    qtbot.addWidget(ground)
+    control = kind(ground)
+    if isinstance(control, QSlider):
+        control.setOrientation(Qt.Orientation.Horizontal)
+    control.resize(60, 24)
+    ground.resize(60, 24)
+    image = ground.grab().toImage()
+    window = make_palette(dark=dark).color(_ROLE.Window).getRgb()[:3]
+    seen = [contrast(image.pixelColor(x, 12).getRgb()[:3], window) for x in range(12)]  # across the left edge
+    assert max(seen) >= 3.0
+    assert contrast(image.pixelColor(0, 0).getRgb()[:3], window) < 1.1
 
 
 def test_every_ink_has_both_themes():
