@@ -8,21 +8,38 @@ import signal
 import sys
 import threading
 from concurrent.futures import ProcessPoolExecutor
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from multiprocessing.connection import Connection
 
 
-def worker_pool(n: int, nice: int = 0) -> ProcessPoolExecutor:
-    """Return a pool of `n` workers, started with the first task; `nice` lowers their priority."""
-    import multiprocessing
+class WorkerPool(ProcessPoolExecutor):
+    """`n` workers, started with the first task; `nice` lowers their priority.
 
-    context = multiprocessing.get_context("spawn")
-    return ProcessPoolExecutor(n, mp_context=context, initializer=_initialise, initargs=(nice,))
+    As a context it waits for its tasks, or ends its workers at once where an error or a request to stop leaves it.
+    """
+
+    def __init__(self, n: int, nice: int = 0) -> None:
+        """Start nothing yet."""
+        import multiprocessing
+
+        context = multiprocessing.get_context("spawn")
+        watched, self._lifeline = context.Pipe(duplex=False)
+        super().__init__(n, mp_context=context, initializer=_initialise, initargs=(nice, watched))
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        """Wait for the tasks; after an error drop them."""
+        if kind is not None:
+            self._lifeline.close()  # the workers end, whatever they are doing
+        self.shutdown(wait=True, cancel_futures=kind is not None)
 
 
-def _initialise(nice: int) -> None:
+def _initialise(nice: int, lifeline: Connection) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if hasattr(os, "setpgrp"):
         os.setpgrp()  # signals to the group are for the parent
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    threading.Thread(target=_end_with_parent, args=(lifeline,), daemon=True).start()
     if nice and hasattr(os, "nice"):
         with contextlib.suppress(OSError):
             os.nice(nice)
@@ -39,12 +56,12 @@ def limit_threads() -> None:
         sys.modules["torch"].set_num_threads(1)
 
 
-def _end_with_parent() -> None:
-    """End this worker when its parent is killed; it would wait forever."""
+def _end_with_parent(lifeline: Connection) -> None:
+    """End this worker when its parent is killed, for which it would wait forever, or closes its end of the pipe."""
     import multiprocessing
     from multiprocessing.connection import wait
 
     parent = multiprocessing.parent_process()
     if parent is not None:
-        wait([parent.sentinel])
+        wait([parent.sentinel, lifeline])
         os._exit(1)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pipeline.base.errors import FileProblem, NotConverged, SettingProblem, TouchError
-from pipeline.base.processes import worker_pool
+from pipeline.base.processes import WorkerPool
 from pipeline.base.progress import SILENT, Cancelled, Progress
 from pipeline.recordings import hdf5
 from pipeline.recordings.hdf5_writer import RecordingWriter
@@ -133,7 +133,7 @@ def make_worker_pool(jobs: int) -> ProcessPoolExecutor:
     """A pool of single-threaded processes that ignore Ctrl-C, which their parent handles."""
     if not 1 <= jobs <= 64:
         raise SettingProblem(f"--jobs must lie within 1 and 64, got {jobs}")
-    return worker_pool(jobs)
+    return WorkerPool(jobs)
 
 
 def _repair(plan: SimulationPlan, path: Path, n_moments: int) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 from pipeline import __version__
 from pipeline.base.cluster import ClusterPool
 from pipeline.base.errors import NotConverged, SettingProblem
-from pipeline.base.processes import limit_threads, worker_pool
+from pipeline.base.processes import WorkerPool, limit_threads
 from pipeline.base.progress import SILENT, Progress
 from pipeline.engine.digests import compute_digest
 from pipeline.tasks.catalogue import load_task
@@ -107,19 +107,17 @@ def run_jobs(
         return [one for found in cluster.map(run_job, jobs, progress) for one in found]
     if not 1 <= n_processes <= 64:
         raise SettingProblem(f"--jobs must lie within 1 and 64, got {n_processes}")
-    pool = worker_pool(n_processes)
     done = 0
     try:
-        futures = [pool.submit(run_job, job) for job in jobs]
-        waiting = set(futures)
-        while waiting:
-            finished, waiting = wait(waiting, timeout=_POLL_S, return_when=FIRST_COMPLETED)
-            for future in finished:
-                future.result()
-            done += len(finished)
-            progress.step(done / len(jobs), f"{done} of {len(jobs)} trials")
+        with WorkerPool(n_processes) as pool:
+            futures = [pool.submit(run_job, job) for job in jobs]
+            waiting = set(futures)
+            while waiting:
+                finished, waiting = wait(waiting, timeout=_POLL_S, return_when=FIRST_COMPLETED)
+                for future in finished:
+                    future.result()
+                done += len(finished)
+                progress.step(done / len(jobs), f"{done} of {len(jobs)} trials")
     except BrokenProcessPool as error:
         raise NotConverged("a worker process died, perhaps out of memory; run again with --jobs 1") from error
-    finally:
-        pool.shutdown(wait=False, cancel_futures=True)
     return [one for future in futures for one in future.result()]

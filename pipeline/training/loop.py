@@ -108,6 +108,8 @@ class _Training:
         self._held_out: dict[Split, list[Example]] = {}
         if group.device.type == "cuda":
             now.device = torch.cuda.get_device_name(group.device)
+        if group.world_size == 1:  # several processes stop together, after a step
+            source.check = self._check_stop
         self._start_s = time.monotonic() - now.trained_s
         self._saved_s = time.monotonic()
 
@@ -120,12 +122,21 @@ class _Training:
 
     def run(self) -> TrainingState:
         """Train to the end or to a request to stop, which is raised once the state is saved."""
+        try:
+            self._run_steps()
+        except (Cancelled, KeyboardInterrupt):
+            self._save()
+            raise
+        self._save()
+        return self._now
+
+    def _run_steps(self) -> None:
         now, group = self._now, self._group
         stride = self._recipe.training.batch * group.world_size
         fraction = group.average_over_processes(self._compute_fraction())[0]
         with closing(self._batches(stride)) as batches:
             while not self._is_over(fraction):
-                stop = self._check_stop(fraction)
+                stop = self._find_stop(fraction)
                 loss, terms = self._backpropagate(next(batches), fraction)
                 mean_loss, any_stop, next_fraction = group.average_over_processes(
                     loss, float(stop is not None), self._compute_fraction(ahead=1)
@@ -137,22 +148,21 @@ class _Training:
                 if math.floor(min(fraction, 1.0) * times) > math.floor(min(before, 1.0) * times):
                     self._validate()
                 if any_stop:
-                    self._save()
                     raise stop or Cancelled
                 if time.monotonic() > self._saved_s + SAVE_INTERVAL_S:
                     self._warn_if_full(self._save)
-        self._save()
-        return now
 
     def _batches(self, stride: int) -> Generator[dict[str, Tensor], None, None]:
         """Batches on the device, from this step on; making cached examples does not count as training time."""
         now, group, settings = self._now, self._group, self._recipe.training
         if settings.n_cached_examples:
-            making_s = time.monotonic()
-            for batch in iterate_cached_batches(self._source, settings, group, now.step):
-                if making_s is not None:
-                    self._start_s, making_s = self._start_s + time.monotonic() - making_s, None
-                yield batch
+            cached, begin_s = iterate_cached_batches(self._source, settings, group, now.step), time.monotonic()
+            try:
+                batch = next(cached)
+            finally:
+                self._start_s += time.monotonic() - begin_s
+            yield batch
+            yield from cached
             return
         first = now.step * stride + group.rank * settings.batch
         with closing(self._source.iterate_batches(first, stride)) as batches:
@@ -168,7 +178,13 @@ class _Training:
             return (time.monotonic() - self._start_s) / (60.0 * self._run.max_minutes)
         return (self._now.step + ahead) / self._recipe.training.steps
 
-    def _check_stop(self, fraction: float) -> BaseException | None:
+    def _check_stop(self) -> None:
+        """Raise the request to stop, if there is one, while examples are made."""
+        stop = self._find_stop(self._compute_fraction())
+        if stop is not None:
+            raise stop
+
+    def _find_stop(self, fraction: float) -> BaseException | None:
         """Report progress; the request to stop, if there is one."""
         loss = self._now.curve[-1]["loss"] if self._now.curve else math.nan
         status = f"step {self._now.step:,}, {self._now.n_examples:,} examples"

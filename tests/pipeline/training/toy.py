@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
 
 import numpy as np
@@ -65,6 +66,13 @@ class Discs:
         predicted = network(torch.from_numpy(np.stack([one["image"] for one in held_out]))).numpy() > 0
         truth = np.stack([one["disc"] for one in held_out]) > 0.5
         return {"overlap, 1": float((predicted & truth).sum() / (predicted | truth).sum())}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SlowDiscs(Discs):
+    def sample(self, rng):
+        time.sleep(300.0)
+        return Discs.sample(self, rng)
 
 
 def toy_net(width):
