@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -19,10 +16,6 @@ from pipeline.tracking.patch_map import ContactView, close_loops, fuse_views, ma
 from pipeline.tracking.tracker import KeyFrame, TrackedFrame, Tracker
 from pipeline.values.results import DepthMap
 
-_COLUMNS = (
-    "frame", "state", "part", "key_frame", "x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg", "std_mm", "std_deg",
-    "overlap", "agreement", "not_measured",
-)  # fmt: skip
 _VIEW_EVERY_MM, _VIEW_EVERY_DEG = 0.3, 2.0  # motion between the views of a patch map
 
 
@@ -57,8 +50,16 @@ class TrackError:
     n_frames: int
 
 
-def track_frames(indices: Sequence[int], read_depth: Callable[[int], DepthMap], progress: Progress = SILENT) -> Track:
-    """Follow the object through the frames `indices`; `read_depth` gives the membrane of a frame."""
+def track_frames(
+    indices: Sequence[int],
+    read_depth: Callable[[int], DepthMap],
+    progress: Progress = SILENT,
+    on_frame: Callable[[TrackedFrame, Sequence[KeyFrame]], None] | None = None,
+) -> Track:
+    """Follow the object through the frames `indices`; `read_depth` gives the membrane of a frame.
+
+    `on_frame` receives every frame, with the key frames so far, before loops are closed.
+    """
     tracker, frames, views = Tracker(), list[TrackedFrame](), list[ContactView]()
     seen_at: Doubles | None = None
     for done, index in enumerate(indices):
@@ -66,6 +67,8 @@ def track_frames(indices: Sequence[int], read_depth: Callable[[int], DepthMap], 
         surface = make_surface(read_depth(index))
         frame = tracker.add_frame(index, surface)
         frames.append(frame)
+        if on_frame is not None:
+            on_frame(frame, tracker.keys)
         if frame.sensor_from_start is not None and frame.part == 0 and _is_elsewhere(frame.sensor_from_start, seen_at):
             view = make_view(frame, surface, tracker.keys)
             views += [] if view is None else [view]
@@ -106,20 +109,3 @@ def compute_error(track: Track, read_pose: Callable[[int], Doubles | None]) -> T
     return TrackError(
         path_mm=path_mm, turned_deg=turned_deg, drift_mm=max(shifts), drift_deg=max(turns), n_frames=len(shifts)
     )
-
-
-def format_csv(track: Track) -> str:
-    """A row per frame: state, motion since the first frame, predicted standard deviations, weak directions."""
-    text = io.StringIO()
-    table = csv.writer(text, lineterminator="\n")
-    table.writerow(_COLUMNS)
-    for frame in track.frames:
-        pose = frame.sensor_from_start
-        motion = [math.nan] * 6 if pose is None else [*pose[:3, 3], *np.rad2deg(rigid.rotation_vector_rad(pose))]
-        key = track.keys[frame.key].index if frame.key >= 0 else ""
-        figures = [*motion, frame.std_mm, frame.std_deg, frame.overlap, frame.agreement]
-        table.writerow(
-            [frame.index, frame.state, frame.part, key, *("" if math.isnan(v) else f"{v:.5f}" for v in figures),
-             "; ".join(frame.weak_directions)]
-        )  # fmt: skip
-    return text.getvalue()

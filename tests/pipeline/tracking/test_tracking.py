@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from dataclasses import replace
 
 import numpy as np
@@ -11,12 +9,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from pipeline.base.errors import FileProblem
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import load_mesh
 from pipeline.tracking import patch_map
 from pipeline.tracking.membrane_surface import make_surface
 from pipeline.tracking.surface_registration import register_surfaces
-from pipeline.tracking.track import compute_error, format_csv, track_frames
+from pipeline.tracking.track import compute_error, track_frames
+from pipeline.tracking.track_files import format_table, is_track_folder, make_record, read_record, write_record
 from pipeline.tracking.tracker import GIVE_UP_AFTER, KeyFrame
 from tests.pipeline.tracking.presses import press, untouched
 
@@ -136,11 +136,32 @@ def test_the_patch_map_lies_on_the_object(tmp_path):
     assert len(patch.triangles) > 1000
 
 
-def test_the_table_has_a_row_per_frame():
-    rows = list(
-        csv.DictReader(io.StringIO(format_csv(track([(untouched(), None), press("star"), press("star", 0.5)]))))
-    )
-    assert [row["state"] for row in rows] == ["no contact", "tracked", "tracked"]
-    assert float(rows[2]["x_mm"]) == pytest.approx(0.5, abs=POSITION_MM)
-    assert rows[0]["x_mm"] == ""
-    assert rows[2]["key_frame"] == "1"
+def test_a_track_is_the_same_after_it_was_written_and_read(tmp_path):
+    presses = [(untouched(), None), press("star"), press("star", 0.5)]
+    result = track(presses)
+    record = make_record(result, "depth", error(result, presses))
+    assert [row.state for row in record.rows] == ["no contact", "tracked", "tracked"]
+    assert record.rows[2].x_mm == pytest.approx(0.5, abs=POSITION_MM)
+    assert record.rows[2].key_frame == 1
+    write_record(tmp_path / "track", record)
+    assert is_track_folder(tmp_path / "track")
+    read = read_record(tmp_path / "track")
+    assert format_table(read.rows) == format_table(record.rows)
+    assert (read.stage, read.key_frames, read.n_loops, read.error) == ("depth", record.key_frames, 0, record.error)
+    assert len(read.patch.triangles) == pytest.approx(len(record.patch.triangles), rel=0.01)  # none without an area
+    assert np.allclose(read.rows[2].sensor_from_start, result.frames[2].sensor_from_start, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("file", "text", "named"),
+    [("track.csv", "frame,state,part\n0,flying,0\n", "flying"), ("track.csv", "frame,state,part\nx,lost,0\n", "int"),
+     ("track.csv", "frame,state,part\n0,lost\n", "part"), ("track.json", "[]", "summary"),
+     ("track.json", '{"stage": "depth", "key_frames": [-1]}', "key_frames")],
+)  # fmt: skip
+def test_a_damaged_track_is_one_sentence(tmp_path, file, text, named):
+    (tmp_path / "track.csv").write_text("frame,state,part\n0,lost,0\n")
+    (tmp_path / "track.json").write_text('{"stage": "depth"}')
+    assert read_record(tmp_path).count("lost") == 1
+    (tmp_path / file).write_text(text)
+    with pytest.raises(FileProblem, match=named):
+        read_record(tmp_path)

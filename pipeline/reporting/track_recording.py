@@ -1,0 +1,47 @@
+"""Track the membrane of one stage through a recording, for the command line and the window alike."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+from pipeline.base.arrays import Doubles
+from pipeline.base.progress import SILENT, Progress
+from pipeline.tracking.track import compute_error, track_frames
+from pipeline.tracking.track_files import TrackRecord, TrackRow, make_record, make_row
+from pipeline.translation.translate import Translation
+from pipeline.values.results import DepthMap
+
+TRACKED_STAGES = ("depth", "touch_depth")  # the source's membrane, and that of the generated touch
+
+
+def track_recording(
+    translation: Translation,
+    stage: str,
+    params: Mapping[str, object],
+    indices: Sequence[int],
+    progress: Progress = SILENT,
+    on_row: Callable[[TrackRow], None] | None = None,
+) -> TrackRecord:
+    """Follow the object through the frames `indices` by the depth of a stage; `on_row` receives every frame at once.
+
+    Rows of the result may differ from those that `on_row` received: closed loops move them.
+    """
+    graph = translation.build_graph()
+
+    def read_depth(index: int) -> DepthMap:
+        return graph.evaluate([stage], translation.read_inputs(index, progress=progress), params)[stage].output
+
+    track = track_frames(
+        indices, read_depth, progress,
+        None if on_row is None else lambda frame, keys: on_row(make_row(frame, keys)),
+    )  # fmt: skip
+    return make_record(track, stage, compute_error(track, lambda index: _read_pose(translation, stage, index)))
+
+
+def _read_pose(translation: Translation, stage: str, index: int) -> Doubles | None:
+    """The true pose `sensor_from_object` (4, 4) in the frame of the followed sensor; None where unknown."""
+    truth = translation.read_source_truth(index)
+    if stage == "touch_depth":
+        other = translation.read_target_observation(index)
+        truth = None if other is None else other[1]
+    return None if truth is None else truth.sensor_from_object
