@@ -117,6 +117,7 @@ def show_window(
     from app.window.session_controller import SessionController
     from app.window.themes import apply_theme
     from pipeline.tasks.trial_rows import is_rollout_folder
+    from pipeline.tracking.track_record import is_track_folder
     from pipeline.translation.catalogue import BUILT_IN
     from widgets.plain_text_style import PlainTextStyle
 
@@ -136,7 +137,7 @@ def show_window(
     _wait_until_exposed(window)
     if with_scene:
         QTimer.singleShot(0, lambda: _add_scene(controller))
-    if session.recording is not None and is_rollout_folder(session.recording):
+    if session.recording is not None and (is_rollout_folder(session.recording) or is_track_folder(session.recording)):
         controller.open_path(session.recording)
     elif session.recording is not None:
         controller.saved_session = session  # what the command line asks for is no change

@@ -32,6 +32,7 @@ from app.window.rollout_attribution import RolloutAttributionController
 from app.window.rollouts import RolloutController
 from app.window.session_controller import SessionController
 from app.window.tour import pin_deepest_pixel, save_window_screenshot, wait_until_shown
+from app.window.track import TrackController
 from pipeline.live.simulated_source import SimulatedSource
 from pipeline.sensors.offsets import Offsets
 
@@ -198,6 +199,19 @@ def align(instrument: SessionController, path: Path) -> None:
     save_window_screenshot(instrument, path)
 
 
+def track(instrument: SessionController, path: Path) -> None:
+    """The object's motion through the sample, and what was touched of it."""
+    open_sample(instrument, frame=5)
+    command(instrument, "layout_track")
+    wait_for_views(instrument)
+    tracking = next(child for child in instrument.children() if isinstance(child, TrackController))
+    instrument.window.track.start_button.click()
+    until(lambda: tracking.view is not None)
+    instrument.choose_frame(8)
+    wait_for_idle(instrument)
+    save_window_screenshot(instrument, path)
+
+
 def live(instrument: SessionController, path: Path) -> None:
     """A simulated sensor, watched."""
     living = next(child for child in instrument.children() if isinstance(child, LiveController))
@@ -256,7 +270,7 @@ def record_trials() -> Path:
 
 PICTURES = {
     "welcome": welcome, "stages": stages, "filmstrip": filmstrip, "inspect": inspect, "compare": compare, "two": two,
-    "seeds": seeds, "basins": basins, "demo": demo, "align": align, "live": live, "trial": trial,
+    "seeds": seeds, "basins": basins, "demo": demo, "align": align, "track": track, "live": live, "trial": trial,
     "trial_error": trial_error,
 }  # fmt: skip
 

@@ -10,13 +10,13 @@ from msgspec import Meta
 
 from pipeline.base.typed_data import Name
 
-LayoutName = Literal["stages", "inspect", "align", "sweep", "demo", "compare", "task"]
+LayoutName = Literal["stages", "inspect", "align", "sweep", "demo", "compare", "track", "task"]
 Dims = Literal["2D", "3D", "both"]
 DIMS: tuple[Dims, ...] = get_args(Dims)
 LAYOUT_NAMES: tuple[LayoutName, ...] = get_args(LayoutName)
 # Columns that a layout shows large; all columns of the route where a layout is not listed.
 _LARGE_COLUMNS: Mapping[str, tuple[str, ...]] = {
-    "align": ("target_depth",), "demo": ("source", "touch"), "sweep": (), "compare": (),
+    "align": ("target_depth",), "demo": ("source", "touch"), "sweep": (), "compare": (), "track": (),
     "task": ("source", "touch"),
 }  # fmt: skip
 _Panes = Annotated[tuple[tuple[Name, Dims], ...], Meta(min_length=1, max_length=3)]  # stage and views of each

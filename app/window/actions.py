@@ -116,6 +116,8 @@ REGISTRATION_COMMANDS = (
             key="A"),
     Command("step_through", "Step through", "Keep the iterations of the pose and show them"),
     Command("map_basins", "Map basins", "Register this frame from a grid of start poses"),
+    Command("open_track", "Open track…", "Open a folder that `tactoscope track` wrote"),
+    Command("export_track", "Export track…", "Write table, summary and surface of the track to a folder"),
 )
 LAYOUT_COMMANDS = (
     Command("layout_stages", "Stages", "Show all stages side by side, images above 3D views", key="Ctrl+1",
@@ -127,6 +129,8 @@ LAYOUT_COMMANDS = (
     Command("layout_sweep", "Sweep", "Sweep two parameters against error and time", key="Ctrl+4", checkable=True),
     Command("layout_demo", "Demo", "Show source, generated touch and truth, large", key="Ctrl+5", checkable=True),
     Command("layout_compare", "Compare", "Compare methods, settings or seeds on one frame", key="Ctrl+6",
+            checkable=True),
+    Command("layout_track", "Track", "Show the motion of the touched object and its fused surface", key="Ctrl+8",
             checkable=True),
     Command("layout_task", "Task", "Show the rollouts of a task: why a trial fails", key="Ctrl+7", checkable=True),
 )

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from widgets.scene_renderer import CameraState, SceneRenderer
 
-_OTHER_VIEWS = ("truth", "compare_a", "compare_b", "task")  # after the views of the columns
+_OTHER_VIEWS = ("truth", "compare_a", "compare_b", "track", "task")  # after the views of the columns
 
 
 class ViewCameras:

@@ -44,6 +44,7 @@ from app.window.step_scrubber import StepScrubberController
 from app.window.sweep import SweepController
 from app.window.themes import ThemeController
 from app.window.time_budget import TimeBudgetController
+from app.window.track import TrackController
 from app.window.welcome import WelcomeController
 from pipeline.evaluation.truth_view import ComparisonMode
 from pipeline.previews.display_params import DisplayParams
@@ -103,6 +104,7 @@ def connect(controller: SessionController, theme: Theme = "light") -> AutosaveCo
     RolloutAttributionController(controller, rollouts)
     RolloutExportController(controller, rollouts, export, autosave)
     LiveController(controller, autosave)
+    track = TrackController(controller, export, autosave)
     mending = MendingController(controller, BallCalibrationController(controller, autosave))
     alignment = AlignmentController(controller)
     gizmo, layouts = AlignmentGizmoController(controller, alignment), LayoutController(controller)
@@ -122,6 +124,7 @@ def connect(controller: SessionController, theme: Theme = "light") -> AutosaveCo
         arrangements.show_session,  # check marks
         alignment.show_session,  # offsets; drops a proposal for another alignment
         gizmo.show_session,  # its place
+        track.show_session,  # drops a track of another recording
         rollouts.show_session,  # reads the trial of the Task layout
         layouts.show_session,  # drawers and comparison mode of the layout
     ):

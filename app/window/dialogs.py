@@ -24,6 +24,7 @@ OPEN_DIALOGS: Mapping[str, tuple[str, str]] = {  # command -> title and kinds of
     "set_variant_recording": ("Compare with recording", _RECORDINGS),
     "open_folder": ("Open folder of images", ""),
     "open_rollouts": ("Open rollouts", ""),
+    "open_track": ("Open track", ""),
     "open_calibration": ("Open calibration", "Calibrations (*.npz);;All files (*)"),
     "open_weights": ("Open weights", "Weights of a network (*.safetensors *.ckpt *.pth *.pt);;All files (*)"),
     "open_reference": ("Open reference", "Images (*.png *.jpg *.jpeg *.bmp *.tif *.tiff);;All files (*)"),
@@ -37,6 +38,7 @@ _SAVERS = {  # command -> title, kind of file, suffix
     "save_session_as": ("Save session as", "Sessions", SESSION_SUFFIX),
     "save_screenshot": ("Save screenshot", "Images", ".png"),
     "export_bundle": ("Export repro bundle", "Repro bundles", ".bundle"),
+    "export_track": ("Export track", "Tracks", ".track"),
     "export_rollout_bundle": ("Export rollout bundle", "Repro bundles", ".bundle"),
 }
 

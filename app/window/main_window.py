@@ -50,6 +50,7 @@ from widgets.task_page import TaskPage
 from widgets.timeline import Timeline
 from widgets.timings_panel import TimingsPanel
 from widgets.trace_panel import TracePanel
+from widgets.track_page import TrackPage
 from widgets.view_3d import View3D
 from widgets.view_3d_panel import View3DPanel
 from widgets.warning_line import WarningLine
@@ -94,7 +95,7 @@ class MainWindow(QMainWindow):
         self.truth_column, self.truth_view_panel = StageColumn("truth", "Truth"), View3DPanel()  # of the Demo layout
         self.warning_line = WarningLine()
         self.pages, self.rows, self.comparison = QStackedWidget(), StageRows(), ComparisonPage()
-        self.task = TaskPage()
+        self.task, self.track = TaskPage(), TrackPage()
         self.panes = PanesPage({name: f"{i + 1} · {title}" for i, (name, title) in enumerate(columns)})
         self.source, self.target, self.route = (self._make_chooser(n) for n in ("source", "target", "route"))
         self._build_centre()
@@ -139,7 +140,7 @@ class MainWindow(QMainWindow):
         self._strips.addWidget(strip)
 
     def _build_centre(self) -> None:
-        for page in (self.rows, self.panes, self.comparison, self.task):
+        for page in (self.rows, self.panes, self.comparison, self.track, self.task):
             self.pages.addWidget(page)
         self.rows.spare_height_changed.connect(self._use_spare_height)
         centre = QWidget()
@@ -181,6 +182,8 @@ class MainWindow(QMainWindow):
             self.tabs.addTab(widget, title)
         for name in ("set_variant_settings", "set_variant_recording", "clear_variant"):
             self.comparison.add_command(self.actions_by_name[name])
+        for name in ("open_track", "export_track"):
+            self.track.add_command(self.actions_by_name[name])
         self.drawers = Drawers(
             self, frames=self.frames, parameters=self.parameters, alignment=self.alignment, diagnostics=self.tabs
         )
@@ -234,11 +237,12 @@ class MainWindow(QMainWindow):
 
     @property
     def views_3d(self) -> tuple[View3D, ...]:
-        """The 3D views: one per column, then the truth's, the two of the comparison, the task's."""
+        """The 3D views: one per column, then the truth's, the two of the comparison, the track's, the task's."""
         return (
             *(cell.view for cell in self.view_panels.values()),
             self.truth_view_panel.view,
             *(c.view for c in self.comparison.views_3d),
+            self.track.scene.view,
             self.task.scene.view,
         )
 
@@ -283,10 +287,13 @@ class MainWindow(QMainWindow):
         for widget in (self.truth_column, self.truth_view_panel):
             widget.setVisible(layout.name == "demo")
         self.rows.lower_row.setVisible(layout.name != "align")
-        pages = {"inspect": self.panes, "sweep": self.comparison, "compare": self.comparison, "task": self.task}
+        pages = {
+            "inspect": self.panes, "sweep": self.comparison, "compare": self.comparison, "track": self.track,
+            "task": self.task,
+        }  # fmt: skip
         self.pages.setCurrentWidget(pages.get(layout.name, self.rows))
-        for widget in (self.timeline, self.trace):  # the Task layout steps through ticks
-            widget.setVisible(layout.name != "task")
+        self.timeline.setVisible(layout.name != "task")  # which steps through ticks
+        self.trace.setVisible(layout.name not in ("track", "task"))
         if layout.name not in ("stages", "demo"):  # these two use the spare height
             self.timeline.errors.set_height_px(INSPECT_STRIP_PX if layout.name == "inspect" else MIN_STRIP_PX)
         for i, key in enumerate(self.columns):

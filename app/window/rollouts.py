@@ -145,7 +145,7 @@ class RolloutController(BackgroundController):
         self.shown = None
         self._page.clear()
         self._page.show_message(str(error))
-        self._controller.views.show_task_scene((), None, self._controller.session)
+        self._controller.views.show_page_scene("task", (), None, self._controller.session)
         self.rollout_shown.emit()
         if not isinstance(error, TouchError):
             super().show_failure(error)
@@ -163,7 +163,7 @@ class RolloutController(BackgroundController):
         page.show_legend(
             ESTIMATE_COLOUR, OBJECT_COLOUR, has_estimate=any(layer.name == ESTIMATE_NAME for layer in opened.layers)
         )
-        self._controller.views.show_task_scene(opened.layers, opened.bounds, session)
+        self._controller.views.show_page_scene("task", opened.layers, opened.bounds, session)
         self._show_tick()
         self.rollout_shown.emit()
 

@@ -23,6 +23,7 @@ from pipeline.base.errors import FileProblem, TouchError
 from pipeline.base.fingerprints import compute_fingerprint
 from pipeline.calibration.calibration_file import is_calibration_file
 from pipeline.tasks.trial_rows import is_rollout_folder
+from pipeline.tracking.track_record import is_track_folder
 from pipeline.translation.cross_section import SectionLine
 from widgets.choice_buttons import Choice
 
@@ -39,6 +40,7 @@ class SessionDocument(QObject):
     tick_changed = pyqtSignal(int)  # of the rollout in the Task layout
     recording_opened = pyqtSignal(Path)  # by the user
     rollouts_requested = pyqtSignal(Path)  # a folder that may hold rollouts
+    tracks_requested = pyqtSignal(Path)  # a folder that holds a track
 
     def __init__(self, window: MainWindow, session: Session) -> None:
         super().__init__(window)
@@ -111,6 +113,8 @@ class SessionDocument(QObject):
             self.open_weights(path)
         elif is_calibration_file(path):
             self.change("open calibration", calibration=path)
+        elif is_track_folder(path):
+            self.tracks_requested.emit(path)
         elif is_rollout_folder(path):
             self.rollouts_requested.emit(path)
         else:

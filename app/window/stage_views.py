@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Literal
 
 from app.session.state import Session
 from app.window.cameras import ViewCameras
@@ -20,9 +21,10 @@ from pipeline.previews.layers import Layer, ViewBounds
 from pipeline.previews.preview import Preview
 from pipeline.translation.translate import Request, Translation
 from widgets.preview_view import PreviewView
-from widgets.scene_renderer import SceneRenderer
+from widgets.scene_renderer import Point3, SceneRenderer
 from widgets.steps_slider import AnyStep
 
+PageScene = Literal["track", "task"]  # pages with a 3D scene of their own
 _PREVIEWED = "target_depth"  # stage that an alignment drag previews
 _GENERATED = "touch"  # stage whose truth the Demo layout shows
 
@@ -45,9 +47,10 @@ class StageViews:
             tuple[str, Translation | None], ...
         ] = ()  # stage and translation in the 3D views of the comparison
         self._shown: dict[str, SourcePreview | StagePreview] = {}
-        self._task_view = len(window.views_3d) - 1
-        self._task_layers: tuple[Layer, ...] = ()
-        self._task_bounds: ViewBounds | None = None
+        last = len(window.views_3d) - 1
+        self._page_views: Mapping[PageScene, int] = {"track": last - 1, "task": last}
+        self._page_layers: dict[PageScene, tuple[Layer, ...]] = {}
+        self._page_bounds: dict[PageScene, ViewBounds] = {}
 
     def set_scene(self, scene: SceneRenderer, session: Session) -> None:
         """Set the 3D views, which are created after the window is on screen."""
@@ -56,7 +59,8 @@ class StageViews:
         self.cameras.apply_requested_cameras(scene if self.translation is not None else None)
         for column, layers in self._layers.items():
             scene.show_layers(column, layers)
-        scene.show_layers(self._task_view, self._task_layers)
+        for page, shown in self._page_layers.items():
+            scene.show_layers(self._page_views[page], shown)
 
     def close(self) -> None:
         """Release OpenGL."""
@@ -262,8 +266,7 @@ class StageViews:
         for k, (stage, other) in enumerate(self._variants):
             if stage in bounds and other is not None:
                 places[len(self._order) + 1 + k] = compute_view_bounds(other)[stage]
-        if self._task_bounds is not None:
-            places[self._task_view] = self._task_bounds
+        places |= {self._page_views[page]: bound for page, bound in self._page_bounds.items()}
         self.scene.fit_cameras(places, linked=session.cameras_linked)
         self._probe.set_scene(self.scene, display, t)
         self.update_captions(session)
@@ -286,18 +289,26 @@ class StageViews:
             self.scene.show_layers(len(self._order) + 1 + k, layers)
             self._layers[len(self._order) + 1 + k] = layers
 
-    def show_task_scene(self, layers: Sequence[Layer], bounds: ViewBounds | None, session: Session) -> None:
-        """Show the scene of a rollout; its camera stays where the view is the same."""
-        self._task_layers, old, self._task_bounds = tuple(layers), self._task_bounds, bounds
-        if bounds != old and bounds is not None:
-            self.scene.fit_cameras({self._task_view: bounds}, linked=session.cameras_linked)
-        self.scene.show_layers(self._task_view, self._task_layers)
+    def show_page_scene(
+        self, page: PageScene, layers: Sequence[Layer], bounds: ViewBounds | None, session: Session
+    ) -> None:
+        """Show the scene of a rollout or of a track; its camera stays where the view is the same."""
+        self._page_layers[page], old = tuple(layers), self._page_bounds.pop(page, None)
+        if bounds is not None:
+            self._page_bounds[page] = bounds
+            if bounds != old:
+                self.scene.fit_cameras({self._page_views[page]: bounds}, linked=session.cameras_linked)
+        self.scene.show_layers(self._page_views[page], self._page_layers[page])
+
+    def mark_page_point(self, page: PageScene, position_mm: Point3 | None) -> None:
+        """Mark a point in the scene of a page; None removes the mark."""
+        self.scene.mark_point(self._page_views[page], position_mm)
 
     def move_task_bodies(self, poses: Mapping[str, Doubles]) -> None:
         """Move the bodies of the rollout to these poses."""
-        for layer in self._task_layers:
+        for layer in self._page_layers.get("task", ()):
             if layer.name in poses:
-                self.scene.move_layer(self._task_view, layer.name, poses[layer.name])
+                self.scene.move_layer(self._page_views["task"], layer.name, poses[layer.name])
 
     def show_step(self, stage: str, _step: AnyStep, at: int) -> None:
         """Show the preview and layers of a kept step."""

@@ -40,7 +40,7 @@ class WelcomeController(QObject):
 
     def show_session(self, session: Session) -> None:
         """Show the page if nothing is open."""
-        is_empty = session.recording is None
+        is_empty = session.recording is None and session.layout.name != "track"  # whose page may read a folder
         if is_empty and self.page.isHidden():
             self.page.show_recent(self._autosave.preferences.recent_files)
             self.page.raise_()

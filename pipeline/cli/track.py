@@ -18,7 +18,7 @@ from pipeline.cli.translation_options import DEFAULT_OPTIONS, RecordingPath, Sta
 from pipeline.recordings import open_recording
 from pipeline.reporting.track_recording import track_recording
 from pipeline.sensors.spec import load_sensor
-from pipeline.tracking.track_files import TABLE, TrackRecord, write_record
+from pipeline.tracking.track_record import TABLE, TrackRecord, write_record
 from pipeline.translation.catalogue import with_settings
 from pipeline.translation.translate import open_translation
 

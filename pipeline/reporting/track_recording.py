@@ -6,12 +6,10 @@ from collections.abc import Callable, Mapping, Sequence
 
 from pipeline.base.arrays import Doubles
 from pipeline.base.progress import SILENT, Progress
-from pipeline.tracking.track import compute_error, track_frames
-from pipeline.tracking.track_files import TrackRecord, TrackRow, make_record, make_row
+from pipeline.tracking.track import compute_error, make_record, make_row, track_frames
+from pipeline.tracking.track_record import TrackRecord, TrackRow
 from pipeline.translation.translate import Translation
 from pipeline.values.results import DepthMap
-
-TRACKED_STAGES = ("depth", "touch_depth")  # the source's membrane, and that of the generated touch
 
 
 def track_recording(

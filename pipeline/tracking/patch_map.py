@@ -10,13 +10,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pipeline.base.arrays import Doubles, Floats, freeze
-from pipeline.base.files import open_atomic
 from pipeline.geometry import rigid
 from pipeline.geometry.camera import Camera
 from pipeline.geometry.meshes import Mesh
@@ -142,19 +141,16 @@ def fuse_views(views: Sequence[ContactView], keys: Sequence[KeyFrame], name: str
     if not triangles.size:
         return None
     vertices = surface.vertex.positions.numpy().astype(np.float64)
+    vertices, triangles = _sort_mesh(vertices, triangles)
     return Mesh(vertices_mm=freeze(vertices), triangles=freeze(triangles), name=name)
 
 
-def write_patch(path: Path, patch: Mesh) -> None:
-    """Write a mesh in mm as a binary PLY."""
-    rows: Any = np.empty(len(patch.triangles), dtype=[("n", "u1"), ("corners", "<i4", 3)])
-    rows["n"], rows["corners"] = 3, patch.triangles
-    head = (
-        f"ply\nformat binary_little_endian 1.0\ncomment {patch.name}, mm\n"
-        f"element vertex {len(patch.vertices_mm)}\nproperty float x\nproperty float y\nproperty float z\n"
-        f"element face {len(patch.triangles)}\nproperty list uchar int vertex_indices\nend_header\n"
-    )
-    with open_atomic(path, "the patch map") as file:
-        file.write(head.encode("ascii", "replace"))
-        file.write(patch.vertices_mm.astype("<f4").tobytes())
-        file.write(rows.tobytes())
+def _sort_mesh(vertices: Doubles, triangles: NDArray[np.int32]) -> tuple[Doubles, NDArray[np.int32]]:
+    """The same mesh in an order of its own: Open3D's threads return vertices in the order in which they end."""
+    order = np.lexsort(vertices.T)
+    place = np.empty(len(order), np.int32)
+    place[order] = np.arange(len(order), dtype=np.int32)
+    corners = place[triangles]
+    first = corners.argmin(axis=1)[:, None]
+    corners = np.take_along_axis(corners, (first + np.arange(3)) % 3, axis=1)
+    return vertices[order], corners[np.lexsort(corners.T)]

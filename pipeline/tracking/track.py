@@ -13,6 +13,7 @@ from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh
 from pipeline.tracking.membrane_surface import make_surface
 from pipeline.tracking.patch_map import ContactView, close_loops, fuse_views, make_view, move_to_keys
+from pipeline.tracking.track_record import MOTION, TrackError, TrackRecord, TrackRow
 from pipeline.tracking.tracker import KeyFrame, TrackedFrame, Tracker
 from pipeline.values.results import DepthMap
 
@@ -37,17 +38,6 @@ class Track:
     def n_parts(self) -> int:
         """Parts that do not know of each other."""
         return len({key.part for key in self.keys})
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TrackError:
-    """Error of a track against true poses."""
-
-    path_mm: float  # length of the true path of the contact's centre
-    turned_deg: float  # sum of the true rotations between frames
-    drift_mm: float  # largest error of the contact centre's position
-    drift_deg: float  # largest error of the rotation
-    n_frames: int
 
 
 def track_frames(
@@ -109,3 +99,23 @@ def compute_error(track: Track, read_pose: Callable[[int], Doubles | None]) -> T
     return TrackError(
         path_mm=path_mm, turned_deg=turned_deg, drift_mm=max(shifts), drift_deg=max(turns), n_frames=len(shifts)
     )
+
+
+def make_record(track: Track, stage: str, error: TrackError | None) -> TrackRecord:
+    """Return a track as rows."""
+    rows = tuple(make_row(frame, track.keys) for frame in track.frames)
+    keys = tuple(key.index for key in track.keys)
+    return TrackRecord(stage=stage, rows=rows, key_frames=keys, n_loops=track.n_loops, error=error, patch=track.patch)
+
+
+def make_row(frame: TrackedFrame, keys: Sequence[KeyFrame]) -> TrackRow:
+    """Return one frame as a row."""
+    pose = frame.sensor_from_start
+    if pose is None:
+        return TrackRow(frame=frame.index, state=frame.state, part=frame.part)
+    motion = (*pose[:3, 3].tolist(), *np.rad2deg(rigid.rotation_vector_rad(pose)).tolist())
+    return TrackRow(
+        frame=frame.index, state=frame.state, part=frame.part, key_frame=keys[frame.key].index, std_mm=frame.std_mm,
+        std_deg=frame.std_deg, overlap=frame.overlap, agreement=frame.agreement,
+        not_measured="; ".join(frame.weak_directions), **dict(zip(MOTION, motion, strict=True)),
+    )  # fmt: skip

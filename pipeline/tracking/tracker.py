@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Literal
 
 import numpy as np
 
@@ -18,8 +17,8 @@ from pipeline.base.arrays import Doubles, freeze
 from pipeline.geometry import rigid
 from pipeline.tracking.membrane_surface import MembraneSurface
 from pipeline.tracking.surface_registration import SurfaceFit, measure_overlap, orthonormalise, register_surfaces
+from pipeline.tracking.track_record import TrackState
 
-TrackState = Literal["tracked", "lost", "no contact"]
 NEW_KEY_OVERLAP = 0.7  # less overlap with its key frame makes a frame a key frame
 MIN_OVERLAP = 0.35  # less is no evidence of the same place
 MIN_AGREEMENT = 0.5  # share of points whose residuals are as small as expected; unrelated touches reach a third

@@ -1,4 +1,4 @@
-"""A track as files: track.csv with a row per frame, track.json with its summary, patch.ply with the fused surface."""
+"""A track as rows, and as files: a table of its frames, its summary, and the fused surface."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import msgspec
 import numpy as np
@@ -16,20 +16,38 @@ from msgspec import Meta
 
 from pipeline.base.arrays import Doubles
 from pipeline.base.errors import FileProblem
-from pipeline.base.files import MOST_TEXT_BYTES, prepare_folder, read_bytes, read_json, write_json, write_text
+from pipeline.base.files import (
+    MOST_TEXT_BYTES,
+    open_atomic,
+    prepare_folder,
+    read_bytes,
+    read_json,
+    write_json,
+    write_text,
+)
 from pipeline.base.typed_data import Name, Number, convert
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh, load_mesh
-from pipeline.tracking.patch_map import write_patch
-from pipeline.tracking.track import Track, TrackError
-from pipeline.tracking.tracker import KeyFrame, TrackedFrame, TrackState
 
+TrackState = Literal["tracked", "lost", "no contact"]
+TRACKED_STAGES = {"depth": "source", "touch_depth": "generated touch"}  # whose membrane can be followed
 TABLE, SUMMARY, PATCH = "track.csv", "track.json", "patch.ply"
 MOTION = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")
 _COLUMNS = (
     "frame", "state", "part", "key_frame", *MOTION, "std_mm", "std_deg", "overlap", "agreement", "not_measured",
 )  # fmt: skip
 _Count = Annotated[int, Meta(ge=0, le=10**9)]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrackError:
+    """Error of a track against true poses."""
+
+    path_mm: float  # length of the true path of the contact's centre
+    turned_deg: float  # sum of the true rotations between frames
+    drift_mm: float  # largest error of the contact centre's position
+    drift_deg: float  # largest error of the rotation
+    n_frames: int
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,26 +103,6 @@ class TrackRecord:
         return tuple(sorted({one for row in self.rows for one in row.not_measured.split("; ") if one}))
 
 
-def make_record(track: Track, stage: str, error: TrackError | None) -> TrackRecord:
-    """Return a track as rows."""
-    rows = tuple(make_row(frame, track.keys) for frame in track.frames)
-    keys = tuple(key.index for key in track.keys)
-    return TrackRecord(stage=stage, rows=rows, key_frames=keys, n_loops=track.n_loops, error=error, patch=track.patch)
-
-
-def make_row(frame: TrackedFrame, keys: Sequence[KeyFrame]) -> TrackRow:
-    """Return one frame as a row."""
-    pose = frame.sensor_from_start
-    if pose is None:
-        return TrackRow(frame=frame.index, state=frame.state, part=frame.part)
-    motion = (*pose[:3, 3].tolist(), *np.rad2deg(rigid.rotation_vector_rad(pose)).tolist())
-    return TrackRow(
-        frame=frame.index, state=frame.state, part=frame.part, key_frame=keys[frame.key].index, std_mm=frame.std_mm,
-        std_deg=frame.std_deg, overlap=frame.overlap, agreement=frame.agreement,
-        not_measured="; ".join(frame.weak_directions), **dict(zip(MOTION, motion, strict=True)),
-    )  # fmt: skip
-
-
 def format_table(rows: Sequence[TrackRow]) -> str:
     """Return the rows as CSV: state, motion since the first frame, predicted standard deviations, weak directions."""
     text = io.StringIO()
@@ -132,6 +130,21 @@ def write_record(folder: Path, record: TrackRecord) -> None:
     })  # fmt: skip
     if record.patch is not None:
         write_patch(folder / PATCH, record.patch)
+
+
+def write_patch(path: Path, patch: Mesh) -> None:
+    """Write a mesh in mm as a binary PLY."""
+    rows: Any = np.empty(len(patch.triangles), dtype=[("n", "u1"), ("corners", "<i4", 3)])
+    rows["n"], rows["corners"] = 3, patch.triangles
+    head = (
+        f"ply\nformat binary_little_endian 1.0\ncomment {patch.name}, mm\n"
+        f"element vertex {len(patch.vertices_mm)}\nproperty float x\nproperty float y\nproperty float z\n"
+        f"element face {len(patch.triangles)}\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    with open_atomic(path, "the patch map") as file:
+        file.write(head.encode("ascii", "replace"))
+        file.write(patch.vertices_mm.astype("<f4").tobytes())
+        file.write(rows.tobytes())
 
 
 class _Summary(msgspec.Struct, kw_only=True):
