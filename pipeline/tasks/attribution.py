@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from pipeline.base.progress import SILENT, Progress
+from pipeline.base.progress import SILENT, Progress, SubProgress
 from pipeline.tasks.task import Decision, StageShare
 from pipeline.tasks.touches import NONE, TRUE, Moment
 from pipeline.translation.error_attribution import list_substitutions
@@ -26,7 +26,7 @@ class CorrectedEstimate:
 def correct_estimates(
     moments: Sequence[Moment],
     touch: str,
-    estimate: Callable[[Sequence[dict[str, object]]], Any],
+    estimate: Callable[[Sequence[dict[str, object]], Progress], Any],
     truth: Any,
     *,
     progress: Progress = SILENT,
@@ -40,10 +40,11 @@ def correct_estimates(
         given: list[dict[str, object]] = [{} for _ in moments]
         by_stage = list(zip(*(list_true_stages(moment, touch) for moment in moments), strict=True))
         for done, steps in enumerate(by_stage):
-            progress.step(done / len(by_stage), f"truth in place of {steps[0][1]}")
+            part = SubProgress(progress, done / len(by_stage), 1.0 / len(by_stage), f"truth in place of {steps[0][1]}")
+            part.step(0.0, "")
             for one, (stage, _, value) in zip(given, steps, strict=True):
                 one[stage] = value
-            corrected.append(CorrectedEstimate(stage=steps[0][0], title=steps[0][1], estimate=estimate(given)))
+            corrected.append(CorrectedEstimate(stage=steps[0][0], title=steps[0][1], estimate=estimate(given, part)))
     return (*corrected, CorrectedEstimate(stage="pose", title=POSE_TITLE, estimate=truth))
 
 

@@ -29,7 +29,9 @@ class HeldObject:
     frames: tuple[tuple[str, TactileFrame, Truth | None], ...]
     pairings: tuple[Pairing, ...]
 
-    def estimate(self, touch: str, given: Sequence[dict[str, object]] | None = None) -> PlanarPose:
+    def estimate(
+        self, touch: str, given: Sequence[dict[str, object]] | None = None, progress: Progress = SILENT
+    ) -> PlanarPose:
         """The held pose by a touch; as planned for "none" and where no finger has a usable touch.
 
         `given` holds values in place of stages, one mapping per finger.
@@ -37,7 +39,11 @@ class HeldObject:
         if touch == NONE:
             return PlanarPose()
         values = given or [{} for _ in self.moments]
-        maps = [moment.measure_depth(touch, one) for moment, one in zip(self.moments, values, strict=True)]
+        part = 1.0 / len(values)
+        maps = [
+            moment.measure_depth(touch, one, SubProgress(progress, k * part, part, finger))
+            for k, (moment, one, finger) in enumerate(zip(self.moments, values, FINGERS, strict=True))
+        ]
         return estimate_grasp(maps, self.mesh, self.target) or PlanarPose()
 
 
@@ -82,19 +88,22 @@ def run_through_touches(
     """One rollout per touch and tolerance: `attempt` acts on a believed pose, `measure_mm` is its error."""
 
     def run_one(touch: str, own: Progress) -> Iterator[Rollout]:
-        own.step(0.0, "estimate of the grasp")
-        believed = grasp.estimate(touch)
+        believed = grasp.estimate(touch, progress=SubProgress(own, 0.0, 0.3, "estimate of the grasp"))
         error_mm = measure_mm(believed)
         correct = cache(partial(
-            correct_estimates, grasp.moments, touch, lambda given: grasp.estimate(touch, given), grasp.held,
+            correct_estimates, grasp.moments, touch, partial(grasp.estimate, touch), grasp.held,
             progress=SubProgress(own, 0.3, 0.6, "attribution"),
         ))  # fmt: skip
+
+        def judge(tolerance_mm: float, corrected: PlanarPose) -> tuple[float, bool]:
+            own.step(0.9, "rollout with the truth")
+            return measure_mm(corrected), attempt(corrected, tolerance_mm).succeeds
+
         for tolerance_mm in plan.tolerances_mm:
             own.step(0.3, "rollout")
             done, shares = attempt(believed, tolerance_mm), ()
             if plan.attribute and not done.succeeds:
-                judge = partial(_judge, measure_mm, attempt, tolerance_mm)
-                shares = share_error(error_mm, correct(), judge)
+                shares = share_error(error_mm, correct(), partial(judge, tolerance_mm))
             decision = Decision(
                 tick=0, error_mm=error_mm, estimate=believed.describe(), truth=grasp.held.describe(), shares=shares
             )
@@ -110,12 +119,3 @@ def run_through_touches(
         for k, touch in enumerate(plan.touches)
         for rollout in run_one(touch, SubProgress(progress, k * part, part, touch))
     )
-
-
-def _judge(
-    measure_mm: Callable[[PlanarPose], float],
-    attempt: Callable[[PlanarPose, float], Attempt],
-    tolerance_mm: float,
-    believed: PlanarPose,
-) -> tuple[float, bool]:
-    return measure_mm(believed), attempt(believed, tolerance_mm).succeeds

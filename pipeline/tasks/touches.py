@@ -15,6 +15,7 @@ import numpy as np
 
 from pipeline.base.arrays import Doubles, Image
 from pipeline.base.errors import SettingProblem
+from pipeline.base.progress import SILENT, Progress
 from pipeline.engine.cache import Cache
 from pipeline.engine.graph import Graph, StageResult
 from pipeline.geometry.meshes import Mesh
@@ -155,7 +156,7 @@ class Moment:
         )  # fmt: skip
 
     def evaluate(
-        self, touch: str, stage: str, given: Mapping[str, object] | None = None
+        self, touch: str, stage: str, given: Mapping[str, object] | None = None, progress: Progress = SILENT
     ) -> tuple[Translation, dict[str, StageResult]]:
         """The translation by `touch` and its results up to `stage`, with values `given` in place of stages."""
         translation = self.open_translation(touch)
@@ -166,12 +167,14 @@ class Moment:
             for method in translation.methods
             if self._draft and method.stage == "depth" and method.draft is not None
         }
-        return translation, graph.evaluate([stage], inputs, params)
+        return translation, graph.evaluate([stage], inputs, params, progress)
 
-    def measure_depth(self, touch: str, given: Mapping[str, object] | None = None) -> DepthMap:
+    def measure_depth(
+        self, touch: str, given: Mapping[str, object] | None = None, progress: Progress = SILENT
+    ) -> DepthMap:
         """Depth of the touch that the controller gets: the target's own frame for "true", else the generated touch."""
         stage = "depth" if touch == TRUE else "touch_depth"
-        output = self.evaluate(touch, stage, given)[1][stage].output
+        output = self.evaluate(touch, stage, given, progress)[1][stage].output
         assert isinstance(output, DepthMap)
         return output
 
