@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from PyQt6.QtCore import QRectF, QSize, Qt, pyqtSignal
-from PyQt6.QtGui import QPainter, QPaintEvent, QPalette
+from PyQt6.QtGui import QMouseEvent, QPainter, QPaintEvent, QPalette
 from PyQt6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
 
 from widgets.styling import make_bold, set_spacing
@@ -43,7 +43,9 @@ def make_bars(total: float, parts: Sequence[tuple[str, float]], rest: float) -> 
 
 
 class Waterfall(QWidget):
-    """Paints `bars` in rows of equal height."""
+    """Paints `bars` in rows of equal height; a click emits the row."""
+
+    row_clicked = pyqtSignal(int)
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -55,6 +57,11 @@ class Waterfall(QWidget):
         """Show these rows."""
         self.bars, self._unit = shown, unit
         self.update()
+
+    def mouseReleaseEvent(self, a0: QMouseEvent | None) -> None:  # noqa: N802
+        """Emit the row under the pointer."""
+        if a0 is not None and self.bars and self.rect().contains(a0.position().toPoint()):
+            self.row_clicked.emit(int(a0.position().y() * len(self.bars) / max(1, self.height())))
 
     def sizeHint(self) -> QSize:  # noqa: N802
         """Return room for all rows."""
@@ -91,9 +98,13 @@ class Waterfall(QWidget):
 
 
 class ErrorAttributionPanel(QWidget):
-    """Metric chooser, sentence and waterfall; `metric_chosen` names the error to attribute."""
+    """Metric chooser, sentence and waterfall; `metric_chosen` names the error to attribute.
+
+    `share_clicked` carries the number of the clicked share.
+    """
 
     metric_chosen = pyqtSignal(str)
+    share_clicked = pyqtSignal(int)
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -102,6 +113,8 @@ class ErrorAttributionPanel(QWidget):
         self.metric_box.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToContents)
         self.metric_box.setAccessibleName("metric to attribute")
         self.metric_box.activated.connect(lambda: self.metric_chosen.emit(self.metric_box.currentData()))
+        self.waterfall.setToolTip("A click on a share pins the truth of its stage in the column's head, or releases it")
+        self.waterfall.row_clicked.connect(self._click_row)
         self._sentence.setWordWrap(True)
         make_bold(self._sentence)
         head = set_spacing(QHBoxLayout(), 8)
@@ -111,6 +124,10 @@ class ErrorAttributionPanel(QWidget):
         layout.addLayout(head)
         layout.addWidget(self.waterfall, 1)
         self.show_empty("")
+
+    def _click_row(self, row: int) -> None:
+        if not self.waterfall.bars[row].is_total:
+            self.share_clicked.emit(row - 1)  # the first row is the whole error
 
     @property
     def sentence(self) -> str:

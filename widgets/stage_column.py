@@ -9,6 +9,7 @@ from functools import partial
 from typing import Any
 
 from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
+from PyQt6.QtGui import QStandardItemModel
 from PyQt6.QtWidgets import QBoxLayout, QComboBox, QFrame, QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
 
 from widgets.eliding_combo_box import ElidingComboBox
@@ -160,6 +161,13 @@ class StageColumn(QFrame):
         self._only.setVisible(not several)
         self._only.setText("" if several or not methods else methods[0][1])
         self._only.setToolTip("" if several or not methods else methods[0][2])
+
+    def enable_method(self, name: str, enabled: bool) -> None:
+        """Let a method be chosen, or not."""
+        model, index = self._method.model(), self._method.findData(name)
+        item = model.item(index) if isinstance(model, QStandardItemModel) and index >= 0 else None
+        if item is not None:
+            item.setEnabled(enabled)
 
     def show_method(self, name: str) -> None:
         """Show the selected method without emitting a signal."""

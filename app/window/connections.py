@@ -163,10 +163,11 @@ def _fill_choices(window: MainWindow, catalogue: Catalogue) -> None:
         window.route.setItemData(window.route.count() - 1, route.title, Qt.ItemDataRole.ToolTipRole)
     window.route.setEnabled(len(catalogue.routes) > 1)
     for stage in catalogue.stages:
-        window.columns[stage.name].offer_methods([(m.name, m.title, m.help) for m in stage.methods])
-        window.columns[stage.name].pinned.offer_methods((m.key, m.params()) for m in stage.methods)
-        for method in stage.methods:
-            title = stage.title if len(stage.methods) == 1 else f"{stage.title} · {method.title}"
+        choices, column = catalogue.list_choices(stage.name), window.columns[stage.name]
+        column.offer_methods([(m.name, m.title, m.help) for m in choices])
+        column.pinned.offer_methods((m.key, m.params()) for m in choices)
+        for method in choices:
+            title = stage.title if len(choices) == 1 else f"{stage.title} · {method.title}"
             window.parameters.add_group(method.key, title, method.params(), method.help)
     window.parameters.add_group(DISPLAY_KEY, "Display", DisplayParams())
 

@@ -31,7 +31,7 @@ def show_controls(
     window.timeline.show_frame(session.frame)
     window.frames.show_frame(session.frame)
     for stage in catalogue.stages:
-        for method in stage.methods:
+        for method in catalogue.list_choices(stage.name):
             window.parameters.show_params(method.key, session.get_params(method))
     window.parameters.show_params(DISPLAY_KEY, session.display)
     window.parameters.show_groups({**{m.key: kinds.get(m.key, "") for m in methods}, DISPLAY_KEY: ""})

@@ -6,7 +6,8 @@ from PyQt6.QtCore import QEvent, QObject, QTimer
 
 from app.window.session_controller import SessionController
 from pipeline.metrics.stage_metrics import describe_metric, is_stage_error
-from pipeline.translation.error_attribution import DEFAULT_METRIC, ErrorAttribution
+from pipeline.stages.truth_method import TRUTH
+from pipeline.translation.error_attribution import DEFAULT_METRIC, ErrorAttribution, ErrorShare
 from pipeline.translation.translate import Translation
 from widgets.error_attribution_panel import make_bars
 
@@ -21,12 +22,14 @@ class ErrorAttributionController(QObject):
         super().__init__(controller)
         self._controller, self._panel = controller, controller.window.error_attribution
         self._metric, self._ticket = DEFAULT_METRIC, 0
+        self._shares: tuple[ErrorShare, ...] = ()
         self._timer = QTimer(self)
         self._timer.setSingleShot(True)
         self._timer.setInterval(_DELAY_MS)
         self._timer.timeout.connect(self._attribute)
         self._panel.installEventFilter(self)
         self._panel.metric_chosen.connect(self._choose_metric)
+        self._panel.share_clicked.connect(self._toggle_truth)
         controller.frame_shown.connect(self._frame_shown)
         controller.closing.connect(self._timer.stop)
         controller.job.delivered.connect(self._clear_for_translation)
@@ -77,5 +80,13 @@ class ErrorAttributionController(QObject):
     def _show_attribution(self, ticket: int, result: object) -> None:
         if ticket != self._ticket or not isinstance(result, ErrorAttribution):
             return
+        self._shares = result.shares
         parts = [(part.title, part.share) for part in result.shares]
         self._panel.show_attribution(result.summary, make_bars(result.total, parts, result.remainder), result.unit)
+
+    def _toggle_truth(self, share: int) -> None:
+        """Pin the truth of the stage of a share in its column's head; a pinned stage is computed again."""
+        controller, stage = self._controller, self._shares[share].stage
+        default = controller.catalogue.route(controller.session.route).methods[stage]
+        is_pinned = controller.session.methods.get(stage) == TRUTH
+        controller.choose_method(stage, default if is_pinned else TRUTH)

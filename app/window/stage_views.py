@@ -19,6 +19,7 @@ from pipeline.engine.graph import StageResult
 from pipeline.evaluation.truth_view import ComparisonMode, TruthView
 from pipeline.previews.layers import Layer, ViewBounds
 from pipeline.previews.preview import Preview
+from pipeline.stages.truth_method import TRUTH
 from pipeline.translation.translate import Request, Translation
 from widgets.preview_view import PreviewView
 from widgets.scene_renderer import Point3, SceneRenderer
@@ -76,6 +77,8 @@ class StageViews:
         window.warning_line.show_warnings(())
         self.scene.clear_cache()
         window.source.setItemText(0, f"{t.source.title} (recorded)")
+        for stage in t.catalogue.stages:
+            window.columns[stage.name].enable_method(TRUTH, t.knows_truth(stage))
         window.hide_stages(frozenset(stage.name for stage in t.catalogue.stages) - set(t.stages))
         window.banner.hide()
         self.reset_cameras(session)
@@ -117,8 +120,9 @@ class StageViews:
             if name == _GENERATED:
                 self._show_truth(part)
             self._results = {**self._results, name: part.result}
+            is_truth = part.result.method is not None and part.result.method.name == TRUTH
             column.show_result(
-                "draft" if part.result.draft else part.result.state,
+                "draft" if part.result.draft else "read" if is_truth else part.result.state,
                 part.result.ms,
                 part.result.notes,
                 part.result.warnings,

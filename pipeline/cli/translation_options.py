@@ -31,7 +31,7 @@ ReferenceImagePath = Annotated[
     Path | None, Parameter(help="Reference image (no contact), if the recording holds none.")
 ]
 _WEIGHTS = "File of network weights; `stage=FILE` if several stages use a network."
-_METHODS = "`stage=method` in place of the route's own, such as `target_depth=paper`; repeatable."
+_METHODS = "`stage=method` in place of the route's own, such as `target_depth=paper`, or `depth=truth`; repeatable."
 
 
 @Parameter(name="*")

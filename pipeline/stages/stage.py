@@ -115,3 +115,8 @@ class Stage:
     split_steps: Callable[[Any], tuple[Any, ...]] = _no_steps  # the kept steps as values of this stage
     make_step_layers: Callable[[Any, PreviewContext, Preview], tuple[Layer, ...]] = _no_layers  # none = as the value
     summarise_steps: Callable[[Any], StepHistory | None] = _no_history
+
+    @property
+    def has_ground_truth(self) -> bool:
+        """Whether a recording can know the true value of this stage."""
+        return self.make_ground_truth is not _no_ground_truth

@@ -23,6 +23,7 @@ from pipeline.stages.stage import Stage
 from pipeline.stages.target_depth.stage import STAGE as TARGET_DEPTH
 from pipeline.stages.touch.stage import STAGE as TOUCH
 from pipeline.stages.touch_depth.stage import STAGE as TOUCH_DEPTH
+from pipeline.stages.truth_method import make_truth_method
 
 log = logging.getLogger("tactoscope")
 
@@ -60,8 +61,13 @@ class Catalogue:
         return _find_by_name(self.routes, name, f"route {name!r}")
 
     def method(self, stage: str, name: str) -> Method:
-        """A method of a stage; raises SettingProblem that lists the stage's methods."""
-        return _find_by_name(self.stage(stage).methods, name, f"method {name!r} for the stage {stage!r}")
+        """A method of a stage, or its truth; raises SettingProblem that lists the stage's methods."""
+        return _find_by_name(self.list_choices(stage), name, f"method {name!r} for the stage {stage!r}")
+
+    def list_choices(self, stage: str) -> tuple[Method, ...]:
+        """The methods of a stage, and the one that takes the truth of the recording where it can be known."""
+        entry = self.stage(stage)
+        return (*entry.methods, make_truth_method(entry)) if entry.has_ground_truth else entry.methods
 
     def methods(self, route: str, chosen: Mapping[str, str] | None = None) -> tuple[Method, ...]:
         """The methods of a route in running order, with those in `chosen` (stage -> method) in place of its own.

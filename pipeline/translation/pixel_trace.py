@@ -50,6 +50,6 @@ def describe_truth(column: str, row: int, col: int, facts: GroundTruth, catalogu
 
 
 def _made_from(result: StageResult, stage: Stage) -> str:
-    """Return the stage, or the source, whose elements `source_index` refers to."""
-    first = (result.method or stage.methods[0]).reads[0]
+    """Return the stage, or the source, whose elements `source_index` refers to; truth refers to the first method's."""
+    first = (result.method if result.method in stage.methods else stage.methods[0]).reads[0]
     return SOURCE if first == "frame" else first

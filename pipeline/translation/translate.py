@@ -26,7 +26,8 @@ from pipeline.sensors.alignment import Alignment, shift_alignment_along_z
 from pipeline.sensors.alignment_files import load_alignment
 from pipeline.sensors.offsets import Offsets
 from pipeline.sensors.spec import SensorSpec, load_sensor
-from pipeline.stages.stage import GroundTruth
+from pipeline.stages.stage import GroundTruth, Stage
+from pipeline.stages.truth_method import TRUTH, get_input_name
 from pipeline.translation.catalogue import BUILT_IN, Catalogue
 from pipeline.translation.frame_selection import select_context_images
 from pipeline.values.frames import Recording, Stream, TactileFrame, Truth
@@ -135,7 +136,21 @@ class Translation:
             "mesh": self.mesh,
             "previous": previous,
             **weights,
+            **self._read_truth_inputs(frame.index),
         }
+
+    def _read_truth_inputs(self, index: int) -> dict[str, object]:
+        """Return the inputs of the stages that take the truth of frame `index`; None where it is not known."""
+        pinned = [method.stage for method in self.methods if method.name == TRUTH]
+        truths = self.read_true_outputs(index, tuple(pinned)) if pinned else {}
+        return {get_input_name(stage): truths.get(stage) for stage in pinned}
+
+    def knows_truth(self, stage: Stage) -> bool:
+        """Whether the recording holds the truth of any frame that a stage's true value is made from."""
+        if stage.sensor_role == "source":
+            return self.stream.has_truth
+        partner = self.recording.find_partner(self.stream.name, self.target.name)
+        return partner is not None and partner.name != self.stream.name and partner.has_truth
 
     def check_given_weights(self) -> None:
         """Check that the methods can use the files that the request names; raises SettingProblem with the reason."""

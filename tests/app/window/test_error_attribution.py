@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from PyQt6.QtCore import QPoint, Qt
 
 from app.session.sample import SAMPLE_RECORDING
 from app.window.tour import wait_until_shown
@@ -35,6 +36,32 @@ def test_the_error_of_the_current_frame_is_attributed(window, qtbot):
     assert "mm" in panel.metric_box.currentText()
     panel.metric_chosen.emit("pose.mssd_mm")
     qtbot.waitUntil(lambda: len(panel.waterfall.bars) == 7, timeout=LIMIT_MS)
+
+
+def test_a_click_on_a_share_pins_the_truth_of_its_stage_in_the_column_head(window, qtbot):
+    panel, columns = window.window.error_attribution, window.window.columns
+    window.window.drawers.diagnostics.show()
+    window.window.tabs.setCurrentWidget(panel)
+    qtbot.waitUntil(lambda: bool(panel.waterfall.bars), timeout=LIMIT_MS)
+    row = next(k for k, bar in enumerate(panel.waterfall.bars) if bar.title == "depth")
+    tall = panel.waterfall.height() / len(panel.waterfall.bars)
+    qtbot.mouseClick(panel.waterfall, Qt.MouseButton.LeftButton, pos=QPoint(50, round((row + 0.5) * tall)))
+    assert wait_until_shown(window, 240)
+    assert window.session.methods == {"depth": "truth"}
+    assert columns["depth"]._method.currentText() == "Truth"
+    assert columns["depth"].state == "read"
+    assert window.latest_frame.metrics["depth.mae_mm"] == 0.0
+    columns["depth"].method_chosen.emit("depth", "network")  # released in the head
+    assert wait_until_shown(window, 240)
+    assert not window.session.methods
+    assert window.latest_frame.metrics["depth.mae_mm"] > 0.0
+
+
+def test_truth_is_offered_only_where_the_recording_holds_it(bubble_window, window):
+    for controller, known in ((bubble_window, False), (window, True)):
+        for stage in ("depth", "touch_depth", "pose"):
+            box = controller.window.columns[stage]._method
+            assert box.model().item(box.findData("truth")).isEnabled() == known
 
 
 def test_a_frame_without_truth_has_no_attribution(bubble_window, qtbot):

@@ -1,0 +1,66 @@
+"""The truth of a recording as a method: what it leaves of the error, and where it is not known."""
+
+from __future__ import annotations
+
+from contextlib import closing
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from app.session.sample import SAMPLE_RECORDING
+from pipeline.base.errors import SettingProblem
+from pipeline.translation.catalogue import BUILT_IN, default_params
+from pipeline.translation.error_attribution import DEFAULT_METRIC, attribute_error
+from pipeline.translation.pixel_trace import trace_to_source
+from pipeline.translation.translate import Request, open_translation
+
+FRAME = 5
+
+
+@pytest.fixture(scope="module")
+def sample():
+    request = Request(recording=SAMPLE_RECORDING, source="gelslim", target="soft_bubble",
+                      methods=(("depth", "physics"), ("touch", "physics")))  # fmt: skip
+    with closing(open_translation(request)) as opened:
+        yield opened
+
+
+def pin(opened, *stages):
+    methods = {**dict(opened.request.methods), **dict.fromkeys(stages, "truth")}
+    return replace(opened, request=replace(opened.request, methods=tuple(methods.items())))
+
+
+def evaluate(opened, stage, index=FRAME):
+    return opened.build_graph().evaluate([stage], opened.read_inputs(index), default_params(opened.methods))
+
+
+def test_the_error_that_remains_is_that_of_the_attribution(sample):
+    shares = attribute_error(sample, sample.build_graph(), default_params(sample.methods), FRAME).shares
+    results = evaluate(pin(sample, "depth"), "touch_depth")
+    assert results["depth"].method.name == "truth"
+    assert sample.compute_metrics(results, FRAME)[DEFAULT_METRIC] == shares[0].remaining
+    pinned = pin(sample, "depth", "target_depth")
+    results = evaluate(pinned, "touch_depth")
+    assert "depth" not in results  # nothing reads it any more
+    assert sample.compute_metrics(results, FRAME)[DEFAULT_METRIC] == next(
+        s.remaining for s in shares[::-1] if s.stage == "target_depth"
+    )
+
+
+def test_a_pixel_is_followed_through_the_truth(sample):
+    results = evaluate(pin(sample, "depth"), "cloud")
+    contact = np.flatnonzero(results["depth"].output.contact)
+    assert trace_to_source(results, "depth", int(contact[0])) == contact[0]
+
+
+def test_a_frame_without_truth_is_named(sample):
+    opened = pin(replace(sample, stream=replace(sample.stream, truth=lambda _: None)), "depth")
+    with pytest.raises(SettingProblem, match="true depth of this frame"):
+        evaluate(opened, "depth")
+
+
+def test_a_stage_whose_truth_no_recording_knows_has_no_such_method():
+    assert "truth" not in [method.name for method in BUILT_IN.list_choices("cloud")]
+    with pytest.raises(SettingProblem, match="truth"):
+        BUILT_IN.method("cloud", "truth")
