@@ -1,4 +1,4 @@
-"""Error of every frame under the timeline slider: bad frames, frames with warnings, the current frame."""
+"""A value of every frame under the timeline slider: errors as bars, quantities as a curve; and frames with warnings."""
 
 from __future__ import annotations
 
@@ -17,12 +17,13 @@ _INSET_PX = 6  # half the slider's handle
 _MARK_PX = 7.0
 _WIDEST_PX = 26.0
 _LEAST_PX = 24  # minimum height
+_CURVE_PX = 1.8
 _TOP_PX, _BASE_PX = _MARK_PX + 2.0, 2.0  # of the highest bar, from the top; of all bars, from the bottom
 _TICK_PX = 3.0  # length of a tick
 
 
 class ErrorStrip(QWidget):
-    """One bar per frame, a mark for warnings; `frame_chosen` by click and drag."""
+    """One bar per frame or a curve, a mark for warnings; `frame_chosen` by click and drag."""
 
     frame_chosen = pyqtSignal(int)
 
@@ -32,6 +33,7 @@ class ErrorStrip(QWidget):
         self.setAccessibleName("error of every frame")
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Maximum)
         self.values: tuple[float, ...] = ()  # NaN = unknown
+        self.is_curve = False
         self.warnings: Mapping[int, Sequence[str]] = {}
         self.loop_range: tuple[int, int] | None = None  # range of a looped playback
         self.frame, self._unit, self.height_px = 0, "", 28
@@ -47,9 +49,11 @@ class ErrorStrip(QWidget):
         """The value of the highest bar; 0 while none is known."""
         return max((value for value in self.values if math.isfinite(value)), default=0.0)
 
-    def show_values(self, values: Sequence[float], unit: str, warnings: Mapping[int, Sequence[str]]) -> None:
-        """Show a value for every frame (NaN = unknown) and the warnings of each."""
-        self.values, self._unit, self.warnings = tuple(values), unit, warnings
+    def show_values(
+        self, values: Sequence[float], unit: str, warnings: Mapping[int, Sequence[str]], *, is_curve: bool = False
+    ) -> None:
+        """Show a value for every frame (NaN = unknown), as bars or as a curve, and the warnings of each."""
+        self.values, self._unit, self.warnings, self.is_curve = tuple(values), unit, warnings, is_curve
         self.update()
 
     def show_frame(self, frame: int) -> None:
@@ -83,7 +87,7 @@ class ErrorStrip(QWidget):
         if not 0 <= frame < len(self.values):
             return ""
         value = self.values[frame]
-        text = f"frame {frame}: " + (f"{value:.3g} {self._unit}" if math.isfinite(value) else "error unknown")
+        text = f"frame {frame}: " + (f"{value:.3g} {self._unit}" if math.isfinite(value) else "value unknown")
         return "\n".join((text, *self.warnings.get(frame, ())))
 
     def frame_at(self, x: float) -> int:
@@ -119,12 +123,29 @@ class ErrorStrip(QWidget):
             if frame == self.frame:
                 here = QRectF(x - 0.5 * wide - 2, 0, wide + 4, self.height())
                 painter.fillRect(here, self.palette().color(QPalette.ColorRole.Midlight))
-            if math.isfinite(value) and most > 0:
+            if math.isfinite(value) and most > 0 and not self.is_curve:
                 tall = max(1.5, value / most * (base - top))
                 bar = QRectF(x - 0.5 * wide, base - tall, wide, tall)
                 painter.fillRect(bar, to_qcolor(ink.worse if frame == worst else ink.accent))
             if frame in self.warnings:
                 self._draw_mark(painter, x)
+        if self.is_curve and most > 0:
+            painter.setPen(QPen(to_qcolor(ink.accent), _CURVE_PX))
+            for run in self._find_known_runs():
+                points = [QPointF(_INSET_PX + i * step, base - self.values[i] / most * (base - top)) for i in run]
+                painter.drawPolyline(QPolygonF(points if len(points) > 1 else 2 * points))
+
+    def _find_known_runs(self) -> list[list[int]]:
+        """Return the frames with a value, neighbours together."""
+        runs: list[list[int]] = []
+        for frame, value in enumerate(self.values):
+            if not math.isfinite(value):
+                continue
+            if runs and runs[-1][-1] == frame - 1:
+                runs[-1].append(frame)
+            else:
+                runs.append([frame])
+        return runs
 
     def _draw_mark(self, painter: QPainter, x: float) -> None:
         half = 0.5 * _MARK_PX

@@ -38,6 +38,7 @@ class FramesModel(QAbstractTableModel):
         super().__init__(parent)
         self._n_frames, self._figure, self._title, self._metric_tip = 0, "", "error", ""
         self._known: dict[int, FrameSummary] = {}
+        self._quantities: dict[int, Mapping[str, float]] = {}  # measured on request, also of frames without summary
         self._notes: Mapping[int, str] = {}
         self._common: frozenset[str] | None = None  # None = not computed yet
         self._thumbnails: dict[int, QPixmap] = {}
@@ -61,6 +62,11 @@ class FramesModel(QAbstractTableModel):
         waiting = [i for i, known in self._known.items() if not known.is_complete]
         return min(waiting, key=lambda i: (abs(i - frame), -i), default=-1)
 
+    def find_frame_without(self, quantity: str, frame: int) -> int:
+        """Return the frame closest to `frame` whose `quantity` was not measured; -1 when all were."""
+        waiting = [i for i in range(self._n_frames) if quantity not in self._quantities.get(i, {})]
+        return min(waiting, key=lambda i: (abs(i - frame), -i), default=-1)
+
     @property
     def common_warnings(self) -> frozenset[str]:
         """Return the warnings that all known frames with contact share."""
@@ -79,6 +85,8 @@ class FramesModel(QAbstractTableModel):
         return tuple(self._get_metric(i, figure) for i in range(self._n_frames))
 
     def _get_metric(self, frame: int, figure: str) -> float:
+        if (quantity := self._quantities.get(frame, {}).get(figure)) is not None:
+            return quantity
         known = self._known.get(frame)
         if known is None or known.problem:
             return math.nan
@@ -88,7 +96,7 @@ class FramesModel(QAbstractTableModel):
         """Start over with this many unknown frames."""
         self.beginResetModel()
         self._n_frames = n_frames
-        self._known, self._common, self._thumbnails = {}, None, {}
+        self._known, self._quantities, self._common, self._thumbnails = {}, {}, None, {}
         self.endResetModel()
 
     def grow_to(self, n_frames: int) -> None:
@@ -99,9 +107,9 @@ class FramesModel(QAbstractTableModel):
             self.endInsertRows()
 
     def clear_summaries(self) -> None:
-        """Clear all summaries, because the settings changed."""
-        if self._known:
-            self._known, self._common = {}, None
+        """Clear all summaries and quantities, because the settings changed."""
+        if self._known or self._quantities:
+            self._known, self._quantities, self._common = {}, {}, None
             self._emit_changed(0, self._n_frames - 1)
 
     def show_metric(self, name: str, title: str, tip: str = "") -> None:
@@ -120,6 +128,12 @@ class FramesModel(QAbstractTableModel):
             self._thumbnails[frame] = _to_pixmap(summary.thumbnail)
         self._known[frame], self._common = summary if old is None else old.merge(summary), None
         self._emit_changed(frame, frame)
+
+    def show_quantities(self, frame: int, quantities: Mapping[str, float]) -> None:
+        """Add what was measured of a frame on request: metric -> value, NaN where it could not be."""
+        if 0 <= frame < self._n_frames:
+            self._quantities[frame] = {**self._quantities.get(frame, {}), **quantities}
+            self._emit_changed(frame, frame)
 
     def show_notes(self, notes: Mapping[int, str]) -> None:
         """Show the notes of frames."""
@@ -194,11 +208,13 @@ class FramesModel(QAbstractTableModel):
         summary = self._known.get(frame)
         if column == FRAME:
             return float(frame)
+        if column == METRIC:
+            return self._get_metric(frame, self._figure)
         if summary is None or summary.problem:
             return math.nan
         if column == CONTACT:
             return summary.contact_area_mm2
-        figures = {METRIC: self._figure, WARNINGS: _N_WARNINGS, DEPTH: "frame.max_indentation_mm"}
+        figures = {WARNINGS: _N_WARNINGS, DEPTH: "frame.max_indentation_mm"}
         return self._get_metric(frame, figures[column])
 
     def _text(self, frame: int, column: int) -> str:
@@ -206,7 +222,8 @@ class FramesModel(QAbstractTableModel):
         if column == FRAME:
             return str(frame)
         if summary is None:
-            return ""
+            value = self._number(frame, column)
+            return f"{value:.{_DECIMALS[column]}f}" if math.isfinite(value) else ""
         if summary.problem:
             return "failed" if column == METRIC else ""
         if column == CAUSE:

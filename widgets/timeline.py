@@ -146,18 +146,22 @@ class Timeline(QWidget):
         metric: str,
         values: Sequence[float],
         warnings: Mapping[int, Sequence[str]],
+        *,
+        is_quantity: bool = False,
     ) -> None:
         """Show the error of every frame under the slider (NaN = unknown), and the warnings of each.
 
-        `metric` is its name and, after a comma, its unit.
+        `metric` is its name and, after a comma, its unit. A quantity that is no error is a curve.
         """
         name, _, unit = metric.partition(", ")
-        self.errors.show_values(values, unit, warnings)
+        self.errors.show_values(values, unit, warnings, is_curve=is_quantity)
         worst = self.errors.worst_frame
         self.scale.show_max(self.errors.max_value)
         known = sum(math.isfinite(value) for value in values)
         self._figure.setText(metric if known else f"{name}: not known" if values else "")
-        text = f"worst: frame {worst}, {values[worst]:.3g} {unit}" if worst >= 0 else ""
+        text = (
+            f"{'largest' if is_quantity else 'worst'}: frame {worst}, {values[worst]:.3g} {unit}" if worst >= 0 else ""
+        )
         self._worst.setText(text)
 
     def show_ready(self, *, ready: bool) -> None:

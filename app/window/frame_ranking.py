@@ -1,6 +1,7 @@
 """Ranks all frames of a recording, computed at lowest priority while the frames table or the timeline needs them.
 
-With truth they are ranked by an error, without it by the round trip to the target and back.
+With truth they are ranked by an error, without it by the round trip to the target and back. Force takes the depth of
+a frame alone, so that it comes before all else where it is chosen.
 """
 
 from __future__ import annotations
@@ -9,9 +10,10 @@ from PyQt6.QtCore import QObject, Qt, QTimer
 
 from app.session.state import Session
 from app.window.session_controller import SessionController
-from app.work.evaluator import SummarisedFrame
-from pipeline.metrics.stage_metrics import METRICS, ROUND_TRIP, describe_metric
+from app.work.evaluator import MeasuredQuantities, SummarisedFrame
+from pipeline.metrics.stage_metrics import FORCE, METRICS, ROUND_TRIP, UNCALIBRATED_FORCE, describe_metric
 from pipeline.translation.error_attribution import DEFAULT_METRIC
+from pipeline.translation.force import select_force_metric
 from widgets.frame_summary import FRAME_FIGURES
 from widgets.styling import make_single_shot_timer
 
@@ -58,8 +60,16 @@ class FrameRankingController(QObject):
 
     @property
     def _metric(self) -> str:
-        """The metric that ranks the frames."""
+        """The metric that ranks the frames; the force follows the calibration that is loaded."""
+        if self._chosen_metric in (FORCE, UNCALIBRATED_FORCE) and self._force_metric:
+            return self._force_metric
         return self._chosen_metric or (DEFAULT_METRIC if self._has_truth else ROUND_TRIP)
+
+    @property
+    def _force_metric(self) -> str:
+        """The metric of the open recording's force; "" without a contact model."""
+        opened = self._controller.views.translation
+        return "" if opened is None else select_force_metric(opened)
 
     def _go_to_worst(self) -> None:
         worst = self._controller.window.timeline.errors.worst_frame
@@ -84,7 +94,9 @@ class FrameRankingController(QObject):
         model = self._panel.model
         warnings = {i: texts for i in range(model.rowCount()) if (texts := model.get_specific_warnings(i))}
         values = model.get_values(self._metric) if model.rowCount() > 1 else ()
-        self._controller.window.timeline.show_errors(describe_metric(self._metric), values, warnings)
+        self._controller.window.timeline.show_errors(
+            describe_metric(self._metric), values, warnings, is_quantity=self._is_quantity
+        )
 
     @property
     def _needs_completion(self) -> bool:
@@ -117,6 +129,8 @@ class FrameRankingController(QObject):
     def _rank_next(self) -> None:
         controller = self._controller
         model = self._panel.model
+        if self._measure_force():
+            return
         frame = model.find_unknown_frame(controller.session.frame)
         if completely := frame < 0 and self._needs_completion:
             frame = model.find_incomplete_frame(controller.session.frame)
@@ -127,8 +141,25 @@ class FrameRankingController(QObject):
             lambda report: evaluator.evaluate_in_background(session, frame, report, completely=completely)
         )
 
+    def _measure_force(self) -> bool:
+        """Measure the force of the next frame if the metric is the force; return whether any is left to measure."""
+        controller, metric = self._controller, self._metric
+        if not metric or metric != self._force_metric:
+            return False
+        session, evaluator = controller.session, controller.evaluator
+        frame = self._panel.model.find_frame_without(metric, session.frame)
+        if frame >= 0 and not controller.window.timeline.is_playing and controller.is_idle:
+            self._ticket = controller.submit_background(
+                lambda report: evaluator.measure_force_in_background(session, frame, metric, report)
+            )
+        return frame >= 0
+
     def _show_summary(self, ticket: int, result: object) -> None:
-        if ticket == self._ticket and isinstance(result, SummarisedFrame):
+        if ticket == self._ticket and isinstance(result, MeasuredQuantities):
+            if result.settings == self._controller.session.settings:
+                self._panel.model.show_quantities(result.index, result.quantities)
+            self._rank_soon(0)
+        elif ticket == self._ticket and isinstance(result, SummarisedFrame):
             if result.settings == self._controller.session.settings:
                 self._panel.model.show_summary(result.index, result.summary)
             self._rank_soon(0)
@@ -139,7 +170,8 @@ class FrameRankingController(QObject):
         """Offer the known metrics, those of the whole frame last."""
         known = self._panel.model.metrics
         names = [name for name in known if METRICS[name.partition(".")[2]].better != "neither"]
-        names = [name for name in dict.fromkeys((*names, ROUND_TRIP, *FRAME_FIGURES)) if name != self._metric]
+        more = [name for name in (ROUND_TRIP, self._force_metric, *FRAME_FIGURES) if name]
+        names = [name for name in dict.fromkeys((*names, *more)) if name != self._metric]
         names.sort(key=lambda name: name.startswith("frame."))  # stable
         texts = {name: describe_metric(name) for name in (self._metric, *names)}
         unit = METRICS[self._metric.partition(".")[2]].unit
@@ -148,6 +180,10 @@ class FrameRankingController(QObject):
     @property
     def _is_error(self) -> bool:
         return METRICS[self._metric.partition(".")[2]].better == "lower"
+
+    @property
+    def _is_quantity(self) -> bool:
+        return METRICS[self._metric.partition(".")[2]].better == "neither"
 
 
 def _get_sort_order(metric: str) -> Qt.SortOrder:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -22,6 +23,7 @@ from pipeline.networks.weights import Weights
 from pipeline.stages.depth.photometric import DepthParams
 from pipeline.translation.catalogue import BUILT_IN, Catalogue
 from pipeline.translation.error_attribution import DEFAULT_METRIC, ErrorAttribution, attribute_error
+from pipeline.translation.force import measure_force
 from pipeline.translation.frame_selection import find_contact_frame
 from pipeline.translation.round_trip import measure_round_trip
 from pipeline.translation.translate import Request, Translation
@@ -63,6 +65,15 @@ class SummarisedFrame:
     index: int
     settings: Session  # used for the computation
     summary: FrameSummary
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MeasuredQuantities:
+    """Quantities of a frame that were measured on request; NaN where they could not be."""
+
+    index: int
+    settings: Session  # used for the computation
+    quantities: Mapping[str, float]
 
 
 class Evaluator:
@@ -210,6 +221,22 @@ class Evaluator:
         return SummarisedFrame(
             index=index, settings=replace(session, target=translation.target.name).settings, summary=summary
         )  # fmt: skip
+
+    def measure_force_in_background(
+        self, session: Session, index: int, metric: str, report: JobReporter
+    ) -> MeasuredQuantities:
+        """Measure the force of a frame, which takes its depth alone; `metric` is NaN where that fails."""
+        translation = self._open(session, report)
+        self._background_graph = graph = translation.build_graph(like=self._background_graph)
+        quantities: Mapping[str, float] = {metric: math.nan}
+        try:
+            inputs = translation.read_inputs(index, progress=report)
+            depth = graph.evaluate(("depth",), inputs, session.collect_params(translation.methods), report)
+            quantities |= measure_force(depth, translation, graph, translation.read_source_truth(index))
+        except TouchError as error:
+            log.info("frame %d has no force: %s", index, error)
+        settings = replace(session, target=translation.target.name).settings
+        return MeasuredQuantities(index=index, settings=settings, quantities=quantities)
 
     def _find_cause(
         self,

@@ -23,6 +23,7 @@ _VERSION = 2
 _WHAT, _REMEDY = "the calibration", "calibrate again"
 _ARRAYS = ("coefficients", "reference_thumbnail", "coverage_map")  # the other fields are numbers, texts and lists
 _MOST_VALUES = 100_000  # of a list
+_TABLE, _FORCE = frozenset(("coefficients", "slope_max")), "force_scale"  # arrays by which a file is recognised
 _Side = Annotated[int, Meta(ge=1, le=100_000)]
 _Positive = Annotated[float, Meta(gt=0.0, le=1e12)]
 _Share = Annotated[float, Meta(gt=0.0, le=1.0)]
@@ -52,13 +53,25 @@ class _Content(msgspec.Struct, kw_only=True, frozen=True):
 
 def is_calibration_file(path: Path) -> bool:
     """Whether a file is a calibration of `tactoscope calibrate`, judged by the arrays in it."""
+    arrays = _list_arrays(path)
+    return arrays >= _TABLE or _FORCE in arrays
+
+
+def load_if_present(path: Path) -> Calibration | None:
+    """The calibration table in a file; None for a force scale alone. Raises FileProblem as `load`."""
+    arrays = _list_arrays(path)
+    return None if _FORCE in arrays and not arrays & _TABLE else load(path)
+
+
+def _list_arrays(path: Path) -> set[str]:
+    """Names of the arrays in an .npz file, empty where it cannot be read."""
     if path.suffix.lower() != ".npz" or not path.is_file():
-        return False
+        return set()
     try:
         with zipfile.ZipFile(path) as archive:
-            return {"coefficients.npy", "slope_max.npy"} <= set(archive.namelist())
+            return {name.removesuffix(".npy") for name in archive.namelist()}
     except (OSError, zipfile.BadZipFile):
-        return False
+        return set()
 
 
 def save(calibration: Calibration, path: Path) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pipeline.calibration import calibration_file, quality_notes
+from pipeline.calibration import calibration_file, force_scale, quality_notes
 from pipeline.cli.interrupts import interruptible_progress
 from pipeline.cli.terminal import print_line
 from pipeline.cli.translation_options import DepthUnit, ReferenceImagePath
@@ -38,7 +38,10 @@ def inspect(
         print_line(f"{make_reference} is the median of {n_images} images; check that it shows no touch")
         reference = make_reference
     if calibration_file.is_calibration_file(recording):
-        for line in quality_notes.format_calibration(calibration_file.load(recording)):
+        table, scale = calibration_file.load_if_present(recording), force_scale.load_force_scale(recording)
+        for line in [] if table is None else quality_notes.format_calibration(table):
+            print_line(line)
+        for line in [] if scale is None else force_scale.format_force_scale(scale):
             print_line(line)
         return 0
     report = inspect_recording(recording, sensor=sensor, reference=reference, depth_unit=depth_unit)

@@ -99,6 +99,7 @@ _COMMANDS = {
 }
 _CALIBRATE = {
     "balls": ("calibrate:balls", "Fit a sensor's calibration table to presses of a ball and report its residuals."),
+    "force": ("calibrate_force:force", "Scale the force of a sensor to two or more weighed presses."),
 }
 _ALIGN = {
     "score": ("align:score", "Score how well touches agree with the target's own recording, and which axis matters."),
@@ -125,7 +126,7 @@ def build_app(name: str = "tactoscope") -> App:
         version_flags=["--version"],
         suppress_keyboard_interrupt=False,  # `run_app` reports an interruption
     )
-    calibrate = App(name="calibrate", help="Build a sensor's calibration table from presses of a known object.")
+    calibrate = App(name="calibrate", help="Calibrate a sensor by presses of a ball, and its force by weighed presses.")
     align = App(name="align", help="Score, refine and fit the alignment of two sensors.")
     rollout = App(name="rollout", help="List, attribute, film and bundle recorded rollouts of tasks.")
     for group, commands in ((app, _COMMANDS), (calibrate, _CALIBRATE), (align, _ALIGN), (rollout, _ROLLOUT)):

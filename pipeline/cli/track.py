@@ -14,10 +14,14 @@ from pipeline.base.files import prepare_folder
 from pipeline.base.frame_lists import parse_frames
 from pipeline.cli.interrupts import interruptible_progress
 from pipeline.cli.terminal import print_line
-from pipeline.cli.translation_options import DEFAULT_OPTIONS, RecordingPath, StageSettings, TranslationOptions
-from pipeline.recordings import open_recording
+from pipeline.cli.translation_options import (
+    DEFAULT_OPTIONS,
+    RecordingPath,
+    StageSettings,
+    TranslationOptions,
+    find_sensor,
+)
 from pipeline.reporting.track_recording import track_recording
-from pipeline.sensors.spec import load_sensor
 from pipeline.tracking.track_record import TABLE, TrackRecord, write_record
 from pipeline.translation.catalogue import with_settings
 from pipeline.translation.translate import open_translation
@@ -49,7 +53,7 @@ def track(
     frames
         Frames such as `0-40` or `3,7`; default: all.
     """
-    source = target or _find_sensor(recording, options)
+    source = target or find_sensor(recording, options)
     prepare_folder(out)
     with closing(open_translation(options.build_request(recording, source))) as translation:
         indices = parse_frames(frames, translation.n_frames)
@@ -61,15 +65,6 @@ def track(
     write_record(out, record)
     _print_summary(record, out)
     return 0
-
-
-def _find_sensor(recording: Path, options: TranslationOptions) -> str:
-    """The sensor that made the recording: its own target where only its depth is followed."""
-    if options.sensor:
-        return options.sensor
-    with closing(open_recording(recording, depth_unit=options.depth_unit, reference=options.reference)) as opened:
-        stream = opened.stream(options.stream)
-        return stream.sensor or load_sensor(options.sensor).name
 
 
 def _print_summary(record: TrackRecord, out: Path) -> None:

@@ -22,6 +22,7 @@ from pipeline.base.files import prepare_folder
 from pipeline.base.progress import SILENT
 from pipeline.base.progress import Progress as StageProgress
 from pipeline.base.text import escape_text
+from pipeline.calibration.force_scale import UNKNOWN_SCALE
 from pipeline.cli.interrupts import interruptible_progress
 from pipeline.cli.terminal import print_error, print_line
 from pipeline.cli.translation_options import (
@@ -34,10 +35,12 @@ from pipeline.cli.translation_options import (
 )
 from pipeline.engine.cache import Cache
 from pipeline.engine.graph import Graph
+from pipeline.metrics.stage_metrics import FORCE, UNCALIBRATED_FORCE
 from pipeline.reporting.frame_report import FrameReport
 from pipeline.reporting.report import write_frame, write_report
 from pipeline.reporting.resume import FinishedFrame, compute_frame_key, load_finished_frame
 from pipeline.translation.catalogue import with_settings
+from pipeline.translation.force import measure_force
 from pipeline.translation.translate import Request, Translation, open_translation
 from pipeline.translation.truth_warnings import add_truth_warnings
 from pipeline.values.results import ObjectPose
@@ -142,7 +145,7 @@ def translate(
             escape_text(f"note: {note}"), style="dim", highlight=False, markup=False, emoji=False, soft_wrap=True
         )
     print_stage_table(reports)
-    for line in (*list_fallbacks(reports), *list_warnings(reports)):
+    for line in (*list_fallbacks(reports), *list_warnings(reports), *_describe_force(reports)):
         print_line(line)
     if n_resumed and not scheduler:
         print_line(f"{n_resumed} of them were finished by an earlier run and are kept")
@@ -204,6 +207,16 @@ def _format_frames(warnings_by_frame: Mapping[int, str]) -> str:
     return f"{len(warnings_by_frame)} frames: {few}{more}{numbers_of}"
 
 
+def _describe_force(reports: Sequence[FrameReport]) -> list[str]:
+    """The range of normal force, and whether its scale is known; empty without a contact model."""
+    out: list[str] = []
+    for name, remark in ((FORCE, ""), (UNCALIBRATED_FORCE, f"; {UNKNOWN_SCALE}")):
+        forces = [report.metrics[name] for report in reports if name in report.metrics]
+        if any(forces):
+            out.append(f"normal force {min(forces):.2f} to {max(forces):.2f} N{remark}")
+    return out
+
+
 def _run_job(job: _FrameJob) -> None:
     """Translate one frame on a worker and write it; a frame that fails is left to the main process."""
     with closing(open_translation(job.request)) as translation:
@@ -242,7 +255,9 @@ def _translate_frame(
         results = graph.evaluate(translation.stages, inputs, params, progress)
         truth = translation.read_ground_truth(index)
         results = {name: add_truth_warnings(result, truth) for name, result in results.items()}
-        report = FrameReport(index=index, results=results, metrics=translation.compute_metrics(results, index))
+        force = measure_force(results, translation, graph, truth.source_truth)
+        metrics = {**translation.compute_metrics(results, index), **force}
+        report = FrameReport(index=index, results=results, metrics=metrics)
         write_frame(out, translation.stream.frame(index), report, translation, key)
         return False, FinishedFrame(report=report.without_arrays, key=key, pose=_get_pose(report))
     except Exception as error:  # noqa: BLE001 - whatever one frame does, the others are translated

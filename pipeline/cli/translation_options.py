@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -46,7 +47,7 @@ class TranslationOptions:
     stream
         Name of the stream, if one sensor has several.
     calibration
-        Calibration file made by `tactoscope calibrate balls`; default: the sensor's built-in table.
+        Calibration file made by `tactoscope calibrate`; default: the sensor's built-in table, force without scale.
     route
         Route through the stages; it names a method for each.
     mesh
@@ -110,6 +111,17 @@ class TranslationOptions:
 
 
 DEFAULT_OPTIONS = TranslationOptions()
+
+
+def find_sensor(recording: Path, options: TranslationOptions) -> str:
+    """The sensor that made the recording: the target where only the source's depth is computed."""
+    from pipeline.recordings import open_recording
+    from pipeline.sensors.spec import load_sensor
+
+    if options.sensor:
+        return options.sensor
+    with closing(open_recording(recording, depth_unit=options.depth_unit, reference=options.reference)) as opened:
+        return opened.stream(options.stream).sensor or load_sensor(options.sensor).name
 
 
 def split_list(text: str) -> tuple[str, ...]:

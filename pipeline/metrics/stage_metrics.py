@@ -79,11 +79,24 @@ METRICS: Mapping[str, Metric] = {
         title="largest indentation", unit="mm", meaning="of the source sensor in contact", better="neither"
     ),
     "contact_area_mm2": Metric(title="contact area", unit="mm²", meaning="on the source sensor", better="neither"),
+    "force_n": Metric(
+        title="force", unit="N", meaning="normal force of the contact model, scaled by weighings", better="neither"
+    ),
+    "uncalibrated_force_n": Metric(
+        title="force (scale unknown)",
+        unit="N",
+        meaning="normal force of the contact model with the described sensor: compare frames of one sensor only",
+        better="neither",
+    ),
+    "true_force_n": Metric(title="true force", unit="N", meaning="normal force of the recording", better="neither"),
 }
 """Name of a metric within its stage (`mssd_mm` of `pose.mssd_mm`) -> its description."""
 WITHOUT_TRUTH = "frame"  # stands for the stage in metrics of a whole frame, which need no truth: `frame.round_trip_mm`
 ROUND_TRIP = f"{WITHOUT_TRUTH}.round_trip_mm"
 TRAINING_DISTANCE = f"{WITHOUT_TRUTH}.training_distance"
+FORCE, UNCALIBRATED_FORCE, TRUE_FORCE = (
+    f"{WITHOUT_TRUTH}.{name}_n" for name in ("force", "uncalibrated_force", "true_force")
+)
 
 
 def describe_metric(figure: str) -> str:

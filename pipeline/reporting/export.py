@@ -27,6 +27,7 @@ from pipeline.reporting.report import collect_stage_arrays
 from pipeline.reporting.video import write_video
 from pipeline.reporting.viewer_files import StageSample
 from pipeline.translation import cross_section
+from pipeline.translation.force import measure_force
 from pipeline.translation.translate import Translation, open_translation
 from pipeline.values.frames import TactileFrame
 
@@ -94,6 +95,12 @@ class _Work:
         self.replaced |= {f"{name}: {result.fallback}" for name, result in results.items() if result.fallback}
         return frame, results
 
+    def compute_all_metrics(self, results: Mapping[str, StageResult], index: int) -> Mapping[str, float]:
+        """Return the metrics of a frame, with its force."""
+        truth = self.translation.read_source_truth(index)
+        force = measure_force(results, self.translation, self._graph, truth)
+        return {**self.translation.compute_metrics(results, index), **force}
+
     def draw_figure(self, index: int) -> Figure:
         """Return the sheet or the pane of a frame."""
         frame, results = self.evaluate_frame(index)
@@ -150,13 +157,13 @@ def _arrays(work: _Work) -> None:
 
 
 def _table(work: _Work) -> None:
-    """Write all metrics against truth, one row per frame."""
+    """Write force and all metrics against truth, one row per frame."""
     rows: list[tuple[int, float, Mapping[str, float]]] = []
     indices = work.frame_indices
     for done, index in enumerate(indices):
         work.progress.step(done / len(indices), f"frame {index}")
         frame, results = work.evaluate_frame(index, every=True)
-        rows.append((index, frame.time_s, work.translation.compute_metrics(results, index)))
+        rows.append((index, frame.time_s, work.compute_all_metrics(results, index)))
     names = sorted({name for _, _, metrics in rows for name in metrics})
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")

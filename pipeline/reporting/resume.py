@@ -48,6 +48,7 @@ def compute_frame_key(
             translation.read_source_truth(index),
             translation.read_target_observation(index),
             translation.symmetry,
+            translation.force_scale,
             before.key if before is not None and before.pose is not None else "",
         )
     )

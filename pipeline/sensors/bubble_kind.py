@@ -67,5 +67,6 @@ BUBBLE = SensorKind(
     touch_renderer="pipeline.stages.touch.physical_render:render_bubble_touch",
     press_simulator="pipeline.simulation.press:simulate_bubble_press",
     image_simulator="pipeline.simulation.press:simulate_bubble_image",
+    force_estimator="pipeline.physics.contact_force:estimate_bubble_force",
     touch_format="pipeline.networks.touch_formats:BUBBLE",
 )

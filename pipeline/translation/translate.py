@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pipeline.base.arrays import Image
-from pipeline.base.errors import SettingProblem, UnknownSensor
+from pipeline.base.errors import CalibrationError, SettingProblem, UnknownSensor
 from pipeline.base.frame_lists import check_frame_index
 from pipeline.base.progress import SILENT, Progress, reading_reported_to
-from pipeline.calibration.calibration_file import load as load_calibration
+from pipeline.calibration.calibration_file import load_if_present
 from pipeline.calibration.calibration_table import Calibration
+from pipeline.calibration.force_scale import ForceScale, load_force_scale
 from pipeline.engine.graph import Graph, Method, StageResult
 from pipeline.geometry.meshes import Mesh, load_mesh
 from pipeline.networks.weights import NoWeights
@@ -72,6 +73,7 @@ class Translation:
     mesh: Mesh | None
     notes: tuple[str, ...] = field(default=())
     symmetry: Symmetry | None = None  # of `mesh`; None = not known
+    force_scale: ForceScale | None = None  # of the source; None = not weighed
     catalogue: Catalogue = BUILT_IN
     load_context_images: Callable[[], tuple[Image, ...]] = tuple  # of the source's sensor instance
 
@@ -101,10 +103,11 @@ class Translation:
         """Return the translation that reads the target's own recording as a source."""
         own = self.recording.find_partner(self.stream.name, self.target.name)
         assert own is not None
-        load_context_images = _context_image_loader(self.request, self.recording, own, self.target)
+        load_context_images = _context_image_loader(self.calibration, self.recording, own, self.target)
         return replace(
-            self, stream=own, source=self.target, target=self.source, load_context_images=load_context_images
-        )
+            self, stream=own, source=self.target, target=self.source, load_context_images=load_context_images,
+            force_scale=None,
+        )  # fmt: skip
 
     def build_graph(self, like: Graph | None = None) -> Graph:
         """Return the graph of the route, with the cache of `like` if given."""
@@ -248,6 +251,7 @@ def open_translation(request: Request, catalogue: Catalogue = BUILT_IN) -> Trans
     mesh = recording.object_mesh
     if request.mesh is not None:
         mesh = load_mesh(request.mesh, unit=request.mesh_unit)
+    calibration = None if request.calibration is None else load_if_present(request.calibration)
     translation = Translation(
         request=request,
         recording=recording,
@@ -255,7 +259,7 @@ def open_translation(request: Request, catalogue: Catalogue = BUILT_IN) -> Trans
         source=source,
         target=target,
         alignment=request.offsets.apply_to(_alignment(request, recording, stream, source, target)),
-        calibration=None if request.calibration is None else load_calibration(request.calibration),
+        calibration=calibration,
         mesh=mesh,
         notes=(
             *recording.notes,
@@ -263,8 +267,9 @@ def open_translation(request: Request, catalogue: Catalogue = BUILT_IN) -> Trans
             *_about_weights(request, methods, catalogue),
         ),
         symmetry=recording.symmetry if mesh is recording.object_mesh else None,
+        force_scale=_load_force_scale(request.calibration, source),
         catalogue=catalogue,
-        load_context_images=_context_image_loader(request, recording, stream, source),
+        load_context_images=_context_image_loader(calibration, recording, stream, source),
     )
     if request.weights and request.refuses_unusable_weights:
         translation.check_given_weights()
@@ -272,15 +277,23 @@ def open_translation(request: Request, catalogue: Catalogue = BUILT_IN) -> Trans
 
 
 def _context_image_loader(
-    request: Request, recording: Recording, stream: Stream, source: SensorSpec
+    calibration: Calibration | None, recording: Recording, stream: Stream, source: SensorSpec
 ) -> Callable[[], tuple[Image, ...]]:
     """Return a loader of the context images that determine the illumination, chosen when a frame is first read.
 
-    A calibration contains the illumination. A growing recording has no fixed context.
+    A calibration table contains the illumination. A growing recording has no fixed context.
     """
-    if source.optics is None or request.calibration is not None or recording.refresh is not None:
+    if source.optics is None or calibration is not None or recording.refresh is not None:
         return tuple
     return cache(lambda: select_context_images(stream))
+
+
+def _load_force_scale(path: Path | None, source: SensorSpec) -> ForceScale | None:
+    """Return the force scale of a calibration file; raises CalibrationError for one of another sensor."""
+    scale = None if path is None else load_force_scale(path)
+    if scale is not None and scale.sensor != source.name:
+        raise CalibrationError(f"the weighings are of {scale.sensor}, not of {source.name}: '{path}'")
+    return scale
 
 
 def _about_symmetry(recording: Recording, stream: Stream, mesh: Mesh | None) -> tuple[str, ...]:

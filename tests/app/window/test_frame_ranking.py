@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtWidgets import QLabel
+from scipy import stats
 
 from app.session.sample import SAMPLE_RECORDING
 from app.session.state import Session, load_session
 from app.window.tour import wait_until_shown
+from pipeline.metrics.stage_metrics import UNCALIBRATED_FORCE
 from widgets.frame_summary import FrameSummary
 from widgets.frames_model import CAUSE, FRAME, METRIC, NOTE, WARNINGS
 from widgets.frames_panel import FramesPanel
@@ -54,6 +56,21 @@ def test_every_frame_with_truth_is_ranked_and_one_key_shows_the_worst(window, qt
     assert window.session.frame == ranked[1]
     assert wait_until_shown(window, 240)
     assert window.latest_frame.index == ranked[1]
+
+
+def test_force_of_every_frame_is_a_curve_that_takes_their_depth_alone(window, qtbot):
+    panel, line = window.window.frames, window.window.timeline.errors
+    assert panel.metric_box.findData(UNCALIBRATED_FORCE) >= 0
+    panel.metric_chosen.emit(UNCALIBRATED_FORCE)
+    qtbot.waitUntil(lambda: panel.model.find_frame_without(UNCALIBRATED_FORCE, 0) < 0, timeout=LIMIT_MS)
+    qtbot.waitUntil(lambda: bool(np.isfinite(line.values).all()), timeout=LIMIT_MS)
+    assert line.is_curve
+    assert panel.model.find_unknown_frame(5) >= 0  # frames whose whole translation nobody needed
+    stream = window.views.translation.stream
+    true = [-stream.truth(i).force_n[2] for i in range(len(line.values))]
+    assert line.values[0] == true[0] == 0.0
+    assert stats.spearmanr(line.values, true)[0] > 0.9
+    assert "force (scale unknown), N" in [label.text() for label in window.window.timeline.findChildren(QLabel)]
 
 
 def test_a_click_in_the_timeline_chooses_the_frame(window, qtbot):

@@ -1,0 +1,71 @@
+"""`tactoscope calibrate force`: from weighed presses to newtons in report and table."""
+
+from __future__ import annotations
+
+import csv
+import json
+from contextlib import closing
+
+import numpy as np
+import pytest
+
+from pipeline.cli.main import EXIT_USER_ERROR, build_app, run_app
+from pipeline.recordings import open_recording
+from tests.pipeline.cli.test_cli import SAMPLE
+
+
+def run(*tokens):
+    return run_app(build_app(), [str(token) for token in tokens])
+
+
+def test_weighed_presses_turn_an_unknown_scale_into_newtons(tmp_path, capsys):
+    """True forces are tripled, as on a stiffer gel."""
+    with closing(open_recording(SAMPLE)) as recording:
+        truths = [recording.stream("gelslim").truth(index) for index in (4, 8)]
+    true = np.array([-truth.force_n[2] for truth in truths])
+    out, table = tmp_path / "mine.npz", tmp_path / "table.csv"
+    assert run("calibrate", "force", SAMPLE, "--sensor", "gelslim", "--frames", "8,4", "--out", out,
+               "--forces", f"{3 * true[1]},{3 * true[0]}") == 0  # fmt: skip
+    assert "calibration written" in capsys.readouterr().out
+    assert run("export", SAMPLE, "--target", "soft_bubble", "--sensor", "gelslim", "--out", table, "--frames", "4,8",
+               "--calibration", out) == 0  # fmt: skip
+    rows = list(csv.DictReader(table.read_text(encoding="utf-8").splitlines()))
+    assert "frame.uncalibrated_force_n" not in rows[0]
+    assert [float(row["frame.force_n"]) for row in rows] == pytest.approx(3 * true, rel=0.15)
+    assert [float(row["frame.true_force_n"]) for row in rows] == pytest.approx(true)
+    capsys.readouterr()
+    assert run("inspect", out) == 0
+    assert "force of gelslim" in capsys.readouterr().out
+
+
+def test_the_report_says_that_a_scale_is_not_known(tmp_path, capsys):
+    assert run("translate", SAMPLE, "--target", "soft_bubble", "--sensor", "gelslim", "--out", tmp_path / "o") == 0
+    assert "its scale is not known" in " ".join(capsys.readouterr().out.split())
+    report = json.loads((tmp_path / "o" / "report.json").read_text(encoding="utf-8"))
+    assert report["frames"][0]["metrics"]["frame.uncalibrated_force_n"] > 0
+    assert report["metrics"]["frame.uncalibrated_force_n"]["unit"] == "N"
+
+
+@pytest.mark.parametrize(
+    ("options", "part"),
+    [
+        (("--frames", "4,8", "--forces", "1.0"), "1 values for 2 frames"),
+        (("--frames", "4,8", "--forces", "a,b"), "numbers in N"),
+        (("--frames", "4,8", "--forces", "1,0"), "above 0 N"),
+        (("--frames", "4,99", "--forces", "1,2"), "99"),
+    ],
+)
+def test_a_mistake_is_one_sentence(options, part, tmp_path, capsys):
+    out = tmp_path / "o.npz"
+    assert run("calibrate", "force", SAMPLE, "--sensor", "gelslim", "--out", out, *options) == EXIT_USER_ERROR
+    assert part in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_weighings_of_another_sensor_are_refused(tmp_path, capsys):
+    out = tmp_path / "bubble.npz"
+    assert run("calibrate", "force", SAMPLE, "--sensor", "soft_bubble", "--frames", "4,8", "--out", out) == 0
+    code = run("translate", SAMPLE, "--target", "soft_bubble", "--sensor", "gelslim", "--calibration", out,
+               "--out", tmp_path / "t")  # fmt: skip
+    assert code == EXIT_USER_ERROR
+    assert "the weighings are of soft_bubble, not of gelslim" in capsys.readouterr().err
