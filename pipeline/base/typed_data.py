@@ -13,6 +13,7 @@ import msgspec
 from msgspec import Meta
 
 from pipeline.base.errors import FileProblem
+from pipeline.base.text import shorten_text
 
 T = TypeVar("T")
 NO_NUL = r"^[^\x00]*$"  # which no path may hold
@@ -21,6 +22,7 @@ FileName = Annotated[str, Meta(max_length=4096, pattern=NO_NUL)]
 Note = Annotated[str, Meta(max_length=10_000)]
 Number = Annotated[float, Meta(ge=-1e12, le=1e12)]  # finite
 Plain = bool | int | Number | Note  # value of a parameter
+_MOST_LETTERS = 120  # of a wrong value or key in a sentence
 _WORDS = {
     "object": "a table", "array": "a list", "str": "a text", "int": "a whole number", "float": "a number",
     "bool": "true or false", "null": "nothing",
@@ -33,7 +35,8 @@ class InvalidField(ValueError):
     def __init__(self, field: str, problem: str) -> None:
         """Build the clause `field: problem`."""
         self.field = field
-        super().__init__(f"{field}: {problem}" if field else problem)
+        where, what = shorten_text(field, _MOST_LETTERS), shorten_text(problem, _MOST_LETTERS)
+        super().__init__(f"{where}: {what}" if field else what)
 
 
 def check(data: object, kind: type[T], within: str = "") -> T:

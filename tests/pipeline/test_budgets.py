@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import struct
+import subprocess
+import sys
 import zlib
 
 import cv2
@@ -15,6 +17,8 @@ from pipeline.base.errors import FileProblem, ModelMissing
 from pipeline.networks import network_factory
 from pipeline.networks.weights import Weights
 from pipeline.recordings import image_files, open_recording
+from pipeline.recordings.hdf5_writer import RecordingWriter
+from pipeline.values.frames import TactileFrame
 
 
 def png_chunk(kind: bytes, data: bytes) -> bytes:
@@ -60,3 +64,33 @@ def test_weights_that_state_a_network_beyond_their_tensors_are_refused(wrong):
     weights = Weights(name="w", kind="compact_unet", config=config, tensors=tensors)
     with pytest.raises(ModelMissing):
         network_factory.load_network(weights)
+
+
+_PEAK_MB = """
+import resource, sys
+from pipeline.recordings import open_recording
+import cv2, h5py
+peak = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+before = peak()
+recording = open_recording(sys.argv[1])
+recording.streams[0].frame(5)
+print(recording.streams[0].n_frames, peak() - before)
+"""
+
+
+def test_a_recording_that_was_cut_short_is_not_copied_into_memory(tmp_path):
+    path, rng = tmp_path / "cut.h5", np.random.default_rng(0)
+    reference = rng.integers(0, 255, (320, 240, 3), np.uint8)
+    with RecordingWriter(path) as writer:
+        for index in range(300):
+            image = np.roll(reference, index)
+            writer.append(
+                "a", TactileFrame(sensor="digit", image=image, reference=reference, index=index, time_s=index)
+            )
+    n_bytes = path.stat().st_size
+    assert n_bytes > 40e6
+    os.truncate(path, n_bytes * 9 // 10)
+    done = subprocess.run([sys.executable, "-c", _PEAK_MB, path], capture_output=True, text=True, check=True)
+    n_frames, grown_mb = done.stdout.split()
+    assert int(n_frames) > 200
+    assert float(grown_mb) < 30.0

@@ -9,9 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.cli import prepare
 from pipeline.live.folder_source import FolderSource
-from pipeline.translation.catalogue import BUILT_IN, default_params
 
 ROOT = Path(__file__).parents[2]
 _NO_HOME = """
@@ -77,17 +75,6 @@ def test_a_matplotlibrc_in_the_folder_changes_no_picture(tmp_path):
 def test_numbers_have_a_point_after_qt_has_started(tmp_path):
     done = run(tmp_path, _LOCALE, LC_ALL="C.UTF-8", QT_QPA_PLATFORM="offscreen", HOME=str(tmp_path))
     assert done.stdout.splitlines()[-1:] == ["C"], done.stderr
-
-
-def test_kernels_are_prepared_without_the_sample(monkeypatch, tmp_path):
-    monkeypatch.setattr(prepare, "SAMPLE_RECORDING", tmp_path / "not installed.h5")
-    seen = []
-    monkeypatch.setattr(
-        "pipeline.engine.graph.Graph.evaluate", lambda _self, stages, inputs, _params: seen.append(inputs)
-    )
-    prepare._translate_sample("gelslim", "soft_bubble", default_params(BUILT_IN.methods("t2d2")))
-    assert seen[0]["frame"].image.shape == seen[0]["frame"].reference.shape
-    assert (seen[0]["frame"].image != seen[0]["frame"].reference).any()
 
 
 def test_a_look_at_a_growing_folder_costs_nothing_for_the_images_before(tmp_path, monkeypatch):

@@ -131,3 +131,15 @@ def test_the_depth_unit_is_saved_and_an_unknown_one_is_refused(tmp_path):
     path.write_text(path.read_text().replace("0.1mm", "inch"))
     with pytest.raises(FileProblem, match="depth_unit: Invalid"):
         load_session(path)
+
+
+@pytest.mark.parametrize("key", ["route", "depth_unit", "recording", "notes", "weights"])
+def test_a_text_of_any_length_is_refused_in_a_short_sentence(tmp_path, key):
+    path = tmp_path / "a.touch.json"
+    save_session(Session(target="gelslim"), path, {})
+    long = "x" * 100_000
+    value = {"notes": {"1": long}, "weights": {long: "w"}}.get(key, long)
+    path.write_text(json.dumps({**json.loads(path.read_text()), key: value}))
+    with pytest.raises(FileProblem, match=key) as caught:
+        load_session(path)
+    assert len(str(caught.value)) - len(str(path)) < 220
