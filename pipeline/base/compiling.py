@@ -21,7 +21,7 @@ from pathlib import Path
 from pipeline.base.user_folders import find_user_folder
 
 _PACKAGE_FOLDER = Path(__file__).parents[1]
-_MAX_FOLDERS = 4  # caches of older sources that are kept, for switching between two versions
+_MAX_FOLDERS = 16  # caches of other sources that are kept, the last used; 3 MB each
 
 
 class _ThreadState(threading.local):
@@ -86,6 +86,7 @@ def kernel_folder() -> Path:
         is_new = not folder.is_dir()
         folder.mkdir(parents=True, exist_ok=True)
         if os.access(folder, os.W_OK):
+            os.utime(folder)  # last use
             if is_new:
                 _remove_old_folders(folder)
             return folder

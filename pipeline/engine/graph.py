@@ -11,7 +11,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar, TypeVarTuple, Unpack
 
 import xxhash
 
@@ -26,11 +26,13 @@ from pipeline.engine.digests import DigestCache, compute_digest
 
 if TYPE_CHECKING:
     from typing_extensions import TypeVar as TypeVarWithDefault
+    from typing_extensions import TypeVarTuple as TypeVarTupleWithDefault
 
     Params = TypeVarWithDefault("Params", default=Any)
     Output = TypeVarWithDefault("Output", default=Any)
+    Reads = TypeVarTupleWithDefault("Reads", default=Unpack[tuple[Any, ...]])
 else:  # Python 3.11 has no defaults of type variables
-    Params, Output = TypeVar("Params"), TypeVar("Output")
+    Params, Output, Reads = TypeVar("Params"), TypeVar("Output"), TypeVarTuple("Reads")
 
 State = Literal["computed", "cached", "unchanged", "skipped", "given"]
 
@@ -52,13 +54,13 @@ class Fallback(Generic[Output]):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Method(Generic[Params, Output]):
+class Method(Generic[Params, Output, *Reads]):
     """One implementation of a stage: a function without side effects, its parameters, and its inputs."""
 
     stage: str
     name: str  # unique within its stage
     title: str
-    run: Callable[..., Output | Skipped[Output] | Fallback[Output]]  # (*reads, params, progress) -> the stage's value
+    run: Callable[[Unpack[Reads], Params, Progress], Output | Skipped[Output] | Fallback[Output]]
     params: type[Params]
     reads: tuple[str, ...]  # stages above it or inputs, in the order of `run`'s arguments
     version: int = 1  # raised when equal inputs give another output
@@ -103,11 +105,14 @@ class StageResult:
 
 
 def skip_if_exact(
-    exact: Callable[..., Output | None], run: Callable[..., Output | Fallback[Output]]
-) -> Callable[..., Output | Skipped[Output] | Fallback[Output]]:
+    exact: Callable[[Unpack[Reads], Params], Output | None],
+    run: Callable[[Unpack[Reads], Params, Progress], Output | Skipped[Output] | Fallback[Output]],
+) -> Callable[[Unpack[Reads], Params, Progress], Output | Skipped[Output] | Fallback[Output]]:
     """Return a method's function: the result of `exact` (*reads, params) if it has one, that of `run` otherwise."""
 
-    def run_if_needed(*args: Any) -> Output | Skipped[Output] | Fallback[Output]:
+    def run_if_needed(
+        *args: *tuple[*Reads, Params, Progress],
+    ) -> Output | Skipped[Output] | Fallback[Output]:
         output = exact(*args[:-1])
         if output is None:
             return run(*args)
@@ -214,7 +219,8 @@ class Graph:
         )  # fmt: skip
 
     def _run_method(self, method: Method, reads: Sequence[object], params: object, progress: Progress) -> CacheEntry:
-        answer = method.run(*reads, params, progress)
+        run: Callable[..., Any] = method.run  # values by name have no static type here
+        answer = run(*reads, params, progress)
         instead = answer.reason if isinstance(answer, Fallback) else ""
         answer = answer.result if isinstance(answer, Fallback) else answer
         why = answer.reason if isinstance(answer, Skipped) else ""

@@ -3,16 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar, TypeVarTuple, Unpack
 
 from pipeline.base.errors import ModelMissing
-from pipeline.engine.graph import Fallback, Method
+from pipeline.base.progress import Progress
+from pipeline.engine.graph import Fallback, Method, Skipped
 from pipeline.networks import network_factory
+from pipeline.networks.weights import NoWeights, Weights
+
+Params = TypeVar("Params")
+Output = TypeVar("Output")
+Reads = TypeVarTuple("Reads")
 
 
 def fall_back_without_weights(
-    run: Callable[..., Any], fallback: Method, reason: str = "physics: no network for this pair"
-) -> Callable[..., Any]:
+    run: Callable[[Unpack[Reads], Any, Params, Progress], Output | Skipped[Output] | Fallback[Output]],
+    fallback: Method[Any, Output, *Reads],
+    reason: str = "physics: no network for this pair",
+) -> Callable[[Unpack[Reads], Weights | NoWeights, Params, Progress], Output | Skipped[Output] | Fallback[Output]]:
     """Wrap `run` (*reads, network, params, progress) as a method's function whose last input is weights.
 
     Where the weights are missing or do not fit, `fallback`, which has the same inputs without weights, computes the
@@ -20,16 +28,18 @@ def fall_back_without_weights(
     of `fallback`.
     """
 
-    def run_or_fall_back(*args: Any) -> Any:
-        *reads, weights, params, progress = args
+    def run_or_fall_back(
+        *args: *tuple[*Reads, Weights | NoWeights, Params, Progress],
+    ) -> Output | Skipped[Output] | Fallback[Output]:
+        *_, weights, params, progress = args
+        reads = args[:-3]
         try:
             network = network_factory.load_predictor(weights)
         except ModelMissing as problem:
             fallback_params = params if isinstance(params, fallback.params) else fallback.params()
-            return Fallback(
-                result=fallback.run(*reads, fallback_params, progress),
-                reason=f"{reason}; {problem}",
-            )
+            answer = fallback.run(*reads, fallback_params, progress)
+            answer = answer.result if isinstance(answer, Fallback) else answer
+            return Fallback(result=answer, reason=f"{reason}; {problem}")
         return run(*reads, network, params, progress)
 
     return run_or_fall_back
