@@ -90,16 +90,17 @@ def package(tmp_path, monkeypatch):
     compiling.kernel_folder.cache_clear()
 
 
-def test_a_changed_source_has_another_folder_and_old_ones_are_removed(package):
+def test_a_changed_source_has_another_folder_and_those_unused_for_longest_are_removed(package):
     source, find_folder = package
     folders = []
-    for value in range(8):
+    for value in range(20):
         source.write_text(f"x = {value}\n")
         folders.append(find_folder())
         os.utime(folders[-1], (value, value))
-    assert len(set(folders)) == 8
-    assert find_folder() == folders[-1]
-    assert [folder.exists() for folder in folders] == [False] * 3 + [True] * 5
+        source.write_text("x = 0\n")
+        assert find_folder() == folders[0], "used again"
+    assert len(set(folders)) == 20
+    assert [folder.exists() for folder in folders] == [True] + [False] * 3 + [True] * 16
 
 
 def test_a_folder_that_cannot_be_written_is_replaced_by_a_temporary_one(package, tmp_path, monkeypatch):
