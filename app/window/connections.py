@@ -46,10 +46,10 @@ from app.window.themes import ThemeController
 from app.window.time_budget import TimeBudgetController
 from app.window.track import TrackController
 from app.window.welcome import WelcomeController
-from pipeline.evaluation.truth_view import ComparisonMode
 from pipeline.previews.display_params import DisplayParams
 from pipeline.sensors.spec import list_sensor_titles
 from pipeline.translation.catalogue import Catalogue
+from pipeline.translation.truth_view import ComparisonMode
 from widgets.command_palette import CommandPalette
 from widgets.icons import make_command_icon
 from widgets.keyboard_focus_filter import KeyboardFocusFilter

@@ -10,7 +10,7 @@ from PyQt6.QtCore import QObject
 from app.session.layout import DIMS, LAYOUT_NAMES, Dims, Layout, LayoutName
 from app.session.state import Session
 from app.window.session_controller import SessionController
-from pipeline.evaluation.truth_view import ComparisonMode
+from pipeline.translation.truth_view import ComparisonMode
 
 _PANES_KEY = "panes"  # consecutive changes of panes are one undo step
 

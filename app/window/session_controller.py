@@ -24,10 +24,10 @@ from app.work.requests import find_undo_target, make_request, make_request_if_op
 from app.work.stage_previews import SourcePreview, StagePreview
 from pipeline.base.params import list_settings
 from pipeline.engine.graph import Method
-from pipeline.evaluation.truth_view import ComparisonMode
 from pipeline.networks.guidance import raise_steps
 from pipeline.translation.catalogue import BUILT_IN, Catalogue
 from pipeline.translation.translate import Request, Translation
+from pipeline.translation.truth_view import ComparisonMode
 from widgets.styling import make_single_shot_timer
 
 _STALE_DELAY_MS = 150  # columns not replaced within this time are marked stale

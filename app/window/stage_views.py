@@ -16,11 +16,11 @@ from app.work.stage_previews import SourcePreview, StagePreview
 from pipeline.base.arrays import Doubles
 from pipeline.base.errors import TouchError
 from pipeline.engine.graph import StageResult
-from pipeline.evaluation.truth_view import ComparisonMode, TruthView
 from pipeline.previews.layers import Layer, ViewBounds
 from pipeline.previews.preview import Preview
 from pipeline.stages.truth_method import TRUTH
 from pipeline.translation.translate import Request, Translation
+from pipeline.translation.truth_view import ComparisonMode, TruthView
 from widgets.preview_view import PreviewView
 from widgets.scene_renderer import Point3, SceneRenderer
 from widgets.steps_slider import AnyStep

@@ -15,7 +15,6 @@ from pipeline.alignment.sensitivity import Sensitivity
 from pipeline.alignment.touches import load_paired_touches
 from pipeline.base.arrays import Doubles
 from pipeline.base.errors import SettingProblem
-from pipeline.evaluation.truth_view import TruthView, build_observation_view
 from pipeline.previews.layers import Layer
 from pipeline.previews.preview import Preview, add_observed_outline, enlarge_preview
 from pipeline.sensors.offsets import Offsets, decompose_motion
@@ -23,6 +22,7 @@ from pipeline.stages.stage import PreviewContext
 from pipeline.stages.target_depth import stage as target_depth
 from pipeline.stages.target_depth.surface_projection import ProjectionParams
 from pipeline.translation.translate import Translation, open_translation
+from pipeline.translation.truth_view import TruthView, build_observation_view
 
 VALIDATION_FRACTION = 0.25  # of the touches, held out to validate a refinement
 

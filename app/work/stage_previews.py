@@ -13,7 +13,6 @@ from app.work.target_comparison import TargetComparison
 from pipeline.base.arrays import Image, freeze
 from pipeline.base.memo import Memo, measure_bytes
 from pipeline.engine.graph import StageResult
-from pipeline.evaluation.truth_view import TruthView, build_observation_view, build_truth_view
 from pipeline.previews.display_params import DisplayParams
 from pipeline.previews.layers import Layer, make_frame_layer
 from pipeline.previews.preview import Preview, add_observed_outline, make_frame_preview, match_camera
@@ -21,6 +20,7 @@ from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.stage import GroundTruth, PreviewContext, Stage, StepHistory
 from pipeline.translation.round_trip import measure_training_distance
 from pipeline.translation.translate import Translation
+from pipeline.translation.truth_view import TruthView, build_observation_view, build_truth_view
 from pipeline.values.frames import TactileFrame
 from pipeline.values.results import DepthMap
 from widgets.frame_summary import THUMBNAIL_PX, FrameSummary

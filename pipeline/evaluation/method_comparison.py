@@ -125,14 +125,12 @@ def _make_touch_preview(touch: GeneratedTouch, translation: Translation, display
 
 
 def _make_truth_preview(translation: Translation, frame: int, display: DisplayParams) -> Preview | None:
-    """The target's recorded touch, drawn as a generated one; None if it recorded none."""
+    """What the target recorded, as the window shows it next to a generated touch; None if it recorded none."""
     truth = translation.read_ground_truth(frame)
     touch = translation.catalogue.stage(_STAGE).make_ground_truth(truth, translation.target)
     observation = truth.target_observation
     if not isinstance(touch, GeneratedTouch) or observation is None or observation.reference is None:
         return None
-    if touch.membrane is not None and touch.image.ndim == 2:  # without camera noise, as the error is computed
-        touch = replace(touch, image=touch.membrane.depth_mm, camera=touch.membrane.camera, reference=None)
     return _make_touch_preview(touch, translation, display)
 
 

@@ -9,7 +9,6 @@ from pipeline.base.errors import TouchError
 from pipeline.base.progress import SILENT, Progress
 from pipeline.engine.graph import StageResult
 from pipeline.evaluation.comparison_tiles import Comparison
-from pipeline.evaluation.truth_view import TruthView, build_truth_view
 from pipeline.evaluation.variants import Variant, VariantRunner
 from pipeline.previews.difference import compute_difference
 from pipeline.previews.display_params import DisplayParams
@@ -17,6 +16,7 @@ from pipeline.previews.layers import Layer, make_frame_layer
 from pipeline.previews.preview import Preview, make_frame_preview, match_camera
 from pipeline.previews.tile import Tile
 from pipeline.translation.translate import Translation
+from pipeline.translation.truth_view import TruthView, build_truth_view
 from pipeline.translation.truth_warnings import add_truth_warnings
 
 SOURCE = "source"

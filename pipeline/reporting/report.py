@@ -28,18 +28,25 @@ def collect_stage_arrays(frame: TactileFrame, results: Mapping[str, StageResult]
     if frame.reference is not None:
         arrays["source.reference"] = frame.reference
     for name, result in results.items():
-        for f in fields(result.output):
-            value = getattr(result.output, f.name)
-            if isinstance(value, np.ndarray):
-                arrays[f"{name}.{f.name}"] = value
-            elif isinstance(value, Camera):
-                arrays[f"{name}.{f.name}"] = value.matrix
-            elif isinstance(value, (bool, int, float)):
-                arrays[f"{name}.{f.name}"] = np.asarray(value)
+        arrays |= collect_value_arrays(name, result.output)
         for kept in ("steps", "alternatives"):
             poses = [getattr(one, "sensor_from_object", one) for one in getattr(result.output, kept, ())]
             if poses:
                 arrays[f"{name}.{kept}"] = np.stack(poses)
+    return arrays
+
+
+def collect_value_arrays(name: str, output: Any) -> dict[str, NDArray[Any]]:
+    """Return every array, number and camera of one stage's value as `name.field`."""
+    arrays: dict[str, NDArray[Any]] = {}
+    for f in fields(output):
+        value = getattr(output, f.name)
+        if isinstance(value, np.ndarray):
+            arrays[f"{name}.{f.name}"] = value
+        elif isinstance(value, Camera):
+            arrays[f"{name}.{f.name}"] = value.matrix
+        elif isinstance(value, (bool, int, float)):
+            arrays[f"{name}.{f.name}"] = np.asarray(value)
     return arrays
 
 

@@ -6,6 +6,7 @@ frame.h5         the frame of both sensors with ground truth, the object and the
 alignment.toml   the alignment in use, with offsets
 expected.npz     every array of every stage
 sheet.png        the same as an image
+truth.npz, difference.npz, truth.png, attribution.json   what is known of the truth, `truth_files`
 mesh.*, calibration.npz, weights_*, source.toml, target.toml   where they were given as files
 """
 
@@ -26,15 +27,17 @@ from numpy.typing import NDArray
 from pipeline import __version__
 from pipeline.base.errors import FileProblem
 from pipeline.base.files import read_arrays, read_json, write_arrays, write_folder, write_json
-from pipeline.base.progress import SILENT, Progress
+from pipeline.base.progress import SILENT, Progress, SubProgress
 from pipeline.base.typed_data import FileName, Name, Note, convert
-from pipeline.engine.graph import StageResult
+from pipeline.engine.cache import Cache
+from pipeline.engine.graph import Graph, StageResult
 from pipeline.recordings.formats import DepthUnit
 from pipeline.recordings.hdf5_writer import RecordingWriter
 from pipeline.reporting.export_request import format_options
 from pipeline.reporting.frame_report import FrameReport
 from pipeline.reporting.report import collect_stage_arrays
 from pipeline.reporting.sheet import write_sheet
+from pipeline.reporting.truth_files import write_truth
 from pipeline.sensors.alignment_files import AlignmentFile, save_alignment
 from pipeline.sensors.offsets import Offsets
 from pipeline.translation.catalogue import with_settings
@@ -44,6 +47,7 @@ from pipeline.values.frames import TactileFrame
 
 REPLAY_TOLERANCE = 1e-4  # share of an array's own range: rounding of another processor
 _VERSION = 1
+_CACHE_BYTES = 64 * 1024 * 1024  # one frame's stages, with and without truth in their place
 _VERSION_KEY = "tactoscope bundle"
 _WORDS = ("source", "target", "stream", "route", "mesh_unit", "depth_unit")
 _FILES = ("recording", "mesh", "calibration", "alignment")
@@ -121,8 +125,7 @@ def write_bundle(
             values = {name: getattr(inside, name) for name in _WORDS}
             values |= {name: _name(getattr(inside, name)) for name in _FILES}
             values |= {"methods": dict(inside.methods), "weights": {stage: file.name for stage, file in inside.weights}}
-            frame_now, results, metrics = _translate(inside, settings, part, progress)
-            write_arrays(part / "expected.npz", collect_stage_arrays(frame_now, results))
+            metrics = _write_results(part, inside, settings, index, progress)
             write_json(
                 part / "bundle.json",
                 {
@@ -142,7 +145,8 @@ def replay_bundle(folder: Path, progress: Progress = SILENT) -> ReplayResult:
     """Translate a bundle's frame again and compare it with the recorded results; raises TouchError."""
     said = _read(folder)
     request = _request(said.request, folder)
-    frame, results, metrics = _translate(request, said.settings, None, progress)
+    with closing(open_translation(request)) as translation:
+        frame, results, metrics = _translate(translation, translation.build_graph(), said.settings, progress)
     now, kept = collect_stage_arrays(frame, results), read_arrays(folder / "expected.npz", "the expected results")
     stages = dict.fromkeys(name.partition(".")[0] for name in (*kept, *now))
     return ReplayResult(
@@ -152,19 +156,35 @@ def replay_bundle(folder: Path, progress: Progress = SILENT) -> ReplayResult:
     )  # fmt: skip
 
 
+def _write_results(
+    part: Path, inside: Request, settings: tuple[str, ...], index: int, progress: Progress
+) -> dict[str, float]:
+    """Translate the copied frame, write what was computed and what is known of the truth; returns the metrics.
+
+    `index` is the frame's number in the recording, by which the sheets name it.
+    """
+    with closing(open_translation(inside)) as translation:
+        graph = translation.build_graph(like=Graph((), cache=Cache(_CACHE_BYTES)))
+        frame, results, metrics = _translate(translation, graph, settings, SubProgress(progress, 0.0, 0.6))
+        write_arrays(part / "expected.npz", collect_stage_arrays(frame, results))
+        report = FrameReport(index=index, results=results, metrics=metrics)
+        write_sheet(part / "sheet.png", frame, report, translation)
+        params = _parse(translation, settings)
+        write_truth(part, report, translation, graph, params, 0, SubProgress(progress, 0.6, 0.4))
+        return metrics
+
+
 def _translate(
-    request: Request, settings: tuple[str, ...], sheet_into: Path | None, progress: Progress
+    translation: Translation, graph: Graph, settings: tuple[str, ...], progress: Progress
 ) -> tuple[TactileFrame, Mapping[str, StageResult], dict[str, float]]:
-    with closing(open_translation(request)) as translation:
-        inputs = translation.read_inputs(0)
-        frame = cast("TactileFrame", inputs["frame"])
-        params = with_settings(translation.methods, [line for line in settings if not line.startswith("display.")])
-        results = translation.build_graph().evaluate(translation.stages, inputs, params, progress)
-        metrics = translation.compute_metrics(results, 0)
-        if sheet_into is not None:
-            report = FrameReport(index=0, results=results, metrics=metrics)
-            write_sheet(sheet_into / "sheet.png", frame, report, translation)
-        return frame, results, metrics
+    inputs = translation.read_inputs(0)
+    results = graph.evaluate(translation.stages, inputs, _parse(translation, settings), progress)
+    return cast("TactileFrame", inputs["frame"]), results, translation.compute_metrics(results, 0)
+
+
+def _parse(translation: Translation, settings: tuple[str, ...]) -> dict[str, object]:
+    """Return the parameters of each stage; those of the display change no result."""
+    return with_settings(translation.methods, [line for line in settings if not line.startswith("display.")])
 
 
 def _copy_inputs(translation: Translation, part: Path) -> Request:

@@ -6,6 +6,7 @@ from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from pipeline.base.progress import Cancelled
@@ -50,6 +51,8 @@ def test_a_touch_is_compared_in_contact_and_overall_with_the_recorded_one(opened
     *_, comparison = compare_methods(runner, opened, FRAME, {}, DisplayParams(), "in order")
     truth, tile = comparison.tiles
     assert truth.title == "truth"
+    recorded = opened.read_target_observation(FRAME)[0]
+    assert np.array_equal(truth.preview.distance_mm, recorded.image)  # as Demo shows it, with the camera's noise
     target = opened.read_ground_truth(FRAME).target_truth
     membrane = physics_result(runner, opened).results["touch"].output.membrane
     error = abs(membrane.indentation_mm.astype(float) - target.indentation_mm)
