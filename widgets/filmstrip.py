@@ -153,6 +153,11 @@ class Filmstrip(QWidget):
             if thumbnail.is_collapsed != folded:
                 thumbnail.set_collapsed(folded)
 
+    @property
+    def collapsible_px(self) -> int:
+        """Height that collapsing the thumbnails would free."""
+        return 0 if all(each.is_collapsed for each in self.thumbnails.values()) else _PICTURE_PX.height()
+
     def add_control(self, widget: QWidget) -> None:
         """Add a control at the end."""
         self._row.addWidget(widget)

@@ -6,7 +6,7 @@ from collections.abc import Collection, Mapping, Sequence
 from functools import partial
 from typing import Any
 
-from PyQt6.QtCore import QEvent, QObject, pyqtSignal
+from PyQt6.QtCore import QEvent, QObject, QSize, pyqtSignal
 from PyQt6.QtGui import QResizeEvent
 from PyQt6.QtWidgets import QFrame, QHBoxLayout, QLabel, QToolButton, QVBoxLayout, QWidget
 
@@ -150,6 +150,11 @@ class PanesPage(QWidget):
         self._count.setText("+" if more else "\N{MINUS SIGN}")
         self._count.setToolTip("Add a third pane" if more else "Remove the third pane")
         self.activate_pane(self.active_pane)
+
+    def minimumSizeHint(self) -> QSize:  # noqa: N802
+        """Return the height with collapsed thumbnails: a hidden page must not keep the window from being low."""
+        hint = super().minimumSizeHint()
+        return QSize(hint.width(), hint.height() - self.filmstrip.collapsible_px)
 
     def resizeEvent(self, a0: QResizeEvent | None) -> None:  # noqa: N802
         """Give the panes the height of a low page."""
