@@ -7,17 +7,17 @@ Layouts of the published sets: `<split>/{bubbles,gelslims}/data/..._<tool>/data_
 
 from __future__ import annotations
 
-import json
 import os
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, cast
 
 from pipeline.base.errors import FileProblem
+from pipeline.base.files import read_json
 from pipeline.base.text import escape_text
+from pipeline.base.typed_data import Name, convert
 from pipeline.recordings import torch_files
 from pipeline.values.frames import Grasp
 
@@ -182,12 +182,13 @@ def _apply_split_file(grasps: list[GraspFiles], root: Path) -> tuple[list[GraspF
 
 def read_split_file(file: Path) -> dict[tuple[str, int], str]:
     """(tool, number) -> split, from a JSON object of lists of [tool, number]; raises FileProblem."""
+    data = convert(read_json(file, "the split file"), dict[str, list[tuple[Name, int | str]]], "the split file", file,
+                   remedy="it is a table of lists of [tool, number], by split")  # fmt: skip
     try:
-        data = cast("dict[str, Any]", json.loads(file.read_text()))
-        entries = [(str(tool), int(str(number).removeprefix("data_")), split)
+        entries = [(tool, int(str(number).removeprefix("data_")), split)
                    for split, pairs in data.items() for tool, number in pairs]  # fmt: skip
-    except (OSError, ValueError, TypeError, AttributeError) as error:
-        raise FileProblem("a split file is a JSON object of lists of [tool, number], by split", file) from error
+    except ValueError as error:
+        raise FileProblem(f"the split file cannot be used ({error}); numbers look like 12 or data_12", file) from error
     out: dict[tuple[str, int], str] = {}
     for tool, number, split in entries:
         if out.setdefault((tool, number), split) != split:

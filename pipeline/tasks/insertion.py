@@ -7,18 +7,21 @@ lead-in, force limit and compliance are not in the paper and are chosen here.
 from __future__ import annotations
 
 import math
-import tomllib
 import zlib
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
+from typing import Annotated, Literal
 
+import msgspec
 import numpy as np
+from msgspec import Meta
 
 from pipeline.base.arrays import Doubles
-from pipeline.base.errors import FileProblem
-from pipeline.base.files import read_bytes
+from pipeline.base.files import read_toml
 from pipeline.base.progress import SILENT, Progress, SubProgress
+from pipeline.base.typed_data import FileName, Number, convert
+from pipeline.base.units import MeshUnit
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh
 from pipeline.simulation import shapes
@@ -43,6 +46,19 @@ SOURCE, TARGET = "gelslim", "soft_bubble"
 LEAD_IN_MM = 0.5  # 45 degree chamfer of the hole
 FORCE_LIMIT_N = 15.0
 TOLERANCES_MM = (0.25, 0.5, 1.0, 2.0)
+_Positive = Annotated[float, Meta(gt=0.0, le=1e4)]
+
+
+class _ToolFile(msgspec.Struct, kw_only=True, frozen=True, forbid_unknown_fields=True):
+    """A user's tool, see `load_tool`."""
+
+    mesh: FileName
+    depth_mm: _Positive
+    mesh_unit: MeshUnit = "auto"
+    face: Literal["-x", "+x", "-y", "+y", "-z", "+z"] = "-z"
+    axis_deg: Number = 0.0
+    lead_in_mm: Annotated[float, Meta(ge=0.0, le=1e3)] = LEAD_IN_MM
+    force_limit_n: _Positive = FORCE_LIMIT_N
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -90,31 +106,12 @@ def load_tool(path: Path) -> Tool:
     The mesh is laid with `face` to the left finger and turned by `axis_deg` in the fingers' plane, so that its
     inserted end points to +x. Raises FileProblem.
     """
-    try:
-        read = tomllib.loads(read_bytes(path, "the task").decode())
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise FileProblem(f"the task is no TOML file ({error})", path) from error
-    known = {"mesh", "depth_mm", "mesh_unit", "face", "axis_deg", "lead_in_mm", "force_limit_n"}
-    for key in {*read} - known:
-        raise FileProblem(f"the task has an unknown key {key!r}; there are {', '.join(sorted(known))}", path, field=key)
-    for key in ("mesh", "depth_mm"):
-        if key not in read:
-            raise FileProblem(f"the task lacks {key!r}", path, field=key)
-    numbers = {"depth_mm": 0.0, "axis_deg": 0.0, "lead_in_mm": LEAD_IN_MM, "force_limit_n": FORCE_LIMIT_N}
-    for key, default in numbers.items():
-        value = read.get(key, default)
-        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-            raise FileProblem(f"{key} must be a number, got {value!r}", path, field=key)
-        numbers[key] = float(value)
-    if numbers["depth_mm"] <= 0.0 or numbers["lead_in_mm"] < 0.0 or numbers["force_limit_n"] <= 0.0:
-        raise FileProblem("depth_mm and force_limit_n must be above 0 and lead_in_mm not below", path)
-    shape = shapes.load_mesh_shape(
-        path.parent / str(read["mesh"]), str(read.get("mesh_unit", "auto")), str(read.get("face", "-z"))
-    )
-    mesh = transform_mesh(shape.mesh, rigid.rotation((0.0, 0.0, math.radians(numbers["axis_deg"]))))
+    read = convert(read_toml(path, "the task"), _ToolFile, "the task", path)
+    shape = shapes.load_mesh_shape(path.parent / read.mesh, read.mesh_unit, read.face)
+    mesh = transform_mesh(shape.mesh, rigid.rotation((0.0, 0.0, math.radians(read.axis_deg))))
     tool = Tool(
-        name=path.stem, mesh=mesh, depth_mm=numbers["depth_mm"], lead_in_mm=numbers["lead_in_mm"],
-        force_limit_n=numbers["force_limit_n"],
+        name=path.stem, mesh=mesh, depth_mm=read.depth_mm, lead_in_mm=read.lead_in_mm,
+        force_limit_n=read.force_limit_n,
     )  # fmt: skip
     assert tool.peg.depth_mm  # raises MeshProblem now and not in a trial
     return tool

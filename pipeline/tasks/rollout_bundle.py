@@ -9,13 +9,12 @@ from __future__ import annotations
 
 import shlex
 import shutil
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 
 from pipeline import __version__
 from pipeline.base.errors import FileProblem
-from pipeline.base.files import read_bytes, read_json, write_folder, write_json
+from pipeline.base.files import read_json, read_toml, write_folder, write_json
 from pipeline.base.progress import SILENT, Progress
 from pipeline.tasks.rerun import RolloutAgreement, compare_rollouts, run_again
 from pipeline.tasks.rollout_file import CASE_SUFFIX, read_rollout
@@ -56,8 +55,7 @@ def write_rollout_bundle(path: Path, folder: Path, *, note: str = "") -> None:
 
 def copy_case(case: Path, folder: Path) -> None:
     """Copy a case's TOML file and the mesh next to it into a folder; raises FileProblem."""
-    text = read_bytes(case, "the task")
-    mesh = str(tomllib.loads(text.decode()).get("mesh", ""))
+    mesh = str(read_toml(case, "the task").get("mesh", ""))
     if mesh != Path(mesh).name:
         raise FileProblem("the mesh of a recorded case must lie next to its TOML file", case, field="mesh")
     for name in (case.name, mesh):

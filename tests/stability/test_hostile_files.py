@@ -26,11 +26,13 @@ from pipeline.networks import network_factory
 from pipeline.networks.weights import Weights, load_weights, save_weights
 from pipeline.previews.display_params import DisplayParams
 from pipeline.recordings import open_recording
+from pipeline.recordings.grasp_files import read_split_file
 from pipeline.recordings.hdf5_writer import RecordingWriter
 from pipeline.reporting import repro_bundle
 from pipeline.sensors.alignment_files import load_alignment
 from pipeline.sensors.descriptions import find_descriptions
 from pipeline.sensors.spec import load_sensor
+from pipeline.tasks.insertion import load_tool, make_tool
 from pipeline.training.recipe import RECIPES_FOLDER, load_recipe
 from pipeline.translation.cross_section import SectionLine
 from pipeline.values.frames import TactileFrame
@@ -175,6 +177,22 @@ def test_descriptions(tmp_path, kind):
         path.write_bytes(text)
 
     try_all(lambda: read[kind](path), make, 2.0)
+
+
+def test_tools_of_a_task(tmp_path):
+    path, mesh = tmp_path / "mine.toml", make_tool("spanner").mesh
+    corners = "".join(f"v {x} {y} {z}\n" for x, y, z in mesh.vertices_mm)
+    (tmp_path / "mine.obj").write_text(corners + "".join(f"f {a} {b} {c}\n" for a, b, c in mesh.triangles + 1))
+    plain = {"mesh": "mine.obj", "depth_mm": 6.0, "mesh_unit": "mm", "face": "-z", "axis_deg": 20.0, "lead_in_mm": 0.2}
+    try_all(lambda: load_tool(path), lambda rng: path.write_text(to_toml(spoil_value(plain, rng))) and None, 0.5)
+
+
+def test_split_files(tmp_path):
+    path = tmp_path / "split.json"
+    plain = {"train": [["peg1", 1], ["peg2", "data_2"]], "test": [["peg3", 3]]}
+    try_all(
+        lambda: read_split_file(path), lambda rng: path.write_text(json.dumps(spoil_value(plain, rng))) and None, 2.0
+    )
 
 
 def test_calibrations(tmp_path, monkeypatch):

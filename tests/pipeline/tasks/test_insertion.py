@@ -136,9 +136,20 @@ def test_wrong_options_are_named(options, word):
         make_jobs(TASK.name, **options)
 
 
-@pytest.mark.parametrize("text", ["mesh = 'a.stl'", "mesh = 'a.stl'\ndepth_mm = 'deep'", "depth_mm = 5\nhole = 2", "["])
-def test_damaged_task_file_is_named(tmp_path, text):
+@pytest.mark.parametrize(
+    ("text", "word"),
+    [
+        ("mesh = 'a.stl'", "depth_mm: it is missing"),
+        ("mesh = 'a.stl'\ndepth_mm = 'deep'", "depth_mm: expected a number, got a text"),
+        ("mesh = 'a.stl'\ndepth_mm = nan", "depth_mm: expected a number"),
+        ("mesh = 'a.stl'\ndepth_mm = 5\nhole = 2", "hole"),
+        ("mesh = 'a.stl'\ndepth_mm = 5\nface = 'up'", "face: Invalid enum value 'up'"),
+        ("mesh = 5\ndepth_mm = 5", "mesh: expected a text"),
+        ("[", "TOML"),
+    ],
+)
+def test_damaged_task_file_is_named(tmp_path, text, word):
     path = tmp_path / "mine.toml"
     path.write_text(text)
-    with pytest.raises(FileProblem, match=r"mine\.toml"):
+    with pytest.raises(FileProblem, match=rf"{word}.*mine\.toml"):
         load_tool(path)
