@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from html import escape
 
 from PyQt6.QtCore import QEvent, Qt, pyqtSignal
 from PyQt6.QtWidgets import QHBoxLayout, QLabel, QProgressBar, QPushButton, QVBoxLayout, QWidget
@@ -94,7 +95,7 @@ class RefineBox(QWidget):
 
 
 def _in(colour: Rgb, text: str) -> str:
-    return f"<span style='color:{to_hex(colour)}'>{text}</span>"
+    return f"<span style='color:{to_hex(colour)}'>{escape(text)}</span>"
 
 
 def _button(text: str, name: str) -> QPushButton:
@@ -130,7 +131,7 @@ def _format_mm(value: float) -> str:
 def _words(answer: Refinement, target: str, ink: ThemeColours) -> str:
     turn, shift = answer.std[:3], answer.std[3:]
     lines = [
-        f"predicted standard deviation of observable directions, {target} frame: "
+        f"predicted standard deviation of observable directions, {escape(target)} frame: "
         f"{_format_axes(('x', 'y', 'z'), shift, 3)} mm; {_format_axes(('rx', 'ry', 'rz'), turn, 2)}°",
         *(_in(ink.warning_text, f"not observable: {words}; unchanged") for words in answer.weak_directions),
         *(_in(ink.warning_text, note) for note in answer.notes),
