@@ -47,7 +47,7 @@ class Canvas(QWidget):
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Expanding)
         self.setMouseTracking(True)
         self._plate = PreviewRenderer()
-        self._plate.set_no_value_colour(get_theme_colours(self.palette()).no_value)
+        self._plate.set_theme(get_theme_colours(self.palette()))
         self.is_fitted = True  # the whole image is in view at any size
         self._kept: QPixmap | None = None
         self.crosshair: tuple[int, int] | None = None  # row, col
@@ -164,7 +164,7 @@ class Canvas(QWidget):
         """Use the background of the new theme."""
         super().changeEvent(a0)
         if a0.type() == QEvent.Type.PaletteChange:
-            self._plate.set_no_value_colour(get_theme_colours(self.palette()).no_value)
+            self._plate.set_theme(get_theme_colours(self.palette()))
             self.invalidate()
 
     def paintEvent(self, a0: Any) -> None:  # noqa: N802

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -12,10 +13,10 @@ from PyQt6.QtGui import QImage, QPainter, QPaintEvent
 from PyQt6.QtWidgets import QSizePolicy, QWidget
 
 from pipeline.base.arrays import Doubles, Floats
-from pipeline.previews.colours import ColourScale, get_colour_table
+from pipeline.previews.colours import ColourMapName, ColourScale, get_colour_table
 from widgets.fonts import resize_font
 from widgets.styling import make_single_shot_timer
-from widgets.theme import get_theme_colours, to_qcolor
+from widgets.theme import get_colour_map, get_theme_colours, to_qcolor
 
 _STRIP_PX, _BARS_PX, _EDGE_PX = 8, 22, 2
 _N_BARS = 64
@@ -76,7 +77,6 @@ class ColourBar(QWidget):
         self.setObjectName("levels")
         self._scale: ColourScale | None = None
         self._values: Floats | None = None
-        self._strip: QImage | None = None
         self._spread: ValueHistogram | None = None
         self._held: tuple[str, ColourScale, float] | None = None  # setting, scale and side of the drag
         self._wanted = math.nan
@@ -102,9 +102,6 @@ class ColourBar(QWidget):
         """Show the colours and limits of `scale` and the histogram of `values`; None clears the bar."""
         if scale == self._scale and values is self._values:
             return
-        if scale is not None and (self._scale is None or scale.colour_map != self._scale.colour_map):
-            colours = get_colour_table(scale.colour_map)
-            self._strip = QImage(colours.tobytes(), 256, 1, 3 * 256, QImage.Format.Format_RGB888).copy()
         self._scale, self._values, self._spread = scale, values, None
         self.update()
 
@@ -131,13 +128,13 @@ class ColourBar(QWidget):
     def paintEvent(self, a0: QPaintEvent | None) -> None:  # noqa: N802
         """Paint bars, strip and numbers."""
         del a0
-        if self._scale is None or self._strip is None:
+        if self._scale is None:
             return
         scale, painter, palette = self._scale, QPainter(self), self.palette()
         strip = self._room
         if self.histogram is not None and self._bars_px:
             self._draw_bars(painter, strip, self.histogram)
-        painter.drawImage(strip, self._strip)
+        painter.drawImage(strip, _make_strip(get_colour_map(get_theme_colours(palette), scale)))
         painter.setPen(palette.mid().color())
         painter.drawRect(strip)
         painter.setPen(palette.text().color())
@@ -227,6 +224,13 @@ class ColourBar(QWidget):
             if setting and abs(at.x() - x) <= _NEAR_PX:
                 return setting, scale, side
         return None
+
+
+@lru_cache(maxsize=3)
+def _make_strip(colour_map: ColourMapName) -> QImage:
+    """Return the colours of a map from low to high, one pixel high."""
+    colours = get_colour_table(colour_map)
+    return QImage(colours.tobytes(), 256, 1, 3 * 256, QImage.Format.Format_RGB888).copy()
 
 
 def _percent(share: float) -> str:

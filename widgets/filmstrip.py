@@ -119,7 +119,7 @@ class Thumbnail(QAbstractButton):
 def render_thumbnail(picture: Preview, size: QSize, dense: float, palette: QPalette) -> QPixmap:
     """Render a preview with its contact outline on the theme's background, cropped to its values if they are few."""
     plate = PreviewRenderer()
-    plate.set_no_value_colour(get_theme_colours(palette).no_value)
+    plate.set_theme(get_theme_colours(palette))
     plate.set_preview(replace(picture, pixel_mm=math.nan, observed_outline_px=None))  # without a scale bar
     plate.size = size
     plate.fit_view()

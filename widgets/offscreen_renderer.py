@@ -20,7 +20,7 @@ from vtkmodules.vtkRenderingCore import (
 )
 
 from pipeline.base.arrays import Doubles, Image
-from pipeline.previews.colours import Rgb
+from pipeline.previews.colours import Rgb, darken_diverging
 from pipeline.previews.layers import Layer, ViewBounds
 from widgets.theme import ThemeColours
 
@@ -40,7 +40,7 @@ class OffscreenRenderer:
             renderer.SetDraw(False)
             renderer.SetInteractive(False)
             self.window.AddRenderer(renderer)
-        self._kept: list[dict[str, tuple[Layer, Any, Any]]] = [{} for _ in range(columns)]
+        self._kept: list[dict[str, tuple[Layer, Any, Any, ThemeColours]]] = [{} for _ in range(columns)]
         self._axes = [[_arrow(renderer, axis) for axis in range(3)] for renderer in self.renderers]
 
     def render_pixels(self, column: int, width_px: int, height_px: int, ink: ThemeColours) -> Image:
@@ -70,26 +70,28 @@ class OffscreenRenderer:
         """Release all OpenGL resources."""
         self.window.Finalize()
 
-    def show_layers(self, column: int, layers: Sequence[Layer], placed: Mapping[str, Doubles]) -> None:
-        """Show exactly these layers, with rigid motions of some of them."""
+    def show_layers(
+        self, column: int, layers: Sequence[Layer], placed: Mapping[str, Doubles], ink: ThemeColours
+    ) -> None:
+        """Show exactly these layers in the theme's colours, with rigid motions of some of them."""
         kept = self._kept[column]
         layers = [layer for layer in layers if len(layer.points_mm)]  # VTK accepts no empty arrays
         wanted = {layer.name for layer in layers}
-        for name, (_, _, actor) in kept.items():
+        for name, (_, _, actor, _) in kept.items():
             actor.SetVisibility(name in wanted)
         for layer in layers:
             old = kept.get(layer.name)
             if old is None:
                 mesh = pv.PolyData()
-                _write(mesh, layer, None)
+                _write(mesh, layer, None, ink)
                 actor = _add_layer(self.renderers[column], mesh, layer)
             else:
                 mesh, actor = old[1], old[2]
-                if old[0] is not layer:
-                    _write(mesh, layer, old[0])
+                if old[0] is not layer or old[3] is not ink:
+                    _write(mesh, layer, old[0], ink)
             at = placed.get(layer.name, layer.view_from_layer)
             actor.SetUserMatrix(None if at is None else pv.vtkmatrix_from_array(at))
-            kept[layer.name] = (layer, mesh, actor)
+            kept[layer.name] = (layer, mesh, actor, ink)
 
     def get_camera(self, column: int) -> tuple[float, ...]:
         """Return the camera of a view; equal for equal views."""
@@ -229,9 +231,11 @@ def _shares(colour: Rgb) -> tuple[float, float, float]:
     return red, green, blue
 
 
-def _write(mesh: Any, layer: Layer, old: Layer | None) -> None:
+def _write(mesh: Any, layer: Layer, old: Layer | None, ink: ThemeColours) -> None:
     """Write a layer's arrays into its mesh: in place while the counts stay, replaced when they change."""
     same = old is not None and len(old.points_mm) == len(layer.points_mm)
+    is_darkened = layer.colour_map == "diverging" and ink.diverging != layer.colour_map
+    rgb = darken_diverging(layer.rgb) if is_darkened else layer.rgb
     if same:
         mesh.points[:] = layer.points_mm
         mesh.GetPoints().Modified()
@@ -240,10 +244,10 @@ def _write(mesh: Any, layer: Layer, old: Layer | None) -> None:
     if not same or old is None or old.triangles is not layer.triangles or old.segments is not layer.segments:
         _write_cells(mesh, layer)
     if same:
-        mesh.point_data["rgb"][:] = layer.rgb
+        mesh.point_data["rgb"][:] = rgb
         mesh.GetPointData().GetArray("rgb").Modified()
     else:
-        mesh.point_data["rgb"] = np.array(layer.rgb)
+        mesh.point_data["rgb"] = np.array(rgb)
     if layer.normals is not None:
         mesh.point_data.active_normals = np.array(layer.normals, dtype=np.float32)
     mesh.Modified()

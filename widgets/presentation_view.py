@@ -13,8 +13,9 @@ from PyQt6.QtWidgets import QWidget
 from pipeline.previews.colours import ColourScale, get_colour_table
 from pipeline.previews.preview import Preview
 from widgets.preview_renderer import PreviewRenderer, make_qimage
+from widgets.theme import DARK_COLOURS, get_colour_map
 
-_GROUND, _INK, _NO_VALUE = QColor(18, 20, 24), QColor(232, 235, 240), (58, 61, 68)
+_GROUND, _INK = QColor(18, 20, 24), QColor(232, 235, 240)
 _TITLE_SHARE, _SCALE_SHARE, _GAP_SHARE = 0.07, 0.08, 0.012  # of the height; the gap of the width
 _LETTERS_SHARE = 0.024  # height of letters, of the height
 _BAR_WIDTH_SHARE = 0.5  # of an image's width
@@ -54,7 +55,7 @@ def compose(panes: Sequence[PresentedPane], size: QSize) -> QImage:
 
 def _draw_pane(painter: QPainter, pane: PresentedPane, place: QRectF, top: float, foot: float) -> None:
     plate = PreviewRenderer()
-    plate.no_value_colour = _NO_VALUE
+    plate.set_theme(DARK_COLOURS)
     plate.size = QSize(round(place.width()), round(place.height()))
     plate.set_preview(pane.preview)
     plate.fit_view()
@@ -75,7 +76,7 @@ def _draw_scale(painter: QPainter, scale: ColourScale, room: QRectF) -> None:
     """Draw the colour bar with its limits and unit."""
     wide, high = _BAR_WIDTH_SHARE * room.width(), 0.2 * room.height()
     bar = QRectF(room.center().x() - 0.5 * wide, room.top() + 0.25 * room.height(), wide, high)
-    painter.drawImage(bar, make_qimage(get_colour_table(scale.colour_map)[None]))
+    painter.drawImage(bar, make_qimage(get_colour_table(get_colour_map(DARK_COLOURS, scale))[None]))
     words = QRectF(room.left(), bar.bottom(), room.width(), room.height() - (bar.bottom() - room.top()))
     painter.drawText(words, Qt.AlignmentFlag.AlignCenter, f"{scale.low:g} to {scale.high:g} {scale.unit}")
 

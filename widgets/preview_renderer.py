@@ -11,10 +11,19 @@ from PyQt6.QtCore import QPointF, QRect, QRectF, QSize, QSizeF, Qt
 from PyQt6.QtGui import QColor, QFont, QImage, QPainter, QPalette, QPen, QPixmap, QPolygonF
 
 from pipeline.base.arrays import Floats, Image
-from pipeline.previews.colours import NO_VALUE_COLOUR, Rgb
+from pipeline.previews.colours import NO_VALUE_COLOUR, ColourScale, darken_diverging
 from pipeline.previews.preview import Preview
 from widgets.fonts import make_caption_font
-from widgets.theme import CASING_COLOUR, CONTACT_COLOUR, OBSERVED_CONTACT_COLOUR, get_theme_colours, to_qcolor
+from widgets.theme import (
+    CASING_COLOUR,
+    CONTACT_COLOUR,
+    LIGHT_COLOURS,
+    OBSERVED_CONTACT_COLOUR,
+    ThemeColours,
+    get_colour_map,
+    get_theme_colours,
+    to_qcolor,
+)
 
 MAX_ZOOM, MIN_ZOOM = 60.0, 0.02
 _BAR_LENGTHS_MM = (50.0, 20.0, 10.0, 5.0, 2.0, 1.0, 0.5, 0.2, 0.1)
@@ -28,7 +37,7 @@ class PreviewRenderer:
         self.preview: Preview | None = None
         self.image: QImage | None = None
         self.overlay: tuple[QImage, float] | None = None  # and the share of the width that shows the lower image
-        self.no_value_colour: Rgb = NO_VALUE_COLOUR  # colour of pixels without a value
+        self._ink = LIGHT_COLOURS
         self._overlay_pixels: Image | None = None  # pixels of the overlay
         self.is_dimmed = False
         self.centre, self.scale = QPointF(), 0.0  # image pixel at the centre; screen pixels per image pixel
@@ -48,19 +57,19 @@ class PreviewRenderer:
         self._overlay_pixels = pixels
         self.overlay = None if pixels is None else (make_qimage(self._recolour(pixels)), share)
 
-    def set_no_value_colour(self, no_value: Rgb) -> None:
-        """Set the colour of pixels without a value."""
-        if no_value == self.no_value_colour:
+    def set_theme(self, ink: ThemeColours) -> None:
+        """Draw pixels without a value, and signed values, in the colours of a theme."""
+        if ink is self._ink:
             return
-        self.no_value_colour = no_value
+        self._ink = ink
         if self.preview is not None:
             self.set_preview(self.preview)
         if self.overlay is not None:
             self.set_overlay(self._overlay_pixels, self.overlay[1])
 
     def _recolour(self, pixels: Image) -> Image:
-        coloured = self.preview is not None and self.preview.scale is None
-        return pixels if coloured else recolour_no_value(pixels, self.no_value_colour)
+        scale = None if self.preview is None else self.preview.scale
+        return pixels if scale is None else recolour_for_theme(pixels, scale, self._ink)
 
     def fit_view(self) -> None:
         """Fit the whole image into the view."""
@@ -189,12 +198,12 @@ def make_qimage(pixels: Image) -> QImage:
     return QImage(held, cols, rows, 3 * cols, QImage.Format.Format_RGB888).convertToFormat(QImage.Format.Format_RGB32)
 
 
-def recolour_no_value(pixels: Image, no_value: Rgb) -> Image:
-    """Return the pixels with another colour where there is no value: that grey is in no colour map."""
-    if no_value == NO_VALUE_COLOUR:
+def recolour_for_theme(pixels: Image, scale: ColourScale, ink: ThemeColours) -> Image:
+    """Return the pixels of a scale in the colours of a theme: pixels without a value, and signed values."""
+    if ink is LIGHT_COLOURS:
         return pixels
-    out = pixels.copy()
-    out[(pixels == NO_VALUE_COLOUR).all(axis=-1)] = no_value
+    out = pixels.copy() if get_colour_map(ink, scale) == scale.colour_map else darken_diverging(pixels).copy()
+    out[(pixels == NO_VALUE_COLOUR).all(axis=-1)] = ink.no_value  # that grey is in no colour map
     return out
 
 
@@ -203,5 +212,5 @@ def make_themed_qimage(palette: QPalette, picture: Preview) -> QImage:
     return make_qimage(
         picture.pixels
         if picture.scale is None
-        else recolour_no_value(picture.pixels, get_theme_colours(palette).no_value)
+        else recolour_for_theme(picture.pixels, picture.scale, get_theme_colours(palette))
     )

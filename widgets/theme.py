@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from PyQt6.QtGui import QColor, QPalette
 from PyQt6.QtWidgets import QApplication, QToolTip
 
-from pipeline.previews.colours import NO_VALUE_COLOUR, Rgb
+from pipeline.previews.colours import NO_VALUE_COLOUR, ColourMapName, ColourScale, Rgb
 
 CONTACT_COLOUR: Rgb = (230, 85, 13)  # outline of the contact mask
 OBSERVED_CONTACT_COLOUR: Rgb = (
@@ -56,6 +56,7 @@ class ThemeColours:
 
     backdrop: Rgb  # behind images and 3D views
     no_value: Rgb  # pixels without a value
+    diverging: ColourMapName  # signed values: the centre is as bright as the window, so that images do not glare
     icon: Rgb
     secondary_text: Rgb  # labels of other text
     warning_text: Rgb  # warnings
@@ -71,9 +72,10 @@ class ThemeColours:
     states: Mapping[str, Rgb]
 
 
-_LIGHT = ThemeColours(
+LIGHT_COLOURS = ThemeColours(
     backdrop=(250, 250, 252),
     no_value=NO_VALUE_COLOUR,
+    diverging="diverging",
     icon=(60, 66, 76),
     secondary_text=(92, 98, 110),
     warning_text=(150, 64, 31),
@@ -101,9 +103,10 @@ _LIGHT = ThemeColours(
         "waiting": (96, 102, 110),
     },
 )
-_DARK = ThemeColours(
+DARK_COLOURS = ThemeColours(
     backdrop=(24, 26, 30),
     no_value=(58, 61, 68),
+    diverging="diverging_dark",
     icon=(205, 210, 218),
     secondary_text=(160, 168, 180),
     warning_text=(245, 165, 120),
@@ -155,7 +158,12 @@ def is_dark(palette: QPalette) -> bool:
 
 def get_theme_colours(palette: QPalette) -> ThemeColours:
     """Return the theme colours of a palette."""
-    return _DARK if is_dark(palette) else _LIGHT
+    return DARK_COLOURS if is_dark(palette) else LIGHT_COLOURS
+
+
+def get_colour_map(ink: ThemeColours, scale: ColourScale) -> ColourMapName:
+    """Return the colour map that a scale has in a theme."""
+    return ink.diverging if scale.colour_map == "diverging" else scale.colour_map
 
 
 def get_backdrop(palette: QPalette) -> QColor:

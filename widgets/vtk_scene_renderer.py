@@ -167,7 +167,7 @@ class VtkSceneRenderer(SceneRenderer):
         kept = self._kept.get(key)
         if kept is None:
             begun_s = time.thread_time()
-            self._stage.show_layers(column, layers, placed)
+            self._stage.show_layers(column, layers, placed, ink)
             pixels = self._stage.render_pixels(column, *view.size_px, ink)
             rows, cols = pixels.shape[:2]
             image = QImage(pixels.tobytes(), cols, rows, 3 * cols, QImage.Format.Format_RGB888)

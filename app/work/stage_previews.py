@@ -178,7 +178,7 @@ def _make_context(results: Mapping[str, StageResult], translation: Translation, 
 def _draw_frame(frame: TactileFrame, sensor: SensorSpec, display: DisplayParams) -> tuple[Preview, Layer]:
     camera = match_camera(frame.camera or sensor.camera, frame.image.shape)
     preview = make_frame_preview(frame.image, camera, sensor, display, reference=frame.reference)
-    return preview, make_frame_layer("source", frame.image, camera, preview.pixels, sensor)
+    return preview, make_frame_layer("source", frame.image, camera, preview, sensor)
 
 
 def make_thumbnail(frame: TactileFrame, sensor: SensorSpec, display: DisplayParams) -> Image:

@@ -93,7 +93,7 @@ def evaluate_view(
     recorded = translation.stream.frame(frame)
     camera = match_camera(recorded.camera or source.camera, recorded.image.shape)
     preview = make_frame_preview(recorded.image, camera, source, display, reference=recorded.reference)
-    layer = make_frame_layer(SOURCE, recorded.image, camera, preview.pixels, source)
+    layer = make_frame_layer(SOURCE, recorded.image, camera, preview, source)
     views = {SOURCE: StageView(preview=preview, layers=(layer,))}
     requested = [name for name in translation.stages if stage in ("", name)]
     result = runner.evaluate(variant, frame, requested, progress)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from pipeline.base.arrays import Floats, Image, freeze
 
-ColourMapName = Literal["viridis", "diverging"]
+ColourMapName = Literal["viridis", "diverging", "diverging_dark"]
 Rgb = tuple[int, int, int]
 
 NO_VALUE_COLOUR: Rgb = (224, 226, 230)  # NaN: a grey that no map contains
@@ -28,6 +28,11 @@ _DIVERGING = (
     (33, 81, 219), (82, 98, 222), (112, 117, 226), (138, 136, 229), (160, 156, 232), (182, 177, 234),
     (202, 197, 237), (221, 219, 239), (238, 231, 233), (242, 215, 208), (240, 190, 178), (237, 165, 148),
     (231, 140, 119), (224, 115, 91), (215, 88, 63), (204, 57, 36), (192, 2, 6),
+)  # fmt: skip
+# The same around a dark centre, for dark windows: lightness falls in equal steps from 77 to 12 and rises again.
+_DIVERGING_DARK = (
+    (150, 190, 255), (104, 156, 250), (68, 118, 226), (48, 84, 172), (36, 56, 108), (30, 31, 36), (92, 34, 52),
+    (146, 48, 76), (196, 72, 104), (236, 116, 142), (255, 172, 186),
 )  # fmt: skip
 
 
@@ -46,7 +51,7 @@ class ColourScale:
     is_fitted: bool = False  # limits fitted to this image
 
 
-@lru_cache(maxsize=2)
+@lru_cache(maxsize=3)
 def get_colour_table(name: ColourMapName) -> Image:
     """Return the 256 colours (256, 3) uint8 of a map, from low to high."""
     import cv2
@@ -55,7 +60,8 @@ def get_colour_table(name: ColourMapName) -> Image:
     if name == "viridis":
         drawn = np.asarray(cv2.applyColorMap(levels[:, None], cv2.COLORMAP_VIRIDIS), np.uint8)
         return freeze(np.ascontiguousarray(drawn[:, 0, ::-1]))
-    at, anchors = np.linspace(0.0, 255.0, len(_DIVERGING)), np.array(_DIVERGING, np.float64)
+    colours = _DIVERGING if name == "diverging" else _DIVERGING_DARK
+    at, anchors = np.linspace(0.0, 255.0, len(colours)), np.array(colours, np.float64)
     mixed = np.stack([np.interp(levels, at, anchors[:, k]) for k in range(3)], axis=-1)
     return freeze(np.rint(mixed).astype(np.uint8))
 
@@ -67,6 +73,23 @@ def apply_colour_map(values: Floats, scale: ColourScale) -> Image:
     out = get_colour_table(scale.colour_map)[np.clip(share, 0.0, 255.0).astype(np.uint8)]
     out[~known] = NO_VALUE_COLOUR
     return freeze(out)
+
+
+def darken_diverging(pixels: Image) -> Image:
+    """Return colours (..., 3) of the diverging map as those of the dark one; other colours stay."""
+    light, dark, index = get_colour_table("diverging"), get_colour_table("diverging_dark"), _index_diverging()
+    at = index[(pixels[..., 0].astype(np.uint16) << 8) | pixels[..., 2]]
+    known = (at >= 0) & (pixels[..., 1] == light[at, 1])
+    return freeze(np.where(known[..., None], dark[at], pixels))
+
+
+@lru_cache(maxsize=1)
+def _index_diverging() -> NDArray[np.int16]:
+    """Return the place in the diverging map of each red and blue, which no two of its colours share; -1 = none."""
+    colours = get_colour_table("diverging").astype(np.uint16)
+    index = np.full(1 << 16, -1, np.int16)
+    index[(colours[:, 0] << 8) | colours[:, 2]] = np.arange(len(colours), dtype=np.int16)
+    return freeze(index)
 
 
 def repeat_colour(colour: Rgb, count: int) -> NDArray[np.uint8]:

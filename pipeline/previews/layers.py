@@ -15,8 +15,8 @@ from pipeline.engine.digests import compute_cached_digest
 from pipeline.geometry.camera import Camera
 from pipeline.geometry.meshes import Mesh
 from pipeline.geometry.normals import compute_area_vectors
-from pipeline.previews.colours import MEMBRANE_COLOUR, OBJECT_COLOUR, Rgb, repeat_colour
-from pipeline.previews.preview import compute_rest_depth_mm
+from pipeline.previews.colours import MEMBRANE_COLOUR, OBJECT_COLOUR, ColourMapName, Rgb, repeat_colour
+from pipeline.previews.preview import Preview, compute_rest_depth_mm
 from pipeline.sensors.spec import SensorSpec
 
 MAX_POINTS = 16_000  # of one surface: more are not visible in a view this small and slow rendering down
@@ -32,6 +32,7 @@ class Layer:
     name: str  # unique in its sub-view: the same name is updated in place
     points_mm: Floats  # (n, 3)
     rgb: NDArray[np.uint8]  # (n, 3)
+    colour_map: ColourMapName | None = None  # that the colours are of; None = true colours or one colour
     triangles: Indices | None = None  # (m, 3); None = a point cloud
     segments: Indices | None = None  # or lines (m, 2)
     normals: Floats | None = None  # (n, 3) for smooth shading
@@ -52,29 +53,34 @@ class ViewBounds:
 
 
 def make_surface_layer(
-    name: str, depth_mm: Floats, indentation_mm: Floats, camera: Camera, pixels: Image, times: float
+    name: str, depth_mm: Floats, indentation_mm: Floats, camera: Camera, preview: Preview, times: float
 ) -> Layer:
     """Return a membrane (rows, cols) textured with its preview, its indentation stretched."""
-    return make_grid_layer(name, camera.back_project(depth_mm + (1.0 - times) * indentation_mm), pixels)
+    return make_grid_layer(name, camera.back_project(depth_mm + (1.0 - times) * indentation_mm), preview)
 
 
-def make_frame_layer(name: str, image: Image | Floats, camera: Camera, pixels: Image, sensor: SensorSpec) -> Layer:
+def make_frame_layer(name: str, image: Image | Floats, camera: Camera, preview: Preview, sensor: SensorSpec) -> Layer:
     """Return a 3D layer of a frame's pixels, on the rest surface of a gel or on the measured membrane of a bubble."""
     depth = np.asarray(image, dtype=np.float32) if image.ndim == 2 else compute_rest_depth_mm(sensor, camera)
-    return make_grid_layer(name, camera.back_project(depth), pixels)
+    return make_grid_layer(name, camera.back_project(depth), preview)
 
 
-def make_cloud_layer(name: str, points_mm: Floats, colours: NDArray[np.uint8], point_px: float) -> Layer:
+def make_cloud_layer(
+    name: str, points_mm: Floats, colours: NDArray[np.uint8], point_px: float, colour_map: ColourMapName | None = None
+) -> Layer:
     """Return points, thinned to what is visible."""
     keep = slice(None, None, max(1, math.ceil(len(points_mm) / MAX_POINTS)))
     points = freeze(np.asarray(points_mm[keep], dtype=np.float32))
-    return Layer(name=name, points_mm=points, rgb=colours[keep], point_px=point_px)
+    return Layer(name=name, points_mm=points, rgb=colours[keep], point_px=point_px, colour_map=colour_map)
 
 
-def make_lines_layer(name: str, ends_mm: Floats, colours: NDArray[np.uint8]) -> Layer:
+def make_lines_layer(
+    name: str, ends_mm: Floats, colours: NDArray[np.uint8], colour_map: ColourMapName | None = None
+) -> Layer:
     """Return lines between pairs of points (n, 2, 3), each in one colour (n, 3)."""
     points = freeze(np.ascontiguousarray(ends_mm, dtype=np.float32).reshape(-1, 3))
-    return Layer(name=name, points_mm=points, rgb=freeze(np.repeat(colours, 2, axis=0)), segments=_pairs(len(ends_mm)))
+    rgb, segments = freeze(np.repeat(colours, 2, axis=0)), _pairs(len(ends_mm))
+    return Layer(name=name, points_mm=points, rgb=rgb, segments=segments, colour_map=colour_map)
 
 
 @lru_cache(maxsize=16)
@@ -124,15 +130,16 @@ def stretch_depth(points_mm: Floats, sensor: SensorSpec, times: float) -> Double
     return points
 
 
-def make_grid_layer(name: str, points: NDArray[np.floating], pixels: Image) -> Layer:
-    """Return a grid of points (rows, cols, 3) as a surface textured with `pixels`, thinned to what is visible."""
+def make_grid_layer(name: str, points: NDArray[np.floating], preview: Preview) -> Layer:
+    """Return a grid of points (rows, cols, 3) as a surface textured with its preview, thinned to what is visible."""
     here = _seen_part(points)
-    points, pixels = points[here], pixels[here]
+    points, pixels = points[here], preview.pixels[here]
     rows, cols = points.shape[:2]
     stride = max(1, math.ceil(math.sqrt(rows * cols / MAX_POINTS)))
     xyz, triangles, normals = _surface(points, stride)
     colours = freeze(pixels[::stride, ::stride].reshape(-1, 3).copy())
-    return Layer(name=name, points_mm=xyz, rgb=colours, triangles=triangles, normals=normals)
+    colour_map = None if preview.scale is None else preview.scale.colour_map
+    return Layer(name=name, points_mm=xyz, rgb=colours, triangles=triangles, normals=normals, colour_map=colour_map)
 
 
 def _mesh_arrays(mesh: Mesh) -> tuple[Floats, NDArray[np.int32], Floats]:

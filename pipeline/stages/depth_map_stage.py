@@ -32,7 +32,7 @@ def make_depth_stage(
 
     def make_layers(depth: DepthMap, context: PreviewContext, preview: Preview) -> tuple[Layer, ...]:
         stretch = context.display.get_depth_stretch(select_sensor(context))
-        surface = make_surface_layer(name, depth.depth_mm, depth.indentation_mm, depth.camera, preview.pixels, stretch)
+        surface = make_surface_layer(name, depth.depth_mm, depth.indentation_mm, depth.camera, preview, stretch)
         return (surface,) if sensor_role == "source" else (surface, make_membrane_layer(context.target))
 
     def trace_point(depth: DepthMap, before: ProbePoint) -> ProbePoint:

@@ -11,9 +11,10 @@ from PyQt6.QtCore import QSize, Qt
 from PyQt6.QtGui import QIcon, QPalette
 from PyQt6.QtWidgets import QApplication, QCheckBox, QComboBox, QLineEdit, QSlider, QSpinBox, QWidget
 
-from pipeline.previews.colours import NO_VALUE_COLOUR, ColourScale
+from pipeline.previews.colours import NO_VALUE_COLOUR, ColourScale, apply_colour_map, get_colour_table
 from pipeline.previews.preview import Preview
 from widgets.canvas import Canvas
+from widgets.colour_bar import ColourBar
 from widgets.icon_drawings import COMMAND_DRAWINGS
 from widgets.icons import make_command_icon
 from widgets.plain_text_style import PlainTextStyle
@@ -160,6 +161,25 @@ def test_pixels_without_a_value_take_the_ground_of_the_theme(themes, qtbot):
     themes(True)
     canvas.show_preview(Preview(pixels=pixels.copy(), frame_name=""))  # true colours stay as they are
     assert _near(canvas, (100, 60), NO_VALUE_COLOUR)
+
+
+def test_signed_values_near_zero_do_not_glare_in_a_dark_window(themes, qtbot):
+    """A bubble at rest is white in a light window and dark in a dark one, and so is the middle of its colour bar."""
+    values = np.zeros((40, 60), np.float32)
+    scale = ColourScale(colour_map="diverging", low=-1.0, high=1.0, unit="mm", quantity="deviation")
+    canvas, bar = Canvas(), ColourBar()
+    for widget, height in ((canvas, 80), (bar, 60)):
+        qtbot.addWidget(widget)
+        widget.resize(121, height)
+        widget.show()
+    canvas.show_preview(Preview(pixels=apply_colour_map(values, scale), values=values, frame_name="", scale=scale))
+    bar.show_scale(scale)
+    for dark in (True, False):
+        themes(dark)
+        centre = tuple(int(v) for v in get_colour_table("diverging_dark" if dark else "diverging")[127])
+        assert (max(centre) < 45) if dark else (min(centre) > 220)
+        qtbot.waitUntil(lambda: _near(canvas, (60, 40), centre))  # noqa: B023
+        assert _near(bar, (60, 26), centre)
 
 
 def _near(canvas, at, colour):

@@ -7,10 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from PyQt6.QtCore import QPoint, Qt
+from PyQt6.QtWidgets import QApplication
 
-from pipeline.previews.colours import repeat_colour
+from pipeline.previews.colours import get_colour_table, repeat_colour
 from pipeline.previews.layers import Layer, ViewBounds
 from widgets.scene_renderer import SceneRenderer
+from widgets.theme import is_dark, use_palette
 from widgets.view_3d import View3D
 from widgets.vtk_scene_renderer import VtkSceneRenderer, create_scene_renderer
 
@@ -223,3 +225,23 @@ def test_a_faint_surface_does_not_shine_through_one_in_the_same_place(scene):
     scene.draw_pending()
     with_it = np.array([scene.views[0].image.pixelColor(x, 75).blue() for x in range(60, 90)])
     assert with_it.std() < 2.0, "stripes of the faint one"
+
+
+def test_signed_values_take_the_colours_of_the_theme(scene, qtbot):
+    light = np.array(get_colour_table("diverging")[[127]])
+    sheet = replace(surface(10.0), rgb=np.repeat(light, 4, axis=0), colour_map="diverging")
+    true = replace(sheet, name="true", colour_map=None)
+    before = QApplication.palette()
+    scene.show_layers(0, [sheet, true])
+    try:
+        for dark in (False, True):
+            use_palette(dark=dark)
+            qtbot.waitUntil(lambda: is_dark(scene.views[0].palette()) == dark)  # noqa: B023
+            scene._draw_soon(0)
+            scene.draw_pending()
+            expected = get_colour_table("diverging_dark" if dark else "diverging")[127]
+            kept = scene._stage._kept[0]
+            assert (np.asarray(kept["sheet"][1].point_data["rgb"]) == expected).all()
+            assert (np.asarray(kept["true"][1].point_data["rgb"]) == light).all()
+    finally:
+        QApplication.setPalette(before)

@@ -52,7 +52,9 @@ def _make_layers(cloud: Cloud, context: PreviewContext, _preview: Preview) -> tu
     """The points over the faint rest surface."""
     points = stretch_depth(cloud.points_mm, context.target, context.display.get_depth_stretch(context.target))
     reach = -context.target.membrane.signed_distance_mm(cloud.points_mm).astype(np.float32)
-    layer = make_cloud_layer("cloud", points.astype(np.float32), apply_colour_map(reach, _make_scale(context)), 3.0)
+    scale = _make_scale(context)
+    colours = apply_colour_map(reach, scale)
+    layer = make_cloud_layer("cloud", points.astype(np.float32), colours, 3.0, scale.colour_map)
     return (layer, make_membrane_layer(context.target))
 
 

@@ -123,16 +123,17 @@ def _make_step_layers(pose: ObjectPose, context: PreviewContext, preview: Previe
     if context.mesh is None or pose.sensor_from_object is None:
         return _make_layers(pose, context, preview)
     correspondences = step_history.compute_correspondences(pose, load_distance_grid(context.mesh))
+    scale = make_residual_scale(context.display)
     colours = np.where(
         correspondences.is_inlier[:, None],
-        apply_colour_map(correspondences.distance_mm.astype(np.float32), make_residual_scale(context.display)),
+        apply_colour_map(correspondences.distance_mm.astype(np.float32), scale),
         UNMATCHED_POINT_COLOUR,
     )
     every = slice(None, None, max(1, math.ceil(len(colours) / _MAX_LINES)))
     ends = np.stack([pose.scene_mm, correspondences.nearest_mm.astype(np.float32)], axis=1)
     return (
-        make_cloud_layer("scene", pose.scene_mm, colours.astype(np.uint8), 4.0),
-        make_lines_layer("correspondences", ends[every], colours[every].astype(np.uint8)),
+        make_cloud_layer("scene", pose.scene_mm, colours.astype(np.uint8), 4.0, scale.colour_map),
+        make_lines_layer("correspondences", ends[every], colours[every].astype(np.uint8), scale.colour_map),
         *_make_layers(pose, context, preview)[1:],
     )
 

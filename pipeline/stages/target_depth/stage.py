@@ -48,7 +48,7 @@ def make_layers(depth: TargetDepth, context: PreviewContext, preview: Preview) -
     rest = compute_rest_depth_mm(context.target, depth.camera)
     shown = rest - context.display.get_depth_stretch(context.target) * (rest - depth.depth_mm)
     return (
-        make_grid_layer("target_depth", depth.camera.back_project(shown), preview.pixels),
+        make_grid_layer("target_depth", depth.camera.back_project(shown), preview),
         make_membrane_layer(context.target),
     )
 

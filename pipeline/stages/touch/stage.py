@@ -107,9 +107,9 @@ def _make_layers(touch: GeneratedTouch, context: PreviewContext, preview: Previe
     """The target's membrane, textured with the generated image."""
     at = touch.membrane
     if at is None:
-        return (make_frame_layer("touch", touch.image, touch.camera, preview.pixels, context.target),)
+        return (make_frame_layer("touch", touch.image, touch.camera, preview, context.target),)
     times = context.display.get_depth_stretch(context.target)
-    return (make_surface_layer("touch", at.depth_mm, at.indentation_mm, touch.camera, preview.pixels, times),)
+    return (make_surface_layer("touch", at.depth_mm, at.indentation_mm, touch.camera, preview, times),)
 
 
 def _trace_point(touch: GeneratedTouch, before: ProbePoint) -> ProbePoint:

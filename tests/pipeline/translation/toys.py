@@ -64,9 +64,7 @@ def _picture(value, seen):
 
 def _layers(value, seen, picture):
     rows, cols = np.indices(value.share.shape)
-    return (
-        make_grid_layer("toy", np.stack([cols, rows, 9 * value.share], axis=-1).astype(np.float32), picture.pixels),
-    )
+    return (make_grid_layer("toy", np.stack([cols, rows, 9 * value.share], axis=-1).astype(np.float32), picture),)
 
 
 def _follow(value, before):
