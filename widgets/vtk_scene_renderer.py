@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PyQt6.QtCore import QPointF, Qt
+from PyQt6.QtCore import QPointF, QSize, Qt
 from PyQt6.QtGui import QImage
 from vtkmodules.vtkInteractionStyle import vtkInteractorStyleTrackballCamera
 from vtkmodules.vtkRenderingUI import vtkGenericRenderWindowInteractor
@@ -21,7 +21,7 @@ from pipeline.previews.layers import Layer, ViewBounds
 from widgets.offscreen_renderer import OffscreenRenderer
 from widgets.scene_renderer import CameraState, Point3, SceneRenderer
 from widgets.styling import make_single_shot_timer
-from widgets.theme import get_theme_colours
+from widgets.theme import get_theme_colours, to_qcolor
 from widgets.view_3d import View3D
 
 _TOGETHER_MS = 10  # changes within this time are rendered once
@@ -159,6 +159,12 @@ class VtkSceneRenderer(SceneRenderer):
         """Show a view and return whether it had to be rendered."""
         view, layers = self.views[column], self._layers.get(column, ())
         ink = get_theme_colours(view.palette())
+        if not layers:  # OpenGL takes tens of milliseconds for nothing, before the first frame is computed
+            blank = QImage(QSize(*view.size_px), QImage.Format.Format_RGB32)
+            blank.fill(to_qcolor(ink.backdrop))
+            view.show_image(blank)
+            self._show_dot(column)
+            return False
         placed = self._placed.get(column, {})
         key = (
             column, view.size_px, ink.backdrop, tuple(id(layer) for layer in layers), self._stage.get_camera(column),

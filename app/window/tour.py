@@ -10,9 +10,6 @@ from PyQt6.QtCore import QCoreApplication, QEventLoop
 from app.window.screenshots import write_screenshot
 from app.window.session_controller import SessionController
 from pipeline.cli.terminal import print_line
-from pipeline.cli.translate import print_stage_table
-from pipeline.reporting.frame_report import FrameReport
-from pipeline.reporting.report import write_frame, write_report
 
 FRAME_TIMEOUT_S = 120.0  # per frame
 _EVENTS_MS = 20
@@ -23,6 +20,10 @@ def run_tour(controller: SessionController, out: Path, *, show_frame: int | None
 
     Returns 0, or 2 if a frame failed. The screenshot shows `show_frame`, by default the frame with most contact.
     """
+    from pipeline.cli.translate import print_stage_table
+    from pipeline.reporting.frame_report import FrameReport
+    from pipeline.reporting.report import write_frame, write_report
+
     if not wait_until_shown(controller) or controller.views.translation is None:
         print_line(f"the recording could not be shown: {controller.window.banner.text}")
         return 2

@@ -27,7 +27,6 @@ _PACKAGES = (
     "torch",
     "h5py",
     "PyQt6",
-    "pyvista",
     "vtk",
 )
 _LIBRARIES = {
