@@ -26,19 +26,20 @@ from benchmarks.harness.results import BenchmarkResult, Measurement
 from benchmarks.harness.text_report import print_result
 from benchmarks.harness.timing import Requirement, build_measurement, summarize_times
 from benchmarks.scenes.data_folder import recorded_data
-from pipeline.alignment.fit.agreement import compute_correlation
-from pipeline.alignment.fit.difference_tiles import detect_ridges
-from pipeline.alignment.fit.fitting import fit_pairs, score_fit
-from pipeline.alignment.fit.image_rotation import orient_image
-from pipeline.alignment.fit.pairs import load_tile_pairs, make_touch_pairs
-from pipeline.alignment.fit.rigid_start import align_rigidly
-from pipeline.alignment.fit.transfer import TransferModel
 from pipeline.alignment.refine import refine_alignment
+from pipeline.alignment.rigid_start import align_rigidly
+from pipeline.alignment.touch_imprints import make_touch_pairs
 from pipeline.alignment.touches import load_paired_touches
+from pipeline.imprints.agreement import compute_correlation
+from pipeline.imprints.difference_tiles import detect_ridges
+from pipeline.imprints.fitting import fit_pairs, score_fit
+from pipeline.imprints.image_rotation import orient_image
+from pipeline.imprints.tiles import load_tile_pairs
+from pipeline.imprints.transfer import TransferModel
 from pipeline.recordings import image_files
 from pipeline.sensors.spec import load_sensor
 from pipeline.translation.translate import Request, open_translation
-from tests.pipeline.alignment.fit.scenes import pairs as simulated
+from tests.pipeline.imprints.scenes import pairs as simulated
 
 NEEDS = "recorded data"
 SAMPLE = Path(__file__).resolve().parents[1] / "sample_data" / "recordings" / "grasps_lines_120.h5"

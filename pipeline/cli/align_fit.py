@@ -12,11 +12,9 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from pipeline.alignment.fit.fitting import PairsFit, fit_pairs, score_fit
-from pipeline.alignment.fit.pairs import ImprintPairs, load_tile_pairs, make_touch_pairs
-from pipeline.alignment.fit.rigid_start import align_rigidly
-from pipeline.alignment.fit.transfer import FREE_PARAMETERS, ImprintPair
 from pipeline.alignment.refine import refine_alignment
+from pipeline.alignment.rigid_start import align_rigidly, align_tiles, compute_described_scale
+from pipeline.alignment.touch_imprints import make_touch_pairs
 from pipeline.alignment.touches import load_paired_touches
 from pipeline.base.errors import FileProblem, SettingProblem
 from pipeline.base.files import prepare_folder_for
@@ -24,6 +22,10 @@ from pipeline.base.frame_lists import parse_frames
 from pipeline.base.stage_warnings import StageWarning
 from pipeline.cli.align import PairedTouchOptions, print_refinement
 from pipeline.cli.terminal import ProgressBar, create_progress_bar, print_line
+from pipeline.imprints.fitting import PairsFit, fit_pairs, score_fit
+from pipeline.imprints.tiles import SOURCE_TILES, TARGET_TILES, ImprintPairs, load_tile_pairs
+from pipeline.imprints.transfer import FREE_PARAMETERS, ImprintPair
+from pipeline.sensors.alignment import resolve_alignment
 from pipeline.sensors.alignment_files import ALIGNMENT_SUFFIX, AlignmentFile, save_alignment
 from pipeline.sensors.spec import load_sensor
 from pipeline.translation.translate import open_translation
@@ -48,17 +50,17 @@ def fit(
     out: Path | None = None,
     use: int = 10,
     seed: int = 0,
-    source_tiles: str = "*_gelslim.png",
-    target_tiles: str = "*_bubble_gt.png",
+    source_tiles: str = SOURCE_TILES,
+    target_tiles: str = TARGET_TILES,
 ) -> int:
-    """Fit to some pairs, score the others, and write the alignment if the pairs are metric; returns 0.
+    """Fit to some pairs, score the others, and write the alignment; returns 0.
 
     Parameters
     ----------
     pairs
         Recording of both sensors, or a folder of tiles: difference images and imprints.
     out
-        The .toml to write, for metric pairs; a fit to tiles is only printed.
+        The .toml to write; of tiles it holds the in-plane motion, with distance and tilt of the descriptions.
     use
         Number of pairs to fit to; the others are scored.
     seed
@@ -71,23 +73,32 @@ def fit(
     if use < 2:
         raise SettingProblem(f"--use must be at least 2 pairs, got {use}")
     if pairs.is_dir() and next(pairs.glob(source_tiles), None) is not None:
-        return _fit_tiles(pairs, touches, (source_tiles, target_tiles), use, seed)
+        return _fit_tiles(pairs, touches, (source_tiles, target_tiles), out, use, seed)
     return _fit_recording(pairs, touches, out, use, seed)
 
 
-def _fit_tiles(folder: Path, touches: PairedTouchOptions, names: tuple[str, str], use: int, seed: int) -> int:
-    load_sensor(touches.target)  # refuses an unknown sensor before the work
-    loaded = load_tile_pairs(folder, load_sensor(touches.sensor or "gelslim"), *names)
+def _fit_tiles(
+    folder: Path, touches: PairedTouchOptions, names: tuple[str, str], out: Path | None, use: int, seed: int
+) -> int:
+    source, target = load_sensor(touches.sensor or "gelslim"), load_sensor(touches.target)
+    if out is not None:
+        _check_new_file(out)
+    loaded = load_tile_pairs(folder, source, *names)
     used, held_out = _split_pairs(loaded.pairs, use, seed)
     with create_progress_bar() as bar:
         answer = fit_pairs(used, ProgressBar(bar))
     _print_notes(loaded, len(used), len(held_out))
     _print_fit(answer, "tile widths")
     _print_scores(answer, held_out)
+    described = resolve_alignment(source, target)
     print_line(
-        "tiles are not metric: millimetres, the depth of the press and the distance along the view are not determined, "
-        "and no alignment file is written"
+        "tiles are not metric: the distance of the sensors and their tilt are those of the descriptions, by which "
+        f"the scale would be {compute_described_scale(source, target, described):.3f}"
     )
+    if out is not None:
+        origin = f"in-plane motion fitted to {len(used)} pairs of tiles of {folder.name}"
+        alignment = align_tiles(answer.transfer, source, target, described)
+        _save(out, AlignmentFile(alignment=alignment, source=source.name, target=target.name, origin=origin))
     return 0
 
 
@@ -95,9 +106,7 @@ def _fit_recording(recording: Path, options: PairedTouchOptions, out: Path | Non
     """Fit to touches of both sensors, refine in all six directions, and write the alignment."""
     if out is None:
         raise SettingProblem("a recording gives a metric alignment; name the .toml for it with --out")
-    if out.suffix != ALIGNMENT_SUFFIX or out.exists():
-        raise FileProblem("--out must be a new file whose name ends in .toml", out)
-    prepare_folder_for(out)
+    _check_new_file(out)
     with closing(open_translation(options.build_request(recording))) as translation, create_progress_bar() as bar:
         frames = parse_frames(options.frames, translation.n_frames)
         loaded = load_paired_touches(translation, frames, exact=options.truth, progress=ProgressBar(bar))
@@ -117,10 +126,20 @@ def _fit_recording(recording: Path, options: PairedTouchOptions, out: Path | Non
     print_line(f"indentation of the touches used: {_format_depths(used)} mm (median of the deepest points; range)")
     print_refinement(refined)
     origin = f"fitted to {len(used)} touches of {recording.name}, without an initial alignment"
-    save_alignment(out, AlignmentFile(alignment=refined.alignment, source=translation.source.name,
-                            target=translation.target.name, origin=origin))  # fmt: skip
-    print_line(f"alignment written to {os.fspath(out)}; use it with --alignment")
+    _save(out, AlignmentFile(alignment=refined.alignment, source=translation.source.name,
+                             target=translation.target.name, origin=origin))  # fmt: skip
     return 0
+
+
+def _check_new_file(out: Path) -> None:
+    if out.suffix != ALIGNMENT_SUFFIX or out.exists():
+        raise FileProblem("--out must be a new file whose name ends in .toml", out)
+    prepare_folder_for(out)
+
+
+def _save(out: Path, file: AlignmentFile) -> None:
+    save_alignment(out, file)
+    print_line(f"alignment written to {os.fspath(out)}; use it with --alignment")
 
 
 def _split_pairs(pairs: Sequence[ImprintPair], use: int, seed: int) -> tuple[list[ImprintPair], list[ImprintPair]]:

@@ -26,7 +26,8 @@ from pipeline.training.recipe import Recipe, load_initial_weights
 from pipeline.training.recorded_pairs import use_pairs
 from pipeline.training.recorded_touches import mix_recordings
 from pipeline.training.state import TrainingState
-from pipeline.training.task import HasNotes
+from pipeline.training.task import HasNotes, Task
+from pipeline.training.tile_pairs import holds_tiles, use_tiles
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -70,26 +71,27 @@ def train(run: TrainingRun, progress: Progress = SILENT) -> TrainingState:
     prepare_folder(run.folder)
     settings = run.recipe.training
     task = mix_recordings(run.recipe.settings, run.recipe.recordings, run.recipe.recorded_share)
-    task = use_pairs(task, run.recipe.pairs)
+    task = use_tiles(task, run.recipe.pairs) if holds_tiles(run.recipe.pairs) else use_pairs(task, run.recipe.pairs)
     for note in task.collect_notes() if isinstance(task, HasNotes) else ():
         log.warning("%s", note)
     with (
         join_process_group() as group,
         open_example_source(task, settings.seed, settings.batch, run.n_workers) as source,
     ):
-        return _Training(run, now, group, source, progress).run()
+        return _Training(run, now, task, group, source, progress).run()
 
 
 class _Training:
     """Networks, optimiser and clock of a run in progress."""
 
     def __init__(
-        self, run: TrainingRun, now: TrainingState, group: ProcessGroup, source: ExampleSource, progress: Progress
-    ) -> None:
+        self, run: TrainingRun, now: TrainingState, task: Task, group: ProcessGroup, source: ExampleSource,
+        progress: Progress,
+    ) -> None:  # fmt: skip
         import torch
 
         self._run, self._now, self._group, self._source, self._progress = run, now, group, source, progress
-        self._recipe, self._task = run.recipe, run.recipe.settings
+        self._recipe, self._task = run.recipe, task
         torch.manual_seed(self._recipe.training.seed)
         self._network = use_channels_last(
             build_network(str(self._recipe.network["kind"]), _arguments(self._recipe))

@@ -14,8 +14,8 @@ from functools import cached_property
 
 import numpy as np
 
-from pipeline.alignment.fit.continuation import BoundaryRidges, detect_boundary_ridges
 from pipeline.base.arrays import Doubles, Floats
+from pipeline.imprints.continuation import BoundaryRidges, detect_boundary_ridges
 
 GRID = 24  # cells across the target's image
 _MARGIN = 6  # cells around it, at whose edge the membrane is at rest

@@ -7,8 +7,8 @@ import math
 import cv2
 import numpy as np
 
-from pipeline.alignment.fit.fitting import enlarge
-from pipeline.alignment.fit.transfer import ImprintPair, TransferModel, transfer_imprint
+from pipeline.imprints.fitting import enlarge
+from pipeline.imprints.transfer import ImprintPair, TransferModel, transfer_imprint
 
 SIDE_PX = 64
 

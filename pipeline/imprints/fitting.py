@@ -9,11 +9,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.alignment.fit.agreement import compute_correlation, compute_mean_imprint, compute_residual
-from pipeline.alignment.fit.transfer import FREE_PARAMETERS, ImprintPair, TransferModel, transfer_imprint
 from pipeline.base.arrays import Doubles, Floats
 from pipeline.base.errors import SettingProblem
 from pipeline.base.progress import SILENT, Progress
+from pipeline.imprints.agreement import compute_correlation, compute_mean_imprint, compute_residual
+from pipeline.imprints.transfer import FREE_PARAMETERS, ImprintPair, TransferModel, transfer_imprint
 
 _MIN_PAIRS_FOR_MEAN = 6  # pairs needed to subtract their mean imprint
 _SCALES = (0.22, 0.38)  # of tiles, which share no unit

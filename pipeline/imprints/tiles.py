@@ -1,28 +1,29 @@
-"""Load imprint pairs to fit an alignment to: tiles of a training set, or moments recorded by both sensors."""
+"""Load imprint pairs from a folder of tiles, as training sets store them."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from pipeline.alignment.fit.difference_tiles import Ridges, detect_ridges
-from pipeline.alignment.fit.image_rotation import describe_orientation, orient_image
-from pipeline.alignment.fit.transfer import ImprintPair
-from pipeline.alignment.touches import AlignmentTouch
-from pipeline.base.arrays import Floats, freeze
+from pipeline.base.arrays import Image, freeze
 from pipeline.base.errors import FileProblem
 from pipeline.base.stage_warnings import StageWarning
+from pipeline.imprints.difference_tiles import Ridges, detect_ridges
+from pipeline.imprints.image_rotation import describe_orientation, orient_image
+from pipeline.imprints.transfer import ImprintPair
 from pipeline.inspection.synchrony import compare_signatures, compute_signature
 from pipeline.recordings import image_files
 from pipeline.sensors.spec import SensorSpec
-from pipeline.values.results import DepthMap
 
 _COMMON_SHARE = 0.8  # share of tiles with one orientation above which it is used for all
 _TILE = (1.0, 1.0)  # width and height: the unit of tiles is the tile
+SOURCE_TILES, TARGET_TILES = "*_gelslim.png", "*_bubble_gt.png"  # names of touch2touch's tiles
+_MID_GREY, _GREY_TOLERANCE = 127.5, 45.0  # grey level of no change; published tiles: 112 to 165, altered ones 0 to 85
+_MAX_NAMES = 5  # in a note
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,6 +32,12 @@ class ImprintPairs:
 
     pairs: tuple[ImprintPair, ...]
     notes: tuple[str, ...]
+    orientations: tuple[int, ...] = ()  # of tiles: `orient_image(tile, orientation)` is as the camera sees it
+
+
+def is_tile_folder(path: Path) -> bool:
+    """Whether a folder holds paired tiles by the names of touch2touch."""
+    return path.is_dir() and all(next(path.glob(names), None) is not None for names in (SOURCE_TILES, TARGET_TILES))
 
 
 def load_tile_pairs(folder: Path, source: SensorSpec, source_names: str, target_names: str) -> ImprintPairs:
@@ -43,14 +50,12 @@ def load_tile_pairs(folder: Path, source: SensorSpec, source_names: str, target_
     names = sorted(found[0].keys() & found[1].keys(), key=lambda n: image_files.natural_sort_key(Path(n)))
     if not names:
         raise FileProblem(f"no two images are named {source_names} and {target_names}", folder)
-    read = {name: detect_ridges(image_files.read_rgb(found[0][name]), source) for name in names}
+    images = {name: image_files.read_rgb(found[0][name]) for name in names}
+    read = {name: detect_ridges(image, source) for name, image in images.items()}
     way, count = Counter(r.orientation for r in read.values()).most_common(1)[0]
     alike = count >= _COMMON_SHARE * len(names)
     if alike:
-        read = {
-            n: r if r.orientation == way else detect_ridges(image_files.read_rgb(found[0][n]), source, way)
-            for n, r in read.items()
-        }
+        read = {n: r if r.orientation == way else detect_ridges(images[n], source, way) for n, r in read.items()}
         note = f"the {source.name} tiles have one orientation: {describe_orientation(way)}"
     else:
         ways = len({r.orientation for r in read.values()})
@@ -63,24 +68,22 @@ def load_tile_pairs(folder: Path, source: SensorSpec, source_names: str, target_
     )
     clarity = f"slopes from colours are {clear[0]:.0%} integrable (next best orientation: {clear[1]:.0%})"
     pairs = tuple(_tiles(n, read[n], found[1][n]) for n in names)
-    return ImprintPairs(pairs=pairs, notes=(note, clarity, *_check_pairing(pairs)))
-
-
-def make_touch_pairs(touches: Sequence[AlignmentTouch]) -> ImprintPairs:
-    """Make pairs of the moments with contact on both sensors, in millimetres on either rest surface."""
-    made = tuple(_touch(t) for t in touches if t.has_contact_on_both)
     return ImprintPairs(
-        pairs=made, notes=(f"{len(made)} of {len(touches)} moments have contact on both sensors", *_check_pairing(made))
-    )
+        pairs=pairs, notes=(note, clarity, *_describe_altered(images), *check_pairing(pairs)),
+        orientations=tuple(read[name].orientation for name in names),
+    )  # fmt: skip
 
 
-def compute_pixel_mm(depth: DepthMap) -> float:
-    """Return the width of a pixel at the median depth."""
-    seen = depth.depth_mm[np.isfinite(depth.depth_mm)]
-    return float(np.median(seen)) / depth.camera.fx_px
+def _describe_altered(images: Mapping[str, Image]) -> tuple[str, ...]:
+    """A note that names the difference tiles whose no change is not mid-grey: their colours were altered."""
+    altered = [n for n, image in images.items() if abs(float(np.median(image)) - _MID_GREY) > _GREY_TOLERANCE]
+    if not altered:
+        return ()
+    listed = ", ".join(altered[:_MAX_NAMES]) + (", ..." if len(altered) > _MAX_NAMES else "")
+    return (f"colours of {len(altered)} of {len(images)} tiles are jittered (no change is not mid-grey): {listed}",)
 
 
-def _check_pairing(pairs: Sequence[ImprintPair]) -> tuple[StageWarning, ...]:
+def check_pairing(pairs: Sequence[ImprintPair]) -> tuple[StageWarning, ...]:
     """Return warnings where the pairs do not seem to be of one touch each."""
     order = compare_signatures(
         [compute_signature(pair.contact) for pair in pairs], [compute_signature(pair.imprint) for pair in pairs]
@@ -101,12 +104,3 @@ def _tiles(name: str, source: Ridges, target: Path) -> ImprintPair:
     grey = image_files.read_rgb(target).astype(np.float32).mean(axis=2)
     return ImprintPair(name=name, contact=source.contact, source_size=_TILE, target_size=_TILE,
                 imprint=freeze(np.ascontiguousarray(orient_image(grey, source.orientation))))  # fmt: skip
-
-
-def _touch(touch: AlignmentTouch) -> ImprintPair:
-    def size(depth: DepthMap) -> tuple[float, float]:
-        return depth.camera.cols * compute_pixel_mm(depth), depth.camera.rows * compute_pixel_mm(depth)
-
-    imprint: Floats = np.nan_to_num(touch.target.indentation_mm).astype(np.float32)
-    return ImprintPair(name=str(touch.index), contact=freeze(touch.source.contact.astype(np.float32)), is_metric=True,
-                source_size=size(touch.source), imprint=freeze(imprint), target_size=size(touch.target))  # fmt: skip

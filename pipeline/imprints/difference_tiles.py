@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.alignment.fit.image_rotation import ORIENTATIONS, orient_image, rotate_half_turn
 from pipeline.base.arrays import Doubles, Floats, Image, freeze
 from pipeline.base.errors import SettingProblem
+from pipeline.imprints.image_rotation import ORIENTATIONS, orient_image, rotate_half_turn
 from pipeline.sensors.spec import SensorSpec
 
 _SMOOTHED_PX = 1.5

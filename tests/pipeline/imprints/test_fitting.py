@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.alignment.fit.agreement import compute_correlation, compute_mean_imprint
-from pipeline.alignment.fit.continuation import detect_boundary_ridges
-from pipeline.alignment.fit.fitting import fit_pairs, score_fit
-from pipeline.alignment.fit.transfer import ImprintPair, TransferModel, transfer_imprint
 from pipeline.base.errors import SettingProblem
-from tests.pipeline.alignment.fit.scenes import SIDE_PX, pairs
+from pipeline.imprints.agreement import compute_correlation, compute_mean_imprint
+from pipeline.imprints.continuation import detect_boundary_ridges
+from pipeline.imprints.fitting import fit_pairs, score_fit
+from pipeline.imprints.transfer import ImprintPair, TransferModel, transfer_imprint
+from tests.pipeline.imprints.scenes import SIDE_PX, pairs
 
 TRUE = TransferModel(is_mirrored=True, rotation_rad=math.radians(40.0), log_scale=math.log(0.36), right=0.06, down=-0.05,
                 tilt_right=0.3, tilt_down=-0.2)  # fmt: skip

@@ -8,14 +8,14 @@ import cv2
 import numpy as np
 import pytest
 
-from pipeline.alignment.fit.agreement import compute_correlation
-from pipeline.alignment.fit.difference_tiles import detect_ridges
-from pipeline.alignment.fit.image_rotation import ORIENTATIONS, orient_image, rotate_half_turn
-from pipeline.alignment.fit.pairs import load_tile_pairs
 from pipeline.base.errors import FileProblem, SettingProblem
+from pipeline.imprints.agreement import compute_correlation
+from pipeline.imprints.difference_tiles import detect_ridges
+from pipeline.imprints.image_rotation import ORIENTATIONS, orient_image, rotate_half_turn
+from pipeline.imprints.tiles import load_tile_pairs
 from pipeline.physics.optics import compute_colour_change
 from pipeline.sensors.spec import load_sensor
-from tests.pipeline.alignment.fit.scenes import strokes
+from tests.pipeline.imprints.scenes import strokes
 
 SPEC = load_sensor("gelslim")
 BACK = {k: next(j for j in ORIENTATIONS if np.array_equal(orient_image(orient_image(np.arange(9).reshape(3, 3), k), j),
