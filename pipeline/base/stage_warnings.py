@@ -20,6 +20,14 @@ class CalibrationWarning(StageWarning):
     """A warning that sizes and depths are unsure: a calibration of the source sensor mends it."""
 
 
+class UnseenObjectWarning(StageWarning):
+    """A warning that the target touches more of the object than the source measured: the touch may be wrong by mm."""
+
+
+class OutsideViewWarning(UnseenObjectWarning):
+    """A warning that a method leaves out what lies outside the source's view: one that generates it is better."""
+
+
 class ChangeNote(str):
     """A note of how far a network's result is from physics; the window shows it as a badge."""
 

@@ -17,7 +17,7 @@ from pipeline.base.arrays import Floats
 from pipeline.base.errors import ShapeError
 from pipeline.base.params import setting
 from pipeline.base.progress import SILENT, Progress, SubProgress
-from pipeline.base.stage_warnings import StageWarning
+from pipeline.base.stage_warnings import UnseenObjectWarning
 from pipeline.calibration.calibration_table import Calibration
 from pipeline.engine.graph import Fallback, Skipped
 from pipeline.networks import latent_diffusion_files, weights_registry
@@ -161,7 +161,7 @@ def generate_touch(
     if frame.reference is None:
         raise ShapeError(f"the touch by latent diffusion needs a reference image of {source.name}; add --reference")
     if depth.skip_without_contact(frame, source, calibration, depth.DepthParams()) is not None:
-        return Skipped(output=physical_render.make_reference_touch(target), reason=physical_render.NO_CONTACT)
+        return physical_render.skip_to_reference_touch(target)
     net: Any = network
     square = resize_to_square(source.sensor_kind.compute_relative_change(frame.image, frame.reference), net.side)
     if params.raw_condition == "yes" or (params.raw_condition == "as trained" and net.raw_condition):
@@ -200,9 +200,9 @@ def skip_without_contact(
     return physical_render.skip_without_contact(view, target, physical_render.PhysicalRenderParams())
 
 
-def _warn_outside_view(target: SensorSpec) -> tuple[StageWarning, ...]:
+def _warn_outside_view(target: SensorSpec) -> tuple[UnseenObjectWarning, ...]:
     """A warning for a bubble, which feels more of an object than any source sees."""
-    return (StageWarning(OUTSIDE_VIEW),) if target.sensor_kind.is_depth else ()
+    return (UnseenObjectWarning(OUTSIDE_VIEW),) if target.sensor_kind.is_depth else ()
 
 
 def _sample_touch(

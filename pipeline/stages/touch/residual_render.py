@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pipeline.base.arrays import Floats, Image, Mask, freeze
-from pipeline.base.stage_warnings import ChangeNote
+from pipeline.base.stage_warnings import ChangeNote, OutsideViewWarning
 from pipeline.engine.graph import Fallback
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.touch.residual_diffusion import DenoisingState, ResidualSample
@@ -39,7 +39,7 @@ def render_correction(
 
     The membrane is limited to the sensor's maximum indentation. `seed` sets the sensor noise, None = no noise. The
     whole image is in view; `membrane.expected_error_mm` holds the uncertainty. With `edge_uncertainty` edges are
-    blurred, as in the mean over all possible edge positions.
+    blurred, as in the mean over all possible edge positions. Warnings of what physics leaves out are dropped.
     """
     prior_membrane = first.membrane
     assert prior_membrane is not None
@@ -55,7 +55,7 @@ def render_correction(
         image=image,
         membrane=replace(corrected, expected_error_mm=error_mm),
         in_view=freeze(np.ones(target.camera.shape, np.bool_)),
-        notes=(*first.notes, *sample.notes),
+        notes=(*(note for note in first.notes if not isinstance(note, OutsideViewWarning)), *sample.notes),
         steps=tuple(steps),
     )
 

@@ -31,7 +31,7 @@ PHYSICS = Method(
     run=skip_if_exact(physical_render.skip_without_contact, physical_render.render_touch),
     params=physical_render.PhysicalRenderParams,
     reads=("target_depth", "target"),
-    version=3,
+    version=4,
 )
 T2D2 = Method(
     stage="touch",
@@ -43,7 +43,7 @@ T2D2 = Method(
     reads=(*PHYSICS.reads, "touch_weights"),
     weights=t2d2.select_weights,
     draft=make_draft_params,
-    version=5,
+    version=6,
 )
 T2T = Method(
     stage="touch",
@@ -55,7 +55,7 @@ T2T = Method(
     reads=(*t2t.READS, "touch_weights"),
     weights=t2t.select_weights,
     draft=make_draft_params,
-    version=6,
+    version=7,
 )
 LATENT_T2D2 = Method(
     stage="touch",

@@ -84,7 +84,7 @@ def generate_touch(
     depth.check_frame(frame, source)
     rest, seed = physical_render.make_reference_touch(target), params.seed if params.add_noise else None
     if depth.skip_without_contact(frame, source, calibration, depth.DepthParams()) is not None:
-        return Skipped(output=rest, reason=physical_render.NO_CONTACT)
+        return physical_render.skip_to_reference_touch(target)
     is_weighted = params.steps == 1 and params.confidence_weighting > 0.0
     is_weighted &= not getattr(network, "trained_on_recordings", False)
     physical = rest
@@ -177,7 +177,7 @@ def render_from_frame(
     depth_params = depth.DepthParams()
     skipped = depth.skip_without_contact(frame, source, calibration, depth_params)
     if skipped is not None:
-        return Skipped(output=physical_render.make_reference_touch(target), reason=physical_render.NO_CONTACT)
+        return physical_render.skip_to_reference_touch(target)
     depth_map = _estimate_depth(frame, source, calibration, SubProgress(progress, 0.0, 0.5))
     cloud = adaptation.skip_without_contact(depth_map, alignment, adaptation.BackProjectionParams())
     if cloud is None:

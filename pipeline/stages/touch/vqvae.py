@@ -75,7 +75,7 @@ def generate_touch(
     if frame.reference is None:
         raise ShapeError(f"the touch by VQ-VAE needs a reference image of {source.name}; add --reference")
     if depth.skip_without_contact(frame, source, calibration, depth.DepthParams()) is not None:
-        return Skipped(output=physical_render.make_reference_touch(target), reason=physical_render.NO_CONTACT)
+        return physical_render.skip_to_reference_touch(target)
     square = resize_to_square(source.sensor_kind.compute_relative_change(frame.image, frame.reference))
     reprojects = getattr(network, "reprojects_input", False)
     network_input = (
