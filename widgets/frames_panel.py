@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 
 from PyQt6.QtCore import QModelIndex, QSignalBlocker, QSize, QSortFilterProxyModel, Qt, pyqtSignal
+from PyQt6.QtGui import QShowEvent
 from PyQt6.QtWidgets import (
     QAbstractItemView,
     QComboBox,
@@ -20,9 +21,12 @@ from PyQt6.QtWidgets import (
 from widgets.eliding_combo_box import ElidingComboBox
 from widgets.fonts import resize_font
 from widgets.frame_summary import THUMBNAIL_PX
-from widgets.frames_filter import FramesFilter
+from widgets.frames_filter import FramesFilter, get_limits, replace_limits
 from widgets.frames_model import CAUSE, CONTACT, DEPTH, FRAME, METRIC, NOTE, SORT_ROLE, WARNINGS, FramesModel
-from widgets.styling import set_spacing
+from widgets.metric_histogram import MetricHistogram
+from widgets.styling import make_single_shot_timer, set_spacing
+
+_HISTOGRAM_DELAY_MS = 60  # values that arrive within it are drawn together
 
 
 class FramesPanel(QWidget):
@@ -51,12 +55,15 @@ class FramesPanel(QWidget):
         self.metric_box.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
         self.metric_box.activated.connect(lambda: self.metric_chosen.emit(self.metric_box.currentData()))
         resize_font(self._told)
+        self.histogram = MetricHistogram()
+        self.histogram.range_chosen.connect(self._choose_range)
         self.table = _table(self._sorted)
         layout = set_spacing(QVBoxLayout(self), 3, (2, 2, 2, 2))
-        for widget in (self.metric_box, self.filter_line, self.table, self._told):
+        for widget in (self.metric_box, self.histogram, self.filter_line, self.table, self._told):
             layout.addWidget(widget)
         self.table.clicked.connect(self._choose_picked)  # a double click edits the note
         self.table.activated.connect(self._choose_picked)
+        self._histogram_timer = make_single_shot_timer(self, _HISTOGRAM_DELAY_MS, self._show_histogram)
         for signal in (self.model.dataChanged, self.model.modelReset):
             signal.connect(self._tell)
         self._tell()
@@ -84,6 +91,7 @@ class FramesPanel(QWidget):
             self.metric_box.setCurrentIndex(self.metric_box.findData(chosen))
         self.metric_box.setEnabled(bool(names))
         self.model.show_metric(chosen, title, names.get(chosen, chosen))
+        self._histogram_timer.start()
 
     def step_by_metric(self, by: int, *, sort_order: Qt.SortOrder) -> None:
         """Move by `by` frames in the order of the metric, without frames that lack it; stops at the ends.
@@ -107,6 +115,20 @@ class FramesPanel(QWidget):
         listed = self._sorted.rowCount()
         some = f", {listed} listed" if listed != frames else ""
         self._told.setText(f"{done} of {frames} frames known{some}" if frames else "")
+        self._histogram_timer.start()
+
+    def showEvent(self, a0: QShowEvent | None) -> None:  # noqa: N802
+        """Draw the histogram, which is not drawn while the panel is hidden."""
+        super().showEvent(a0)
+        self._show_histogram()
+
+    def _show_histogram(self) -> None:
+        if self.isVisible():
+            values = self.model.get_values(str(self.metric_box.currentData() or ""))
+            self.histogram.show_values(values, get_limits(self.filter_line.text()))
+
+    def _choose_range(self, low: float, high: float) -> None:
+        self.filter_line.setText(replace_limits(self.filter_line.text(), low, high))
 
     def _filter(self, words: str) -> None:
         self._sorted.set_filter(words)

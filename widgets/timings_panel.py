@@ -18,6 +18,7 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
+from widgets.fixed_size_label import FixedSizeLabel
 from widgets.icons import make_state_icon
 from widgets.styling import make_bold, set_spacing
 from widgets.time_budget_bar import BudgetPart, TimeBudgetBar
@@ -53,9 +54,8 @@ class TimingsPanel(QWidget):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self._sentence, self.bar, self.table = QLabel(), TimeBudgetBar(), QTableWidget(0, len(_HEADER))
+        self._sentence, self.bar, self.table = FixedSizeLabel(), TimeBudgetBar(), QTableWidget(0, len(_HEADER))
         make_bold(self._sentence)
-        self._sentence.setTextFormat(Qt.TextFormat.PlainText)
         self._target = QSpinBox()
         self._target.setObjectName("target_rate")
         self._target.setRange(1, _MOST_HZ)
@@ -115,6 +115,7 @@ class TimingsPanel(QWidget):
     def show_budget(self, sentence: str, parts: tuple[BudgetPart, ...], offer: str) -> None:
         """Show a sentence, the bar, and what the button offers to skip ("" = nothing)."""
         self._sentence.setText(sentence)
+        self._sentence.setToolTip(sentence)
         self.bar.show_parts(parts, 1e3 / self.target_hz)
         self.skip_button.setText(offer)
         self.skip_button.setVisible(bool(offer))

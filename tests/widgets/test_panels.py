@@ -82,6 +82,16 @@ def test_timings_show_every_stage_and_their_sum(qtbot):
     assert unticked.args == ["pose", False]
 
 
+def test_a_long_sentence_of_the_budget_does_not_widen_the_window(qtbot):
+    panel = TimingsPanel()
+    qtbot.addWidget(panel)
+    panel.show_budget("depth 60 %: 5 frames/s", (), "Skip pose")
+    before_px = panel.minimumSizeHint().width()
+    panel.show_budget("depth 60 %, " * 20, (), "Skip pose")
+    assert panel.minimumSizeHint().width() == before_px
+    assert panel.sentence.startswith("depth 60 %, ")
+
+
 def test_the_trace_reads_like_a_sentence(qtbot):
     panel = TracePanel()
     qtbot.addWidget(panel)
