@@ -6,7 +6,9 @@ import ast
 import re
 from pathlib import Path
 
-from app.window.actions import MENUS
+import pytest
+
+from app.window.actions import MENUS, THEME_COMMANDS
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 
@@ -22,9 +24,11 @@ def test_every_picture_of_the_tour_is_made_by_its_script_and_there():
     assert all((DOCS / "tour" / f"{name}.png").stat().st_size > 20_000 for name in shown)
 
 
-def test_commands_that_the_tour_names_are_in_the_menu():
-    text = (DOCS / "tour.md").read_text()
+@pytest.mark.parametrize("page", ["tour.md", "features.md"])
+def test_commands_that_a_page_names_are_in_the_menu(page):
+    text = (DOCS / page).read_text()
     titles = {menu.replace("&", ""): {command.text for command in commands} for menu, commands in MENUS.items()}
+    titles["View"] |= {command.text for command in THEME_COMMANDS}
     named = re.findall(r"\*(\w+) > ([^*]+)\*", text)
     assert named
     for menu, command in named:
