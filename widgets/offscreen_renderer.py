@@ -6,12 +6,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+import pyvista as pv
 import vtkmodules.vtkRenderingOpenGL2  # pyright: ignore[reportUnusedImport]  # noqa: F401 - registers what draws
-from numpy.typing import NDArray
-from vtkmodules.util.numpy_support import numpy_to_vtk, numpy_to_vtkIdTypeArray, vtk_to_numpy
-from vtkmodules.vtkCommonCore import vtkPoints, vtkUnsignedCharArray
-from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkPolyData
-from vtkmodules.vtkCommonMath import vtkMatrix4x4
+from vtkmodules.util.numpy_support import vtk_to_numpy
+from vtkmodules.vtkCommonCore import vtkUnsignedCharArray
 from vtkmodules.vtkRenderingCore import (
     vtkActor,
     vtkCamera,
@@ -84,7 +82,7 @@ class OffscreenRenderer:
         for layer in layers:
             old = kept.get(layer.name)
             if old is None:
-                mesh = vtkPolyData()
+                mesh = pv.PolyData()
                 _write(mesh, layer, None, ink)
                 actor = _add_layer(self.renderers[column], mesh, layer)
             else:
@@ -92,7 +90,7 @@ class OffscreenRenderer:
                 if old[0] is not layer or old[3] is not ink:
                     _write(mesh, layer, old[0], ink)
             at = placed.get(layer.name, layer.view_from_layer)
-            actor.SetUserMatrix(None if at is None else _to_vtk_matrix(at))
+            actor.SetUserMatrix(None if at is None else pv.vtkmatrix_from_array(at))
             kept[layer.name] = (layer, mesh, actor, ink)
 
     def get_camera(self, column: int) -> tuple[float, ...]:
@@ -120,7 +118,7 @@ class OffscreenRenderer:
         """Return a point's position as shares of width and height from the upper left; None if it is not visible."""
         camera = self.renderers[column].GetActiveCamera()
         camera.SetUseHorizontalViewAngle(aspect < 1.0)
-        matrix = _to_array(camera.GetCompositeProjectionTransformMatrix(aspect, -1.0, 1.0))
+        matrix = pv.array_from_vtkmatrix(camera.GetCompositeProjectionTransformMatrix(aspect, -1.0, 1.0))
         x, y, _, w = matrix @ (*place_mm, 1.0)
         if w <= 0 or max(abs(x), abs(y)) > w:
             return None
@@ -130,7 +128,7 @@ class OffscreenRenderer:
         """Return the positions (n, 2) of points (n, 3) as shares, and their distances (n,) relative to the nearest."""
         camera = self.renderers[column].GetActiveCamera()
         camera.SetUseHorizontalViewAngle(aspect < 1.0)
-        matrix = _to_array(camera.GetCompositeProjectionTransformMatrix(aspect, -1.0, 1.0))
+        matrix = pv.array_from_vtkmatrix(camera.GetCompositeProjectionTransformMatrix(aspect, -1.0, 1.0))
         seen = points_mm @ matrix[:, :3].T + matrix[:, 3]
         w = np.where(seen[:, 3] > 0, seen[:, 3], np.nan)
         shares = np.stack([0.5 + 0.5 * seen[:, 0] / w, 0.5 - 0.5 * seen[:, 1] / w], axis=-1)
@@ -199,12 +197,9 @@ def _actor(renderer: Any, mesh: Any, *, own_colours: bool = True) -> Any:
 
 def _arrow(renderer: Any, axis: int) -> Any:
     """Return a unit arrow along x, y or z of the frame; hidden until its place is known."""
-    ends = np.zeros((2, 3), dtype=np.float32)
-    ends[1, axis] = 1.0
-    line = vtkPolyData()
-    line.SetPoints(_to_points(ends))
-    line.SetLines(_to_cells(np.array([[0, 1]])))
-    actor = _actor(renderer, line, own_colours=False)
+    tip = np.zeros(3)
+    tip[axis] = 1.0
+    actor = _actor(renderer, pv.Line((0.0, 0.0, 0.0), tip), own_colours=False)
     actor.GetProperty().SetLineWidth(3)
     actor.GetProperty().LightingOff()
     actor.SetVisibility(False)
@@ -238,55 +233,39 @@ def _shares(colour: Rgb) -> tuple[float, float, float]:
 
 def _write(mesh: Any, layer: Layer, old: Layer | None, ink: ThemeColours) -> None:
     """Write a layer's arrays into its mesh: in place while the counts stay, replaced when they change."""
-    data = mesh.GetPointData()
     same = old is not None and len(old.points_mm) == len(layer.points_mm)
     is_darkened = layer.colour_map == "diverging" and ink.diverging != layer.colour_map
     rgb = darken_diverging(layer.rgb) if is_darkened else layer.rgb
     if same:
-        vtk_to_numpy(mesh.GetPoints().GetData())[:] = layer.points_mm
+        mesh.points[:] = layer.points_mm
         mesh.GetPoints().Modified()
-        vtk_to_numpy(data.GetArray("rgb"))[:] = rgb
-        data.GetArray("rgb").Modified()
     else:
-        mesh.SetPoints(_to_points(layer.points_mm))
-        colours = numpy_to_vtk(np.ascontiguousarray(rgb), deep=True)
-        colours.SetName("rgb")
-        data.AddArray(colours)
+        mesh.points = np.array(layer.points_mm, dtype=np.float32)
     if not same or old is None or old.triangles is not layer.triangles or old.segments is not layer.segments:
         _write_cells(mesh, layer)
-    normals = layer.normals
-    data.SetNormals(None if normals is None else numpy_to_vtk(np.ascontiguousarray(normals, np.float32), deep=True))
+    if same:
+        mesh.point_data["rgb"][:] = rgb
+        mesh.GetPointData().GetArray("rgb").Modified()
+    else:
+        mesh.point_data["rgb"] = np.array(rgb)
+    if layer.normals is not None:
+        mesh.point_data.active_normals = np.array(layer.normals, dtype=np.float32)
     mesh.Modified()
 
 
 def _write_cells(mesh: Any, layer: Layer) -> None:
-    """Write the triangles, or else the lines, or else the points of a layer, in place of all cells."""
-    triangles, lines = layer.triangles, layer.segments
-    points = np.arange(len(layer.points_mm))[:, None] if triangles is None and lines is None else None
-    mesh.SetPolys(None if triangles is None else _to_cells(triangles))
-    mesh.SetLines(None if lines is None or triangles is not None else _to_cells(lines))
-    mesh.SetVerts(None if points is None else _to_cells(points))
-
-
-def _to_points(points_mm: NDArray[np.floating]) -> Any:
-    points: Any = vtkPoints()
-    points.SetData(numpy_to_vtk(np.ascontiguousarray(points_mm, dtype=np.float32), deep=True))
-    return points
-
-
-def _to_cells(corners: NDArray[np.integer]) -> Any:
-    """Return cells (n, corners) of equal size."""
-    cells: Any = vtkCellArray()
-    flat = np.ascontiguousarray(corners, dtype=np.int64).ravel()
-    cells.SetData(corners.shape[1], numpy_to_vtkIdTypeArray(flat, deep=True))
-    return cells
-
-
-def _to_vtk_matrix(matrix: Doubles) -> Any:
-    made: Any = vtkMatrix4x4()
-    made.DeepCopy(np.asarray(matrix, dtype=np.float64).ravel())
-    return made
-
-
-def _to_array(matrix: Any) -> Doubles:
-    return np.array([[matrix.GetElement(row, col) for col in range(4)] for row in range(4)])
+    if layer.triangles is not None:
+        mesh.verts = np.zeros(0, dtype=np.int64)
+        faces = np.empty((len(layer.triangles), 4), dtype=np.int64)
+        faces[:, 0], faces[:, 1:] = 3, layer.triangles
+        mesh.faces = faces.ravel()
+        return
+    if layer.segments is not None:
+        mesh.verts = np.zeros(0, dtype=np.int64)
+        lines = np.empty((len(layer.segments), 3), dtype=np.int64)
+        lines[:, 0], lines[:, 1:] = 2, layer.segments
+        mesh.lines = lines.ravel()
+        return
+    verts = np.empty((len(layer.points_mm), 2), dtype=np.int64)
+    verts[:, 0], verts[:, 1] = 1, np.arange(len(layer.points_mm))
+    mesh.verts = verts.ravel()

@@ -27,6 +27,7 @@ _PACKAGES = (
     "torch",
     "h5py",
     "PyQt6",
+    "pyvista",
     "vtk",
 )
 _LIBRARIES = {

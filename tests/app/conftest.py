@@ -56,12 +56,12 @@ def touch_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session")
 def ball_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A ball of 15 mm radius as .obj, in mm: a twenty-sided one is enough where its pose is not judged."""
-    import open3d as o3d
+    import pyvista as pv
 
     path = tmp_path_factory.mktemp("mesh") / "ball.obj"
-    ball = o3d.geometry.TriangleMesh.create_icosahedron(radius=15.0)
-    corners = [f"v {x} {y} {z}" for x, y, z in np.asarray(ball.vertices)]
-    sides = [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in np.asarray(ball.triangles)]
+    ball = pv.Icosahedron(radius=15.0)
+    corners = [f"v {x} {y} {z}" for x, y, z in ball.points]
+    sides = [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in ball.regular_faces]
     path.write_text("\n".join([*corners, *sides, ""]))
     return path
 

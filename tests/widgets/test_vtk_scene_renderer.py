@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtWidgets import QApplication
-from vtkmodules.util.numpy_support import vtk_to_numpy
 
 from pipeline.previews.colours import get_colour_table, repeat_colour
 from pipeline.previews.layers import Layer, ViewBounds
@@ -71,7 +70,7 @@ def test_points_are_those_of_the_newest_layer(scene):
     scene.show_layers(0, [newest])
     scene.draw_pending()
     mesh = scene._stage._kept[0]["cloud"][1]
-    np.testing.assert_array_equal(vtk_to_numpy(mesh.GetPoints().GetData()), newest.points_mm)
+    np.testing.assert_array_equal(np.asarray(mesh.points), newest.points_mm)
 
 
 def test_a_layer_that_is_no_longer_wanted_is_hidden(scene):
