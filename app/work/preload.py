@@ -24,6 +24,7 @@ def preload_depth(report: Progress) -> None:
     import numpy as np
 
     from pipeline.base.arrays import freeze
+    from pipeline.engine.graph import Graph
     from pipeline.physics import optics
     from pipeline.sensors.spec import load_sensor
     from pipeline.stages.depth.stage import NETWORK
@@ -36,4 +37,5 @@ def preload_depth(report: Progress) -> None:
     image[rows : 2 * rows, cols : 2 * cols] = 255 - image[rows : 2 * rows, cols : 2 * cols]
     frame = TactileFrame(sensor=source.name, image=freeze(image.astype(np.uint8)), reference=reference)
     weights = None if NETWORK.weights is None else NETWORK.weights(source, source, None)
-    NETWORK.run(frame, source, None, weights, NETWORK.params(), report)
+    inputs = {"frame": frame, "source": source, "calibration": None, NETWORK.weights_name: weights}
+    Graph((NETWORK,)).evaluate((NETWORK.stage,), inputs, {}, report)
