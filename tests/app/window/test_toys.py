@@ -46,7 +46,7 @@ def test_a_method_choice_is_undoable_and_saved(toys, tmp_path):
     window = toys.window
     toys.change("choose route", route="t2d2")
     box = window.columns["touch_depth"]._method
-    assert [box.itemData(i) for i in range(box.count())] == ["membrane", "from_image"]
+    assert [box.itemData(i) for i in range(box.count())] == ["membrane", "from_image", "truth"]
     box.setCurrentIndex(1)
     box.activated.emit(1)
     assert wait_until_shown(toys, LIMIT_S)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks.scenes.rest_mesh import rest_mesh
-from pipeline.base.errors import CalibrationError, MeshProblem
+from pipeline.base.errors import FileProblem, MeshProblem
 from pipeline.geometry import membrane
 from pipeline.geometry.mesh_membrane import MAX_ERROR_MM, compute_lattice_error_mm, load_membrane, make_mesh_membrane
 from pipeline.geometry.meshes import Mesh
@@ -98,5 +98,5 @@ def test_a_description_may_name_a_mesh_beside_it(tmp_path):
     ],
 )
 def test_a_description_of_a_mesh_that_is_not_understood_is_refused(tmp_path, rest, words):
-    with pytest.raises(CalibrationError, match=words):
+    with pytest.raises(FileProblem, match=words):
         load_sensor(described(tmp_path, rest))
