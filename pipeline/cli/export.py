@@ -52,8 +52,8 @@ def export(
     ----------
     out
         File to write: .png or .pdf of a pane or the sheet, .ply of a pane's points in mm, .npz of its arrays, .csv of
-        the metrics of all frames, .mp4 or .avi of a pane through the frames, .rrd (Rerun) or .mcap (Foxglove) of all
-        stages through the frames.
+        force and metrics of all frames, up to the pane, .mp4 or .avi of a pane through the frames, .rrd (Rerun) or
+        .mcap (Foxglove) of all stages through the frames.
     pane
         A stage, `source`, or `sheet` for all of them side by side.
     content

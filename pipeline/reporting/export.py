@@ -157,12 +157,12 @@ def _arrays(work: _Work) -> None:
 
 
 def _table(work: _Work) -> None:
-    """Write force and all metrics against truth, one row per frame."""
+    """Write force and all metrics against truth, one row per frame; up to the requested stage, if it is one."""
     rows: list[tuple[int, float, Mapping[str, float]]] = []
     indices = work.frame_indices
     for done, index in enumerate(indices):
         work.progress.step(done / len(indices), f"frame {index}")
-        frame, results = work.evaluate_frame(index, every=True)
+        frame, results = work.evaluate_frame(index, every=work.asked.pane == SOURCE)
         rows.append((index, frame.time_s, work.compute_all_metrics(results, index)))
     names = sorted({name for _, _, metrics in rows for name in metrics})
     text = io.StringIO()

@@ -13,6 +13,7 @@ from scipy import stats
 from app.session.sample import SAMPLE_RECORDING
 from app.session.state import Session, load_session
 from app.window.tour import wait_until_shown
+from pipeline.calibration.force_scale import fit_force_scale, save_force_scale
 from pipeline.metrics.stage_metrics import UNCALIBRATED_FORCE
 from widgets.frame_summary import FrameSummary
 from widgets.frames_model import CAUSE, FRAME, METRIC, NOTE, WARNINGS
@@ -58,7 +59,7 @@ def test_every_frame_with_truth_is_ranked_and_one_key_shows_the_worst(window, qt
     assert window.latest_frame.index == ranked[1]
 
 
-def test_force_of_every_frame_is_a_curve_that_takes_their_depth_alone(window, qtbot):
+def test_force_of_every_frame_is_a_curve_that_takes_their_depth_alone(window, qtbot, tmp_path):
     panel, line = window.window.frames, window.window.timeline.errors
     assert panel.metric_box.findData(UNCALIBRATED_FORCE) >= 0
     panel.metric_chosen.emit(UNCALIBRATED_FORCE)
@@ -71,6 +72,13 @@ def test_force_of_every_frame_is_a_curve_that_takes_their_depth_alone(window, qt
     assert line.values[0] == true[0] == 0.0
     assert stats.spearmanr(line.values, true)[0] > 0.9
     assert "force (scale unknown), N" in [label.text() for label in window.window.timeline.findChildren(QLabel)]
+    before, calibration = np.array(line.values), tmp_path / "force.npz"
+    save_force_scale(fit_force_scale("digit", [1.0, 4.0], [2.0, 8.0]), calibration)
+    window.change("calibration", calibration=calibration)
+    labels = window.window.timeline.findChildren(QLabel)
+    qtbot.waitUntil(lambda: "force, N" in [label.text() for label in labels], timeout=LIMIT_MS)
+    qtbot.waitUntil(lambda: bool(np.isfinite(line.values).all()), timeout=LIMIT_MS)
+    np.testing.assert_allclose(line.values, 2.0 * before, rtol=1e-6)
 
 
 def test_a_click_in_the_timeline_chooses_the_frame(window, qtbot):

@@ -28,9 +28,10 @@ def test_weighed_presses_turn_an_unknown_scale_into_newtons(tmp_path, capsys):
                "--forces", f"{3 * true[1]},{3 * true[0]}") == 0  # fmt: skip
     assert "calibration written" in capsys.readouterr().out
     assert run("export", SAMPLE, "--target", "soft_bubble", "--sensor", "gelslim", "--out", table, "--frames", "4,8",
-               "--calibration", out) == 0  # fmt: skip
+               "--calibration", out, "--pane", "depth") == 0  # fmt: skip
     rows = list(csv.DictReader(table.read_text(encoding="utf-8").splitlines()))
     assert "frame.uncalibrated_force_n" not in rows[0]
+    assert not any(name.startswith("touch") for name in rows[0]), "stages that no row needs are not computed"
     assert [float(row["frame.force_n"]) for row in rows] == pytest.approx(3 * true, rel=0.15)
     assert [float(row["frame.true_force_n"]) for row in rows] == pytest.approx(true)
     capsys.readouterr()
