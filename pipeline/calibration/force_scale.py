@@ -21,7 +21,7 @@ import numpy as np
 from msgspec import Meta
 
 from pipeline.base.arrays import Doubles, freeze
-from pipeline.base.errors import SettingProblem
+from pipeline.base.errors import FileProblem, SettingProblem
 from pipeline.base.files import read_arrays, write_arrays
 from pipeline.base.typed_data import Name, convert
 
@@ -30,6 +30,7 @@ _WEIGHING_ERROR = 0.06  # standard deviation of one estimated force, as a share 
 _EXPONENT_DEVIATION = 0.1  # of the prior, about 1
 _EXPONENTS = (0.3, 3.0)  # accepted in a file
 _Positive = Annotated[float, Meta(gt=0.0, le=1e12)]
+_MOST_VALUES = 100_000  # in a list of a file
 _SPREAD_MIN = 2.0  # largest over smallest force, below which the exponent is the prior's
 _RESIDUAL_MAX = 0.25  # share by which a weighing may differ from the fit
 
@@ -39,7 +40,7 @@ class _Content(msgspec.Struct, kw_only=True, frozen=True):
 
     force_sensor: Name
     force_scale: tuple[_Positive, Annotated[float, Meta(ge=_EXPONENTS[0], le=_EXPONENTS[1])]]
-    force_weighings: Annotated[tuple[tuple[_Positive, _Positive], ...], Meta(min_length=2, max_length=100_000)]
+    force_weighings: Annotated[tuple[tuple[_Positive, _Positive], ...], Meta(min_length=2)]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -111,7 +112,10 @@ def load_force_scale(path: Path) -> ForceScale | None:
     fields = read_arrays(path, "the calibration")
     if "force_scale" not in fields:
         return None
-    own = {name: array.tolist() for name, array in fields.items() if name.startswith("force_")}
+    own = {name: array for name, array in fields.items() if name.startswith("force_")}
+    if any(array.size > _MOST_VALUES for array in own.values()):
+        raise FileProblem(f"the force scale holds a list of more than {_MOST_VALUES} values; calibrate again", path)
+    own = {name: array.tolist() for name, array in own.items()}
     content = convert(own, _Content, "the force scale", path, remedy="calibrate again")
     factor, exponent = content.force_scale
     weighings_n = freeze(np.array(content.force_weighings, np.float64))

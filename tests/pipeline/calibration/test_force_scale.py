@@ -65,8 +65,20 @@ def test_a_scale_shares_the_file_of_a_table_or_stands_alone(tmp_path):
     assert np.array_equal(kept.model.coefficients, calibration_file.load(table).model.coefficients)
 
 
-def test_a_damaged_scale_names_file_and_field(tmp_path):
+@pytest.mark.parametrize(
+    ("damage", "part"),
+    [
+        ({"force_scale": [-1.0, 1.0]}, "force_scale"),
+        ({"force_scale": [np.nan, 1.0]}, "force_scale"),
+        ({"force_weighings": np.zeros((2, 2))}, "force_weighings"),
+        ({"force_weighings": np.ones((100_000, 2))}, "more than 100000 values"),
+        ({"force_sensor": 3}, "force_sensor"),
+    ],
+)
+def test_a_damaged_scale_names_file_and_field(tmp_path, damage, part):
     path = tmp_path / "bad.npz"
-    np.savez(path, force_scale=[-1.0, 1.0], force_weighings=np.ones((2, 2)), force_sensor="digit")
-    with pytest.raises(FileProblem, match="force_scale"):
+    whole = {"force_scale": [1.0, 1.0], "force_weighings": np.ones((2, 2)), "force_sensor": "digit"}
+    np.savez(path, **{**whole, **damage})
+    with pytest.raises(FileProblem, match=part) as refused:
         load_force_scale(path)
+    assert "bad.npz" in str(refused.value)
