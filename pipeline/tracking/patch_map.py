@@ -7,8 +7,9 @@ the contacts, which is where the membrane has the object's shape.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import combinations
 from typing import Any
 
@@ -28,6 +29,10 @@ _MIN_VOXEL_MM = 0.08
 _TRUNCATION_VOXELS = 4.0
 _BLOCK_VOXELS, _N_BLOCKS = 8, 4000  # a block's side; as many blocks as are allocated at first
 _FARTHEST_MM = 1e3
+_EMPTY = (
+    "No block is touched",
+    "Tensor has shape {0}",
+)  # Open3D's errors of a contact of a few pixels, and of no surface
 _LEAST_STD = 1e-3  # rad and mm: bounds an edge's information
 
 
@@ -118,31 +123,44 @@ def fuse_views(views: Sequence[ContactView], keys: Sequence[KeyFrame], name: str
     import open3d
 
     o3d: Any = open3d
+    views = [view for view in views if (view.contact_depth_mm > 0).any()]
     if not views:
         return None
     depths = [view.contact_depth_mm[view.contact_depth_mm > 0] for view in views]
-    typical = [
-        float(np.median(depth)) / view.camera.fx_px for depth, view in zip(depths, views, strict=True) if depth.size
-    ]
-    voxel_mm = max(_MIN_VOXEL_MM, max(typical, default=_MIN_VOXEL_MM))
+    typical = [float(np.median(depth)) / view.camera.fx_px for depth, view in zip(depths, views, strict=True)]
+    voxel_mm = max(_MIN_VOXEL_MM, *typical)
     core, grid = (
         o3d.core,
         o3d.t.geometry.VoxelBlockGrid(
             ("tsdf", "weight"), (o3d.core.float32, o3d.core.float32), (1, 1), voxel_mm, _BLOCK_VOXELS, _N_BLOCKS
         ),
     )
+    n_fused = 0
     for view in views:
         depth = o3d.t.geometry.Image(core.Tensor(view.contact_depth_mm[:, :, None].copy()))
         camera, placed = core.Tensor(view.camera.matrix), view.sensor_from_key @ keys[view.key].sensor_from_start
         within = (depth, camera, core.Tensor(placed), 1.0, _FARTHEST_MM, _TRUNCATION_VOXELS)
-        grid.integrate(grid.compute_unique_block_coordinates(*within), *within)
-    surface = grid.extract_triangle_mesh(0.0)
-    triangles = surface.triangle.indices.numpy().astype(np.int32)
-    if not triangles.size:
+        blocks = _unless_empty(partial(grid.compute_unique_block_coordinates, *within))
+        if blocks is not None:
+            grid.integrate(blocks, *within)
+            n_fused += 1
+    surface = _unless_empty(partial(grid.extract_triangle_mesh, 0.0)) if n_fused else None
+    triangles = np.zeros(0, np.int32) if surface is None else surface.triangle.indices.numpy().astype(np.int32)
+    if surface is None or not triangles.size:
         return None
     vertices = surface.vertex.positions.numpy().astype(np.float64)
     vertices, triangles = _sort_mesh(vertices, triangles)
     return Mesh(vertices_mm=freeze(vertices), triangles=freeze(triangles), name=name)
+
+
+def _unless_empty(run: Callable[[], Any]) -> Any:
+    """Return what a function of Open3D returns; None where it raises for lack of anything to do."""
+    try:
+        return run()
+    except RuntimeError as error:
+        if not any(words in str(error) for words in _EMPTY):
+            raise
+        return None
 
 
 def _sort_mesh(vertices: Doubles, triangles: NDArray[np.int32]) -> tuple[Doubles, NDArray[np.int32]]:

@@ -35,7 +35,7 @@ from tests.app.window.window_checks import Watched
 _LEFT_ALONE = frozenset(  # those that ask for a file by a box of the system's, close the window or show a box
     ("open_recording", "set_variant_recording", "open_folder", "open_mesh", "open_calibration", "open_weights", "open_reference",
      "open_alignment", "save_alignment", "open_session", "save_session", "save_session_as", "save_screenshot", "export_bundle",
-     "save_video", "open_rollouts", "export_rollout_video", "export_rollout_bundle", "quit", "keys")
+     "save_video", "open_rollouts", "open_track", "export_track", "export_rollout_video", "export_rollout_bundle", "quit", "keys")
 )  # fmt: skip
 # parts of names of buttons that ask for a file, or open a menu that waits
 _NO_BUTTONS = ("record", "browse", "write", "folder", "offer_choose", "offer_calibrate", "offer_which")

@@ -136,6 +136,16 @@ def test_the_patch_map_lies_on_the_object(tmp_path):
     assert len(patch.triangles) > 1000
 
 
+@pytest.mark.parametrize("side_px", [0, 1, 3])
+def test_a_contact_too_small_to_fuse_has_no_surface(side_px):
+    surface = make_surface(press("star")[0])
+    depth_mm = np.zeros(surface.camera.shape, np.float32)
+    depth_mm[50 : 50 + side_px, 50 : 50 + side_px] = float(np.nanmedian(surface.depth_mm))
+    key = KeyFrame(index=0, part=0, surface=surface, sensor_from_start=np.eye(4), covariance=np.zeros((6, 6)))
+    view = patch_map.ContactView(key=0, sensor_from_key=np.eye(4), camera=surface.camera, contact_depth_mm=depth_mm)
+    assert patch_map.fuse_views([view], [key]) is None
+
+
 def test_a_track_is_the_same_after_it_was_written_and_read(tmp_path):
     presses = [(untouched(), None), press("star"), press("star", 0.5)]
     result = track(presses)
