@@ -69,6 +69,7 @@ class TrackPage(QWidget):
 
     def offer_stages(self, stages: Mapping[str, str]) -> None:
         """Offer name -> title of the stages whose membrane can be followed."""
+        self.start_button.setEnabled(bool(stages))
         if [self.stage_box.itemData(i) for i in range(self.stage_box.count())] == list(stages):
             return
         chosen = self.stage_box.currentData()
@@ -77,7 +78,6 @@ class TrackPage(QWidget):
             for name, title in stages.items():
                 self.stage_box.addItem(title, name)
             self.stage_box.setCurrentIndex(max(0, self.stage_box.findData(chosen)))
-        self.start_button.setEnabled(bool(stages))
 
     def show_progress(self, fraction: float | None) -> None:
         """Show how far a run is, and offer to cancel it; None shows that there is none."""

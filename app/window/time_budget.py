@@ -23,6 +23,7 @@ class TimeBudgetController(QObject):
         super().__init__(controller)
         self._controller, self._panel = controller, controller.window.timings
         self._clock, self._offer = StageClock(), frozenset[str]()
+        self._of: tuple[object, ...] = ()  # recording and sensors that the times are of
         controller.frame_shown.connect(self._record)
         self._panel.target_changed.connect(self._show)
         self._panel.stage_toggled.connect(self._toggle)
@@ -30,6 +31,10 @@ class TimeBudgetController(QObject):
 
     def _record(self, _: int) -> None:
         latest, session = self._controller.latest_frame, self._controller.session
+        opened = self._controller.views.translation
+        of = () if opened is None else (opened.request.recording, opened.source.name, opened.target.name)
+        if of != self._of:
+            self._clock, self._of = StageClock(), of
         for result in () if latest is None else latest.results.values():
             if result.method is not None:
                 self._clock.record(result, session.get_params(result.method))

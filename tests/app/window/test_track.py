@@ -113,6 +113,7 @@ def test_a_track_opens_without_a_recording(open_window, qtbot, tmp_path):
     track = _child(controller, TrackController)
     qtbot.waitUntil(lambda: track.view is not None, timeout=LIMIT_MS)
     assert controller.window.track.isVisible()
+    assert not controller.window.track.start_button.isEnabled()
     assert controller.window.track.sentence.startswith(f"{tmp_path.name}: 1 of 1 frames tracked")
     (tmp_path / "track.json").write_text("[")
     controller.open_path(tmp_path)
