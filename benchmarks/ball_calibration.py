@@ -18,7 +18,8 @@ from benchmarks.harness.results import BenchmarkResult
 from benchmarks.harness.text_report import print_result
 from benchmarks.harness.timing import Requirement, build_measurement, summarize_times
 from benchmarks.scenes.data_folder import recorded_data
-from benchmarks.scenes.depth_helpers import list_numbered_files, picture, sphere
+from benchmarks.scenes.depth_helpers import list_numbered_files, picture
+from pipeline.calibration.sphere_fit import fit_sphere
 from pipeline.sensors.spec import load_sensor
 from pipeline.stages.depth.ball_calibration import calibrate_sensor
 from pipeline.stages.depth.photometric import DepthParams, estimate_depth
@@ -40,7 +41,7 @@ def measure_presses(label, pictures, still, source, look_up, diameter_mm, bars=_
         ms.append(1e3 * (time.perf_counter() - started))
         away = cv2.distanceTransform((~result.contact).astype(np.uint8), cv2.DIST_L2, 5) * look_up.pixel_mm
         far.append(float(np.abs(result.indentation_mm[away > _BESIDE_MM]).max(initial=0.0)))
-        d, rms = sphere(result.indentation_mm, result.contact, look_up.pixel_mm)
+        d, rms = fit_sphere(result.indentation_mm, result.contact, look_up.pixel_mm)
         fits.append((d / diameter_mm - 1, rms))
     fits = np.array(fits)
     missing = int(np.isnan(fits[:, 0]).sum())

@@ -41,12 +41,12 @@ from benchmarks.scenes.depth_helpers import (
     DepthReader,
     at_scale,
     build_reader,
-    largest_patch,
     list_numbered_files,
     patches,
     picture,
-    sphere,
 )
+from pipeline.calibration.contact_circles import find_largest_part
+from pipeline.calibration.sphere_fit import fit_sphere
 from pipeline.recordings.reference_denoising import denoise_reference
 from pipeline.sensors.spec import load_sensor
 from pipeline.values.frames import TactileFrame
@@ -79,7 +79,7 @@ def balls(read: DepthReader, files, still, source):
         started = time.perf_counter()
         answer = read(frame, source)
         ms = 1e3 * (time.perf_counter() - started)
-        diameter, rms = sphere(answer.indentation_mm, largest_patch(answer.contact), source.pixel_mm)
+        diameter, rms = fit_sphere(answer.indentation_mm, find_largest_part(answer.contact), source.pixel_mm)
         found.append((diameter, rms, len(patches(answer.contact)), ms))
     return np.array(found).T
 

@@ -11,7 +11,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from scipy import optimize
 
 from pipeline.base.errors import SettingProblem
 from pipeline.base.progress import SILENT
@@ -23,7 +22,6 @@ from pipeline.values.frames import TactileFrame
 from pipeline.values.results import DepthMap
 
 DepthReader = Callable[[TactileFrame, SensorSpec], DepthMap]
-_FEWEST_PX = 20  # of a contact that a sphere is fitted to
 
 
 def build_reader(method: str = "network") -> DepthReader:
@@ -64,26 +62,7 @@ def at_scale(source: SensorSpec, pixel_mm: float) -> SensorSpec:
     return dataclasses.replace(source, camera=camera)
 
 
-def sphere(indentation_mm, contact, pixel_mm: float) -> tuple[float, float]:
-    """(diameter, rms) in mm of the sphere nearest to the surface inside the contact; NaN without one."""
-    if contact.sum() < _FEWEST_PX:
-        return np.nan, np.nan
-    y, x = (pixel_mm * n for n in np.nonzero(contact))
-    z = indentation_mm[contact].astype(np.float64)
-
-    def compute_errors(p):
-        return np.sqrt(np.maximum(p[3] ** 2 - (x - p[0]) ** 2 - (y - p[1]) ** 2, 1e-6)) + p[2] - z
-
-    found = optimize.least_squares(compute_errors, [x.mean(), y.mean(), z.max() - 4.0, 4.0])
-    return 2 * abs(found.x[3]), float(np.sqrt(np.mean(found.fun**2)))
-
-
 def patches(contact) -> list[int]:
     """Pixels of every connected part of a contact, the largest first."""
     stats = cv2.connectedComponentsWithStats(contact.astype(np.uint8), connectivity=8)[2]
     return sorted((int(n) for n in stats[1:, cv2.CC_STAT_AREA]), reverse=True)
-
-
-def largest_patch(contact):
-    n, labels, stats, _ = cv2.connectedComponentsWithStats(contact.astype(np.uint8), connectivity=8)
-    return labels == 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA])) if n > 1 else contact

@@ -17,7 +17,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pipeline.base.arrays import Doubles, Image, Mask
+from pipeline.base.arrays import Image, Mask
 from pipeline.base.errors import CalibrationError, ShapeError
 from pipeline.base.progress import SILENT, Progress
 from pipeline.calibration import near_led_prior, reference_thumbnail
@@ -101,14 +101,7 @@ def calibrate_balls(
         uses_built_in=best == 0, coverage_map=None if coverage is None or coverage.all() else coverage,
         reference_thumbnail=reference_thumbnail.make_thumbnail(reference),
         presses=_list_fits(len(images), known, model), expected_error=error,
-        diameter_ratio=_compute_diameter_ratio(baseline),
     )  # fmt: skip
-
-
-def _compute_diameter_ratio(errors: Doubles | None) -> float | None:
-    """Median of measured over true diameter, from relative errors of which some may be NaN."""
-    seen = np.zeros(0) if errors is None else errors[np.isfinite(errors)]
-    return 1.0 + float(np.median(seen)) if seen.size else None
 
 
 def _describe_origin(used: int, given: int, diameter_mm: float, best: int, *, has_low_coverage: bool) -> str:

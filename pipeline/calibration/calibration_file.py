@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import zipfile
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -19,10 +20,16 @@ from pipeline.calibration import slope_model
 from pipeline.calibration.calibration_table import BallFit, Calibration, ExpectedError
 from pipeline.calibration.slope_model import SlopeModel
 
-_VERSION = 2
+_VERSION = 3
 _WHAT, _REMEDY = "the calibration", "calibrate again"
-_ARRAYS = ("coefficients", "reference_thumbnail", "coverage_map")  # the other fields are numbers, texts and lists
+_ARRAYS = (
+    "coefficients",
+    "reference_thumbnail",
+    "coverage_map",
+    "depth_scale_map",
+)  # the other fields are numbers, texts and lists
 _MOST_VALUES = 100_000  # of a list
+_SCALE_MAX = 10.0
 _TABLE, _FORCE = frozenset(("coefficients", "slope_max")), "force_scale"  # arrays by which a file is recognised
 _Side = Annotated[int, Meta(ge=1, le=100_000)]
 _Positive = Annotated[float, Meta(gt=0.0, le=1e12)]
@@ -32,7 +39,7 @@ _Share = Annotated[float, Meta(gt=0.0, le=1.0)]
 class _Content(msgspec.Struct, kw_only=True, frozen=True):
     """The fields of the file; a list of at most one stands for a value that may be unknown."""
 
-    version: Literal[2]
+    version: Literal[3]
     sensor: Name
     size: tuple[_Side, _Side]  # rows, cols
     pixel_mm: _Positive
@@ -44,10 +51,11 @@ class _Content(msgspec.Struct, kw_only=True, frozen=True):
     origin: Note
     presses: tuple[tuple[Number, Number, Number, Number, float, Number], ...]  # see `_encode_presses`
     uses_built_in: bool
-    expected_error: Annotated[tuple[Annotated[float, Meta(ge=0.0, le=1e12)], ...], Meta(max_length=3)]
+    expected_error: Annotated[tuple[Annotated[float, Meta(ge=0.0, le=1e12)], ...], Meta(max_length=5)]
     diameter_ratio: Annotated[tuple[_Positive, ...], Meta(max_length=1)]
     reference_thumbnail: Any
     coverage_map: Any
+    depth_scale_map: Any
     median_pressure_share: Annotated[tuple[_Share, ...], Meta(max_length=1)]
 
 
@@ -78,7 +86,9 @@ def save(calibration: Calibration, path: Path) -> None:
     """Write the calibration as .npz; a failure leaves no half-written file."""
     path = path if path.suffix == ".npz" else path.with_name(path.name + ".npz")
     model, error, share = calibration.model, calibration.expected_error, calibration.median_pressure_share
-    thumbnail, coverage = calibration.reference_thumbnail, calibration.coverage_map
+    thumbnail, coverage, scale = (
+        calibration.reference_thumbnail, calibration.coverage_map, calibration.depth_scale_map
+    )  # fmt: skip
     with open_atomic(path, _WHAT) as file:
         np.savez_compressed(
             file, version=_VERSION, sensor=calibration.sensor, size=(calibration.rows, calibration.cols),
@@ -86,10 +96,11 @@ def save(calibration: Calibration, path: Path) -> None:
             position_degree=model.position_degree, slope_max=model.slope_max, residual=calibration.residual,
             origin=calibration.origin, presses=_encode_presses(calibration.presses),
             uses_built_in=calibration.uses_built_in,
-            expected_error=[] if error is None else [error.diameter_share, error.depth_share, error.n_held_out],
+            expected_error=[] if error is None else dataclasses.astuple(error),
             diameter_ratio=[] if calibration.diameter_ratio is None else [calibration.diameter_ratio],
             reference_thumbnail=np.zeros((0, 0, 3), np.uint8) if thumbnail is None else thumbnail,
             coverage_map=np.zeros((0, 0), np.bool_) if coverage is None else coverage,
+            depth_scale_map=np.zeros((0, 0), np.float32) if scale is None else scale,
             median_pressure_share=[] if share is None else [share],
         )  # fmt: skip
 
@@ -112,9 +123,9 @@ def _decode(content: _Content) -> Calibration:
     shape = (side, side, len(slope_model.list_exponents(content.colour_degree)), 2)
     if table.shape != shape or table.dtype.kind != "f" or not np.isfinite(table).all():
         raise CalibrationError("its coefficients do not fit its degrees or are not finite")
-    if len(content.expected_error) not in (0, 3):
-        raise CalibrationError("expected_error must be three numbers of 0 or more")
-    diameter, depth, n_held_out = content.expected_error or (0.0, 0.0, 0.0)
+    if len(content.expected_error) not in (0, 5):
+        raise CalibrationError("expected_error must be five numbers of 0 or more")
+    diameter, diameter_p90, depth, depth_p90, n_held_out = content.expected_error or (0.0,) * 5
     model = SlopeModel(
         colour_degree=content.colour_degree, position_degree=content.position_degree,
         coefficients=freeze(np.ascontiguousarray(table, np.float32)), slope_max=content.slope_max,
@@ -127,11 +138,14 @@ def _decode(content: _Content) -> Calibration:
             BallFit(index=int(index), x_px=x, y_px=y, radius_px=radius, residual=residual, used=bool(used))
             for index, x, y, radius, residual, used in content.presses
         ),
-        expected_error=ExpectedError(diameter_share=diameter, depth_share=depth, n_held_out=int(n_held_out))
-        if content.expected_error else None,
+        expected_error=ExpectedError(
+            diameter_share=diameter, diameter_p90=diameter_p90, depth_share=depth, depth_p90=depth_p90,
+            n_held_out=int(n_held_out),
+        ) if content.expected_error else None,
         diameter_ratio=next(iter(content.diameter_ratio), None),
         reference_thumbnail=_decode_image(content.reference_thumbnail, "reference_thumbnail", 3, np.uint8),
         coverage_map=_decode_image(content.coverage_map, "coverage_map", 2, np.bool_),
+        depth_scale_map=_decode_scale(content.depth_scale_map),
         median_pressure_share=next(iter(content.median_pressure_share), None),
     )  # fmt: skip
 
@@ -140,6 +154,13 @@ def _encode_presses(presses: tuple[BallFit, ...]) -> Doubles:
     """Presses (n, 6): index, centre x and y, radius, residual, whether used."""
     rows = [(p.index, p.x_px, p.y_px, p.radius_px, p.residual, p.used) for p in presses]
     return np.array(rows, np.float64).reshape(-1, 6)
+
+
+def _decode_scale(array: NDArray[Any]) -> NDArray[np.float32] | None:
+    scale = _decode_image(array, "depth_scale_map", 2, np.float32)
+    if scale is not None and not (scale.min() > 0.0 and scale.max() <= _SCALE_MAX):  # NaN is neither
+        raise CalibrationError(f"depth_scale_map must lie within 0 and {_SCALE_MAX:g}")
+    return scale
 
 
 def _decode_image(image: NDArray[Any], name: str, ndim: int, kind: type[np.generic]) -> NDArray[Any] | None:

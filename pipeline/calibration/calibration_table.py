@@ -44,10 +44,12 @@ class BallFit:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExpectedError:
-    """Median relative error of a ball measured with the table anywhere in the image."""
+    """Relative error of a ball measured with the calibration anywhere in the image: median and 90th percentile."""
 
     diameter_share: float  # of its diameter
+    diameter_p90: float
     depth_share: float  # of its indentation
+    depth_p90: float
     n_held_out: int  # validation presses; 0 = predicted only
 
 
@@ -67,6 +69,7 @@ class Calibration:
     expected_error: ExpectedError | None = None  # None = not measured
     diameter_ratio: float | None = None  # diameter measured without calibration over the one given; None = unknown
     reference_thumbnail: Image | None = None  # of the sensor instance, see `reference_thumbnail`; None = unknown
+    depth_scale_map: Floats | None = None  # on any coarse grid: factor of depth by the description; None = 1
     coverage_map: Mask | None = None  # on any coarse grid: parts of the image that the presses cover; None = all
     median_pressure_share: float | None = (
         None  # of the median pressure, at which contacts end on this gel (`contact`); None = default
@@ -77,15 +80,29 @@ class Calibration:
         """Whether the table is that of the sensor's description."""
         return self.uses_built_in or not self.presses
 
+    def compute_depth_scale(self, surface_mm: Floats, corner: tuple[int, int]) -> float:
+        """Factor of depth where a surface (rows, cols) whose first pixel is `corner` is deepest."""
+        if self.depth_scale_map is None:
+            return 1.0
+        weight = np.maximum(surface_mm, 0.0).astype(np.float64) ** 2
+        total = float(weight.sum())
+        scale = self._spread(self.depth_scale_map, corner, surface_mm.shape)
+        return float((scale * weight).sum()) / total if total > 0.0 else 1.0
+
     def covers(self, where: Mask, corner: tuple[int, int]) -> bool:
         """Whether presses cover most of a mask (rows, cols) whose first pixel is `corner`."""
-        import cv2
-
         if self.coverage_map is None or not where.any():
             return True
-        whole = cv2.resize(self.coverage_map.astype(np.float32), (self.cols, self.rows), interpolation=cv2.INTER_LINEAR)
+        covered = self._spread(self.coverage_map.astype(np.float32), corner, where.shape)
+        return bool(covered[where].mean() > _COVERED_SHARE)
+
+    def _spread(self, grid: Floats, corner: tuple[int, int], shape: tuple[int, ...]) -> Floats:
+        """Values (rows, cols) of a coarse grid over the image in its part of this shape and first pixel."""
+        import cv2
+
+        whole = np.asarray(cv2.resize(grid, (self.cols, self.rows), interpolation=cv2.INTER_LINEAR), np.float32)
         row, col = corner
-        return bool(whole[row : row + where.shape[0], col : col + where.shape[1]][where].mean() > _COVERED_SHARE)
+        return whole[row : row + shape[0], col : col + shape[1]]
 
 
 def compute_slopes(

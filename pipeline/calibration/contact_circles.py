@@ -44,6 +44,14 @@ def detect_contact_circle(change: Floats) -> Circle | None:
     return Circle(x_px=outline.x_px, y_px=outline.y_px, radius_px=float(radii[outer][int(np.argmax(profile[outer]))]))
 
 
+def find_largest_part(mask: Mask) -> Mask:
+    """The largest connected part of a mask (rows, cols), empty where the mask is."""
+    import cv2
+
+    n, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=8)
+    return labels == 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA])) if n > 1 else mask
+
+
 def compute_ring_profile(values: Floats, circle: Circle, reach_px: float) -> tuple[Doubles, Doubles]:
     """Median of `values` (rows, cols) on rings one pixel wide about the circle's centre: (radii, medians)."""
     rows, cols = values.shape
@@ -64,11 +72,8 @@ def _find_largest_patch(mask: Mask) -> Mask | None:
 
     closed = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((9, 9), np.uint8))
     filled = np.asarray(ndimage.binary_fill_holes(closed)).astype(np.uint8)
-    n, labels, stats, _ = cv2.connectedComponentsWithStats(filled, connectivity=8)
-    if n < 2:
-        return None
-    largest = 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))
-    return labels == largest if int(stats[largest, cv2.CC_STAT_AREA]) >= _PATCH_MIN_PX else None
+    part = find_largest_part(filled > 0)
+    return part if np.count_nonzero(part) >= _PATCH_MIN_PX else None
 
 
 def _fit_outline_circle(patch: Mask) -> Circle:

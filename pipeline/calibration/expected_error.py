@@ -30,6 +30,9 @@ _PREDICTION_FACTOR = 2.0  # on the prediction: inexact circles and light that th
 _ERROR_FLOOR = 0.03  # uncertainty of the contact's edge, however many presses: forty of a real Mini
 _MEDIAN_MIN = 0.005  # smaller medians of a few errors are chance
 _COVERAGE_MIN = 0.5  # of the image: with less, the error elsewhere is unknown
+_PERCENTILES = (50.0, 90.0)  # that are stated
+_P90_OVER_STD, _STD_OVER_MEAN = 1.645, 1.253  # of normal errors, and of their sizes
+_USUAL_STD = 0.14  # of a ball on a real unit without calibration (`benchmarks.real_depth`)
 _MEDIAN_OVER_MEAN = 0.845  # of the sizes of normal errors; the mean of a few is more certain by a third
 
 
@@ -62,19 +65,19 @@ def simulate_errors(model: SlopeModel, fields: ShadingFieldPrior, known: PressSe
 
 
 def estimate_expected_error(virtual: Doubles, held: HeldOutErrors | None, best: int) -> ExpectedError:
-    """The expected error of correction number `best`, a median over the image.
+    """The expected error of correction number `best` over the image.
 
     `virtual`: its errors of `simulate_errors`.
     """
     virtual = virtual.ravel()
     measured = np.array([]) if held is None else held.diameter_share[:, best]
     measured = measured[np.isfinite(measured)]
-    return ExpectedError(
-        diameter_share=_combine_errors(np.abs(virtual), np.abs(measured)),
-        # The indentation of a ball of known size is proportional to the measured curvature.
-        depth_share=_combine_errors(np.abs(1.0 / (1.0 + virtual) - 1.0), np.abs(1.0 / (1.0 + measured) - 1.0)),
-        n_held_out=len(measured),
-    )
+    # The indentation of a ball of known size is proportional to the measured curvature.
+    virtual_depth, measured_depth = (1.0 / (1.0 + errors) - 1.0 for errors in (virtual, measured))
+    diameter, depth = ([_combine_errors(np.abs(predicted), np.abs(held_out), percent) for percent in _PERCENTILES]
+                       for predicted, held_out in ((virtual, measured), (virtual_depth, measured_depth)))  # fmt: skip
+    return ExpectedError(diameter_share=diameter[0], diameter_p90=diameter[1], depth_share=depth[0],
+                         depth_p90=depth[1], n_held_out=len(measured))  # fmt: skip
 
 
 def compute_coverage_map(virtual: Doubles, known: PressSet) -> Mask:
@@ -111,19 +114,24 @@ def summarise_errors(errors: Doubles) -> ExpectedError:
     def estimate_median(sizes: Doubles) -> float:
         return max(_MEDIAN_OVER_MEAN * float(np.abs(sizes).mean()), _MEDIAN_MIN)
 
+    def estimate_p90(sizes: Doubles) -> float:
+        n = len(sizes)  # few presses seldom include the largest errors
+        mean = _STD_OVER_MEAN * float(np.abs(sizes).sum())
+        return _P90_OVER_STD * (_PRIOR_PRESSES * _USUAL_STD + mean) / (_PRIOR_PRESSES + n)
+
+    depth = 1.0 / (1.0 + errors) - 1.0
     return ExpectedError(
-        diameter_share=estimate_median(errors),
-        depth_share=estimate_median(1.0 / (1.0 + errors) - 1.0),
-        n_held_out=len(errors),
-    )
+        diameter_share=estimate_median(errors), diameter_p90=estimate_p90(errors), depth_share=estimate_median(depth),
+        depth_p90=estimate_p90(depth), n_held_out=len(errors),
+    )  # fmt: skip
 
 
-def _combine_errors(virtual: Doubles, measured: Doubles) -> float:
-    """Weighted log mean of predicted and measured median errors: more presses, more weight of the measured."""
-    before = math.log(_PREDICTION_FACTOR * float(np.median(virtual)))
+def _combine_errors(virtual: Doubles, measured: Doubles, percent: float) -> float:
+    """Weighted log mean of a percentile of predicted and measured errors: more presses, more weight of the measured."""
+    before = math.log(_PREDICTION_FACTOR * float(np.percentile(virtual, percent)))
     if len(measured) == 0:
         return math.hypot(math.exp(before), _ERROR_FLOOR)
-    after = math.log(max(float(np.median(measured)), _MEDIAN_MIN))
+    after = math.log(max(float(np.percentile(measured, percent)), _MEDIAN_MIN))
     return math.hypot(
         math.exp((_PRIOR_PRESSES * before + len(measured) * after) / (_PRIOR_PRESSES + len(measured))), _ERROR_FLOOR
     )

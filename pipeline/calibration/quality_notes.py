@@ -19,7 +19,9 @@ def describe_quality(calibration: Calibration) -> str:
         return StageWarning(describe_size_mismatch(calibration))
     n_used = sum(p.used for p in calibration.presses)
     error = calibration.expected_error
-    worth = "" if error is None else f"a ball's diameter within {100 * error.diameter_share:.0f} %"
+    worth = "" if error is None else f"nine of ten balls' diameters within {100 * error.diameter_p90:.0f} %"
+    if calibration.depth_scale_map is not None:
+        return f"{worth}: depth scaled by {n_used} presses of a ball"
     if calibration.uses_built_in:
         accuracy = f"; {worth}" if worth else ""
         return CalibrationWarning(
@@ -60,6 +62,7 @@ def describe_expected_error(calibration: Calibration) -> str:
         else "predicted, without held-out presses"
     )
     return (
-        f"expected error of a ball's diameter {100 * error.diameter_share:.0f} %, of its depth "
-        f"{100 * error.depth_share:.0f} %; {basis}"
+        f"expected error of a ball's diameter: up to {100 * error.diameter_p90:.0f} % in nine of ten touches (median "
+        f"{100 * error.diameter_share:.0f} %), of its depth {100 * error.depth_p90:.0f} % "
+        f"({100 * error.depth_share:.0f} %); {basis}"
     )

@@ -1,25 +1,33 @@
-"""Calibration from presses of a ball, kept only where it beats the depth stage without calibration.
+"""Calibration from presses of a ball, on the depth stage without calibration.
 
 The uncalibrated stage knows more than the built-in table (it estimates the illumination), so its slopes of every press
-are the baseline.
+are what a calibration table has to beat. Where it does not, as with few presses, the presses scale the depth of that
+stage by places (`depth_scale`).
 """
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from pipeline.base.arrays import Floats, Image
+from pipeline.base.arrays import Doubles, Floats, Image
 from pipeline.base.progress import SILENT, Progress
 from pipeline.calibration.balls import calibrate_balls
 from pipeline.calibration.calibration_table import Calibration, make_built_in
+from pipeline.calibration.contact_circles import find_largest_part
+from pipeline.calibration.depth_scale import fit_depth_scale
+from pipeline.calibration.expected_error import summarise_errors
+from pipeline.calibration.sphere_fit import fit_sphere
 from pipeline.physics.slopes import compute_slopes
 from pipeline.sensors.spec import SensorSpec
-from pipeline.stages.depth.photometric import DepthParams, estimate_depth
+from pipeline.stages.depth.gel_depth import MeasuredSurface
+from pipeline.stages.depth.photometric import DepthParams, estimate_depth, estimate_gel_depth
 from pipeline.values.frames import TactileFrame
+from pipeline.values.results import DepthMap
 
 _PRESSES_MAX = 8  # used to fit the contact limit
 _SHARES = (0.45, 0.6, 0.75)
@@ -38,19 +46,54 @@ def calibrate_sensor(
     progress: Progress = SILENT,
     seed: int = 0,
 ) -> Calibration:
-    """The calibration of `calibrate_balls`; the built-in table where the presses do not improve on the stage."""
+    """The calibration of `calibrate_balls`; depth by the description, scaled, where its table is not better."""
     plain = make_built_in(sensor)
     if pixel_mm is not None:
         plain = replace(plain, pixel_mm=pixel_mm)
 
-    def read_slopes(index: int) -> tuple[Floats, Floats]:
+    @functools.cache
+    def read(index: int) -> tuple[DepthMap, MeasuredSurface | None]:
         frame = TactileFrame(sensor=sensor.name, image=images[index], reference=reference, index=index)
-        return compute_slopes(estimate_depth(frame, sensor, plain, DepthParams()).indentation_mm, plain.pixel_mm)
+        return estimate_gel_depth(frame, sensor, plain, DepthParams())
+
+    def read_slopes(index: int) -> tuple[Floats, Floats]:
+        return compute_slopes(read(index)[0].indentation_mm, plain.pixel_mm)
 
     found = calibrate_balls(
         images, reference, sensor, diameter_mm, pixel_mm=pixel_mm, progress=progress, seed=seed, read_slopes=read_slopes
     )
-    return found if found.uses_built_in else fit_contact_limit(found, images, reference, sensor)
+    diameters_mm = np.array([_measure_diameter(*read(fit.index), found.pixel_mm) for fit in found.presses])
+    found = add_diameter_ratio(found, diameters_mm[:, 0] / diameter_mm)
+    if found.uses_built_in:
+        return add_depth_scale(found, diameters_mm[:, 1] / diameter_mm)
+    return fit_contact_limit(found, images, reference, sensor)
+
+
+def _measure_diameter(depth: DepthMap, surface: MeasuredSurface | None, pixel_mm: float) -> tuple[float, float]:
+    """Diameter in mm of a press, and again if its light errs by places, as a depth scale assumes; NaN = not known."""
+    diameter_mm, _ = fit_sphere(depth.indentation_mm, find_largest_part(depth.contact), pixel_mm)
+    light = None if surface is None else surface.illumination
+    return diameter_mm, diameter_mm if light is not None and light.is_bound_to_place else math.nan
+
+
+def add_diameter_ratio(found: Calibration, ratio: Doubles) -> Calibration:
+    """The calibration with the median of ratios (n,) of measured to true diameter, of which some may be NaN."""
+    known = ratio[[fit.used for fit in found.presses]]
+    known = known[np.isfinite(known)]
+    return replace(found, diameter_ratio=float(np.median(known)) if known.size else None)
+
+
+def add_depth_scale(found: Calibration, ratio: Doubles) -> Calibration:
+    """The calibration with a depth scale from ratios (n,) of measured to true diameter; unchanged where all are NaN."""
+    used = [fit.used for fit in found.presses]
+    x, y = (np.array([getattr(fit, name) for fit in found.presses])[used] for name in ("x_px", "y_px"))
+    scale = fit_depth_scale(x, y, ratio[used], (found.rows, found.cols))
+    if scale is None:
+        return found
+    return replace(
+        found, depth_scale_map=scale.factors, expected_error=summarise_errors(scale.errors),
+        origin=f"the built-in table, depth scaled by {len(scale.errors)} presses of a ball",
+    )  # fmt: skip
 
 
 def fit_contact_limit(found: Calibration, images: Sequence[Image], reference: Image, sensor: SensorSpec) -> Calibration:

@@ -106,7 +106,8 @@ def measure_gel_depth(
     else:
         here = (window.rows, window.cols)
         notes += _warn_of_image(image[here], source, window)
-        if not calibration.covers(window.changed, (window.rows.start, window.cols.start)):
+        corner = (window.rows.start, window.cols.start)
+        if not calibration.covers(window.changed, corner):
             notes.append(_NOT_COVERED)
             calibration = replace(
                 make_built_in(source), pixel_mm=pixel_mm, median_pressure_share=calibration.median_pressure_share
@@ -120,6 +121,8 @@ def measure_gel_depth(
         surface = gel_surface.estimate_surface(changed, illumination, progress, draft=draft)
         used = illumination if gel_surface.uses_illumination(source, calibration) else None
         notes += _describe_illumination(used, len(frame.context_frames))
+        if used is not None and used.is_bound_to_place:
+            surface = surface * np.float32(calibration.compute_depth_scale(surface, corner))
         surface, inside = _level_surface(surface, window, source, pixel_mm)
         pressed = inside | contact.detect_contact(
             surface, pixel_mm, least_mm=least_mm, pressure_share=pressure_share, smoothing_px=_CONTACT_BLUR_PX,

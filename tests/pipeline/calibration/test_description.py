@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from pipeline.base.stage_warnings import StageWarning
@@ -11,7 +12,7 @@ from pipeline.calibration.quality_notes import UNCALIBRATED
 from pipeline.sensors.spec import load_sensor
 
 PRESS = BallFit(index=0, x_px=10.0, y_px=20.0, radius_px=15.0, residual=0.02, used=True)
-ERROR = ExpectedError(diameter_share=0.083, depth_share=0.071, n_held_out=4)
+ERROR = ExpectedError(diameter_share=0.083, diameter_p90=0.19, depth_share=0.071, depth_p90=0.16, n_held_out=4)
 
 
 @pytest.fixture
@@ -42,12 +43,15 @@ def test_a_table_that_presses_did_not_improve_is_called_uncalibrated(table):
     assert "did not improve" in note
 
 
-def test_a_calibration_states_its_expected_error_and_the_basis(table):
+def test_a_calibration_states_the_error_of_nine_of_ten_touches_and_its_basis(table):
     known = replace(table, presses=(PRESS,) * 4, expected_error=ERROR)
-    assert quality_notes.describe_quality(known) == "a ball's diameter within 8 %: calibrated by 4 presses of a ball"
+    assert "within 19 %" in quality_notes.describe_quality(known)
+    scaled = replace(known, uses_built_in=True, depth_scale_map=np.ones((2, 2), np.float32))
+    assert "depth scaled by 4 presses" in quality_notes.describe_quality(scaled)
     told = " ".join(quality_notes.format_calibration(known))
-    assert "diameter 8 %" in told
-    assert "depth 7 %" in told
+    assert "diameter: up to 19 %" in told
+    assert "median 8 %" in told
+    assert "depth 16 %" in told
     assert "4 held-out presses" in told
 
 

@@ -102,7 +102,7 @@ def test_impossible_numbers_are_refused(mini, tmp_path, field, value):
 
 
 def test_a_missing_field_is_named(tmp_path):
-    np.savez(tmp_path / "half.npz", version=2)
+    np.savez(tmp_path / "half.npz", version=3)
     with pytest.raises(FileProblem, match=r"it is missing.*; calibrate again"):
         calibration_file.load(tmp_path / "half.npz")
 
@@ -174,7 +174,9 @@ def test_the_built_in_table_is_cached_on_disk(tmp_path, monkeypatch):
 
 
 def test_the_optional_fields_are_loaded_unchanged(mini, tmp_path):
-    expected = calibration.ExpectedError(diameter_share=0.08, depth_share=0.07, n_held_out=4)
+    expected = calibration.ExpectedError(
+        diameter_share=0.08, diameter_p90=0.2, depth_share=0.07, depth_p90=0.18, n_held_out=4
+    )
     still = np.arange(4 * 5 * 3, dtype=np.uint8).reshape(4, 5, 3)
     told = np.eye(5, 6) > 0
     known = replace(
@@ -183,6 +185,7 @@ def test_the_optional_fields_are_loaded_unchanged(mini, tmp_path):
         expected_error=expected,
         reference_thumbnail=still,
         coverage_map=told,
+        depth_scale_map=told + np.float32(0.5),
         median_pressure_share=0.6,
     )
     calibration_file.save(known, tmp_path / "look_up.npz")
@@ -191,10 +194,11 @@ def test_the_optional_fields_are_loaded_unchanged(mini, tmp_path):
     assert back.uses_built_in
     assert np.array_equal(back.reference_thumbnail, still)
     assert np.array_equal(back.coverage_map, told)
+    assert np.array_equal(back.depth_scale_map, told + np.float32(0.5))
     assert back.median_pressure_share == 0.6
 
 
-@pytest.mark.parametrize("row", [[0.1, 0.1], [0.1, np.nan, 4.0], [-0.1, 0.1, 4.0]])
+@pytest.mark.parametrize("row", [[0.1, 0.1], [0.1, 0.2, np.nan, 0.2, 4.0], [-0.1, 0.2, 0.1, 0.2, 4.0]])
 def test_an_invalid_expected_error_is_refused(mini, tmp_path, row):
     path = tmp_path / "look_up.npz"
     calibration_file.save(mini, path)
@@ -215,6 +219,7 @@ def test_an_invalid_thumbnail_is_refused(mini, tmp_path):
     ("field", "value"),
     [
         ("coverage_map", np.zeros(4, np.bool_)),
+        ("depth_scale_map", np.zeros((2, 2), np.float32)),
         ("median_pressure_share", [7.0]),
     ],
 )
@@ -233,3 +238,13 @@ def test_a_touch_is_covered_where_presses_cover_most_of_it(mini):
     assert left.covers(touch, (50, 10))
     assert not left.covers(touch, (50, mini.cols - 30))
     assert left.covers(np.zeros((20, 20), np.bool_), (50, mini.cols - 30))
+
+
+def test_depth_is_scaled_by_the_factor_where_a_surface_is_deepest(mini):
+    scaled = replace(mini, depth_scale_map=np.array([[0.8, 1.2]], np.float32))
+    surface = np.zeros((mini.rows, mini.cols), np.float32)
+    assert scaled.compute_depth_scale(surface, (0, 0)) == 1.0
+    surface[100:140, 20:60] = 0.5
+    surface[100:140, -60:-20] = 0.005
+    assert scaled.compute_depth_scale(surface, (0, 0)) == pytest.approx(0.8, abs=0.01)
+    assert mini.compute_depth_scale(surface, (0, 0)) == 1.0

@@ -131,14 +131,16 @@ def test_calibrating_on_images_with_swapped_colours_gives_a_warning(touches, tmp
 
 
 def test_inspect_says_what_a_calibration_is_worth(tmp_path, capsys):
-    error = calibration_table.ExpectedError(diameter_share=0.08, depth_share=0.07, n_held_out=4)
+    error = calibration_table.ExpectedError(
+        diameter_share=0.08, diameter_p90=0.19, depth_share=0.07, depth_p90=0.17, n_held_out=4
+    )
     press = calibration_table.BallFit(index=0, x_px=9, y_px=9, radius_px=9, residual=0.02, used=True)
     known = replace(
         calibration_table.make_built_in(load_sensor("gelsight_mini")), presses=(press,), expected_error=error
     )
     calibration_file.save(known, tmp_path / "mini.npz")
     assert run_app(build_app(), ["inspect", str(tmp_path / "mini.npz")]) == 0
-    assert "expected error of a ball's diameter 8 %" in capsys.readouterr().out
+    assert "up to 19 % in nine of ten touches" in capsys.readouterr().out
 
 
 def test_inspect_says_what_the_sample_is(capsys):

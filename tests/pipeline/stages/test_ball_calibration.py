@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from pipeline.calibration import near_led_prior
 from pipeline.calibration.balls import calibrate_balls
 from pipeline.calibration.calibration_table import BallFit, make_built_in
 from pipeline.physics import optics
@@ -13,7 +14,9 @@ from pipeline.physics.slopes import compute_slopes
 from pipeline.sensors.spec import load_sensor
 from pipeline.simulation.variation import vary_sensor
 from pipeline.stages.depth import ball_calibration
-from pipeline.stages.depth.ball_calibration import calibrate_sensor, fit_contact_limit
+from pipeline.stages.depth.ball_calibration import add_depth_scale, calibrate_sensor, fit_contact_limit
+from pipeline.stages.depth.illumination import frame_illumination
+from pipeline.stages.depth.illumination.light import Illumination
 from pipeline.stages.depth.photometric import DepthParams, estimate_depth
 from pipeline.values.frames import TactileFrame
 from tests.pipeline.calibration.test_balls import hertz
@@ -134,3 +137,32 @@ def test_a_larger_share_of_the_median_pressure_shrinks_a_contact():
     )
     assert 0.4 * usual.sum() < more.sum() < 0.95 * usual.sum()
     assert not (more & ~usual).any()
+
+
+@pytest.mark.parametrize(("model", "factor"), [("described", 1.3), ("near", 1.3), ("field", 1.0)])
+def test_depth_is_scaled_by_places_where_the_light_is_not_fitted_to_the_touch_itself(monkeypatch, model, factor):
+    described = load_sensor("gelsight_mini")
+    prior = near_led_prior.compute_prior(described, described.pixel_mm, described.camera.shape)
+    light = Illumination(model=model, parameters=tuple(prior.mean) if model == "field" else ())
+    monkeypatch.setattr(frame_illumination, "estimate_illumination", lambda *_: light)
+    frame = TactileFrame(
+        sensor=described.name, image=presses(described)[0], reference=optics.render_reference(described)
+    )
+    table = make_built_in(described)
+    scaled = replace(table, depth_scale_map=np.full((2, 2), 1.3, np.float32))
+    plain, more = (estimate_depth(frame, described, one, DepthParams()) for one in (table, scaled))
+    inside = plain.contact & more.contact
+    assert inside.sum() > 100
+    assert more.indentation_mm[inside].sum() == pytest.approx(factor * plain.indentation_mm[inside].sum(), rel=0.03)
+
+
+def test_presses_scale_depth_by_how_far_they_are_off_and_state_what_is_left():
+    known = replace(of_presses(), uses_built_in=True)
+    scaled = add_depth_scale(known, np.full(len(PLACES), 1.25))
+    assert scaled.is_built_in
+    assert scaled.depth_scale_map is not None
+    assert 1.15 < scaled.depth_scale_map.mean() < 1.25
+    assert scaled.expected_error is not None
+    assert scaled.expected_error.n_held_out == len(PLACES)
+    assert scaled.expected_error.diameter_share < scaled.expected_error.diameter_p90 < 0.25
+    assert add_depth_scale(known, np.full(len(PLACES), np.nan)) == known

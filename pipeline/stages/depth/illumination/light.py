@@ -36,6 +36,11 @@ class Illumination:
         return self.model in {"leds", "trusted"}
 
     @property
+    def is_bound_to_place(self) -> bool:
+        """Whether touches at one place err alike: the light is not fitted to each by itself, or by LEDs alone."""
+        return self.model in {"described", "trusted", "near", "shadow_leds"}
+
+    @property
     def is_fitted_leds(self) -> bool:
         """Whether the LEDs differ from the description."""
         return self.model == "leds" and any(self.parameters)
