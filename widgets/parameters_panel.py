@@ -14,7 +14,7 @@ from widgets.parameter_controls import ParameterControl, describe_setting, forma
 from widgets.styling import make_bold, make_icon_button, set_spacing
 from widgets.vertical_scroll_area import VerticalScrollArea
 
-_LABEL_PX = 104  # width of all labels, which wrap: a form takes the room of wider ones from the values
+_LABEL_PX = 112  # width of all labels, which wrap: a form takes the room of wider ones from the values
 
 
 class ParametersPanel(VerticalScrollArea):

@@ -37,7 +37,7 @@ class TracePanel(QScrollArea):
         layout.setContentsMargins(6, 1, 6, 1)
         layout.addWidget(self._label)
         self.setWidget(body)
-        self.setFixedHeight(_LINES * self.fontMetrics().lineSpacing() + 6)
+        self.setFixedHeight(_LINES * self.fontMetrics().lineSpacing() + 3)
         self.text = ""
         self._shown: tuple[Sequence[tuple[str, str]], bool, str, bool] = ((), False, "", False)
 

@@ -81,7 +81,9 @@ class AutosaveController(QObject):
         """Restore the geometry of the last window, and save it on close."""
         self._saves_geometry = True
         geometry = self.preferences.window_geometry
-        if geometry is not None:
+        if geometry is None:
+            self.window.maximize_if_tight()
+        else:
             self.window.restoreGeometry(geometry[0])
             self.window.restoreState(geometry[1])
         self.window.stay_on_screen()

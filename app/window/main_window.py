@@ -56,6 +56,7 @@ from widgets.view_3d_panel import View3DPanel
 from widgets.warning_line import WarningLine
 
 DEFAULT_SIZE = QSize(1600, 950)
+_FRAME = QSize(2, 40)  # that a desktop draws around a window: borders and title bar
 _ACTIVITY_WIDTH_PX = 260
 _CHOOSER_LETTERS, _SENSOR_LIST_PX = 15, 240  # width of a sensor chooser; of its list, which cuts no name off
 MIN_STRIP_PX, INSPECT_STRIP_PX = 24, 44  # height of the error strip
@@ -111,6 +112,12 @@ class MainWindow(QMainWindow):
         """Set the default size, at most the screen's."""
         screen = self.screen()
         self.resize(DEFAULT_SIZE if screen is None else DEFAULT_SIZE.boundedTo(screen.availableSize()))
+
+    def maximize_if_tight(self) -> None:
+        """Maximise the window where its default size and a title bar do not fit the screen."""
+        screen = self.screen()
+        if screen is not None and (DEFAULT_SIZE + _FRAME).boundedTo(screen.availableSize()) != DEFAULT_SIZE + _FRAME:
+            self.setWindowState(self.windowState() | Qt.WindowState.WindowMaximized)
 
     def stay_on_screen(self) -> None:
         """Move and resize the window into the available screen."""

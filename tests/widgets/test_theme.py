@@ -58,6 +58,10 @@ def test_words_and_signs_stand_out_from_every_ground(dark):
     words |= {role.name: palette.color(role).getRgb()[:3] for role in (_ROLE.Text, _ROLE.PlaceholderText, _ROLE.Link)}
     for (name, colour), ground in product(words.items(), [*_grounds(palette), ink.backdrop]):
         assert contrast(colour, ground) >= LEAST, (name, colour, ground)
+    pairs = ((_ROLE.ButtonText, _ROLE.Button), (_ROLE.ToolTipText, _ROLE.ToolTipBase), (_ROLE.WindowText, _ROLE.Window),
+             (_ROLE.BrightText, _ROLE.Window))  # fmt: skip
+    for pair in pairs:
+        assert contrast(*(palette.color(role).getRgb()[:3] for role in pair)) >= LEAST, pair
     picked = [palette.color(role).getRgb()[:3] for role in (_ROLE.Highlight, _ROLE.HighlightedText)]
     assert contrast(*picked) >= LEAST
     for bar in (ink.accent, ink.worse, ink.neutral, ink.gauge):  # shapes: 3 to 1

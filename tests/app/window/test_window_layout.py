@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-import pytest
-from PyQt6.QtCore import QSize, Qt
+from types import SimpleNamespace
 
-from app.window.main_window import MIN_STRIP_PX
+import pytest
+from PyQt6.QtCore import QRect, QSize, Qt
+
+from app.window.main_window import MIN_STRIP_PX, MainWindow
 from app.window.tour import wait_until_shown
 
 # Width and height in pixels that every picture has at least, by the window's size.
@@ -119,6 +121,20 @@ def test_the_window_is_no_larger_than_its_screen(open_window):
     available = window.screen().availableSize()
     assert window.width() <= available.width()
     assert window.height() <= available.height()
+
+
+@pytest.mark.parametrize(("size", "is_tight"), [((1366, 768), True), ((1600, 950), True), ((1920, 1200), False)])
+def test_a_first_start_lies_inside_the_screen(open_window, monkeypatch, size, is_tight):
+    """With the title bar that the desktop adds: where that has no room, the desktop fits the window by maximising it."""
+    room = QRect(0, 0, *size)
+    screen = SimpleNamespace(availableSize=room.size, availableGeometry=lambda: room)
+    window = open_window().window
+    monkeypatch.setattr(MainWindow, "screen", lambda _: screen)
+    window._set_default_size()
+    assert room.size().expandedTo(window.size()) == room.size()
+    assert window.minimumSizeHint().height() < size[1] - 40
+    window.maximize_if_tight()
+    assert bool(window.windowState() & Qt.WindowState.WindowMaximized) == is_tight
 
 
 def test_the_trace_is_visible_with_every_drawer_closed(bubble_window, qtbot):
