@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 
 import pytest
-from PyQt6.QtCore import QRect, QSize, Qt
+from PyQt6.QtCore import QRect, Qt
 from PyQt6.QtWidgets import (
     QAbstractButton,
     QAbstractScrollArea,
@@ -18,6 +18,7 @@ from PyQt6.QtWidgets import (
 )
 
 from app.window.tour import wait_until_shown
+from tests.app.window.window_checks import resize_window
 from widgets.colour_bar import ColourBar
 from widgets.fixed_size_label import FixedSizeLabel
 
@@ -72,8 +73,7 @@ def test_nothing_is_cut_off_or_out_of_place(bubble_window, qtbot, layout):
         for drawers in ((), (window.drawers.diagnostics,), tuple(window.drawers.all_drawers)):
             for drawer in drawers:
                 drawer.show()
-            window.resize(*size)
-            qtbot.waitUntil(lambda size=size: window.size() == QSize(*size), timeout=240_000)
+            resize_window(window, size, qtbot)
             end_s = time.monotonic() + 20.0
             while (faults := _faults(window)) and time.monotonic() < end_s:
                 qtbot.wait(10)  # it is being laid out

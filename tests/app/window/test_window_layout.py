@@ -9,6 +9,7 @@ from PyQt6.QtCore import QRect, QSize, Qt
 
 from app.window.main_window import MIN_STRIP_PX, MainWindow
 from app.window.tour import wait_until_shown
+from tests.app.window.window_checks import resize_window
 
 # Width and height in pixels that every picture has at least, by the window's size.
 ROOMS = {(1600, 950): (215, 160), (1366, 768): (180, 135)}
@@ -27,6 +28,7 @@ def test_every_image_has_its_room(bubble_window, qtbot, size):
     least = ROOMS[size]
 
     def roomy() -> bool:
+        window.resize(*size)
         return window.size() == QSize(*size) and all(
             shown[0] >= least[0] - 1 and shown[1] >= min(least[1], least[0] * column.view.height_over_width) - 1
             for column in window.columns.values()
@@ -38,12 +40,13 @@ def test_every_image_has_its_room(bubble_window, qtbot, size):
 
 def test_a_bottom_drawer_leaves_room_for_images_in_a_small_window(bubble_window, qtbot):
     window = bubble_window.window
-    window.resize(1366, 768)
+    resize_window(window, (1366, 768), qtbot)
     window.drawers.diagnostics.toggleViewAction().trigger()
     least_px = 162  # wide; 130 while states had a line of their own
 
     def roomy() -> bool:
         shown = [_shown_px(column.view) for column in window.columns.values()]
+        window.resize(1366, 768)
         return window.size() == QSize(1366, 768) and all(
             wide >= least_px and high >= 0.75 * least_px for wide, high in shown
         )

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PyQt6.QtCore import QCoreApplication
+from PyQt6.QtCore import QCoreApplication, QSize
 from PyQt6.QtGui import QImage
 from PyQt6.QtWidgets import QWidget
 
@@ -29,6 +29,18 @@ REST_S = 120.0  # seeds, sweeps and a scan of all frames may go on; on a busy ma
 SETTLED_S = 20.0
 _WALKED = (np.ndarray, QImage, Mapping, tuple, list)
 _FILLED = ("computed", "cached", "unchanged", "read", "warning")
+
+
+def resize_window(window: QWidget, size: tuple[int, int], qtbot) -> None:
+    """Give a window a size; on a busy machine a late answer to an earlier request may undo the first try."""
+
+    def has_size() -> bool:
+        window.resize(*size)
+        return window.size() == QSize(*size)
+
+    qtbot.waitUntil(has_size, timeout=60_000)
+    qtbot.wait(20)
+    qtbot.waitUntil(has_size, timeout=60_000)
 
 
 class Watched:
