@@ -34,6 +34,7 @@ from pipeline.sensors.descriptions import find_descriptions
 from pipeline.sensors.spec import load_sensor
 from pipeline.tasks.insertion import load_tool, make_tool
 from pipeline.training.recipe import RECIPES_FOLDER, load_recipe
+from pipeline.translation.catalogue import with_settings
 from pipeline.translation.cross_section import SectionLine
 from pipeline.values.frames import TactileFrame
 from tests.pipeline.recordings.test_data_sets import write_mcap
@@ -117,16 +118,11 @@ def test_repro_bundles(tmp_path, monkeypatch):
     }  # fmt: skip
     monkeypatch.setattr(repro_bundle, "collect_stage_arrays", lambda *_: arrays)
 
-    def opened(request: Any, settings: tuple[str, ...], *_: object) -> tuple[None, dict[str, Any], dict[str, float]]:
-        from pipeline.translation.catalogue import with_settings
-        from pipeline.translation.translate import open_translation
-
-        translation = open_translation(request)
+    def check_settings(translation: Any, _graph: object, settings: tuple[str, ...], *_: object) -> tuple[Any, Any, Any]:
         with_settings(translation.methods, settings)
-        translation.close()
         return None, {}, {}
 
-    monkeypatch.setattr(repro_bundle, "_translate", opened)
+    monkeypatch.setattr(repro_bundle, "_translate", check_settings)
 
     def make(rng: np.random.Generator) -> None:
         (folder / "bundle.json").write_text(json.dumps(spoil_value(plain, rng) if rng.random() < 0.8 else plain))
