@@ -1,8 +1,7 @@
 """Depth of a bubble by a network: the membrane, the object's own surface, contact, and their expected error.
 
 The photometric counterpart (`bubble_contact`) finds the load behind a noisy membrane; the network was trained on many
-objects and noises, and also predicts the object's surface outside the contact, where a membrane bridges what a stiffer
-sensor would touch. It works on pixels of about `WORKING_PIXEL_MM`; other depth images are resampled there and back.
+objects and noises. It works on pixels of about `WORKING_PIXEL_MM`; other depth images are resampled there and back.
 """
 
 from __future__ import annotations
@@ -31,7 +30,6 @@ BubbleNetwork = Callable[[Floats], tuple[Floats, ...]]  # (N_CHANNELS, rows, col
 _SCALE_TOLERANCE = 1.4  # pixels up to this factor finer or coarser than `WORKING_PIXEL_MM` are in the training data
 _ISLAND_MM2 = 2.0  # smaller contacts are noise
 _HALF = 0.5
-_IN_VIEW_MIN = 0.6  # probability above which the object's surface is stated; 0.5 fills rings, 0.7 loses faint touches
 
 
 def estimate_frame(
@@ -56,7 +54,8 @@ def estimate_depth(
     """The depth of one checked bubble frame as the network predicts it.
 
     Contact is where its probability is above `certainty` and the membrane moved by more than `least_mm`.
-    `object_depth_mm` is the object's surface in contact and connected to it, `expected_error_mm` the error of it and,
+    `object_depth_mm` is the object's surface in contact: around it the network also predicts one, but a gel touches
+    less of that than it leaves out (docs/experiments.md). `expected_error_mm` is the error of the object's surface and,
     elsewhere, of the membrane.
     """
     if frame.reference is None:
@@ -69,7 +68,6 @@ def estimate_depth(
     islands = max(4, round(_ISLAND_MM2 / source.pixel_mm**2))
     moves = prediction.displacement_mm > least_mm
     touched = contact.remove_specks((prediction.contact > certainty) & known & moves, islands)
-    in_view = _select_touched_regions(touched, ((prediction.object_in_view > _IN_VIEW_MIN) & known) | touched)
     if not touched.any():
         notes.append("nothing touches the sensor")
     elif np.concatenate([touched[0], touched[-1], touched[:, 0], touched[:, -1]]).any():
@@ -83,7 +81,7 @@ def estimate_depth(
         camera=source.camera,
         source_index=make_pixel_index(moved.shape),
         notes=tuple(notes),
-        object_depth_mm=freeze(np.where(in_view, rest - prediction.object_displacement_mm, nothing)),
+        object_depth_mm=freeze(np.where(touched, rest - prediction.object_displacement_mm, nothing)),
         expected_error_mm=freeze(np.where(known, prediction.expected_error_mm, nothing)),
     )
 
@@ -109,14 +107,3 @@ def _resize(image: Floats, size: tuple[int, int]) -> Floats:
         return image
     kind = cv2.INTER_AREA if size[0] < image.shape[0] else cv2.INTER_CUBIC
     return np.asarray(cv2.resize(image, size[::-1], interpolation=kind), np.float32)
-
-
-def _select_touched_regions(touched: Mask, in_view: Mask) -> Mask:
-    """The connected regions of `in_view` that contain a contact."""
-    import cv2
-
-    if not touched.any():
-        return touched
-    _, regions = cv2.connectedComponents(in_view.astype(np.uint8), connectivity=8)
-    regions = np.asarray(regions, np.int32)
-    return in_view & np.isin(regions, np.unique(regions[touched]))

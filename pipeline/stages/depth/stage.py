@@ -30,7 +30,7 @@ NETWORK = Method(
     ),
     params=network.NetworkParams,
     reads=(*PHYSICS.reads, "depth_weights"),
-    version=2,
+    version=3,
     draft=photometric.make_draft_params,
     weights=network.select_weights,
 )

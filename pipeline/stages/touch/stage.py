@@ -55,7 +55,7 @@ T2T = Method(
     reads=(*t2t.READS, "touch_weights"),
     weights=t2t.select_weights,
     draft=make_draft_params,
-    version=7,
+    version=8,
 )
 LATENT_T2D2 = Method(
     stage="touch",
