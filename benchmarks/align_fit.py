@@ -50,20 +50,20 @@ TRUE = TransferModel(is_mirrored=True, log_scale=math.log(0.36), right=0.06, dow
 
 def tiles(folder: Path) -> tuple[list[Measurement], list[str]]:
     spec = load_sensor("gelslim")
-    told = {r["base"]: r for r in csv.DictReader((folder / "index.csv").open())}
+    rows_by_name = {r["base"]: r for r in csv.DictReader((folder / "index.csv").open())}
     found = load_tile_pairs(folder, spec, "*_gelslim.png", "*_bubble_gt.png").pairs
     peers = {p.name: _peer(folder, p.name, spec) for p in found}
-    training = [k for k, p in enumerate(found) if told[p.name]["split"] == "Training"]
+    training = [k for k, p in enumerate(found) if rows_by_name[p.name]["split"] == "Training"]
     ours: dict[str, list[float]] = {name: [] for name in (*SPLITS, "tools not among the ten")}
     vqvae, mean, seconds = {name: [] for name in ours}, {name: [] for name in ours}, []
     for seed in range(DRAWS):
         used = set(np.random.default_rng(seed).choice(training, USED, replace=False).tolist())
-        tools = {told[found[k].name]["tool"] for k in used}
+        tools = {rows_by_name[found[k].name]["tool"] for k in used}
         started = time.process_time()
         answer = fit_pairs([found[k] for k in sorted(used)])
         seconds.append(time.process_time() - started)
         for k in set(range(len(found))) - used:
-            one = told[found[k].name]
+            one = rows_by_name[found[k].name]
             names = [n for n, split in SPLITS.items() if one["split"] == split]
             names += ["tools not among the ten"] * (one["tool"] not in tools)
             for name in names:
@@ -110,7 +110,7 @@ def round_trip() -> tuple[list[Measurement], str]:
             in_spread.append(abs(getattr(how, name) - getattr(true, name)) <= 2 * found.std[name])
     units = {"turn": "deg", "scale": "share", "shift": "tile widths", "tilt": "of the press"}
     bars = {"turn": 1.0, "scale": 0.03, "shift": 0.01, "tilt": 0.05}
-    note = f"round trip: {np.mean(in_spread):.0%} of the numbers lie within two of the spreads told"
+    note = f"round trip: {np.mean(in_spread):.0%} of the numbers lie within two of the stated spreads"
     taken = summarize_times([1e3 * s for s in seconds])
     return [
         build_measurement(

@@ -108,8 +108,8 @@ def measure_refinement(source: str, target: str, exact_depth: bool) -> tuple[lis
         build_measurement(asked, ours=taken, ours_error=float(e), unit=unit, bar=bar)
         for e, unit, bar in zip(worst, ("mm", "deg"), bars, strict=True)
     ]
-    told = f"{asked}: said not to be observable, of six directions, from each start: {', '.join(map(str, weak))}"
-    return rows, [told]
+    report = f"{asked}: said not to be observable, of six directions, from each start: {', '.join(map(str, weak))}"
+    return rows, [report]
 
 
 def measure() -> BenchmarkResult:
@@ -119,9 +119,9 @@ def measure() -> BenchmarkResult:
         rows += more
         points += some
     for source, target, exact_depth in REFINED:
-        more, told = measure_refinement(source, target, exact_depth)
+        more, report = measure_refinement(source, target, exact_depth)
         rows += more
-        notes += told
+        notes += report
     notes.append("measured depth of a bubble, whose contact the depth stage sees too large, is what limits that pair")
     return BenchmarkResult(
         title="An alignment: dragged, and refined",

@@ -130,10 +130,10 @@ def _felt(depth: DepthMap, touch: _Touch) -> tuple[float, float]:
     """(1 - IoU, mm in contact) of the GelSlim's gel that is pressed onto what the bubble's depth tells."""
     gel = load_sensor("gelslim")
     cloud = back_project_depth(depth, alignment.resolve_alignment(touch.source, gel), BackProjectionParams())
-    felt = render_touch(project_cloud(cloud, gel, SurfaceProjectionParams()), gel, PhysicalRenderParams()).membrane
+    membrane = render_touch(project_cloud(cloud, gel, SurfaceProjectionParams()), gel, PhysicalRenderParams()).membrane
     truth = touch.truth
-    return 1 - iou(felt.contact, truth.contact), compute_mae_mm(
-        felt.indentation_mm, truth.indentation_mm, truth.contact
+    return 1 - iou(membrane.contact, truth.contact), compute_mae_mm(
+        membrane.indentation_mm, truth.indentation_mm, truth.contact
     )
 
 

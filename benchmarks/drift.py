@@ -122,10 +122,12 @@ def through_drift(read, rng):
         for seed, thing in enumerate(shapes.make_shape(n).mesh for n in shapes.list_shapes("unseen")):
             turn = rigid.rotation((0, 0, 0.4 * seed))
             turn[2, 3] = -_PRESS_MM - rigid.apply(turn, thing.vertices_mm)[:, 2].min()
-            felt = simulate_press(thing, turn, source, seed=None)
-            plain, _ = measure_after_drift(read, source, still, felt.image.astype(np.float32), seed)
-            answer, ms = measure_after_drift(read, source, still, apply_drift(felt.image, **mixture(rng)), seed)
-            found.append((1 - iou(answer.contact, felt.truth.contact), 1 - iou(plain.contact, felt.truth.contact), ms))
+            touched = simulate_press(thing, turn, source, seed=None)
+            plain, _ = measure_after_drift(read, source, still, touched.image.astype(np.float32), seed)
+            answer, ms = measure_after_drift(read, source, still, apply_drift(touched.image, **mixture(rng)), seed)
+            found.append(
+                (1 - iou(answer.contact, touched.truth.contact), 1 - iou(plain.contact, touched.truth.contact), ms)
+            )
         ours, plain, ms = np.array(found).T
         yield build_measurement(
             f"pressed by {_PRESS_MM:g} mm, {name}",

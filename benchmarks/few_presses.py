@@ -97,15 +97,15 @@ def measure(data: str = "") -> BenchmarkResult:
 
 def _widths(ball: _Ball) -> Iterator[str]:
     """What is left of the slopes of eight presses, calibrated with other widths of a pixel."""
-    told, eight = [], list(range(8))
+    parts, eight = [], list(range(8))
     for share in (0.67, 1.0, 1.5):
         width = share * ball.plain.pixel_mm
         look_up = calibrate_balls([ball.pictures[i] for i in eight], ball.still, ball.source, ball.diameter_mm,
                                   pixel_mm=width)  # fmt: skip
         steep = np.array([p.radius_px for p in look_up.presses if p.used]) * width / (0.5 * ball.diameter_mm)
         rms = 0.5 * 0.85 * float(np.sqrt(np.mean(steep**2)))  # of one axis, over the trusted disc
-        told.append(f"{width:.4f} mm: {look_up.residual:.3f} mm/mm, {100 * look_up.residual / rms:.0f} % of the slopes")
-    yield f"{ball.label}, eight presses, left over at a pixel of " + "; ".join(told)
+        parts.append(f"{width:.4f} mm: {look_up.residual:.3f} mm/mm, {100 * look_up.residual / rms:.0f} % of the slopes")
+    yield f"{ball.label}, eight presses, left over at a pixel of " + "; ".join(parts)
 
 
 def _label(ball: _Ball, judged: _Ball) -> str:

@@ -40,13 +40,13 @@ class Compiled(event.Listener):
     def __init__(self):
         self.of = {}
         self.depth = threading.local()
-    def on_start(self, told):
+    def on_start(self, event):
         d = self.depth
         d.now = getattr(d, "now", 0) + 1
         if d.now == 1:
-            d.began, d.outermost = time.thread_time(), told.data["dispatcher"].py_func.__module__
+            d.began, d.outermost = time.thread_time(), event.data["dispatcher"].py_func.__module__
         self.of.setdefault(d.outermost, [0, 0.0])[0] += 1
-    def on_end(self, told):
+    def on_end(self, event):
         self.depth.now -= 1
         if self.depth.now == 0:
             self.of[self.depth.outermost][1] += time.thread_time() - self.depth.began
@@ -99,10 +99,10 @@ instrument.close()
 """
 TELL = """
 import os
-told = {"cpu_s": sum(os.times()[:4]), "ended": time.time()}
-told["painted"], told["shown"] = (paint.seen, shown) if "paint" in globals() else (0.0, 0.0)
-told["compiled"] = compiled.of if "compiled" in globals() else {}
-print(json.dumps(told), flush=True)
+answer = {"cpu_s": sum(os.times()[:4]), "ended": time.time()}
+answer["painted"], answer["shown"] = (paint.seen, shown) if "paint" in globals() else (0.0, 0.0)
+answer["compiled"] = compiled.of if "compiled" in globals() else {}
+print(json.dumps(answer), flush=True)
 os._exit(0)  # what a library does on its way out is no first use
 """
 
@@ -189,9 +189,9 @@ def measure_cache_mb(module: str) -> str:
 
 def compiling(caches: Path) -> tuple[list[Measurement], list[str]]:
     """What the set-up compiles, with nothing kept, and what it leaves to the first touches of every sensor."""
-    told, after = run_process(PREPARE, [], caches, watched=True), run_process(CHAIN, WAYS, caches, watched=True)
+    prepared, after = run_process(PREPARE, [], caches, watched=True), run_process(CHAIN, WAYS, caches, watched=True)
     rooms: dict[str, list[float]] = {}
-    for module, (n, spent_s) in told.compiled.items():
+    for module, (n, spent_s) in prepared.compiled.items():
         room = rooms.setdefault(measure_cache_mb(module), [0, 0.0])
         room[0] += n
         room[1] += spent_s
@@ -199,13 +199,13 @@ def compiling(caches: Path) -> tuple[list[Measurement], list[str]]:
     rows = [
         select_times(name, [run.compiling_s], bar, error=run.n_compiled, unit="compilations")
         for name, run, bar in (
-            ("tactoscope prepare, CPU of compiling", told, Requirement(max_ms=40_000)),
+            ("tactoscope prepare, CPU of compiling", prepared, Requirement(max_ms=40_000)),
             ("left to compile for every sensor on either side", after, Requirement(max_error=0)),
         )
     ]
     return rows, [
         f"compiled by room (compilations): {each}; the goal is 20 s",
-        f"all of the set-up's process: {told.cpu_s:.1f} s of CPU",
+        f"all of the set-up's process: {prepared.cpu_s:.1f} s of CPU",
     ]
 
 
@@ -216,13 +216,13 @@ def first_touch(caches: Path) -> list[Measurement]:
         unseen.append(run_process(CHAIN, WAYS[:1], caches))
     return [
         figure
-        for name, told, bar in (
+        for name, touches, bar in (
             ("first touched frame of a new process", runs, Requirement(max_ms=2500)),
             ("the same of a recording that was never opened", unseen, Requirement()),
         )
         for figure in (
-            select_times(name, [run.total_s for run in told], bar),
-            select_times(f"{name}, CPU", [run.cpu_s for run in told], Requirement()),
+            select_times(name, [run.total_s for run in touches], bar),
+            select_times(f"{name}, CPU", [run.cpu_s for run in touches], Requirement()),
         )
     ]
 
@@ -245,13 +245,13 @@ def measure() -> BenchmarkResult:
         [],
     )
     with tempfile.TemporaryDirectory() as folder, start_display() as display:
-        compiled, told = compiling(Path(folder))
+        compiled, more = compiling(Path(folder))
         rows += [*compiled, *first_touch(Path(folder))]
-        notes += told
+        notes += more
         if display:
-            some, told = window(Path(folder), display)
+            some, more = window(Path(folder), display)
             rows += some
-            notes += told
+            notes += more
         else:
             notes.append("there is no Xvfb: the window was not opened")
     return BenchmarkResult(title="The first use, from nothing kept", unit="", rows=tuple(rows), notes=tuple(notes))

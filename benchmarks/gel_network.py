@@ -60,9 +60,9 @@ class Large(nn.Module):
             seen.append(picture)
         field = seen.pop()
         for up, merge in zip(reversed(self.up), reversed(self.merge), strict=True):
-            beside = seen.pop()
-            grown = functional.interpolate(up(field), size=beside.shape[-2:])
-            field = merge(torch.cat([beside, grown], dim=1))
+            outside = seen.pop()
+            grown = functional.interpolate(up(field), size=outside.shape[-2:])
+            field = merge(torch.cat([outside, grown], dim=1))
         return self.last(field)
 
 
@@ -78,8 +78,8 @@ def simulate_touch(source):
     thing = shapes.make_shape("square").mesh
     pose = rigid.rotation((0.0, 0.0, 0.3))
     pose[2, 3] = -0.4 - rigid.apply(pose, thing.vertices_mm)[:, 2].min()
-    felt = simulate_press(thing, pose, source, seed=1)
-    return TactileFrame(sensor=source.name, image=felt.image, reference=optics.render_reference(source))
+    touch = simulate_press(thing, pose, source, seed=1)
+    return TactileFrame(sensor=source.name, image=touch.image, reference=optics.render_reference(source))
 
 
 def large(source):

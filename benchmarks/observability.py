@@ -73,7 +73,7 @@ def score_patches(kind: str, seed: int) -> ObservabilityScore:
         sparse = add_noise(draw_patch(kind, np.random.default_rng(sizes), n), rng, sigma_mm, k % 2 == 1).transform(pose)
         dense = draw_patch(kind, np.random.default_rng(sizes), DENSE).transform(pose)
         n_eff = n / (1.0 + 2.0 * math.pi * CORRELATION_MM**2 * n / dense.area_mm2)  # of pixels that hang together
-        told = assess_observability(
+        observability = assess_observability(
             sparse.points_mm,
             sparse.normals,
             sparse.points_mm.mean(axis=0),
@@ -81,7 +81,9 @@ def score_patches(kind: str, seed: int) -> ObservabilityScore:
             tolerances=tolerances,
         )
         truth = observability_score.compute_true_motions(dense, n_eff, max(sigma_mm, 1e-3), tolerances)
-        total += observability_score.score_named_motions(told.weak_motions, sparse.points_mm.mean(axis=0), truth)
+        total += observability_score.score_named_motions(
+            observability.weak_motions, sparse.points_mm.mean(axis=0), truth
+        )
     return total
 
 
@@ -93,8 +95,8 @@ def measure_rod() -> tuple[Patch, np.ndarray, np.ndarray]:
     points = 3.0 * normals + along[:, None] * np.eye(3)[0] + 0.03 * rng.standard_normal((3000, 1)) * normals
     around, far = rng.uniform(0, 2 * math.pi, 20_000), rng.uniform(-20.0, 20.0, 20_000)
     model_normals = np.stack([np.zeros(20_000), np.sin(around), np.cos(around)], axis=1)
-    felt = Patch(points_mm=points, normals=normals, free=np.zeros((0, 6)), area_mm2=3.0 * 1.6 * 8.0)
-    return felt, 3.0 * model_normals + far[:, None] * np.eye(3)[0], model_normals
+    press = Patch(points_mm=points, normals=normals, free=np.zeros((0, 6)), area_mm2=3.0 * 1.6 * 8.0)
+    return press, 3.0 * model_normals + far[:, None] * np.eye(3)[0], model_normals
 
 
 def registered_by_open3d(contact: Patch, model, normals):
@@ -119,21 +121,21 @@ def compute_unreported_mm(object_from_sensor, reported: Observability | None, at
 
 def measure() -> BenchmarkResult:
     tallies = {kind: score_patches(kind, seed) for seed, kind in enumerate(KINDS)}
-    felt, model, normals = measure_rod()
-    middle = felt.points_mm.mean(axis=0)
+    press, model, normals = measure_rod()
+    middle = press.points_mm.mean(axis=0)
 
     def ours() -> Observability:
-        return assess_observability(felt.points_mm, felt.normals, middle, 0.03)
+        return assess_observability(press.points_mm, press.normals, middle, 0.03)
 
-    peer = registered_by_open3d(felt, model, normals)
-    ended, told = np.array(peer.transformation), ours()
+    peer = registered_by_open3d(press, model, normals)
+    ended, aligned = np.array(peer.transformation), ours()
     timing = time_in_turns({"ours": ours})[
         "ours"
     ]  # of the answer alone: it does not register, so that there is no race
     slid = build_measurement(
         f"rod slid by {SLIDE_MM} mm: error that the answer does not announce",
         ours=timing,
-        ours_error=compute_unreported_mm(ended, told, middle),
+        ours_error=compute_unreported_mm(ended, aligned, middle),
         unit="mm",
         bar=Requirement(max_error=MAX_UNREPORTED_MM),
         peer=PEER,
@@ -141,7 +143,7 @@ def measure() -> BenchmarkResult:
     )
     notes = [
         f"rod: Open3D ends {np.linalg.norm(ended[:3, 3]):.4f} mm off with fitness {peer.fitness:.3f} and "
-        f"rmse {peer.inlier_rmse:.3f} mm; ours says of the same answer: {'; '.join(told.weak_directions)}",
+        f"rmse {peer.inlier_rmse:.3f} mm; ours says of the same answer: {'; '.join(aligned.weak_directions)}",
         "precision of a method that names nothing is not defined; its recall is 0",
         *(_counts(kind, tally) for kind, tally in tallies.items()),
     ]

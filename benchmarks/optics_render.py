@@ -50,7 +50,7 @@ def measure() -> BenchmarkResult:
     )
     rows.append(replace(shadow, peer_error=math.nan))
     points = [
-        PlotPoint(method=f"ours: {r.question}, beside {r.peer}", ms=r.ours_ms, error=r.ours_error, ours=True)
+        PlotPoint(method=f"ours: {r.question}, next to {r.peer}", ms=r.ours_ms, error=r.ours_error, ours=True)
         for r in rows
     ]
     points += [

@@ -107,9 +107,9 @@ def trial(
     rng = np.random.default_rng([seed, 7])
     chosen = rng.choice(len(of.contact), N_CONTACT, replace=False)
     normals = of.contact_normals[chosen]
-    felt = of.contact[chosen] + NOISE_MM * rng.standard_normal((N_CONTACT, 1)) * normals
+    press = of.contact[chosen] + NOISE_MM * rng.standard_normal((N_CONTACT, 1)) * normals
     truth = rigid.from_parts([3.0, -2.0, 40.0], unit(rng) * rng.uniform(0.0, 180.0))
-    points, middle = rigid.apply(truth, felt), rigid.apply(truth, felt).mean(axis=0)
+    points, middle = rigid.apply(truth, press), rigid.apply(truth, press).mean(axis=0)
     angle, way = (rng.standard_normal() * turn_deg, rng.standard_normal(3) * shift_mm) if spread else (
         turn_deg, unit(rng) * shift_mm)  # fmt: skip
     off = (
@@ -197,8 +197,8 @@ def best_small_gicp(it: Tool, trials: list[Trial]) -> tuple[SmallGicp, str]:
     """The baseline at the number of neighbours with the least median error, and what each of them gave."""
     tried = [SmallGicp.prepare(it, neighbours) for neighbours in _NEIGHBOURS]
     mm = [float(np.median([error(peer(t.points, t.start, 1), t)[0] for t in trials])) for peer in tried]
-    told = ", ".join(f"{peer.neighbours}: {e:.4f}" for peer, e in zip(tried, mm, strict=True))
-    return tried[int(np.argmin(mm))], f"small_gicp, median mm by neighbours for its normals: {told}"
+    report = ", ".join(f"{peer.neighbours}: {e:.4f}" for peer, e in zip(tried, mm, strict=True))
+    return tried[int(np.argmin(mm))], f"small_gicp, median mm by neighbours for its normals: {report}"
 
 
 def measure() -> BenchmarkResult:

@@ -8,7 +8,7 @@ Catalogue objects are pressed into every simulated sensor. *Measured* is what th
 sensor's image, by physics and by network; *modelled* is the true membrane with white noise of 0.01 mm and the error
 that the sensor's description states, drawn as a smooth field; *translated* is the touch that physics makes of what
 another sensor measured of the same press, which takes that sensor's error along. A pose begins at the truth, so that
-its error is that of the measurement and no other minimum's. Told is its chi-square under its covariance, in the
+its error is that of the measurement and no other minimum's. Reported is its chi-square under its covariance, in the
 directions that it calls determined, as the median over touches over what a right covariance's median would be: above 1
 poses are farther off than they say; its standard error is that of a median of draws from these touches. The error of a
 row is how many times that is too much or too little; the baseline is the same without the sensor's measured error. Next
@@ -146,35 +146,39 @@ def chi_square(touch: DepthMap, truth: Doubles, mesh: Mesh) -> tuple[float, floa
     off, middle = found.sensor_from_object @ rigid.invert(truth), found.scene_mm.mean(axis=0).astype(float)
     error = np.concatenate([rigid.rotation_vector_rad(off), rigid.apply(off, middle) - middle])
     error, known = found.observable @ error, found.observable @ found.covariance @ found.observable.T
-    told = float(error @ np.linalg.pinv(known, rcond=1e-10, hermitian=True) @ error)
-    return told / float(chi2.median(rank)), float(np.linalg.norm(error[3:])), rank
+    squared_length = float(error @ np.linalg.pinv(known, rcond=1e-10, hermitian=True) @ error)
+    return squared_length / float(chi2.median(rank)), float(np.linalg.norm(error[3:])), rank
 
 
 def score_sensor(spec: SensorSpec, how: str, presses: int = PRESSES) -> CovarianceScore:
     """All touches of a sensor, by a method of *depth*, "modelled" or "translated"."""
-    told, naive, ms, shift, rank = list[float](), list[float](), list[float](), list[float](), list[int]()
+    chi_squares, naive, ms, shift, rank = list[float](), list[float](), list[float](), list[float](), list[int]()
     source = load_sensor(_SOURCES[spec.name]) if how == "translated" else spec
     for k, (made, mesh, at) in enumerate(touches(source.name, presses)):
         if how == "modelled":
-            felt = simulate_depth(made, spec, k)
+            touched = simulate_depth(made, spec, k)
         elif how == "translated":
-            felt = translate_press(made, source, spec)
+            touched = translate_press(made, source, spec)
         else:
-            felt = measure_depth(made, spec, how)
+            touched = measure_depth(made, spec, how)
         truth = rigid.invert(spec.alignment_from_sensor) @ at
         began_s = time.process_time()
-        found = chi_square(felt, truth, mesh) if felt.contact.any() else None
+        found = chi_square(touched, truth, mesh) if touched.contact.any() else None
         taken_ms = 1e3 * (time.process_time() - began_s)
         if found is None:
             continue
-        plain = chi_square(replace(felt, error=None), truth, mesh)
+        plain = chi_square(replace(touched, error=None), truth, mesh)
         rank.append(found[2])
-        told.append(found[0])
+        chi_squares.append(found[0])
         shift.append(1e3 * found[1])
         ms.append(taken_ms)
         naive.append(found[0] if plain is None else plain[0])
     return CovarianceScore(
-        normalized_chi_square=tuple(told), naive=tuple(naive), ms=tuple(ms), shift_um=tuple(shift), rank=tuple(rank)
+        normalized_chi_square=tuple(chi_squares),
+        naive=tuple(naive),
+        ms=tuple(ms),
+        shift_um=tuple(shift),
+        rank=tuple(rank),
     )
 
 
@@ -182,22 +186,22 @@ def error_of_depth(spec: SensorSpec, how: str, presses: int) -> str:
     """Over touches: rms in contact, the length at which the error's correlation is exp(-1/2), and what is reported."""
     found: list[tuple[float, float, float]] = []
     for made, _mesh, _at in touches(spec.name, presses):
-        told = measure_depth(made, spec, how)
-        both = told.contact & made.truth.contact
+        depth = measure_depth(made, spec, how)
+        both = depth.contact & made.truth.contact
         if both.sum() < 100:
             continue
-        error = np.where(both, made.truth.indentation_mm - told.indentation_mm, 0.0).astype(float)
+        error = np.where(both, made.truth.indentation_mm - depth.indentation_mm, 0.0).astype(float)
         counted, products = (_with_itself(a)[0, : spec.camera.cols // 2] for a in (both.astype(float), error))
         along = products / np.maximum(counted, 50.0)
         length_px = np.flatnonzero(np.append(along, -np.inf) < along[0] * np.exp(-0.5))[0]
-        found.append((np.sqrt(along[0]), length_px * spec.pixel_mm, told.error.rms_mm if told.error else np.nan))
+        found.append((np.sqrt(along[0]), length_px * spec.pixel_mm, depth.error.rms_mm if depth.error else np.nan))
     (rms_mm, length_mm, told_mm), (mean_mm, mean_length_mm, mean_told_mm) = (
         np.median(found, axis=0),
         np.mean(found, axis=0),
     )
     return (
         f"{rms_mm:.3f} mm over {length_mm:.1f} mm (means {mean_mm:.3f} over {mean_length_mm:.1f}), "
-        f"told as {told_mm:.3f} ({mean_told_mm:.3f}) over {spec.limits.depth_correlation_mm:g}"
+        f"stated as {told_mm:.3f} ({mean_told_mm:.3f}) over {spec.limits.depth_correlation_mm:g}"
     )
 
 
@@ -225,7 +229,7 @@ def measure(part: str = "", way: str = "", presses: int | str = PRESSES) -> Benc
                 unit="times", bar=Requirement(max_error=_OFF), peer="residuals alone", peer_error=plain,
             ))  # fmt: skip
             low, high = np.percentile(found.normalized_chi_square, (25, 75))
-            told = (
+            note = (
                 f"{spec.name}, {how}: chi-square {found.ratio:.2f} of a right one's, give or take "
                 f"{found.ratio_error:.2f} ({low:.2f} to {high:.2f}: half of "
                 f"{len(found.normalized_chi_square)} touches), "
@@ -233,12 +237,12 @@ def measure(part: str = "", way: str = "", presses: int | str = PRESSES) -> Benc
                 f"{np.median(found.shift_um):.0f} um; {np.mean(found.rank):.1f} of 6 directions determined"
             )
             if how == "translated":
-                told += f"; from {_SOURCES[spec.name]}"
+                note += f"; from {_SOURCES[spec.name]}"
             elif how != "modelled":
-                told += f"; depth off by {error_of_depth(spec, how, n_presses)}"
-            notes.append(told)
+                note += f"; depth off by {error_of_depth(spec, how, n_presses)}"
+            notes.append(note)
     return BenchmarkResult(
-        title="Errors of poses beside their covariance", unit="times", rows=tuple(rows), notes=tuple(notes)
+        title="Errors of poses and their covariance", unit="times", rows=tuple(rows), notes=tuple(notes)
     )
 
 

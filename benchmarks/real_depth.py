@@ -180,14 +180,14 @@ def clips(read: DepthReader, data: Path):
         for name in _CLIPS:
             looked[name], edges[name] = clip(read, data / "gelslim4_clips" / name, steady=steady)
             right, alike = right_and_alike(looked[name])
-            notes.append(f"{name}: {len(looked[name])} frames, told right {right:.2f}, correlation {alike:.2f}")
+            notes.append(f"{name}: {len(looked[name])} frames, named right {right:.2f}, correlation {alike:.2f}")
         every = [frame for name in _CLIPS for frame in looked[name]]
         right, alike = right_and_alike(every)
         ms = summarize_times([frame.ms for frame in every])
         ours, itself, laid_notes = compare_registered_depth(looked, edges)
         lab = {"peer": "the lab's own, as it was", "peer_error": 1 - itself}
         values = (
-            ("frames told wrong", 1 - right, "share", Requirement(max_error=0.07), {}),
+            ("frames named wrong", 1 - right, "share", Requirement(max_error=0.07), {}),
             ("1 - correlation with the lab's depth", 1 - alike, "", Requirement(max_error=0.25), {}),
             ("1 - correlation, the lab's depth laid on the touch first", 1 - ours, "", Requirement(), lab),
         )

@@ -96,7 +96,7 @@ def measure(sheet: str = "", method: str = "network", data: str = "") -> Benchma
                 stairs.append(straight(found.contact) - circle_of(int(areas.max())))
             line.append(draw_depth(frame.image, found))
         shown.append(np.hstack(line))
-        told = f"{thing.name} ({', '.join(map(str, pieces))} parts)"
+        label = f"{thing.name} ({', '.join(map(str, pieces))} parts)"
         figures = (
             ("crumbs", crumbs, "parts", Requirement(max_error=0)),
             ("corner blobs", blobs, "parts", Requirement(max_error=0)),
@@ -106,7 +106,9 @@ def measure(sheet: str = "", method: str = "network", data: str = "") -> Benchma
         for what, value, unit, bar in figures:
             kept = Requirement() if what in own else bar
             rows.append(
-                build_measurement(f"{told}: {what}", ours=summarize_times(taken), ours_error=value, unit=unit, bar=kept)
+                build_measurement(
+                    f"{label}: {what}", ours=summarize_times(taken), ours_error=value, unit=unit, bar=kept
+                )
             )
     if sheet:
         cv2.imwrite(sheet, np.vstack(shown)[..., ::-1])

@@ -49,21 +49,21 @@ _RECORDINGS, _FRAMES = 4, 8
 
 def measure_press(read, source, unit, thing, *, depth_mm, place, turn, seed):
     """(result, truth, force, ms) of a press whose foremost point goes in by `depth_mm`; None without contact."""
-    felt = press_foremost(unit, thing, depth_mm=depth_mm, place=place, turn=turn, seed=seed)
-    if felt is None:
+    touched = press_foremost(unit, thing, depth_mm=depth_mm, place=place, turn=turn, seed=seed)
+    if touched is None:
         return None
-    frame = TactileFrame(sensor=source.name, image=felt.image, reference=optics.render_reference(unit))
+    frame = TactileFrame(sensor=source.name, image=touched.image, reference=optics.render_reference(unit))
     started = time.perf_counter()
     answer = read(frame, source)
-    return answer, felt.truth, felt.force_n, 1e3 * (time.perf_counter() - started)
+    return answer, touched.truth, touched.force_n, 1e3 * (time.perf_counter() - started)
 
 
 def press_foremost(unit, thing, *, depth_mm, place, turn, seed):
     """A press whose foremost point goes in by `depth_mm`; None where it is not observed."""
     pose = rigid.translation(*place, 0.0) @ rigid.rotation((0.0, 0.0, turn))
     pose[2, 3] = -depth_mm - rigid.apply(pose, thing.vertices_mm)[:, 2].min()
-    felt = simulate_press(thing, pose, unit, seed=seed)
-    return felt if felt.converged and felt.truth.contact.any() else None
+    touched = simulate_press(thing, pose, unit, seed=seed)
+    return touched if touched.converged and touched.truth.contact.any() else None
 
 
 def by_rule(indentation_mm, source):
@@ -78,7 +78,7 @@ def tools(read, name: str):
     for depth_mm, most_um in _DEPTHS_UM.items():
         rng, found = np.random.default_rng(round(1000 * depth_mm)), []
         for index, tool in enumerate(shapes.list_shapes("unseen")):
-            felt = measure_press(
+            touched = measure_press(
                 read,
                 source,
                 vary_sensor(source, 100 + index),
@@ -88,8 +88,8 @@ def tools(read, name: str):
                 turn=rng.uniform(-3, 3),
                 seed=index,
             )
-            if felt is not None:
-                answer, truth, _, ms = felt
+            if touched is not None:
+                answer, truth, _, ms = touched
                 inside = truth.contact
                 off = [
                     1e3 * compute_mae_mm(answer.indentation_mm, truth.indentation_mm, of) for of in (inside, ~inside)
@@ -118,7 +118,7 @@ def tools(read, name: str):
                 ),
             ),
             (
-                f"{note}; beside the contact {outside_um.mean():.1f} um; in it, were each touch's scale known, "
+                f"{note}; outside the contact {outside_um.mean():.1f} um; in it, were each touch's scale known, "
                 f"{shape_um.mean():.1f} um"
             ),
         )
@@ -135,7 +135,7 @@ def recordings(read, name: str):
     source, tools_, rng = load_sensor(name), shapes.list_shapes("unseen"), np.random.default_rng(11)
     alone, pooled, taken = {d: [] for d in _DEPTHS_UM}, {d: [] for d in _DEPTHS_UM}, []
     for number in range(_RECORDINGS):
-        unit, felt = vary_sensor(source, 300 + number), []
+        unit, touched = vary_sensor(source, 300 + number), []
         for index in range(_FRAMES):
             depth_mm = tuple(_DEPTHS_UM)[(index + number) % len(_DEPTHS_UM)]
             found = press_foremost(
@@ -147,14 +147,14 @@ def recordings(read, name: str):
                 seed=index,
             )
             if found is not None:
-                felt.append((depth_mm, found))
+                touched.append((depth_mm, found))
         frames = [TactileFrame(sensor=name, image=one.image, reference=optics.render_reference(unit), index=index)
-                  for index, (_, one) in enumerate(felt)]  # fmt: skip
+                  for index, (_, one) in enumerate(touched)]  # fmt: skip
         stream = Stream(name=name, sensor=name, n_frames=len(frames), frame=frames.__getitem__)
-        beside = select_context_images(stream)
-        for frame, (depth_mm, one) in zip(frames, felt, strict=True):
+        outside = select_context_images(stream)
+        for frame, (depth_mm, one) in zip(frames, touched, strict=True):
             inside = one.truth.contact
-            for of, touches in ((alone, ()), (pooled, beside)):
+            for of, touches in ((alone, ()), (pooled, outside)):
                 started = time.perf_counter()
                 answer = read(replace(frame, context_frames=touches), source)
                 if touches:
@@ -190,7 +190,7 @@ def faces(read, name: str):
         unit="1 - IoU",
         bar=Requirement(max_error=0.07),
     )
-    return (found,), (f"{name}, flat faces of {', '.join(f'{s:g}' for s in _FACES)} of the view: IoU on the told unit "
+    return (found,), (f"{name}, flat faces of {', '.join(f'{s:g}' for s in _FACES)} of the view: IoU on that instance "
                       f"{_listed(overlap[::2])}, on another {_listed(overlap[1::2])}; depth in contact off by "
                       f"{np.mean(off):.0f} um")  # fmt: skip
 
@@ -202,7 +202,7 @@ def light(read, name: str):
     things = (*shapes.list_shapes("unseen"), *shapes.list_shapes("training"))
     volume, true_volume, force, taken = [], [], [], []
     for index in range(_LIGHT_PRESSES):
-        felt = measure_press(
+        touched = measure_press(
             read,
             source,
             vary_sensor(source, index),
@@ -212,8 +212,8 @@ def light(read, name: str):
             turn=rng.uniform(-3, 3),
             seed=index,
         )
-        if felt is not None:
-            answer, truth, newton, ms = felt
+        if touched is not None:
+            answer, truth, newton, ms = touched
             true_volume.append(float(truth.indentation_mm.sum(dtype=np.float64)))
             volume.append(float(answer.indentation_mm.sum(dtype=np.float64)))
             force.append(newton)

@@ -52,7 +52,7 @@ def measure() -> BenchmarkResult:
         rows.append(build_measurement(name, ours=taken, ours_error=math.nan, unit="", bar=bar))
     instrument.window.may_close = lambda: True
     app_main.close_window(instrument)
-    return BenchmarkResult(title="One event of the window", unit="", rows=tuple(rows), notes=(*notes, *clock.told))
+    return BenchmarkResult(title="One event of the window", unit="", rows=tuple(rows), notes=(*notes, *clock.notes))
 
 
 class _Clock:
@@ -62,7 +62,7 @@ class _Clock:
         self.instrument: Any = None
         self.ms: list[float] = []
         self.gl_ms: list[float] = []
-        self.told: list[str] = []
+        self.notes: list[str] = []
         self._deep = 0
 
     @contextmanager
@@ -197,7 +197,7 @@ def _row(name: str, clock: _Clock) -> Measurement:
     p99, most = float(np.percentile(ms, 99)), float(ms.max())
     gl = f"; OpenGL apart: {len(clock.gl_ms)} drawings, median {np.median(clock.gl_ms):.1f}, largest " \
          f"{max(clock.gl_ms):.1f} ms" if clock.gl_ms else "; OpenGL drew nothing"  # fmt: skip
-    clock.told.append(f"{name}: {len(ms)} events, p99 {p99:.1f} ms, largest {most:.1f} ms{gl}")
+    clock.notes.append(f"{name}: {len(ms)} events, p99 {p99:.1f} ms, largest {most:.1f} ms{gl}")
     # The longest stands where a median would: the promise is about every single one.
     return build_measurement(
         f"{name}, longest event",

@@ -48,17 +48,17 @@ def measure(*given: str) -> BenchmarkResult:
     instrument.window.resize(1600, 950)
     instrument.window.may_close = lambda: True
     spin(instrument, application)
-    told: list[str] = []
+    notes: list[str] = []
     rows = [
-        _waits("new frame to its first pane", told, _new_frames(instrument, application)),
-        _waits("parameter slider to its stage's preview", told, _drafts(instrument, application)),
-        _waits("alignment slider to the preview", told, _previews(instrument, application)),
-        _waits("cancel", told, _cancels(instrument, application)),
-        _idle(instrument, application, told),
-        *_memory(instrument, application, changes, told),
+        _waits("new frame to its first pane", notes, _new_frames(instrument, application)),
+        _waits("parameter slider to its stage's preview", notes, _drafts(instrument, application)),
+        _waits("alignment slider to the preview", notes, _previews(instrument, application)),
+        _waits("cancel", notes, _cancels(instrument, application)),
+        _idle(instrument, application, notes),
+        *_memory(instrument, application, changes, notes),
     ]
     app_main.close_window(instrument)
-    return BenchmarkResult(title="What the window answers and takes", unit="", rows=tuple(rows), notes=tuple(told))
+    return BenchmarkResult(title="What the window answers and takes", unit="", rows=tuple(rows), notes=tuple(notes))
 
 
 def _wait(application: Any, until: Callable[[], bool]) -> tuple[float, float]:

@@ -33,7 +33,7 @@ def welcome(_: SessionController) -> None:
 
 
 def stages(instrument: SessionController) -> None:
-    """Every slot of a touched frame, a pixel followed."""
+    """Every stage of a frame with contact, and the trace of a pixel."""
     tour.open_sample(instrument, frame=5)
     tour.wait_for_idle(instrument)
     pin_deepest_pixel(instrument)
@@ -76,7 +76,7 @@ def section(instrument: SessionController) -> None:
 
 
 def align(instrument: SessionController) -> None:
-    """A handle two millimetres off, felt beside carried over."""
+    """A handle two millimetres off, measured and transferred contact."""
     instrument.set_section(None)
     instrument.window.drawers.diagnostics.hide()
     instrument.show_session(Session(recording=tour.PAIRED, source="digit", target="gelslim", frame=3))

@@ -87,7 +87,7 @@ def welcome(instrument: SessionController, path: Path) -> None:
 
 
 def inspect(instrument: SessionController, path: Path) -> None:
-    """The worst frame, with the truth beside it and its error taken apart."""
+    """The worst frame, with the truth next to it and its error taken apart."""
     open_sample(instrument, frame=5)
     window = instrument.window
     window.drawers.frames.show()

@@ -47,9 +47,11 @@ def typed(installed, tmp_path):
     """Run `tactoscope` of the wheel from an empty folder; returns exit code, stdout and stderr."""
 
     def go(*words, before=()):
-        told = {**os.environ, "PYTHONPATH": os.pathsep.join([*map(str, before), str(installed)])}
+        environment = {**os.environ, "PYTHONPATH": os.pathsep.join([*map(str, before), str(installed)])}
         command = [sys.executable, installed / "bin" / "tactoscope", *map(str, words)]
-        done = subprocess.run(command, env=told, cwd=tmp_path, capture_output=True, text=True, timeout=550, check=False)
+        done = subprocess.run(
+            command, env=environment, cwd=tmp_path, capture_output=True, text=True, timeout=550, check=False
+        )
         return done.returncode, done.stdout, done.stderr
 
     return go

@@ -78,7 +78,9 @@ class FramesModel(QAbstractTableModel):
     def get_specific_warnings(self, frame: int) -> tuple[str, ...]:
         """Return the warnings of a frame that are not common to all frames."""
         known = self._known.get(frame)
-        return () if known is None else tuple(doubt for doubt in known.warnings if doubt not in self.common_warnings)
+        return (
+            () if known is None else tuple(warning for warning in known.warnings if warning not in self.common_warnings)
+        )
 
     def get_values(self, figure: str) -> tuple[float, ...]:
         """Return a metric of every frame, NaN where unknown."""

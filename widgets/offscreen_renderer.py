@@ -153,13 +153,13 @@ def _view() -> Any:
     """Return an empty sub-view with a headlight for true colours and a light from the upper left for relief."""
     renderer: Any = vtkRenderer()
     renderer.SetAutomaticLightCreation(False)
-    lamp, side = vtkLight(), vtkLight()
-    lamp.SetLightTypeToHeadlight()
-    lamp.SetIntensity(0.55)
+    headlight, side = vtkLight(), vtkLight()
+    headlight.SetLightTypeToHeadlight()
+    headlight.SetIntensity(0.55)
     side.SetLightTypeToCameraLight()
     side.SetIntensity(0.6)
     side.SetPosition(-1.0, 1.0, 0.6)
-    for light in (lamp, side):
+    for light in (headlight, side):
         renderer.AddLight(light)
     # Cameras may be shared and layers may come later: every view sets its clipping range when it is rendered.
     renderer.AddObserver("StartEvent", _cut_to_its_own)

@@ -109,12 +109,12 @@ class PanesPage(QWidget):
         self.filmstrip = Filmstrip(titles)
         self.panes = tuple(Pane(number + 1) for number in range(MAX_PANES))
         self.active_pane = 0
-        self._slots: tuple[str, ...] = ()
+        self._stages: tuple[str, ...] = ()
         self._count = QToolButton()
         self._count.setObjectName("pane_count")
         self._count.setAccessibleName("third pane")
         self._count.setAutoRaise(True)
-        self._count.clicked.connect(lambda: self.count_chosen.emit(2 if len(self._slots) == MAX_PANES else MAX_PANES))
+        self._count.clicked.connect(lambda: self.count_chosen.emit(2 if len(self._stages) == MAX_PANES else MAX_PANES))
         self.filmstrip.add_control(self._count)
         row = set_spacing(QHBoxLayout(), 3)
         layout = set_spacing(QVBoxLayout(self), 2)
@@ -129,18 +129,18 @@ class PanesPage(QWidget):
     @property
     def active_stage(self) -> str:
         """The stage in the active pane; "" where there is none."""
-        return self._slots[self.active_pane] if self._slots else ""
+        return self._stages[self.active_pane] if self._stages else ""
 
     def activate_pane(self, number: int) -> None:
         """Make this pane the one that a click in the filmstrip fills."""
-        self.active_pane = min(number, max(0, len(self._slots) - 1))
+        self.active_pane = min(number, max(0, len(self._stages) - 1))
         for other, pane in enumerate(self.panes):
             pane.set_active(other == self.active_pane)
-        self.filmstrip.show_pane_stages(self._slots, self.active_stage)
+        self.filmstrip.show_pane_stages(self._stages, self.active_stage)
 
     def show_panes(self, held: Sequence[tuple[str, StageColumn, View3DPanel, str]]) -> None:
         """Show (stage, column, cell, dims) in one pane each."""
-        self._slots = tuple(slot for slot, *_ in held)
+        self._stages = tuple(stage for stage, *_ in held)
         for number, pane in enumerate(self.panes):
             pane.setVisible(number < len(held))
             if number < len(held):

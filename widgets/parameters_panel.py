@@ -42,22 +42,22 @@ class ParametersPanel(VerticalScrollArea):
         self._params[key], self._titles[key] = params, title
         group, form = self._group(key, title, tip)
         self._controls[key] = {}
-        for name, (value, told) in list_settings(params).items():
-            control = make_control(value, told, partial(self._emit_edited, key, name))
+        for name, (value, setting) in list_settings(params).items():
+            control = make_control(value, setting, partial(self._emit_edited, key, name))
             self._controls[key][name] = control
-            label = QLabel(format_label(told))
+            label = QLabel(format_label(setting))
             label.setWordWrap(True)
             label.setFixedWidth(_LABEL_PX)
-            tip = describe_setting(told, f"{key.partition('/')[0]}.{name}")
+            tip = describe_setting(setting, f"{key.partition('/')[0]}.{name}")
             label.setToolTip(tip)
             control.widget.setToolTip(tip)
             for slider in control.sliders:
                 slider.sliderPressed.connect(partial(self.slider_held.emit, key))
                 slider.sliderReleased.connect(partial(self.slider_held.emit, ""))
-            control.set_names(f"{key}.{name}", format_label(told))
+            control.set_names(f"{key}.{name}", format_label(setting))
             form.addRow(label, control.widget)
-            if told.sensor_kind:
-                self._only.append((key, form, control.widget, told))
+            if setting.sensor_kind:
+                self._only.append((key, form, control.widget, setting))
         group.setVisible(bool(self._controls[key]))
         self._groups[key] = group
         self._layout.insertWidget(self._layout.count() - 1, group)
@@ -75,8 +75,8 @@ class ParametersPanel(VerticalScrollArea):
 
         `kinds` maps a method's key to the kind of its sensor ("" = unknown); settings of other kinds are hidden.
         """
-        for key, form, control, told in self._only:
-            form.setRowVisible(control, told.applies_to(kinds.get(key, "")))
+        for key, form, control, setting in self._only:
+            form.setRowVisible(control, setting.applies_to(kinds.get(key, "")))
         for key, group in self._groups.items():
             group.setVisible(key in kinds and bool(self._controls[key]))
         self.updateGeometry()

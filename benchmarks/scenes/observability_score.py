@@ -95,10 +95,10 @@ def _seen_and_along(arms: Doubles, normals: Doubles) -> tuple[Doubles, Doubles]:
 
 def score_named_motions(weak_motions: Doubles, about_mm: Doubles, truth: TrueMotions) -> ObservabilityScore:
     """Score the motions (k, 6) of (rotation rad, translation mm at `about_mm`) that were stated as unobservable."""
-    told = weak_motions.copy()
-    told[:, 3:] += np.cross(told[:, :3], truth.centroid_mm - about_mm)
-    told[:, :3] *= truth.radius_mm
-    named = _orthonormal(told.T)
+    motions = weak_motions.copy()
+    motions[:, 3:] += np.cross(motions[:, :3], truth.centroid_mm - about_mm)
+    motions[:, :3] *= truth.radius_mm
+    named = _orthonormal(motions.T)
     limit = math.radians(SAME_DEG)
     return ObservabilityScore(
         n_weak=truth.weak.shape[1],

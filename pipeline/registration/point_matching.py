@@ -37,9 +37,7 @@ class MatchedPoints:
     normals: Doubles  # (n, 3) of the object there
     slopes: Doubles  # (n, 1) length of the distance's gradient, below 1 near edges
     noise_mm: float  # of single points: averages out
-    error: (
-        DepthErrorModel  # beside it: what the sensor's is known to be, or what is left of the residuals if that is more
-    )
+    error: DepthErrorModel  # of the sensor, or what is left of the residuals if that is more
 
     def assess_observability(self, middle_mm: Doubles, tolerances: Tolerances) -> Observability:
         """Return which motions about `middle_mm` (3,) the points determine."""

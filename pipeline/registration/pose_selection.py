@@ -13,16 +13,15 @@ from pipeline.base.stage_warnings import StageWarning
 from pipeline.geometry import rigid
 from pipeline.geometry.screws import SLIDE_ROTATION_LIMIT, describe_direction
 from pipeline.registration.observability import Observability
-from pipeline.registration.outline import outline_constrains
-from pipeline.registration.ranking import PoseJudge
+from pipeline.registration.ranking import PoseJudge, outline_constrains
 from pipeline.registration.search import SAME_DEG, SAME_MM, PoseMinimum, PoseSearch
 
 OUTLINE_ONLY = "determined only by the outline of the contact"
 _MIN_SHIFT_SHARE = 0.1  # share of a rotation's displacement of the centroid; a shorter translation is not described
 _OPEN = "looking for what the touch leaves open"
 _MIN_FITNESS = 0.5  # share of the contact on the object below which expect a wrong pose; check mesh and calibration
-# Of 90 simulated touches, measured or translated, six have what was felt on the object and are beyond the depth's
-# error for what was not: three wrong poses, and three right ones whose contacts lack a light part.
+# Of 90 simulated touches, measured or translated, six have their contact on the object and differ outside it by more
+# than the depth's error: three wrong poses, and three right ones whose contacts lack a light part.
 MISSING_CONTACT_WARNING = StageWarning(
     "at this pose the object would also touch outside the contact: expect a wrong pose, or a lost light contact"
 )

@@ -37,7 +37,7 @@ def _measure_contact(poses, n, contact, contact_normals, grid, limit, out):
 def _measure_free_space(poses, n, model, view, limit, out, pixel):
     """Mean squared length, at most limit^2, of model points that should touch but do not; and their pixels."""
     points, normals = model
-    fx, fy, cx, cy, noise, free, beside, membrane, off_contact = view
+    fx, fy, cx, cy, noise, free, outside, membrane, off_contact = view
     rows, cols = membrane.shape
     r00, r01, r02, t0 = poses[n, 0, 0], poses[n, 0, 1], poses[n, 0, 2], poses[n, 0, 3]
     r10, r11, r12, t1 = poses[n, 1, 0], poses[n, 1, 1], poses[n, 1, 2], poses[n, 1, 3]
@@ -59,7 +59,7 @@ def _measure_free_space(poses, n, model, view, limit, out, pixel):
         i, j = int(row), int(col)
         reach = membrane[i, j] - pz
         if reach > noise:  # unknown where the membrane has no depth
-            wrong = min(max(reach - free, off_contact[i, j] - beside, 0.0), limit)
+            wrong = min(max(reach - free, off_contact[i, j] - outside, 0.0), limit)
             out[k], pixel[k] = wrong * wrong, i * cols + j
             total += out[k]
     return total / max(points.shape[0], 1)

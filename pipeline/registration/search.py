@@ -28,14 +28,20 @@ from pipeline.registration.gauss_newton import (
 )
 from pipeline.registration.object_preparation import PreparedObject
 from pipeline.registration.observability import NORMAL_ERROR_DEG, Observability, Tolerances
-from pipeline.registration.outline import align_to_outline, apply_screw
 from pipeline.registration.point_matching import MatchedPoints, match_points
-from pipeline.registration.ranking import LEAST_SPREAD_MM, PoseJudge, make_judge, poses_differ
+from pipeline.registration.ranking import (
+    LEAST_SPREAD_MM,
+    PoseJudge,
+    align_to_outline,
+    apply_screw,
+    make_judge,
+    poses_differ,
+)
 from pipeline.registration.scene import ContactScene, select_in_reach
 from pipeline.registration.starts import InitialPose
 from pipeline.values.results import PoseStep
 
-# Half or double of any count finds no more poses and saves little time: benchmarks/search_counts.py.
+# Half or double of any count finds no more poses and saves little time: docs/experiments.md, search_counts.
 _COARSE_CONTACT, _COARSE_MODEL = 50, (500, 4000)  # points to rank initial poses: at least, at most
 _COARSE_MM2 = 1.0  # object surface per point
 _MIDDLE_CONTACT, _MIDDLE_MODEL = 150, 1500  # points to rank where these converge

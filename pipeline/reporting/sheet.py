@@ -56,12 +56,12 @@ def draw_sheet(
         target=translation.target, mesh=translation.mesh, display=display,
     )  # fmt: skip
     for ax, name in zip(axes[1:], translation.stages, strict=True):
-        slot, result = translation.catalogue.stage(name), report.results.get(name)
+        stage, result = translation.catalogue.stage(name), report.results.get(name)
         if result is None:
             ax.set_axis_off()
             continue
-        title = slot.title if result.method is None else f"{slot.title} · {result.method.title}"
-        draw_panel(figure, ax, slot.make_preview(result.output, seen), title)
+        title = stage.title if result.method is None else f"{stage.title} · {result.method.title}"
+        draw_panel(figure, ax, stage.make_preview(result.output, seen), title)
         _footer(ax, result, timed=timed)
     figure.suptitle(f"frame {report.index}   {source.name} → {translation.target.name}", fontsize=11, y=0.985)
     figure.text(0.5, 0.925, _figures(report), fontsize=8, ha="center", va="top", color="0.3")

@@ -306,11 +306,12 @@ def _about_symmetry(recording: Recording, stream: Stream, mesh: Mesh | None) -> 
 def _about_weights(request: Request, methods: tuple[Method, ...], catalogue: Catalogue) -> tuple[str, ...]:
     """Return a warning about weights that no method reads."""
     learned = {method.stage for method in methods if method.weights is not None}
+    unread = [(stage, file) for stage, file in request.weights if (stage not in learned if stage else not learned)]
     return tuple(
         f"the weights {file.name!r} count for nothing: "
-        f"{f'the method of {slot} reads none' if slot else 'no method reads any'}; {_suggest_methods(slot, catalogue)}"
-        for slot, file in request.weights
-        if (slot not in learned if slot else not learned)
+        f"{f'the method of {stage} reads none' if stage else 'no method reads any'}; "
+        f"{_suggest_methods(stage, catalogue)}"
+        for stage, file in unread
     )
 
 

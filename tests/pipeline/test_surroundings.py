@@ -39,8 +39,8 @@ print(locale.setlocale(locale.LC_NUMERIC))
 
 def run(folder: Path, code: str, *words: object, **environment: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-c", code, *map(str, words)]
-    told = {"PYTHONPATH": str(ROOT), "PATH": os.environ["PATH"], **environment}
-    return subprocess.run(command, cwd=folder, env=told, capture_output=True, text=True, timeout=240, check=False)
+    variables = {"PYTHONPATH": str(ROOT), "PATH": os.environ["PATH"], **environment}
+    return subprocess.run(command, cwd=folder, env=variables, capture_output=True, text=True, timeout=240, check=False)
 
 
 def test_a_user_without_a_home_gets_results_and_doctor_says_what_is_missing(tmp_path):

@@ -28,8 +28,8 @@ def system(tmp_path):
         for name, text in tools.items():
             (tmp_path / name).write_text(f"#!/bin/sh\n{text}\n")
             (tmp_path / name).chmod(0o755)
-        told = {"PATH": f"{tmp_path}:{os.environ['PATH']}", "PYTHON": "false", **(environment or {})}
-        done = subprocess.run(["bash", str(SCRIPT)], env=told, capture_output=True, text=True, check=False)
+        variables = {"PATH": f"{tmp_path}:{os.environ['PATH']}", "PYTHON": "false", **(environment or {})}
+        done = subprocess.run(["bash", str(SCRIPT)], env=variables, capture_output=True, text=True, check=False)
         assert not done.stdout
         return done.returncode, done.stderr
 

@@ -91,8 +91,8 @@ def test_bars_say_which_way_is_better(panel):
         axis="x", unit="mm", step=0.1, iou=one(-0.02, 0.02), edge_px=one(-0.5, 0.5), depth_mm=one(None, None)
     )
     panel.show_sensitivities((axis,))
-    told = panel.bars.accessibleDescription()
-    assert told == "x: -, \N{BLACK UP-POINTING TRIANGLE} 0.50, \N{BLACK DOWN-POINTING TRIANGLE} 0.020"
+    spoken = panel.bars.accessibleDescription()
+    assert spoken == "x: -, \N{BLACK UP-POINTING TRIANGLE} 0.50, \N{BLACK DOWN-POINTING TRIANGLE} 0.020"
     panel.grab()
 
 

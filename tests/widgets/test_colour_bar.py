@@ -49,15 +49,15 @@ def test_clipping_is_told_and_drawn(levels, qtbot):
 
 def test_an_end_is_dragged_on_the_scale_as_it_was(levels, qtbot):
     levels.show_scale(_scale(low_setting="gel_floor_mm", high_setting="gel_limit_mm"), np.ones((4, 4), np.float32))
-    told: list[tuple[str, float]] = []
-    levels.limit_dragged.connect(lambda name, value: told.append((name, value)))
+    limits: list[tuple[str, float]] = []
+    levels.limit_dragged.connect(lambda name, value: limits.append((name, value)))
     qtbot.mousePress(levels, Qt.MouseButton.LeftButton, pos=QPoint(202, 25))
     for x in range(201, 101, -1):
         qtbot.mouseMove(levels, QPoint(x, 25))
     qtbot.mouseRelease(levels, Qt.MouseButton.LeftButton, pos=QPoint(102, 25))
-    assert {name for name, _ in told} == {"gel_limit_mm"}
-    assert told[-1][1] == pytest.approx(1.0, abs=0.03)
-    assert len(told) < 60  # a hundred motions
+    assert {name for name, _ in limits} == {"gel_limit_mm"}
+    assert limits[-1][1] == pytest.approx(1.0, abs=0.03)
+    assert len(limits) < 60  # a hundred motions
 
 
 def test_both_sides_of_a_signed_scale_are_one_setting(levels, qtbot):

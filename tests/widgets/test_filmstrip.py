@@ -1,4 +1,4 @@
-"""Small pictures: what a slot has to show can be seen in them."""
+"""Small pictures: what a stage has to show can be seen in them."""
 
 from __future__ import annotations
 

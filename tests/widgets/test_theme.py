@@ -193,11 +193,11 @@ def _near(canvas, at, colour):
 
 
 def test_no_doubt_is_cut_in_the_middle():
-    told = ("Depth: sensor not calibrated: press a ball", "View: the source saw 66%", "Pose: 2 poses fit: turned")
-    assert fit_sentences(told, lambda words: len(words) < 1000) == "   ·   ".join(told)
-    assert fit_sentences(told, lambda words: len(words) < 80).startswith("Depth: sensor not calibrated   ·   View")
+    sentences = ("Depth: sensor not calibrated: press a ball", "View: the source saw 66%", "Pose: 2 poses fit: turned")
+    assert fit_sentences(sentences, lambda words: len(words) < 1000) == "   ·   ".join(sentences)
+    assert fit_sentences(sentences, lambda words: len(words) < 80).startswith("Depth: sensor not calibrated   ·   View")
     assert (
-        fit_sentences(told, lambda words: len(words) < 62)
+        fit_sentences(sentences, lambda words: len(words) < 62)
         == "Depth: sensor not calibrated: press a ball   ·   and 2 more"
     )
     assert fit_sentences((), lambda _: True) == ""
@@ -207,9 +207,9 @@ def test_the_warning_line_never_ends_in_dots(qtbot):
     line = WarningLine()
     qtbot.addWidget(line)
     line.show()
-    line.show_warnings([(f"Slot {n}", f"something is wrong with it: reason {n}") for n in range(6)])
+    line.show_warnings([(f"Stage {n}", f"something is wrong with it: reason {n}") for n in range(6)])
     for wide in (400, 700, 1100, 2000):
         line.resize(wide, 20)
         assert "…" not in line.visible_text
-        assert line.visible_text.startswith("Slot 0: something is wrong")
+        assert line.visible_text.startswith("Stage 0: something is wrong")
     assert "more" not in line.visible_text

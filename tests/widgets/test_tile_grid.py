@@ -56,7 +56,7 @@ def test_colours_that_mean_no_number_take_no_room_for_a_bar(grid):
 
 
 def test_how_tiles_stand_does_not_change_the_room_they_ask_for(grid, qtbot):
-    """Else words beside would make the grid lower, which puts them under, which makes it higher, and so for ever."""
+    """Else words next to it would make the grid lower, which puts them under, which makes it higher, and so for ever."""
     asked = grid.minimumSizeHint(), grid.sizeHint(), grid.hasHeightForWidth()
     for count in (6, 2, 9):
         grid.show_tiles(_tiles(count))

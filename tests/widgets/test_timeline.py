@@ -99,7 +99,7 @@ def test_the_next_look_is_when_a_frame_is_due(line, monkeypatch, speed):
 def test_frames_that_are_left_out_are_told(line, monkeypatch):
     now, seen = [100.0], []
     monkeypatch.setattr("widgets.timeline.time.monotonic", lambda: now[0])
-    told = line.findChild(QLabel, "left_out")
+    left_out_label = line.findChild(QLabel, "left_out")
     line.show_frames(1000)
     line.frame_chosen.connect(seen.append)
     line.play(on=True)
@@ -110,13 +110,13 @@ def test_frames_that_are_left_out_are_told(line, monkeypatch):
         line.show_ready(ready=True)
         line._tick()
     assert seen[:3] == [3, 6, 9]
-    assert told.text() == "8 of 24 shown"
+    assert left_out_label.text() == "8 of 24 shown"
     for _ in range(8):
         now[0] += 0.1
         line._tick()
-    assert told.text() == "", "it keeps up again"
+    assert left_out_label.text() == "", "it keeps up again"
     line.play(on=False)
-    assert told.text() == ""
+    assert left_out_label.text() == ""
 
 
 def test_a_late_frame_is_followed_as_soon_as_it_is_there(line, monkeypatch):

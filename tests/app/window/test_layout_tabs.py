@@ -64,9 +64,9 @@ def test_tool_buttons_show_text_where_there_is_room(qtbot, width_px, with_text):
     bar.set_text_order(actions)
     bar.resize(width_px, 40)
     bar.fit_texts()
-    beside = Qt.ToolButtonStyle.ToolButtonTextBesideIcon
+    with_label = Qt.ToolButtonStyle.ToolButtonTextBesideIcon
     buttons = {a.text(): bar.widgetForAction(a) for a in actions}
-    assert [name for name, button in buttons.items() if button.toolButtonStyle() == beside] == with_text
+    assert [name for name, button in buttons.items() if button.toolButtonStyle() == with_label] == with_text
     assert all(button.focusPolicy() & Qt.FocusPolicy.TabFocus for button in bar.findChildren(QToolButton))
 
 

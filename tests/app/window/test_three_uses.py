@@ -60,7 +60,7 @@ def test_a_new_user_inspects_corrects_saves_and_exports(hands, qtbot, tmp_path, 
     spot = view.canvas.to_screen(QPointF(float(touched[1][middle]), float(touched[0][middle]))).toPoint()
     qtbot.mouseClick(view.canvas, _LEFT, pos=spot)
     controller.probe.draw_pending()
-    assert window.trace.text.count("→") == len(window.columns), "every slot, and truth at the end"
+    assert window.trace.text.count("→") == len(window.columns), "every stage, and truth at the end"
 
     # A demonstration, and back.
     press(_KEY.Key_5, Qt.KeyboardModifier.ControlModifier)

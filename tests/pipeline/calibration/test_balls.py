@@ -25,8 +25,8 @@ def hertz(shape, pixel_mm, x_px, y_px, diameter_mm, depth_mm):
     a = np.sqrt(radius * depth_mm)
     r = np.hypot(x - x_px, y - y_px) * pixel_mm
     out = np.maximum(r, a * (1 + 1e-9))
-    beside = ((2 * a * a - out**2) * np.arcsin(a / out) + a * np.sqrt(out**2 - a * a)) / (np.pi * radius)
-    return np.where(r < a, depth_mm - r * r / (2 * radius), beside).astype(np.float32)
+    outside = ((2 * a * a - out**2) * np.arcsin(a / out) + a * np.sqrt(out**2 - a * a)) / (np.pi * radius)
+    return np.where(r < a, depth_mm - r * r / (2 * radius), outside).astype(np.float32)
 
 
 @pytest.fixture(scope="module")

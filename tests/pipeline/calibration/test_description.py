@@ -30,9 +30,9 @@ def test_a_calibration_without_presses_is_called_uncalibrated_with_a_remedy(tabl
 def test_presses_that_look_like_another_size_give_a_warning(table):
     known = replace(table, presses=(PRESS,) * 4, expected_error=ERROR)
     for ratio, odd in ((None, False), (0.8, False), (1.3, False), (1.5, True), (0.5, True)):
-        told = replace(known, diameter_ratio=ratio)
-        assert isinstance(quality_notes.describe_quality(told), StageWarning) is odd
-        assert any("times the given diameter" in line for line in quality_notes.format_calibration(told)) is odd
+        report = replace(known, diameter_ratio=ratio)
+        assert isinstance(quality_notes.describe_quality(report), StageWarning) is odd
+        assert any("times the given diameter" in line for line in quality_notes.format_calibration(report)) is odd
     wide = replace(known, pixel_mm=0.105, diameter_ratio=1.5)
     assert "0.07 mm would fit" in quality_notes.describe_size_mismatch(wide)
 
@@ -48,11 +48,11 @@ def test_a_calibration_states_the_error_of_nine_of_ten_touches_and_its_basis(tab
     assert "within 19 %" in quality_notes.describe_quality(known)
     scaled = replace(known, uses_built_in=True, depth_scale_map=np.ones((2, 2), np.float32))
     assert "depth scaled by 4 presses" in quality_notes.describe_quality(scaled)
-    told = " ".join(quality_notes.format_calibration(known))
-    assert "diameter: up to 19 %" in told
-    assert "median 8 %" in told
-    assert "depth 16 %" in told
-    assert "4 held-out presses" in told
+    report = " ".join(quality_notes.format_calibration(known))
+    assert "diameter: up to 19 %" in report
+    assert "median 8 %" in report
+    assert "depth 16 %" in report
+    assert "4 held-out presses" in report
 
 
 def test_an_error_without_held_out_presses_is_called_predicted(table):

@@ -178,14 +178,14 @@ def test_the_optional_fields_are_loaded_unchanged(mini, tmp_path):
         diameter_share=0.08, diameter_p90=0.2, depth_share=0.07, depth_p90=0.18, n_held_out=4
     )
     still = np.arange(4 * 5 * 3, dtype=np.uint8).reshape(4, 5, 3)
-    told = np.eye(5, 6) > 0
+    covered = np.eye(5, 6) > 0
     known = replace(
         mini,
         uses_built_in=True,
         expected_error=expected,
         reference_thumbnail=still,
-        coverage_map=told,
-        depth_scale_map=told + np.float32(0.5),
+        coverage_map=covered,
+        depth_scale_map=covered + np.float32(0.5),
         median_pressure_share=0.6,
     )
     calibration_file.save(known, tmp_path / "look_up.npz")
@@ -193,8 +193,8 @@ def test_the_optional_fields_are_loaded_unchanged(mini, tmp_path):
     assert back.expected_error == expected
     assert back.uses_built_in
     assert np.array_equal(back.reference_thumbnail, still)
-    assert np.array_equal(back.coverage_map, told)
-    assert np.array_equal(back.depth_scale_map, told + np.float32(0.5))
+    assert np.array_equal(back.coverage_map, covered)
+    assert np.array_equal(back.depth_scale_map, covered + np.float32(0.5))
     assert back.median_pressure_share == 0.6
 
 

@@ -100,9 +100,9 @@ def test_calibrating_states_the_expected_error_and_what_one_ball_does_not_determ
     command = ["calibrate", "balls", str(touches), "--sensor", "gelsight_mini", "--diameter-mm", "8", *pixel,
                "--reference", str(touches / "background.png"), "--out", str(out), "--pattern", "touch_*"]  # fmt: skip
     assert run_app(build_app(), command) == 0
-    told = " ".join(capsys.readouterr().out.split())
-    assert "expected error of a ball's diameter" in told
-    assert ("do not determine the pixel width" in told) is not known
+    outcome = " ".join(capsys.readouterr().out.split())
+    assert "expected error of a ball's diameter" in outcome
+    assert ("do not determine the pixel width" in outcome) is not known
     assert calibration_file.load(out).expected_error is not None
 
 
@@ -238,8 +238,10 @@ def test_a_recording_of_no_frame_is_no_success(tmp_path, said, capsys):
 
 
 def test_a_decimal_comma_is_answered_with_the_point(touches, tmp_path, said):
-    told = said("translate", touches, "--target=digit", "--out", tmp_path / "out", "--translation-mm", "1,5", "0", "0")
-    assert "use a decimal point: 1.5" in told
+    outcome = said(
+        "translate", touches, "--target=digit", "--out", tmp_path / "out", "--translation-mm", "1,5", "0", "0"
+    )
+    assert "use a decimal point: 1.5" in outcome
 
 
 def test_messages_of_matplotlib_are_hidden(tmp_path, said):

@@ -16,18 +16,18 @@ _ONE = [str(SAMPLE), "--target", "gelslim", "--sensor", "digit", "--frame", "5",
 def test_the_other_is_this_one_with_its_options_in_place(tmp_path, capsys):
     words = ["compare", *_ONE, "--variant", "--set cloud.stride=4", "--out", str(tmp_path / "ways")]
     assert run_app(build_app(), words) == 0
-    told = json.loads((tmp_path / "ways" / "compare.json").read_text())["tiles"]
-    assert [tile["title"] for tile in told] == ["A · Cloud", "B · Cloud", "A less B"]
-    a, b = ((tmp_path / "ways" / tile["images"][0]).read_bytes() for tile in told[:2])
+    tiles = json.loads((tmp_path / "ways" / "compare.json").read_text())["tiles"]
+    assert [tile["title"] for tile in tiles] == ["A · Cloud", "B · Cloud", "A less B"]
+    a, b = ((tmp_path / "ways" / tile["images"][0]).read_bytes() for tile in tiles[:2])
     assert a != b, "another stride"
 
 
 @pytest.mark.parametrize(
-    ("beside", "says"),
+    ("outside", "says"),
     [("--nonsense 3", "--variant"), ("--set cloud.stride=many", "stride"), ("--set nowhere.stride=2", "nowhere")],
 )
-def test_what_is_wrong_with_the_other_is_one_sentence(tmp_path, capsys, beside, says):
-    assert run_app(build_app(), ["compare", *_ONE, "--variant", beside, "--out", str(tmp_path / "ways")]) == 2
+def test_what_is_wrong_with_the_other_is_one_sentence(tmp_path, capsys, outside, says):
+    assert run_app(build_app(), ["compare", *_ONE, "--variant", outside, "--out", str(tmp_path / "ways")]) == 2
     assert says in capsys.readouterr().err
     assert not (tmp_path / "ways").exists()
 

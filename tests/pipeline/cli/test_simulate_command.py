@@ -67,7 +67,7 @@ def test_what_is_finished_is_not_made_again(typed, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "outcome"),
     [
         (("--sensors", "fingertip", "--tools", ONE), "fingertip"),
         (("--sensors", "digit", "--tools", "spoon"), "spoon"),
@@ -78,11 +78,11 @@ def test_what_is_finished_is_not_made_again(typed, tmp_path):
         (("--sensors", "digit", "--tools", f"{ONE},{OTHER}"), "folder"),
     ],
 )
-def test_a_mistake_is_one_sentence(typed, tmp_path, options, told):
+def test_a_mistake_is_one_sentence(typed, tmp_path, options, outcome):
     code, said = typed(*options, "--out", tmp_path / "one.h5")
     assert code == EXIT_USER_ERROR
     lines = [line for line in said.splitlines() if line.startswith("tactoscope: ")]
     assert len(lines) == 1
-    assert told in lines[0]
+    assert outcome in lines[0]
     assert "Traceback" not in said
     assert not (tmp_path / "one.h5").exists()

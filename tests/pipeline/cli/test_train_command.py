@@ -81,10 +81,10 @@ def test_what_is_no_training_cannot_be_exported(typed, tmp_path):
 def test_ctrl_c_keeps_all_that_was_learned(typed, tmp_path, monkeypatch):
     import signal
 
-    sample, told = toy.Discs.sample, iter(range(1000))
+    sample, count = toy.Discs.sample, iter(range(1000))
 
     def interrupted(self, rng):
-        if next(told) == 50:
+        if next(count) == 50:
             signal.raise_signal(signal.SIGINT)
         return sample(self, rng)
 

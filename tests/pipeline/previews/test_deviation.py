@@ -1,4 +1,4 @@
-"""A bubble's reading is shown as how far it is from rest; how far it is from its camera is still told."""
+"""A bubble's depth is shown as distance from rest; the distance from its camera stays in the values."""
 
 from __future__ import annotations
 

@@ -34,14 +34,14 @@ def presses(unit):
 
 
 def test_presses_of_a_unit_that_is_read_well_without_them_change_nothing():
-    told = load_sensor("gelsight_mini")
-    found = calibrate_sensor(presses(told), optics.render_reference(told), told, DIAMETER_MM)
+    mini = load_sensor("gelsight_mini")
+    found = calibrate_sensor(presses(mini), optics.render_reference(mini), mini, DIAMETER_MM)
     assert found.uses_built_in
     assert found.expected_error is not None
     assert found.expected_error.n_held_out == len(PLACES)
     assert found.expected_error.diameter_share < STAGE_TOLERANCE
     assert found.diameter_ratio == pytest.approx(1.0, abs=STAGE_TOLERANCE)
-    of_radius = calibrate_sensor(presses(told)[:2], optics.render_reference(told), told, 0.5 * DIAMETER_MM)
+    of_radius = calibrate_sensor(presses(mini)[:2], optics.render_reference(mini), mini, 0.5 * DIAMETER_MM)
     assert of_radius.diameter_ratio == pytest.approx(2.0, rel=0.2)
 
 
@@ -53,16 +53,16 @@ def another_unit():
 
 def test_the_baseline_of_presses_is_the_depth_stage_and_not_the_built_in_table_alone(another_unit):
     unit, pictures = another_unit
-    still, told = optics.render_reference(unit), load_sensor("gelsight_mini")
+    still, mini = optics.render_reference(unit), load_sensor("gelsight_mini")
     flat = np.zeros(still.shape[:2], np.float32)
-    unseen = calibrate_balls(pictures, still, told, DIAMETER_MM, read_slopes=lambda _: (flat, flat))
+    unseen = calibrate_balls(pictures, still, mini, DIAMETER_MM, read_slopes=lambda _: (flat, flat))
     assert not unseen.uses_built_in  # anything is better than to see nothing
 
     def exact(index):
         x, y = PLACES[index]
         return compute_slopes(hertz(still.shape[:2], unit.pixel_mm, x, y, DIAMETER_MM, 0.6), unit.pixel_mm)
 
-    assert calibrate_balls(pictures, still, told, DIAMETER_MM, read_slopes=exact).uses_built_in
+    assert calibrate_balls(pictures, still, mini, DIAMETER_MM, read_slopes=exact).uses_built_in
 
 
 def test_presses_in_one_corner_keep_the_built_in_table(another_unit):
@@ -80,10 +80,10 @@ def test_presses_in_one_corner_keep_the_built_in_table(another_unit):
 
 
 def test_pixels_of_another_width_are_compared_in_that_width():
-    told = load_sensor("gelsight_mini")
-    pictures, still = presses(told), optics.render_reference(told)
+    mini = load_sensor("gelsight_mini")
+    pictures, still = presses(mini), optics.render_reference(mini)
     plain, wide = (
-        calibrate_sensor(pictures, still, told, DIAMETER_MM * share, pixel_mm=told.pixel_mm * share)
+        calibrate_sensor(pictures, still, mini, DIAMETER_MM * share, pixel_mm=mini.pixel_mm * share)
         for share in (1.0, 1.5)
     )
     assert wide.expected_error is not None
@@ -99,12 +99,12 @@ def of_presses(coverage_map=None):
 
 
 def test_a_touch_that_no_press_covers_is_estimated_without_calibration():
-    told = load_sensor("gelsight_mini")
-    picture, still = presses(told)[0], optics.render_reference(told)  # to the left
-    frame = TactileFrame(sensor=told.name, image=picture, reference=still)
-    by_presses, without = (estimate_depth(frame, told, look_up, DepthParams()) for look_up in (of_presses(), None))
+    mini = load_sensor("gelsight_mini")
+    picture, still = presses(mini)[0], optics.render_reference(mini)  # to the left
+    frame = TactileFrame(sensor=mini.name, image=picture, reference=still)
+    by_presses, without = (estimate_depth(frame, mini, look_up, DepthParams()) for look_up in (of_presses(), None))
     here, elsewhere = (
-        estimate_depth(frame, told, of_presses(np.array([[left, not left]])), DepthParams()) for left in (True, False)
+        estimate_depth(frame, mini, of_presses(np.array([[left, not left]])), DepthParams()) for left in (True, False)
     )
     assert np.array_equal(here.indentation_mm, by_presses.indentation_mm)
     assert np.array_equal(elsewhere.indentation_mm, without.indentation_mm)
@@ -115,7 +115,7 @@ def test_a_touch_that_no_press_covers_is_estimated_without_calibration():
 
 @pytest.mark.parametrize(("too_wide", "share"), [(1.0, None), (1.2, 0.6), (3.0, 0.75)])
 def test_contacts_wider_than_their_circles_get_a_higher_pressure_limit(monkeypatch, too_wide, share):
-    told, shape = load_sensor("gelsight_mini"), (240, 320)
+    mini, shape = load_sensor("gelsight_mini"), (240, 320)
 
     def read(frame, _source, look_up, _params):  # contacts narrow down as the share grows
         wide = too_wide - (look_up.median_pressure_share or 0.3) + 0.3
@@ -125,14 +125,14 @@ def test_contacts_wider_than_their_circles_get_a_higher_pressure_limit(monkeypat
 
     monkeypatch.setattr(ball_calibration, "estimate_depth", read)
     pictures = [np.zeros((*shape, 3), np.uint8)] * len(PLACES)
-    assert fit_contact_limit(of_presses(), pictures, pictures[0], told).median_pressure_share == share
+    assert fit_contact_limit(of_presses(), pictures, pictures[0], mini).median_pressure_share == share
 
 
 def test_a_larger_share_of_the_median_pressure_shrinks_a_contact():
-    told = load_sensor("gelsight_mini")
-    frame = TactileFrame(sensor=told.name, image=presses(told)[0], reference=optics.render_reference(told))
+    mini = load_sensor("gelsight_mini")
+    frame = TactileFrame(sensor=mini.name, image=presses(mini)[0], reference=optics.render_reference(mini))
     usual, more = (
-        estimate_depth(frame, told, replace(of_presses(), median_pressure_share=share), DepthParams()).contact
+        estimate_depth(frame, mini, replace(of_presses(), median_pressure_share=share), DepthParams()).contact
         for share in (None, 0.75)
     )
     assert 0.4 * usual.sum() < more.sum() < 0.95 * usual.sum()

@@ -29,7 +29,7 @@ BALL = 6.0 * np.exp(-0.5 * ((np.arange(140)[:, None] - 60) ** 2 + (np.arange(175
 
 
 class Says:
-    """A network that knows the answer: the move needs no correction, a disc is touched, a wider one is told."""
+    """A network that knows the answer: the move needs no correction, a disc is touched, a wider one is predicted."""
 
     def __init__(self, shape=(140, 175), gap_mm=0.3):
         row, col = (np.arange(n, dtype=np.float32) / n for n in shape)
@@ -178,9 +178,9 @@ def test_shipped_weights_tell_untouched_from_touched_frames_of_a_real_bubble(shi
     lambda frame: estimate_depth(frame, SPEC, None, DepthParams()),
 ])  # fmt: skip
 def test_an_outward_bulge_gives_a_warning(read):
-    told = "farther out than the reference"
-    assert not any(told in note for note in read(frame()).notes)
+    warning = "farther out than the reference"
+    assert not any(warning in note for note in read(frame()).notes)
     touched_before = frame(rest=REST - np.float32(BALL), moved=-np.float32(BALL))
-    assert any(told in note for note in select_warnings(read(touched_before).notes))
+    assert any(warning in note for note in select_warnings(read(touched_before).notes))
     flipped = frame(moved=-np.float32(BALL))
-    assert any(told in note for note in select_warnings(read(flipped).notes))
+    assert any(warning in note for note in select_warnings(read(flipped).notes))

@@ -28,7 +28,7 @@ PAD, PIXEL_MM = Gel(thickness_mm=2.0, youngs_kpa=120.0, poisson=0.48), 0.05
 LIMITS = {"least_mm": 0.03, "pressure_share": 0.25, "smoothing_px": 1.0}
 
 
-def felt(height_mm):
+def press_gel_height(height_mm):
     """A gel under an object whose overlap is this function of (x, y, distance) from the middle, and the truth."""
     y, x = (np.mgrid[:120, :140] - np.array([59.5, 69.5])[:, None, None]) * PIXEL_MM
     pressed = gel.press_gel(PAD, PIXEL_MM, height_mm(x, y, np.hypot(x, y)))
@@ -97,7 +97,7 @@ def test_only_small_holes_are_filled(mask, most):
 
 def test_the_contact_of_a_rough_ball_has_no_stairs():
     """As on a tennis ball: what closes the gaps between its threads must not leave its own square shape."""
-    height_mm, _ = felt(lambda x, y, r: 0.5 - r * r / 12.0)
+    height_mm, _ = press_gel_height(lambda x, y, r: 0.5 - r * r / 12.0)
     rough = np.random.default_rng(5).normal(0.0, 1.0, height_mm.shape).astype(np.float32)
     rough = cv2.GaussianBlur(rough, (0, 0), 3.0)
     contact = detect_contact(height_mm + 0.05 * height_mm * rough / rough.std(), PIXEL_MM, **LIMITS)
@@ -116,7 +116,7 @@ def test_the_contact_of_a_rough_ball_has_no_stairs():
     ids=["cone", "ball", "ball lightly", "rod", "face"],
 )
 def test_the_contact_of_what_mechanics_press_is_found_nearly_to_its_rim(height_mm, least):
-    surface, contact = felt(height_mm)
+    surface, contact = press_gel_height(height_mm)
     assert iou(detect_contact(surface, PIXEL_MM, **LIMITS), contact) > least
 
 
@@ -129,8 +129,8 @@ def test_gel_that_a_deep_contact_hardly_pulls_along_is_not_touched():
 
 
 def test_a_light_touch_beside_a_firm_one_has_a_peak_of_its_own():
-    surface, _ = felt(lambda x, y, r: 0.5 - (x + 2.0) ** 2 - y * y)
-    light, contact = felt(lambda x, y, r: 0.06 - (x - 2.0) ** 2 / 2.0 - y * y / 2.0)
+    surface, _ = press_gel_height(lambda x, y, r: 0.5 - (x + 2.0) ** 2 - y * y)
+    light, contact = press_gel_height(lambda x, y, r: 0.06 - (x - 2.0) ** 2 / 2.0 - y * y / 2.0)
     found = detect_contact(surface + light, PIXEL_MM, **LIMITS)
     assert found[contact].mean() > 0.5
 

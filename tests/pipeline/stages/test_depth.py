@@ -82,7 +82,7 @@ def test_a_touch_is_never_called_untouched():
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "pattern"),
     [
         (lambda f: replace(f, reference=None), "no reference image"),
         (lambda f: replace(f, image=f.image[:100]), "must have shape"),
@@ -94,11 +94,11 @@ def test_a_touch_is_never_called_untouched():
         (lambda f: replace(f, image=f.image.astype(np.int64)), "RGB of 8 bits"),
     ],
 )
-def test_a_frame_that_cannot_be_read_is_told_in_one_sentence(change, told):
+def test_a_frame_that_cannot_be_read_is_told_in_one_sentence(change, pattern):
     source, frame, _ = press("gelsight_mini")
     bad = change(frame)
     assert skip_without_contact(bad, source, None, PARAMS) is None
-    with pytest.raises(ShapeError, match=told):
+    with pytest.raises(ShapeError, match=pattern):
         estimate_depth(bad, source, None, PARAMS)
 
 
@@ -107,7 +107,7 @@ def test_a_saturated_picture_is_doubted_and_stays_finite():
     nearly = np.where(np.arange(frame.image.shape[0])[:, None, None] < 4, frame.image, np.uint8(255))
     found = estimate_depth(replace(frame, image=nearly), source, None, PARAMS)
     assert np.isfinite(found.indentation_mm).all()
-    assert any("saturated" in doubt for doubt in select_warnings(found.notes))
+    assert any("saturated" in warning for warning in select_warnings(found.notes))
 
 
 def test_a_contact_at_the_image_border_is_told():
@@ -214,9 +214,9 @@ def ring_on_a_bubble(seed):
     from pipeline.simulation.press import simulate_press as pressed
 
     source, thing = load_sensor("soft_bubble"), shapes.make_shape("ellipse").mesh
-    felt = pressed(thing, poses.make_paper_grid(thing, n=12, seed=50)[7], source, seed=seed)
+    touch = pressed(thing, poses.make_paper_grid(thing, n=12, seed=50)[7], source, seed=seed)
     rest = source.rest_depth_mm.astype(np.float32)
-    return source, TactileFrame(sensor=source.name, image=felt.image, reference=rest), felt.truth
+    return source, TactileFrame(sensor=source.name, image=touch.image, reference=rest), touch.truth
 
 
 def test_a_bubble_over_a_hollow_object_is_touched_along_the_rim_only():
@@ -382,16 +382,16 @@ def test_right_pictures_of_real_units_are_not_called_odd_and_mirrored_ones_of_a_
     def read(*where):
         return np.ascontiguousarray(cv2.imread(str(real_data.joinpath(*where)))[..., ::-1])
 
-    def told(name, image, reference):
+    def describe_mismatch(name, image, reference):
         frame = TactileFrame(sensor=name, image=np.ascontiguousarray(image), reference=np.ascontiguousarray(reference))
         return photometric.describe_mismatch(frame, load_sensor(name))
 
     for folder in sorted((real_data / "mini_things").iterdir()):
         still = read(folder, "ref.jpg")
         for file in sorted(folder.glob("*.jpg"))[:2]:
-            assert not told("gelsight_mini", read(file), still)
+            assert not describe_mismatch("gelsight_mini", read(file), still)
     still = read("gsmini_balls", "background.png")
     balls = [read(file) for file in sorted((real_data / "gsmini_balls").glob("ball_9.500mm_*.png"))[::6]]
-    assert not any(told("gelsight_mini", ball, still) for ball in balls)
-    found = [told("gelsight_mini", ball[:, ::-1], still[:, ::-1]) for ball in balls]
+    assert not any(describe_mismatch("gelsight_mini", ball, still) for ball in balls)
+    found = [describe_mismatch("gelsight_mini", ball[:, ::-1], still[:, ::-1]) for ball in balls]
     assert sum("mirrored" in clause for clause in found) >= len(balls) - 1

@@ -20,7 +20,7 @@ SAMPLE = Path(__file__).parents[3] / "sample_data" / "recordings" / "first_touch
 TOUCH = 5
 
 
-class Told:
+class KnownAnswer:
     """Answers by what a function says of the picture; keeps what it was shown."""
 
     answer, largest_mm, side, image_content = "metric", 1.6, 56, "image"
@@ -60,7 +60,7 @@ def half(picture):
 
 
 def test_a_metric_output_becomes_an_indentation_on_the_frames_pixels(opened, frame, physical):
-    network = Told(half, contact=lambda picture: half(picture) - 0.25)
+    network = KnownAnswer(half, contact=lambda picture: half(picture) - 0.25)
     found = asked(opened, frame, network)
     assert found.indentation_mm.shape == frame.image.shape[:2]
     np.testing.assert_allclose(found.indentation_mm, 0.8, atol=1e-6)
@@ -80,7 +80,7 @@ def test_a_metric_output_becomes_an_indentation_on_the_frames_pixels(opened, fra
 
 
 def test_without_a_contact_head_the_sensors_limit_defines_contact(opened, frame):
-    found = asked(opened, frame, Told(lambda p: torch.linspace(0, 1, p.shape[-1]).expand(1, *p.shape[-2:])))
+    found = asked(opened, frame, KnownAnswer(lambda p: torch.linspace(0, 1, p.shape[-1]).expand(1, *p.shape[-2:])))
     assert np.array_equal(found.contact, found.indentation_mm > opened.source.limits.contact_min_mm)
     assert any("predict no contact" in note for note in found.notes)
 
@@ -88,16 +88,16 @@ def test_without_a_contact_head_the_sensors_limit_defines_contact(opened, frame)
 def test_a_relative_output_is_fitted_to_the_physical_estimate(opened, frame, physical):
     small = torch.nn.functional.interpolate(torch.from_numpy(physical.indentation_mm.copy())[None, None], (70, 56))[0]
 
-    def told(picture, sign=1.0):
+    def predict_ramp(picture, sign=1.0):
         return torch.nn.functional.interpolate(7.0 + sign * 30.0 * small[None], picture.shape[-2:], mode="bilinear")[0]
 
-    network = Told(told)
+    network = KnownAnswer(predict_ramp)
     network.answer = "relative"
     found = asked(opened, frame, network)
     off = np.abs(found.indentation_mm - physical.indentation_mm)
     assert off[physical.contact].mean() < 0.15 * physical.indentation_mm[physical.contact].mean()
     assert any("no unit" in note for note in found.notes)
-    turned = Told(lambda picture: told(picture, -1.0))
+    turned = KnownAnswer(lambda picture: predict_ramp(picture, -1.0))
     against = asked(opened, frame, turned, output_kind="relative")
     assert turned.shown[0][2] == "relative"
     assert not against.indentation_mm.any()
@@ -105,7 +105,7 @@ def test_a_relative_output_is_fitted_to_the_physical_estimate(opened, frame, phy
 
 
 def test_a_crop_runs_the_patches_around_the_contact_only(opened, frame, physical):
-    network = Told(half, contact=half)
+    network = KnownAnswer(half, contact=half)
     found = asked(opened, frame, network, crop_to_contact=True, shorter_side_px=168)
     shape, (top, left, rows, cols), _ = network.shown[0]
     assert shape[2] * shape[3] < 14 * 14 * rows * cols
@@ -118,7 +118,7 @@ def test_a_crop_runs_the_patches_around_the_contact_only(opened, frame, physical
 
 
 def test_an_untouched_frame_is_skipped(opened, frame):
-    network = Told(half)
+    network = KnownAnswer(half)
     still = asked(opened, replace(frame, image=frame.reference), network)
     assert isinstance(still, Skipped)
     assert not network.shown

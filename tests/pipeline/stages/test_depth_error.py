@@ -1,4 +1,4 @@
-"""The error of measured depth that is told of a touch; `benchmarks/pose_covariance.py` holds poses against it."""
+"""The error of measured depth that is stated for a touch; `benchmarks/pose_covariance.py` holds poses against it."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ WITHIN, LENGTHS_WITHIN = 2.5, 2.5  # one object's six presses; errors of single 
 
 
 def measured(name, other=None):
-    """For each press: rms (mm) in contact, the length at which the error's correlation is exp(-1/2), and what is told.
+    """For each press: rms (mm) in contact, the length at which the error's correlation is exp(-1/2), and what is stated.
 
     `other` is the seed of the first of other units, each press on one of its own.
     """
@@ -34,13 +34,13 @@ def measured(name, other=None):
         unit = spec if other is None else vary_sensor(spec, other + k)
         made = simulate_press(mesh, pose, unit, seed=k)
         frame = TactileFrame(sensor=name, image=made.image, reference=optics.render_reference(unit))
-        told = estimate_depth(frame, spec, None, DepthParams())
-        both = told.contact & made.truth.contact
-        error = np.where(both, made.truth.indentation_mm - told.indentation_mm, 0.0).astype(float)
+        depth = estimate_depth(frame, spec, None, DepthParams())
+        both = depth.contact & made.truth.contact
+        error = np.where(both, made.truth.indentation_mm - depth.indentation_mm, 0.0).astype(float)
         counted, products = (_itself(a)[0, :200] for a in (both.astype(float), error))
         along = products / np.maximum(counted, 50.0)
         length = np.flatnonzero(np.append(along, -np.inf) < along[0] * np.exp(-0.5))[0] * spec.pixel_mm
-        found.append((np.sqrt(along[0]), length, told.error.rms_mm, told.error.correlation_mm))
+        found.append((np.sqrt(along[0]), length, depth.error.rms_mm, depth.error.correlation_mm))
     return np.array(found).T
 
 
@@ -68,13 +68,13 @@ def told_of(illumination, *, steep=1.0):
 def test_a_touch_errs_as_its_light_and_its_slopes_have_it():
     spec = load_sensor("digit")
     usual, other = (Illumination(model="leds", parameters=(k,) * 20) for k in (0.0, 0.1))
-    described, told, refused = (told_of(light) for light in (usual, other, Illumination(model="trusted")))
+    described, other_std_mm, refused = (told_of(light) for light in (usual, other, Illumination(model="trusted")))
     assert described == pytest.approx(spec.limits.depth_rms_mm, rel=1e-3)
-    assert told == pytest.approx(spec.limits.depth_rms_other_instance_mm, rel=1e-3)
-    assert 2 * described < told < 0.5 * refused
-    assert told_of(None) == told
-    assert told_of(other, steep=0.5) == pytest.approx(0.5 * told, rel=1e-3)
-    assert told_of(other, steep=0.001) > 0.1 * told  # no touch is without an error
+    assert other_std_mm == pytest.approx(spec.limits.depth_rms_other_instance_mm, rel=1e-3)
+    assert 2 * described < other_std_mm < 0.5 * refused
+    assert told_of(None) == other_std_mm
+    assert told_of(other, steep=0.5) == pytest.approx(0.5 * other_std_mm, rel=1e-3)
+    assert told_of(other, steep=0.001) > 0.1 * other_std_mm  # no touch is without an error
 
 
 @pytest.mark.parametrize("name", ["digit", "gelslim_dotless"])
@@ -84,13 +84,13 @@ def test_the_poses_covariance_is_as_wide_as_poses_from_measured_depth_err(name):
         made = simulate_press(mesh, placed, spec, seed=k)
         frame = TactileFrame(sensor=name, image=made.image, reference=optics.render_reference(spec))
         truth = made.truth.sensor_from_object
-        told = track_pose(estimate_depth(frame, spec, None, DepthParams()), mesh, PoseParams(), truth)
-        off, middle = told.sensor_from_object @ rigid.invert(truth), told.scene_mm.mean(axis=0).astype(float)
+        pose = track_pose(estimate_depth(frame, spec, None, DepthParams()), mesh, PoseParams(), truth)
+        off, middle = pose.sensor_from_object @ rigid.invert(truth), pose.scene_mm.mean(axis=0).astype(float)
         error = np.concatenate([rigid.rotation_vector_rad(off), rigid.apply(off, middle) - middle])
-        error, known = told.observable @ error, told.observable @ told.covariance @ told.observable.T
-        rank = round(float(np.trace(told.observable)))
+        error, known = pose.observable @ error, pose.observable @ pose.covariance @ pose.observable.T
+        rank = round(float(np.trace(pose.observable)))
         if rank:  # a grasp that leaves every direction open has no error to compare
             found.append(error @ np.linalg.pinv(known, rcond=1e-10) @ error / rank)
     assert len(found) >= PRESSES - 1
-    # The middle of six touches, each of which errs by 2.4 times more or less than is told, scatters by 2.7 times.
+    # The middle of six touches, each of which errs by 2.4 times more or less than is stated, scatters by 2.7 times.
     assert 0.1 < np.median(found) < 4.0, "chi-square over its degrees of freedom; 30 and 100 without the sensor's error"

@@ -52,10 +52,10 @@ def test_a_picture_that_only_drifted_is_untouched(name, how):
 def test_removed_drift_is_noted():
     source = load_sensor("gelslim")
     image = drifted(optics.render_reference(source), gain=1.08, shift_px=(2.0, 0.0))
-    told = " ".join(skip_without_contact(frame(source, image), source, None, PARAMS).notes)
-    assert "the light has drifted" in told
-    assert "moved by 2.0 px" in told
-    assert "larger than the view" in told  # nobody can tell it from one
+    notes = " ".join(skip_without_contact(frame(source, image), source, None, PARAMS).notes)
+    assert "the light has drifted" in notes
+    assert "moved by 2.0 px" in notes
+    assert "larger than the view" in notes  # nobody can tell it from one
 
 
 def test_shift_gain_and_ramp_are_measured():
@@ -101,8 +101,8 @@ def test_a_picture_with_large_markers_that_has_moved_is_put_back():
 def test_a_face_that_fills_the_view_is_not_taken_for_drift_nor_drift_for_a_face():
     source = load_sensor("gelsight_mini")
     rows, cols = source.camera.shape
-    beside = np.maximum(np.abs(np.arange(cols) - 0.5 * (cols - 1)) - 0.47 * cols, 0.0) * source.pixel_mm
-    face = np.tile(0.5 * np.exp(-beside / 0.3), (rows, 1)).astype(np.float32)
+    outside = np.maximum(np.abs(np.arange(cols) - 0.5 * (cols - 1)) - 0.47 * cols, 0.0) * source.pixel_mm
+    face = np.tile(0.5 * np.exp(-outside / 0.3), (rows, 1)).astype(np.float32)
     how = {"gain": 0.97, "ramp_grey": 12.0}
     found = estimate_depth(frame(source, drifted(optics.render(source, face, seed=1), **how)), source, None, PARAMS)
     assert found.contact.mean() > 0.9

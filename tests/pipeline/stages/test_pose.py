@@ -348,7 +348,7 @@ def test_light_contact_within_the_depth_error_does_not_reject_a_pose():
         make_judge(scene, plate.grid, plate.model, 750, 15_000, 2.0).misfit_mm([truth])[0] for scene in (result, exact)
     )
     assert told_mm < 0.05
-    assert exact_mm > 0.3, "where depth is exact, what is not felt is not there"
+    assert exact_mm > 0.3, "where depth is exact, what does not touch is not there"
 
 
 def test_a_generated_touch_counts_by_its_expected_error():

@@ -28,8 +28,8 @@ def pressed_box(name, share):
     source = load_sensor(name)
     half = 0.5 * share * min(source.camera.shape) * source.pixel_mm
     box = shapes.make_chamfered_prism([(-half, -half), (half, -half), (half, half), (-half, half)], 8.0, 0.0, "box")
-    felt = simulate_press(box, rigid.translation(0.0, 0.0, -0.5 - box.vertices_mm[:, 2].min()), source, seed=1)
-    return source, TactileFrame(sensor=name, image=felt.image, reference=optics.render_reference(source)), felt.truth
+    touch = simulate_press(box, rigid.translation(0.0, 0.0, -0.5 - box.vertices_mm[:, 2].min()), source, seed=1)
+    return source, TactileFrame(sensor=name, image=touch.image, reference=optics.render_reference(source)), touch.truth
 
 
 @pytest.mark.parametrize(
@@ -112,10 +112,10 @@ def test_a_light_face_of_which_only_pieces_of_the_rim_are_seen_is_found_all_over
     source = load_sensor("digit")
     face = shapes.make_shape("square").mesh
     unit = vary_sensor(source, 6)
-    felt = simulate_press(face, rigid.translation(0.0, 0.0, -0.025 - face.vertices_mm[:, 2].min()), unit, seed=1)
-    frame = TactileFrame(sensor="digit", image=felt.image, reference=optics.render_reference(unit))
+    touch = simulate_press(face, rigid.translation(0.0, 0.0, -0.025 - face.vertices_mm[:, 2].min()), unit, seed=1)
+    frame = TactileFrame(sensor="digit", image=touch.image, reference=optics.render_reference(unit))
     found = estimate_depth(frame, source, None, DepthParams())
-    assert (found.contact & felt.truth.contact).sum() / (found.contact | felt.truth.contact).sum() > FACE_IOU
+    assert (found.contact & touch.truth.contact).sum() / (found.contact | touch.truth.contact).sum() > FACE_IOU
 
 
 def test_a_patch_as_deep_as_the_rim_around_it_is_the_inside_of_a_face():
@@ -140,9 +140,9 @@ def test_the_far_field_is_what_a_pressed_layer_does():
     import cv2
 
     away = cv2.distanceTransform((~truth.contact).astype(np.uint8), cv2.DIST_L2, 5) * source.pixel_mm
-    beside = (away > 1.0) & (away < 4.0)
-    assert truth.indentation_mm[beside].min() < -0.03  # a bulge
-    assert np.abs(around - truth.indentation_mm)[beside].mean() < 0.01
+    outside = (away > 1.0) & (away < 4.0)
+    assert truth.indentation_mm[outside].min() < -0.03  # a bulge
+    assert np.abs(around - truth.indentation_mm)[outside].mean() < 0.01
 
 
 def test_what_is_looked_at_around_a_touch_ends_in_a_round_line():

@@ -11,7 +11,7 @@ from pipeline.sensors.spec import load_sensor
 from pipeline.simulation import shapes
 from pipeline.simulation.press import simulate_press
 from pipeline.stages.depth import poisson
-from pipeline.stages.depth.illumination import wall_correction
+from pipeline.stages.depth.illumination import surface_refinement
 from pipeline.stages.depth.photometric import DepthParams, estimate_depth
 from pipeline.values.frames import TactileFrame
 
@@ -43,14 +43,14 @@ def test_dents_behind_uncertain_walls_are_raised_one_by_one():
     low[:, 40:] *= np.float32(0.8)
     weights = np.zeros((3, *true.shape), np.float32)
     weights[0] = weights[2] = np.where(np.hypot(gx, gy) > 0.3, 1.0, 100.0)
-    raised = wall_correction.raise_walls(low, (gx, gy), weights, PIXEL_MM)
+    raised = surface_refinement.raise_walls(low, (gx, gy), weights, PIXEL_MM)
     for part in (np.s_[:, :40], np.s_[:, 40:]):
         assert np.abs(raised - true)[part].max() < 0.25 * np.abs(low - true)[part].max()
 
 
 def test_a_level_surface_is_left_unchanged():
     flat = np.zeros((20, 30), np.float32)
-    assert wall_correction.raise_walls(flat, (flat, flat), np.ones((3, 20, 30), np.float32), PIXEL_MM) is flat
+    assert surface_refinement.raise_walls(flat, (flat, flat), np.ones((3, 20, 30), np.float32), PIXEL_MM) is flat
 
 
 def test_several_surfaces_are_solved_as_each_alone():

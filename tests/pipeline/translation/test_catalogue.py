@@ -1,4 +1,4 @@
-"""A method is one module and one line, a slot one folder and one entry: toys made here go everywhere."""
+"""A method is one module and one line, a stage one folder and one entry: toys made here go everywhere."""
 
 from __future__ import annotations
 
@@ -74,11 +74,11 @@ def test_parameters_and_methods_of_a_toy_are_set_by_name(toy, results):
 
 def test_a_touch_without_a_membrane_is_read_as_recorded_and_the_note_says_so(toy):
     asked = replace(toy, request=replace(toy.request, methods=(("touch_depth", "membrane"),)))
-    felt = asked.build_graph().evaluate(["touch_depth"], asked.read_inputs(TOUCHED), {})["touch_depth"]
-    assert NO_MEMBRANE in (*felt.notes, *felt.output.notes)
+    result = asked.build_graph().evaluate(["touch_depth"], asked.read_inputs(TOUCHED), {})["touch_depth"]
+    assert NO_MEMBRANE in (*result.notes, *result.output.notes)
     read = replace(toy, request=replace(toy.request, methods=(("touch_depth", "from_image"),)))
     same = read.build_graph().evaluate(["touch_depth"], read.read_inputs(TOUCHED), {})["touch_depth"].output
-    assert np.array_equal(felt.output.indentation_mm, same.indentation_mm)
+    assert np.array_equal(result.output.indentation_mm, same.indentation_mm)
 
 
 def test_the_truth_may_stand_for_a_slot(toy):
@@ -124,22 +124,22 @@ _NO_UNIT = {"seed"}  # a name more than a number
 
 def _all_settings():
     return {
-        f"{method.key}.{name}": (value, told)
-        for slot in BUILT_IN.stages for method in slot.methods
-        for name, (value, told) in list_settings(method.params()).items()
+        f"{method.key}.{name}": (value, setting)
+        for stage in BUILT_IN.stages for method in stage.methods
+        for name, (value, setting) in list_settings(method.params()).items()
     }  # fmt: skip
 
 
 @pytest.mark.parametrize("key", sorted(_all_settings()))
 def test_every_parameter_says_meaning_unit_range_and_where_it_comes_from(key):
-    value, told = _all_settings()[key]
+    value, setting = _all_settings()[key]
     name = key.rpartition(".")[2]
-    assert len(told.help) >= 12, "what it means, so that it can be set without the code"
-    assert told.help.casefold() != told.label.casefold()
-    assert told.source, "an equation's paper, or that it is our own"
+    assert len(setting.help) >= 12, "what it means, so that it can be set without the code"
+    assert setting.help.casefold() != setting.label.casefold()
+    assert setting.source, "an equation's paper, or that it is our own"
     if isinstance(value, str):
-        assert value in told.choices
+        assert value in setting.choices
     elif not isinstance(value, bool):
-        assert -math.inf < told.low <= value <= told.high < math.inf
-        assert told.unit or name in _NO_UNIT
-        assert told.unit == _UNITS.get(name.rpartition("_")[2], told.unit), "the name says the unit"
+        assert -math.inf < setting.low <= value <= setting.high < math.inf
+        assert setting.unit or name in _NO_UNIT
+        assert setting.unit == _UNITS.get(name.rpartition("_")[2], setting.unit), "the name says the unit"

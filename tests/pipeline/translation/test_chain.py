@@ -59,10 +59,10 @@ def test_a_frame_seen_before_runs_nothing(translation, warm):
 
 def test_the_error_of_the_measured_depth_goes_with_the_touch_into_the_pose(translation, warm):
     results = warm.evaluate(translation.stages, translation.read_inputs(TOUCHED), {})
-    measured, felt, found = (results[slot].output for slot in ("depth", "touch_depth", "pose"))
-    assert felt.error == measured.error
+    measured, touch_depth, found = (results[stage].output for stage in ("depth", "touch_depth", "pose"))
+    assert touch_depth.error == measured.error
     assert measured.error is not None
-    exact = track_pose(replace(felt, error=None), translation.mesh, PoseParams(), found.sensor_from_object)
+    exact = track_pose(replace(touch_depth, error=None), translation.mesh, PoseParams(), found.sensor_from_object)
     assert np.trace(found.covariance) > 1.2 * np.trace(exact.covariance)  # by the described lamps, which err little
 
 

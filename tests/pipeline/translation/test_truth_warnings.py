@@ -40,9 +40,9 @@ def _view(known_cols: int) -> StageResult:
 @pytest.mark.parametrize(("known_cols", "share"), [(8, "50%"), (16, None), (2, "12%")])
 def test_a_touch_of_which_the_source_saw_a_part_is_doubted(known_cols, share):
     facts = GroundTruth(target_truth=Truth(contact=np.ones(SHAPE, bool)))
-    told = add_truth_warnings(_view(known_cols), facts)
-    assert told.notes[-1] == "plain"
-    assert [d.split()[3] for d in told.warnings] == ([] if share is None else [share])
+    report = add_truth_warnings(_view(known_cols), facts)
+    assert report.notes[-1] == "plain"
+    assert [d.split()[3] for d in report.warnings] == ([] if share is None else [share])
     assert add_truth_warnings(_view(known_cols), GroundTruth()).warnings == ()  # nobody knows
 
 
@@ -71,9 +71,9 @@ def test_touches_that_tell_of_the_light_are_strong_and_in_different_places():
         return replace(base, image=image, index=index)
 
     stream = replace(open_recording(SAMPLE_RECORDING).stream("gelslim"), n_frames=5, frame=frame)
-    told = select_context_images(stream)
-    assert [image.tobytes() for image in told[:2]] == [frame(1).image.tobytes(), frame(2).image.tobytes()]
-    assert frame(4).image.tobytes() not in [image.tobytes() for image in told]
+    chosen = select_context_images(stream)
+    assert [image.tobytes() for image in chosen[:2]] == [frame(1).image.tobytes(), frame(2).image.tobytes()]
+    assert frame(4).image.tobytes() not in [image.tobytes() for image in chosen]
     bubble = open_recording(SAMPLE_RECORDING, sensor="soft_bubble").stream("soft_bubble")
     assert select_context_images(bubble) == ()
 

@@ -54,7 +54,7 @@ NETWORK = Method(
 )  # fmt: skip
 DEPTH = replace(BUILT_IN.stage("depth"), methods=(PHYSICS, NETWORK))
 CATALOGUE = Catalogue(
-    stages=tuple(DEPTH if slot.name == "depth" else slot for slot in BUILT_IN.stages), routes=BUILT_IN.routes
+    stages=tuple(DEPTH if stage.name == "depth" else stage for stage in BUILT_IN.stages), routes=BUILT_IN.routes
 )
 
 

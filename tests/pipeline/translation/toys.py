@@ -1,4 +1,4 @@
-"""A toy method, a toy slot and a toy route, made from outside: nothing of the project names them."""
+"""A toy method, a toy stage and a toy route, made from outside: nothing of the project names them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from pipeline.values.results import GeneratedTouch
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Brightness:
-    """The toy slot's value."""
+    """The toy stage's value."""
 
     share: Floats  # (rows, cols) 0..1
     source_index: Indices
@@ -87,7 +87,7 @@ BRIGHTNESS = Stage(
 )
 MELT = Method(stage="touch", name="melt", title="Melt", run=melt, params=MeltParams, reads=("brightness", "target"))
 TOUCH = replace(BUILT_IN.stage("touch"), methods=(*BUILT_IN.stage("touch").methods, MELT))
-SLOTS = [TOUCH if slot.name == "touch" else slot for slot in BUILT_IN.stages]
+SLOTS = [TOUCH if column.name == "touch" else column for column in BUILT_IN.stages]
 TOYS = Catalogue(
     stages=(SLOTS[0], BRIGHTNESS, *SLOTS[1:]),
     routes=(

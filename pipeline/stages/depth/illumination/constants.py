@@ -74,8 +74,8 @@ class StepRule:
         return np.float32(self.pull), huber, np.float32(self.max_slope), outside
 
 
-# 1.43 mm/mm is 55 degrees: the light hardly changes beyond. Walls beside edges have slopes of 2 to 3. In light that is
-# not the instance's own, colours are less certain than they are clear, so that slopes count alike and are held back.
+# 1.43 mm/mm is 55 degrees: the light hardly changes beyond. Walls next to edges have slopes of 2 to 3. In light that is
+# not the instance's own, colours are less certain than they are clear, so that slopes count alike and are shrunk.
 DESCRIBED_STEP = StepRule(pull=500.0, max_slope=1.43, weighted=False)
 TRUSTED_STEP = StepRule(pull=100.0, max_slope=4.0, weighted=True)
 SHADOW_STEP = StepRule(pull=100.0, max_slope=1.43, weighted=True, blurred=True)

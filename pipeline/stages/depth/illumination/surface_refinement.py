@@ -16,8 +16,11 @@ slopes by their certainty,
 
     minimise  sum (grad z - g - dg)' A (grad z - g - dg),
 
-after what stands on walls has been raised as a whole (`wall_correction`). In light that is not the instance's own,
-colours are less certain than they are clear, and this would follow the clearest.
+after what stands on walls has been raised as a whole. A wall determines its slope weakly, and what stands between walls
+strongly: springs in series, of which the weak ones yield last when a surface approaches its slopes step by step. So the
+surface is first moved as a whole: scaled, its walls raised low, in the middle or high up, and each of its dents by
+itself. In light that is not the instance's own, colours are less certain than they are clear, and this would follow
+the clearest.
 """
 
 from __future__ import annotations
@@ -25,6 +28,7 @@ from __future__ import annotations
 import numpy as np
 
 from pipeline.base.arrays import Floats
+from pipeline.base.ranks import percentile
 from pipeline.physics.slopes import compute_slopes
 from pipeline.stages.depth.illumination.constants import CONSTANTS
 from pipeline.stages.depth.illumination.image_patch import (
@@ -33,8 +37,14 @@ from pipeline.stages.depth.illumination.image_patch import (
     simulate_recorded_change,
 )
 from pipeline.stages.depth.illumination.light import Light
-from pipeline.stages.depth.illumination.wall_correction import raise_walls
 from pipeline.stages.depth.poisson import Integrator, solve_weighted_slopes
+
+_WALL_RANGES = ((0.1, 0.5), (0.3, 0.8), (0.6, 1.0))  # of the depth: where a wall is raised
+_MAX_DENTS, _DENT_SHARE = 4, 0.5  # dents that are raised by themselves; their depth as a share of the deepest
+_REACH_PX = 5  # of a dent's walls
+_DEEPEST = 99.5  # percentile that stands for the depth
+_MIN_DEPTH_MM = 0.02
+_RIDGE = 1e-6  # of the normal equations' trace
 
 
 def refine_surface(
@@ -72,3 +82,50 @@ def refine_surface(
 def clip_surface(surface_mm: Floats, patch: ImagePatch, light: Light) -> Floats:
     """The surface (rows, cols) within the range of the gel; 0 where nothing has changed."""
     return np.clip(surface_mm, CONSTANTS.bulge_mm, light.max_depth_mm) * patch.changed
+
+
+def raise_walls(surface_mm: Floats, slopes: tuple[Floats, Floats], weights: Floats, pixel_mm: float) -> Floats:
+    """The surface (rows, cols) in mm, moved as a whole toward these slopes; see `poisson.solve_weighted_slopes`.
+
+    weights (3, rows, cols): the information matrix (xx, xy, yy) of each pixel's slopes.
+    """
+    import cv2
+
+    from pipeline.stages.depth.illumination.wall_correction_kernels import accumulate_normal_equations
+
+    shapes = _make_shapes(surface_mm)
+    if not shapes:
+        return surface_mm
+    n, cols = len(shapes), surface_mm.shape[1]
+    normal, pull, line = np.empty((n, n)), np.empty(n), np.empty((2, cols), np.float32)
+    accumulate_normal_equations(*compute_slopes(np.stack(shapes), pixel_mm), *slopes, *weights, line, normal, pull)
+    factors = np.linalg.solve(normal + _RIDGE * np.trace(normal) * np.eye(n), pull)
+    raised_mm = np.array(surface_mm, np.float32)
+    for factor, shape in zip(factors, shapes, strict=True):
+        cv2.scaleAdd(shape, float(factor), raised_mm, dst=raised_mm)
+    return raised_mm
+
+
+def _make_shapes(surface_mm: Floats) -> list[Floats]:
+    """Ways of moving a surface as a whole, each (rows, cols)."""
+    import cv2
+
+    depth_mm = float(percentile(surface_mm, _DEEPEST))
+    if depth_mm <= _MIN_DEPTH_MM:
+        return []
+    shapes = [surface_mm, *(_make_ramp(surface_mm, depth_mm, low, high) for low, high in _WALL_RANGES)]
+    n, labels = cv2.connectedComponents((surface_mm > _DENT_SHARE * depth_mm).astype(np.uint8), connectivity=8)
+    if n > 2:  # the background and one dent
+        dents = np.asarray(labels, np.int32)
+        areas = np.bincount(dents.ravel(), minlength=n)[1:]
+        for k in 1 + np.argsort(-areas, kind="stable")[:_MAX_DENTS]:
+            mask = cv2.dilate((dents == k).astype(np.uint8), np.ones((_REACH_PX, _REACH_PX), np.uint8))
+            shapes.append(np.asarray(shapes[2] * mask, np.float32))
+    return shapes
+
+
+def _make_ramp(surface_mm: Floats, depth_mm: float, low: float, high: float) -> Floats:
+    """From 0 to 1 (rows, cols) where the surface passes from one share of the depth to another."""
+    ramp = surface_mm * np.float32(1.0 / (depth_mm * (high - low)))
+    ramp -= np.float32(low / (high - low))
+    return np.clip(ramp, np.float32(0.0), np.float32(1.0), out=ramp)
