@@ -35,6 +35,7 @@ from pipeline.training.conditioned_touch import ConditionedTouch, jitter_touch
 from pipeline.training.distributed import unwrap_network
 from pipeline.training.hold_out import assign_roles
 from pipeline.training.recorded_pairs import PairFolder
+from pipeline.training.touch_pairs import BUBBLE
 from pipeline.training.touch_residual import make_residual_example
 from pipeline.training.touch_to_touch import TouchToTouchTask
 from pipeline.values.frames import Grasp
@@ -167,7 +168,7 @@ class TileTask:
     def sample(self, rng: np.random.Generator) -> Example:
         """A tile pair, moved, rotated and brightened a little, its colours mixed."""
         touch = jitter_touch(self._tiles.training[int(rng.integers(len(self._tiles.training)))], rng)
-        return self._make_example(_mix_colours(touch, rng) if self.task.kind == "bubble" else touch)
+        return self._make_example(_mix_colours(touch, rng) if self.task.target == BUBBLE else touch)
 
     def make_validation_example(self, split: Split, index: int) -> Example:
         """A held-out pair."""
