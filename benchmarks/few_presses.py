@@ -104,7 +104,9 @@ def _widths(ball: _Ball) -> Iterator[str]:
                                   pixel_mm=width)  # fmt: skip
         steep = np.array([p.radius_px for p in look_up.presses if p.used]) * width / (0.5 * ball.diameter_mm)
         rms = 0.5 * 0.85 * float(np.sqrt(np.mean(steep**2)))  # of one axis, over the trusted disc
-        parts.append(f"{width:.4f} mm: {look_up.residual:.3f} mm/mm, {100 * look_up.residual / rms:.0f} % of the slopes")
+        parts.append(
+            f"{width:.4f} mm: {look_up.residual:.3f} mm/mm, {100 * look_up.residual / rms:.0f} % of the slopes"
+        )
     yield f"{ball.label}, eight presses, left over at a pixel of " + "; ".join(parts)
 
 
