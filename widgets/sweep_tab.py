@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 
 from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
@@ -63,11 +63,11 @@ class SweepTab(ComparisonTab):
         self.axis_chosen.emit(which)
 
     def offer_parameters(
-        self, names: Sequence[str], chosen: tuple[int, int], metrics: Sequence[str], metric: str
+        self, names: Sequence[str], chosen: tuple[int, int], metrics: Mapping[str, str], metric: str
     ) -> None:
-        """Offer parameters and metrics and show the chosen ones; emits no signal."""
+        """Offer parameters and metrics (name -> title) and show the chosen ones; emits no signal."""
         for box, index in zip(self.axes, chosen, strict=True):
-            _fill_box(box, names, index)
+            _fill_box(box, {name: name for name in names}, index)
         _fill_box(self.metric_box, metrics, list(metrics).index(metric))
 
     def show_values(self, which: int, values: Sequence[object]) -> None:
@@ -100,9 +100,11 @@ class SweepTab(ComparisonTab):
             self.message.setText(message)
 
 
-def _fill_box(box: QComboBox, items: Sequence[str], index: int) -> None:
+def _fill_box(box: QComboBox, items: Mapping[str, str], index: int) -> None:
+    """Offer items (name -> text) and choose one."""
     with QSignalBlocker(box):
-        if [box.itemText(i) for i in range(box.count())] != list(items):
+        if [box.itemData(i) for i in range(box.count())] != list(items):
             box.clear()
-            box.addItems(list(items))
+            for name, text in items.items():
+                box.addItem(text, name)
         box.setCurrentIndex(index)

@@ -31,10 +31,10 @@ from pipeline.evaluation.parameter_sweep import (
     parse_axis,
 )
 from pipeline.evaluation.variants import Variant, VariantRunner
-from pipeline.metrics.stage_metrics import METRICS, is_stage_error
+from pipeline.metrics.stage_metrics import METRICS, describe_metric, is_stage_error
 from pipeline.translation.error_attribution import DEFAULT_METRIC
 
-_NO_METRIC = "time only"
+_TIME_ALONE = "time only"
 
 
 class SweepController(BackgroundController):
@@ -75,21 +75,22 @@ class SweepController(BackgroundController):
         indices = tuple(box.currentIndex() for box in self._tab.axes)
         if is_new or min(indices, default=-1) < 0:
             indices = choose_default_axes(self._parameters)
-        metrics, metric = self._list_metrics(), self._tab.metric_box.currentText()
+        metrics, metric = self._list_metrics(), self._tab.metric_box.currentData()
         names = [parameter[2] for parameter in self._parameters]
         self._tab.offer_parameters(
-            names, (indices[0], indices[1]), metrics, metric if metric in metrics else metrics[0]
+            names, (indices[0], indices[1]), metrics, metric if metric in metrics else next(iter(metrics))
         )
         if is_new:
             for which in (0, 1):
                 self._suggest_values(which)
 
-    def _list_metrics(self) -> list[str]:
-        """The errors of stages known for any frame, the default one first; those of a whole frame are not swept."""
+    def _list_metrics(self) -> dict[str, str]:
+        """The errors (name -> title) of stages known for any frame, the default one first; last none, time alone."""
         planned = () if self._plan is None or not self._plan.metric else (self._plan.metric,)
         known = dict.fromkeys((*self._controller.window.frames.model.metrics, *planned))
         names = [name for name in known if is_stage_error(name)]
-        return [*sorted(names, key=lambda name: name != DEFAULT_METRIC), _NO_METRIC]
+        names.sort(key=lambda name: name != DEFAULT_METRIC)
+        return {**{name: describe_metric(name) for name in names}, "": _TIME_ALONE}
 
     def _update_metrics(self, _: int) -> None:
         if self._controller.session.layout.name == "sweep":
@@ -112,8 +113,7 @@ class SweepController(BackgroundController):
             axes.append(parse_axis(self._controller.session.get_params(method), method, name, line.text()))
         if axes[0].qualified_name == axes[1].qualified_name:
             raise SettingProblem("columns and rows are the same parameter; choose another for one of them")
-        metric = self._tab.metric_box.currentText()
-        return SweepPlan(across=axes[0], down=axes[1], metric="" if metric == _NO_METRIC else metric)
+        return SweepPlan(across=axes[0], down=axes[1], metric=str(self._tab.metric_box.currentData() or ""))
 
     def _start_sweep(self) -> None:
         try:

@@ -16,6 +16,7 @@ from widgets.frames_model import CONTACT, DEPTH, FRAME, METRIC
 from widgets.frames_panel import FramesPanel
 from widgets.log_panel import LogPanel
 from widgets.steps_slider import StepsSlider
+from widgets.sweep_tab import SweepTab
 from widgets.theme import get_theme_colours, to_hex
 from widgets.timings_panel import TimingRow, TimingsPanel
 from widgets.trace_panel import TracePanel
@@ -140,3 +141,12 @@ def test_states_of_a_sample_tell_their_noise(qtbot):
     assert "noise 0.5" in next(label.text() for label in slider.findChildren(QLabel))
     slider.show_steps(())
     assert not slider.slider.isEnabled()
+
+
+def test_a_sweep_offers_metrics_by_their_titles(qtbot):
+    tab, metrics = SweepTab(), {"touch_depth.contact_mae_mm": "touch depth: error in contact, mm", "": "time only"}
+    qtbot.addWidget(tab)
+    tab.offer_parameters(["touch.steps", "touch.guidance"], (1, 0), metrics, "")
+    assert [tab.metric_box.itemText(i) for i in range(2)] == list(metrics.values())
+    assert (tab.metric_box.currentText(), tab.metric_box.currentData()) == ("time only", "")
+    assert [box.currentText() for box in tab.axes] == ["touch.guidance", "touch.steps"]
