@@ -1,8 +1,8 @@
 """Calibration from presses of a ball, on the depth stage without calibration.
 
 The uncalibrated stage knows more than the built-in table (it estimates the illumination), so its slopes of every press
-are what a calibration table has to beat. Where it does not, as with few presses, the presses scale the depth of that
-stage by places (`depth_scale`).
+are what a calibration table has to beat; its depth of the presses as well, as slopes alone do not show wrong contacts.
+Where it does not, as with few presses, the presses scale the depth of the uncalibrated stage by places (`depth_scale`).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 from pipeline.base.arrays import Doubles, Floats, Image
 from pipeline.base.progress import SILENT, Progress
 from pipeline.calibration.balls import calibrate_balls
-from pipeline.calibration.calibration_table import Calibration, make_built_in
+from pipeline.calibration.calibration_table import BallFit, Calibration, ExpectedError, make_built_in
 from pipeline.calibration.contact_circles import find_largest_part
 from pipeline.calibration.depth_scale import fit_depth_scale
 from pipeline.calibration.expected_error import summarise_errors
@@ -29,7 +29,7 @@ from pipeline.stages.depth.photometric import DepthParams, estimate_depth, estim
 from pipeline.values.frames import TactileFrame
 from pipeline.values.results import DepthMap
 
-_PRESSES_MAX = 8  # used to fit the contact limit
+_PRESSES_MAX = 8  # used to fit the contact limit, and to measure a table
 _SHARES = (0.45, 0.6, 0.75)
 _WIDTH_RATIO_MAX = (
     1.08  # of contact width to circle: balls on simulated gels 0.96, on a real Mini 1.03, on a GelSlim 3 1.16
@@ -64,9 +64,43 @@ def calibrate_sensor(
     )
     diameters_mm = np.array([_measure_diameter(*read(fit.index), found.pixel_mm) for fit in found.presses])
     found = add_diameter_ratio(found, diameters_mm[:, 0] / diameter_mm)
+    ratio, by_place = diameters_mm.T / diameter_mm
+    by_description = found if found.uses_built_in else keep_description(found, plain, ratio)
+    by_description = add_depth_scale(by_description, ratio, by_place)
     if found.uses_built_in:
-        return add_depth_scale(found, diameters_mm[:, 1] / diameter_mm)
-    return fit_contact_limit(found, images, reference, sensor)
+        return by_description
+    by_table = fit_contact_limit(found, images, reference, sensor)
+    error, other = measure_table_error(by_table, images, reference, sensor, diameter_mm), by_description.expected_error
+    return by_table if other is None or error.diameter_share < other.diameter_share else by_description
+
+
+def keep_description(found: Calibration, plain: Calibration, ratio: Doubles) -> Calibration:
+    """The calibration with the description's table, by ratios (n,) of measured to true diameter with that."""
+    used = ratio[[fit.used for fit in found.presses]]
+    return replace(
+        found, model=plain.model, uses_built_in=True, coverage_map=None,
+        expected_error=summarise_errors(np.nan_to_num(used - 1.0, nan=1.0)),
+        origin=f"the built-in table: {len(used)} presses are measured no better with a table of their own",
+    )  # fmt: skip
+
+
+def measure_table_error(
+    table: Calibration, images: Sequence[Image], reference: Image, sensor: SensorSpec, diameter_mm: float
+) -> ExpectedError:
+    """Errors of the diameters of presses that a calibration table was fitted to."""
+    errors: list[float] = []
+    for fit in _select_presses(table):
+        frame = TactileFrame(sensor=sensor.name, image=images[fit.index], reference=reference, index=fit.index)
+        depth = estimate_depth(frame, sensor, table, DepthParams())
+        diameter, _ = fit_sphere(depth.indentation_mm, find_largest_part(depth.contact), table.pixel_mm)
+        errors.append(diameter / diameter_mm - 1.0)
+    return summarise_errors(np.nan_to_num(errors, nan=1.0))
+
+
+def _select_presses(found: Calibration) -> list[BallFit]:
+    """Some of the presses that a calibration uses."""
+    fits = [fit for fit in found.presses if fit.used]
+    return fits[:: max(1, len(fits) // _PRESSES_MAX)]
 
 
 def _measure_diameter(depth: DepthMap, surface: MeasuredSurface | None, pixel_mm: float) -> tuple[float, float]:
@@ -83,15 +117,20 @@ def add_diameter_ratio(found: Calibration, ratio: Doubles) -> Calibration:
     return replace(found, diameter_ratio=float(np.median(known)) if known.size else None)
 
 
-def add_depth_scale(found: Calibration, ratio: Doubles) -> Calibration:
-    """The calibration with a depth scale from ratios (n,) of measured to true diameter; unchanged where all are NaN."""
+def add_depth_scale(found: Calibration, ratio: Doubles, by_place: Doubles) -> Calibration:
+    """The calibration with a depth scale, from ratios (n,) of measured to true diameter; NaN = no ball detected.
+
+    `by_place`: the same where the light errs by places, else NaN; without such presses nothing changes.
+    """
     used = [fit.used for fit in found.presses]
     x, y = (np.array([getattr(fit, name) for fit in found.presses])[used] for name in ("x_px", "y_px"))
-    scale = fit_depth_scale(x, y, ratio[used], (found.rows, found.cols))
+    scale = fit_depth_scale(x, y, by_place[used], (found.rows, found.cols))
     if scale is None:
         return found
+    others = ratio[used][~np.isfinite(by_place[used])] - 1.0  # are not scaled
     return replace(
-        found, depth_scale_map=scale.factors, expected_error=summarise_errors(scale.errors),
+        found, depth_scale_map=scale.factors,
+        expected_error=summarise_errors(np.concatenate([scale.errors, np.nan_to_num(others, nan=1.0)])),
         origin=f"the built-in table, depth scaled by {len(scale.errors)} presses of a ball",
     )  # fmt: skip
 
@@ -102,8 +141,7 @@ def fit_contact_limit(found: Calibration, images: Sequence[Image], reference: Im
     A skin or coating that bridges the gel next to a ball looks like pressure there: where contacts of the presses are
     wider than their circles, the smallest share that prevents it is taken.
     """
-    fits = [fit for fit in found.presses if fit.used]
-    fits = fits[:: max(1, len(fits) // _PRESSES_MAX)]
+    fits = _select_presses(found)
 
     def measure_width_ratio(look_up: Calibration) -> float:
         widths: list[float] = []

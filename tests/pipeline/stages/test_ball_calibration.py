@@ -8,7 +8,7 @@ import pytest
 
 from pipeline.calibration import near_led_prior
 from pipeline.calibration.balls import calibrate_balls
-from pipeline.calibration.calibration_table import BallFit, make_built_in
+from pipeline.calibration.calibration_table import BallFit, ExpectedError, make_built_in
 from pipeline.physics import optics
 from pipeline.physics.slopes import compute_slopes
 from pipeline.sensors.spec import load_sensor
@@ -158,11 +158,38 @@ def test_depth_is_scaled_by_places_where_the_light_is_not_fitted_to_the_touch_it
 
 def test_presses_scale_depth_by_how_far_they_are_off_and_state_what_is_left():
     known = replace(of_presses(), uses_built_in=True)
-    scaled = add_depth_scale(known, np.full(len(PLACES), 1.25))
+    off, unknown = np.full(len(PLACES), 1.25), np.full(len(PLACES), np.nan)
+    scaled = add_depth_scale(known, off, off)
     assert scaled.is_built_in
     assert scaled.depth_scale_map is not None
     assert 1.15 < scaled.depth_scale_map.mean() < 1.25
     assert scaled.expected_error is not None
     assert scaled.expected_error.n_held_out == len(PLACES)
     assert scaled.expected_error.diameter_share < scaled.expected_error.diameter_p90 < 0.25
-    assert add_depth_scale(known, np.full(len(PLACES), np.nan)) == known
+    assert add_depth_scale(known, off, unknown) == known
+    one = add_depth_scale(known, off, np.where(np.arange(len(PLACES)) == 0, off, np.nan)).expected_error
+    assert one is not None
+    assert one.n_held_out == len(PLACES)
+    assert one.diameter_share > scaled.expected_error.diameter_share
+
+
+@pytest.mark.parametrize(("table_error", "is_taken"), [(0.3, False), (0.001, True)])
+def test_a_table_that_measures_its_own_presses_worse_is_not_taken(monkeypatch, table_error, is_taken):
+    described = load_sensor("gelsight_mini")
+    shape = described.camera.shape
+
+    def read(frame, *_):
+        x, y = PLACES[frame.index]
+        inside = np.hypot(np.arange(shape[1]) - x, (np.arange(shape[0]) - y)[:, None]) * described.pixel_mm < 1.2
+        depth_mm = hertz(shape, described.pixel_mm, x, y, 1.1 * DIAMETER_MM, 0.6)
+        return SimpleNamespace(indentation_mm=depth_mm, contact=inside), None
+
+    error = ExpectedError(diameter_share=table_error, diameter_p90=0.3, depth_share=0.1, depth_p90=0.3, n_held_out=4)
+    monkeypatch.setattr(ball_calibration, "estimate_gel_depth", read)
+    monkeypatch.setattr(ball_calibration, "calibrate_balls", lambda *_, **__: of_presses())
+    monkeypatch.setattr(ball_calibration, "fit_contact_limit", lambda found, *_: found)
+    monkeypatch.setattr(ball_calibration, "measure_table_error", lambda *_: error)
+    images = [np.zeros((*shape, 3), np.uint8)] * len(PLACES)
+    found = calibrate_sensor(images, images[0], described, DIAMETER_MM)
+    assert found.is_built_in is not is_taken
+    assert found.diameter_ratio == pytest.approx(1.1, abs=0.05)  # under a ball the gel is a paraboloid here
