@@ -53,7 +53,7 @@ def test_words_and_signs_stand_out_from_every_ground(dark):
     palette = make_palette(dark=dark)
     ink = get_theme_colours(palette)
     assert is_dark(palette) == dark
-    words = {"soft": ink.secondary_text, "alarm": ink.warning_text, "doubt": ink.warning_mark, "icon": ink.icon}
+    words = {"soft": ink.secondary_text, "alarm": ink.warning_text, "warning": ink.warning_mark, "icon": ink.icon}
     words |= dict(zip("xyz", ink.axes, strict=True)) | dict(ink.states)
     words |= {role.name: palette.color(role).getRgb()[:3] for role in (_ROLE.Text, _ROLE.PlaceholderText, _ROLE.Link)}
     for (name, colour), ground in product(words.items(), [*_grounds(palette), ink.backdrop]):
