@@ -6,6 +6,7 @@ import ctypes
 import gc
 import logging
 import time
+import traceback
 from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass
 from pathlib import Path
@@ -168,8 +169,10 @@ class Watched:
         self.memory_mb.append((time.monotonic() - self._begun_s, _resident_mb(), kept_bytes() / 2**20))
 
     def _failed(self, _ticket: int, error: object) -> None:
-        if not isinstance(error, TouchError):
-            self._complain(f"in the background: {type(error).__name__}: {error}")
+        if isinstance(error, BaseException) and not isinstance(error, TouchError):
+            calls = traceback.extract_tb(error.__traceback__)[-4:]
+            where = ", ".join(f"{Path(call.filename).name}:{call.lineno}" for call in calls)
+            self._complain(f"in the background: {type(error).__name__}: {error} ({where})")
 
 
 class _Errors(logging.Handler):
