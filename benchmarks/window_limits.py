@@ -95,15 +95,14 @@ def _drafts(instrument: Any, application: Any) -> list[tuple[float, float]]:
     from pipeline.stages.depth.stage import NETWORK
 
     waits, panel = [], instrument.window.parameters
-    panel.dragged_key = NETWORK.key
+    panel.slider_held.emit(NETWORK.key)
     for n in range(DRAGS):
         depth = instrument.views.get_shown_stage("depth")
         params = replace_value(instrument.session.get_params(NETWORK), "sensitivity", 1.0 + 0.02 * (n + 1))
         instrument.choose_params(NETWORK.key, params)
         waits.append(_wait(application, lambda old=depth: instrument.views.get_shown_stage("depth") is not old))
         spin(instrument, application)
-    panel.dragged_key = ""
-    panel.drag_ended.emit()
+    panel.slider_held.emit("")
     instrument.change("back", params={})
     spin(instrument, application)
     return waits
