@@ -213,7 +213,8 @@ def _describe_force(reports: Sequence[FrameReport]) -> list[str]:
     for name, remark in ((FORCE, ""), (UNCALIBRATED_FORCE, f"; {UNKNOWN_SCALE}")):
         forces = [report.metrics[name] for report in reports if name in report.metrics]
         if any(forces):
-            out.append(f"normal force {min(forces):.2f} to {max(forces):.2f} N{remark}")
+            low, high = f"{min(forces):.2f}", f"{max(forces):.2f}"
+            out.append(f"normal force {high if low == high else f'{low} to {high}'} N{remark}")
     return out
 
 

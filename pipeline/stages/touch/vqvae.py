@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 NOT_USED = (
     "the shipped VQ-VAE is farther off than physics on objects of no catalogue (1.45 against 0.37 mm onto a bubble, "
-    "0.081 against 0.061 mm onto a GelSlim); choose it with --weights, or fine-tune it with `train vqvae --pairs`"
+    "0.081 against 0.044 mm onto a GelSlim); choose it with --weights, or fine-tune it with `train vqvae --pairs`"
 )
 NOTE = "image only, from the source image: no depth or membrane is used"
 
