@@ -192,7 +192,7 @@ def _print_tables(table: EvaluationTable, *, is_recorded: bool) -> None:
         title=f"{split}: ours, {'recorded' if is_recorded else 'simulated'} [95 % interval] (the paper's)",
     )
     second = Table(
-        "transfer", "model", *_REGION_METRICS.values(), "kernel (floor)", "ms a touch",
+        "transfer", "model", *_REGION_METRICS.values(), "kernel", "ms a touch",
         title=f"{split}: {' / '.join(REGIONS.values())}",
     )  # fmt: skip
     for row in table.rows:
@@ -241,7 +241,7 @@ def _region_cells(row: TableRow) -> list[str]:
             + _format_interval(row, n, "all")
             for n in _REGION_METRICS
         ),
-        "-" if sets is None else f"{sets.kernel:.3f} ({sets.kernel_floor:.3f})",
+        "-" if sets is None else f"{sets.kernel:.4f}",
         f"{row.ms:.0f}" if row.ms else "-",
     ]
 

@@ -29,12 +29,11 @@ class PoseErrors:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SetDistances:
-    """Distances of the generated touches to the recorded ones; floors are between halves of the recorded."""
+    """Distances of the generated touches to the recorded ones; the floor is between halves of the recorded."""
 
     frechet: float
     frechet_floor: float
-    kernel: float
-    kernel_floor: float
+    kernel: float  # 0 = equal sets
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -91,14 +90,11 @@ def _stack_features(touches: Sequence[ScoredTouch]) -> Doubles | None:
 def _compare_sets(generated: Doubles | None, true: Doubles) -> SetDistances | None:
     if generated is None or len(generated) != len(true) or len(true) < 2 * set_distances.MIN_TOUCHES:
         return None
-    measured = {
-        name: (set_distances.compare_halves(distance, generated, true), set_distances.compute_floor(distance, true))
-        for name, distance in (("frechet", set_distances.frechet_distance), ("kernel", set_distances.kernel_distance))
-    }
     return SetDistances(
-        frechet=measured["frechet"][0], frechet_floor=measured["frechet"][1],
-        kernel=measured["kernel"][0], kernel_floor=measured["kernel"][1],
-    )  # fmt: skip
+        frechet=set_distances.compare_halves(set_distances.frechet_distance, generated, true),
+        frechet_floor=set_distances.compute_floor(set_distances.frechet_distance, true),
+        kernel=set_distances.kernel_distance(generated, true),
+    )
 
 
 def _pool_pose_errors(touches: Sequence[ScoredTouch]) -> dict[str, PoseErrors]:

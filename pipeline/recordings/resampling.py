@@ -7,10 +7,12 @@ jumps and gaps; their camera is fitted to the image instead.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from pipeline.base.arrays import Image, freeze
+from pipeline.base.arrays import Floats, Image, freeze
 from pipeline.geometry.camera import Camera
 from pipeline.sensors.spec import SensorSpec
 
@@ -33,14 +35,20 @@ class ResamplingFit:
 
     def resample_image(self, image: Image) -> Image:
         """The image (rows, cols, 3) at the sensor's size."""
+        return freeze(np.asarray(self._resample(image), np.uint8))
+
+    def resample_field(self, field: Floats) -> Floats:
+        """A field (rows, cols) of such an image at the sensor's size."""
+        return freeze(np.asarray(self._resample(field), np.float32))
+
+    def _resample(self, array: NDArray[Any]) -> NDArray[Any]:
         import cv2
 
-        rows, cols = (round(n * self.crop_share) for n in image.shape[:2])
-        part = image[rows : image.shape[0] - rows, cols : image.shape[1] - cols]
+        rows, cols = (round(n * self.crop_share) for n in array.shape[:2])
+        part = array[rows : array.shape[0] - rows, cols : array.shape[1] - cols]
         part = np.rot90(part) if self.is_rotated else part
         interpolation = cv2.INTER_AREA if part.shape[0] > self.shape[0] else cv2.INTER_LINEAR
-        resized = cv2.resize(np.ascontiguousarray(part), self.shape[::-1], interpolation=interpolation)
-        return freeze(np.asarray(resized, np.uint8))
+        return cv2.resize(np.ascontiguousarray(part), self.shape[::-1], interpolation=interpolation)
 
 
 def fit_resampling(spec: SensorSpec, shape: tuple[int, int]) -> ResamplingFit | None:

@@ -29,11 +29,31 @@ def test_frechet_of_fewer_touches_than_features_is_a_number_and_0_for_the_same_s
     assert frechet_distance(a, a + 2.0) == pytest.approx(4.0 * 32, rel=1e-9)
 
 
+def test_the_kernel_distance_is_the_u_statistic_of_paired_rows():
+    """Against the definition written as loops; scaled features give torchmetrics' kernel with gamma = 1 / scale."""
+    a, b = sets(n=9, d=4, shift=0.4)
+    a, b = a[:9], b[:9]
+    scale = sum(row @ row for row in b) / 9
+    terms = [
+        (x @ y / scale + 1) ** 3 + (u @ v / scale + 1) ** 3 - (x @ v / scale + 1) ** 3 - (y @ u / scale + 1) ** 3
+        for i, (x, u) in enumerate(zip(a, b, strict=True))
+        for j, (y, v) in enumerate(zip(a, b, strict=True))
+        if i != j
+    ]
+    assert kernel_distance(a, b) == pytest.approx(np.mean(terms), rel=1e-9)
+    assert kernel_distance(10 * a, 10 * b) == pytest.approx(kernel_distance(a, b), rel=1e-9)
+
+
 def test_the_kernel_distance_has_no_bias_of_its_own_and_sees_a_shift():
     rng = np.random.default_rng(3)
     same = [kernel_distance(rng.normal(size=(20, 4)), rng.normal(size=(20, 4))) for _ in range(400)]
     assert abs(np.mean(same)) < 3 * np.std(same) / math.sqrt(len(same))
     assert kernel_distance(rng.normal(size=(20, 4)), rng.normal(size=(20, 4)) + 1.5) > np.max(same)
+
+
+def test_equal_sets_have_no_kernel_distance_however_few_objects_they_hold():
+    objects = np.repeat(np.random.default_rng(5).normal(size=(4, 6)), 3, axis=0)
+    assert kernel_distance(objects, objects) == pytest.approx(0.0, abs=1e-12)
 
 
 def test_too_few_touches_have_no_distance():

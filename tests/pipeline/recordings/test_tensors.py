@@ -124,9 +124,23 @@ def test_a_depth_dictionary_gives_both_fingers_and_positive_indentation(tmp_path
     assert any("in_hand_pose is left out" in note for note in recording.notes)
 
 
+def test_a_depth_dictionary_of_another_size_is_resampled_with_its_depth(tmp_path: Path):
+    content = depth_dictionary()
+    content["depth_image"][1, 0] = -1.5
+    twice = {k: v if v.dim() < 4 else v.repeat_interleave(2, 2).repeat_interleave(2, 3) for k, v in content.items()}
+    recording = open_recording(saved(tmp_path / "peg_train.pt", twice))
+    own = open_recording(saved(tmp_path / "own.pt", content))
+    for one, other in zip(recording.streams, own.streams, strict=True):
+        assert np.array_equal(one.frame(1).image, other.frame(1).image)
+        assert np.array_equal(one.frame(1).reference, other.frame(1).reference)
+        assert np.allclose(one.truth(1).indentation_mm, other.truth(1).indentation_mm)
+    assert any("854 x 640 px are resampled" in note for note in recording.notes)
+
+
 @pytest.mark.parametrize(
     ("content", "message"),
     [
+        ({**depth_dictionary(), "tactile_image": torch.zeros(3, 6, 320, 640)}, "640 x 320 px.* same proportions"),
         ({"weights": torch.zeros(2)}, "tactile_image.*weights"),
         ([torch.zeros(2)], "must hold a dictionary of tensors"),
         ({"gelslim": torch.zeros(2, 3, 10, 10)}, r"gelslim must have shape \(2, 3, 320, 427\), got \(2, 3, 10, 10\)"),

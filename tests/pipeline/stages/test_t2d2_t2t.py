@@ -313,8 +313,10 @@ def test_weights_are_selected_by_sensors():
 
 
 @pytest.mark.parametrize(("method", "file", "source", "target", "problem"), [
-    ("t2t", "t2t_gelslim", "gelslim", "soft_bubble", "do not translate from a gel"),
-    ("t2t", "t2t_bubble", "soft_bubble", "gelslim", "do not translate from a bubble"),
+    ("t2t", "t2t_gelslim", "gelslim", "gelslim", "do not translate from a gel"),
+    ("t2t", "t2t_bubble", "soft_bubble", "soft_bubble", "do not translate from a bubble"),
+    ("t2t", "t2t_gelslim", "gelslim", "soft_bubble", "touches of a gel, not of a bubble"),
+    ("t2d2", "t2d2_bubble", "gelslim", "gelslim", "touches of a bubble, not of a gel"),
     ("t2t", "mine", "gelslim", "soft_bubble", "touches of a gel, not of a bubble"),
     ("t2d2", "mine", "gelslim", "soft_bubble", "touches of a gel, not of a bubble"),
     ("latent_t2d2", "mine", "gelslim", "soft_bubble", "touches of a gel, not of a bubble"),
