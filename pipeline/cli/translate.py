@@ -40,12 +40,13 @@ from pipeline.reporting.frame_report import FrameReport
 from pipeline.reporting.report import write_frame, write_report
 from pipeline.reporting.resume import FinishedFrame, compute_frame_key, load_finished_frame
 from pipeline.translation.catalogue import with_settings
-from pipeline.translation.force import measure_force
+from pipeline.translation.force import measure_force, select_force_metric
 from pipeline.translation.translate import Request, Translation, open_translation
 from pipeline.translation.truth_warnings import add_truth_warnings
 from pipeline.values.results import ObjectPose
 
 CACHE_BYTES = 32 * 1024 * 1024  # a few frames: a run does not return to earlier ones
+_FORCE_SKIPPED = "normal force: skipped; give --force, or a --calibration that 'tactoscope calibrate force' wrote"
 _LISTED_FRAMES = 8  # frame numbers listed behind a warning
 _BAR_COLUMNS = (
     TextColumn("{task.description}", markup=False),
@@ -61,6 +62,7 @@ class _FrameJob:
 
     request: Request
     settings: tuple[str, ...]
+    force: bool
     out: Path
     index: int
 
@@ -74,6 +76,7 @@ def translate(
     frame: int | None = None,
     all_frames: Annotated[bool, Parameter(name="--all", negative="")] = False,
     follow: Flag = False,
+    force: Flag = False,
     settings: StageSettings = (),
     scheduler: str = "",
 ) -> int:
@@ -91,6 +94,8 @@ def translate(
         Translate every frame.
     follow
         With --all, start each pose at that of the previous frame: several times as fast, for moving sequences.
+    force
+        Compute the normal force of frames as well; done anyway with the scale of `tactoscope calibrate force`.
     scheduler
         With --all, address of a Dask scheduler whose workers translate the frames, such as `tcp://host:8786`.
         It must be trusted: what it sends is run on this machine.
@@ -106,6 +111,7 @@ def translate(
     translation = open_translation(request)
     translation.check_index(0)
     params = with_settings(translation.methods, settings)
+    force = force or translation.force_scale is not None
     graph = translation.build_graph(like=Graph((), cache=Cache(CACHE_BYTES)))
     with console.status("looking for a contact") as status, compiling.report_compiling(status.update):
         indices = range(translation.n_frames) if all_frames else [_select_frame(translation, graph, params, frame)]
@@ -118,7 +124,8 @@ def translate(
             task = bar.add_task("translating", total=len(indices))
             if scheduler:
                 jobs = [
-                    _FrameJob(request=request, settings=tuple(settings), out=out.resolve(), index=k) for k in indices
+                    _FrameJob(request=request, settings=tuple(settings), force=force, out=out.resolve(), index=k)
+                    for k in indices
                 ]
                 with connect_cluster(scheduler) as workers:
                     workers.map(_run_job, jobs, interrupts)
@@ -127,7 +134,9 @@ def translate(
                 interrupts.step(0.0, "")
                 with compiling.report_compiling(lambda text: bar.update(task, description=text)):
                     previous = last if follow else None
-                    is_resumed, last = _translate_frame(translation, graph, params, index, out, previous, interrupts)
+                    is_resumed, last = _translate_frame(
+                        translation, graph, params, index, out, previous, interrupts, force=force
+                    )
                 reports.append(last.report)
                 n_resumed += is_resumed
                 bar.advance(task)
@@ -145,7 +154,11 @@ def translate(
             escape_text(f"note: {note}"), style="dim", highlight=False, markup=False, emoji=False, soft_wrap=True
         )
     print_stage_table(reports)
-    for line in (*list_fallbacks(reports), *list_warnings(reports), *_describe_force(reports)):
+    for line in (
+        *list_fallbacks(reports),
+        *list_warnings(reports),
+        *_describe_force(reports, translation, force=force),
+    ):
         print_line(line)
     if n_resumed and not scheduler:
         print_line(f"{n_resumed} of them were finished by an earlier run and are kept")
@@ -207,8 +220,10 @@ def _format_frames(warnings_by_frame: Mapping[int, str]) -> str:
     return f"{len(warnings_by_frame)} frames: {few}{more}{numbers_of}"
 
 
-def _describe_force(reports: Sequence[FrameReport]) -> list[str]:
-    """The range of normal force, and whether its scale is known; empty without a contact model."""
+def _describe_force(reports: Sequence[FrameReport], translation: Translation, *, force: bool) -> list[str]:
+    """The range of normal force, and whether its scale is known or it was skipped; empty without a contact model."""
+    if not force:
+        return [_FORCE_SKIPPED] if select_force_metric(translation) else []
     out: list[str] = []
     for name, remark in ((FORCE, ""), (UNCALIBRATED_FORCE, f"; {UNKNOWN_SCALE}")):
         forces = [report.metrics[name] for report in reports if name in report.metrics]
@@ -223,7 +238,7 @@ def _run_job(job: _FrameJob) -> None:
     with closing(open_translation(job.request)) as translation:
         graph = translation.build_graph(like=Graph((), cache=Cache(CACHE_BYTES)))
         params = with_settings(translation.methods, job.settings)
-        _translate_frame(translation, graph, params, job.index, job.out, None, SILENT)
+        _translate_frame(translation, graph, params, job.index, job.out, None, SILENT, force=job.force)
 
 
 def _with_absolute_paths(request: Request) -> Request:
@@ -245,10 +260,12 @@ def _translate_frame(
     out: Path,
     previous: FinishedFrame | None,
     progress: StageProgress,
+    *,
+    force: bool,
 ) -> tuple[bool, FinishedFrame]:
     """(whether an earlier run had finished it, the frame); a frame that fails has its problem in the report."""
     try:
-        key = compute_frame_key(translation, params, index, previous)
+        key = compute_frame_key(translation, params, index, previous, with_force=force)
         finished = load_finished_frame(out, index, key)
         if finished is not None:
             return True, finished
@@ -256,8 +273,9 @@ def _translate_frame(
         results = graph.evaluate(translation.stages, inputs, params, progress)
         truth = translation.read_ground_truth(index)
         results = {name: add_truth_warnings(result, truth) for name, result in results.items()}
-        force = measure_force(results, translation, graph, truth.source_truth)
-        metrics = {**translation.compute_metrics(results, index), **force}
+        metrics = translation.compute_metrics(results, index)
+        if force:
+            metrics |= measure_force(results, translation, graph, truth.source_truth)
         report = FrameReport(index=index, results=results, metrics=metrics)
         write_frame(out, translation.stream.frame(index), report, translation, key)
         return False, FinishedFrame(report=report.without_arrays, key=key, pose=_get_pose(report))

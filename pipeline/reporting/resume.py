@@ -33,7 +33,12 @@ class FinishedFrame:
 
 
 def compute_frame_key(
-    translation: Translation, params: Mapping[str, object], index: int, before: FinishedFrame | None
+    translation: Translation,
+    params: Mapping[str, object],
+    index: int,
+    before: FinishedFrame | None,
+    *,
+    with_force: bool,
 ) -> str:
     """Return the digest of everything a frame's results depend on: contents, truth, settings, versions, previous frame.
 
@@ -49,6 +54,7 @@ def compute_frame_key(
             translation.read_target_observation(index),
             translation.symmetry,
             translation.force_scale,
+            with_force,
             before.key if before is not None and before.pose is not None else "",
         )
     )

@@ -13,14 +13,15 @@ sensor: instances differ by a tenth or so (`simulation.variation`).
 
 from __future__ import annotations
 
+import functools
 import math
 
 import numpy as np
 
 from pipeline.base.arrays import Floats
 from pipeline.physics import optics
-from pipeline.sensors.parts import Optics
-from pipeline.sensors.spec import SensorSpec
+from pipeline.sensors.parts import Led, Optics
+from pipeline.sensors.spec import SensorSpec, load_sensor
 from pipeline.stages.depth import gel_network_input
 from pipeline.stages.depth.gel_network_input import N_CHANNELS, NetworkInput
 from pipeline.stages.depth.illumination.light import Illumination
@@ -28,19 +29,52 @@ from pipeline.stages.depth.illumination.selection import get_optics
 
 N_ALL_CHANNELS = N_CHANNELS + 12
 TRAINED_SENSORS = ("gelslim", "digit", "gelsight_mini")
-# A GelSlim without printed markers has the same LEDs; no training data are its own.
-_TRAINED_AS = {**{name: name for name in TRAINED_SENSORS}, "gelslim_dotless": "gelslim"}
 _GREY, _MAX_CHANGE = 60.0, 4.0  # grey levels of one unit of the channel, and its largest value
 _USUAL_SLOPE = 0.5  # mm/mm
-_N_LEDS, _LOG_POWER, _ELEVATION_DEG = 3, 0.15, 3.0  # standard deviations between instances, about
+_N_LEDS, _LOG_POWER, _ELEVATION_DEG, _AZIMUTH_DEG = 3, 0.15, 3.0, 8.0  # standard deviations between instances, about
+_LARGEST_DEVIATION = 2.5  # standard deviations within which training instances vary (`simulation.variation`)
 _STEEP, _BRIGHTER, _HIGHER, _LEDS, _SENSOR = (N_CHANNELS + k for k in (3, 4, 7, 8, 9))
 _UNEXPLAINED = {"described": -1.0, "near": -1.0, "shadow_leds": -2.0, "field": -2.0}  # values of channel 24
 
 
+def match_trained_sensor(source: SensorSpec) -> str:
+    """The sensor trained on whose instances may have the described LEDs of this one; "" for none.
+
+    A description of one's own keeps the network as long as each LED stays within the variation of instances.
+    """
+    leds = () if source.optics is None else source.optics.leds
+    return next((name for name in TRAINED_SENSORS if _are_alike(leds, _load_leds(name))), "")
+
+
+@functools.cache
+def _load_leds(name: str) -> tuple[Led, ...]:
+    return optics.require_optics(load_sensor(name)).leds
+
+
+def _are_alike(leds: tuple[Led, ...], trained: tuple[Led, ...]) -> bool:
+    return len(leds) == len(trained) and all(
+        max(_compute_deviations(*pair)) <= _LARGEST_DEVIATION for pair in zip(leds, trained, strict=True)
+    )
+
+
+def _compute_deviations(led: Led, trained: Led) -> tuple[float, float, float]:
+    """How far an LED is from one trained on, in standard deviations: azimuth, elevation, logarithm of its power."""
+    colour = int(np.argmax(trained.rgb))
+    turn_deg = (led.azimuth_deg - trained.azimuth_deg + 180.0) % 360.0 - 180.0
+    power = led.rgb[colour] / trained.rgb[colour]
+    return (
+        abs(turn_deg) / _AZIMUTH_DEG,
+        abs(led.elevation_deg - trained.elevation_deg) / _ELEVATION_DEG,
+        abs(math.log(power)) / _LOG_POWER if power > 0.0 else math.inf,
+    )
+
+
 def explain_exclusion(source: SensorSpec, illumination: Illumination | None) -> str:
-    """Why the network was not trained on such a touch: another sensor, or unexplained light; "" if it was."""
-    if source.name not in _TRAINED_AS:
-        return f"the network was not trained on {source.name}: the result is that of physics alone"
+    """Why the network was not trained on such a touch: other LEDs, or unexplained light; "" if it was."""
+    if not match_trained_sensor(source):
+        return (
+            f"the network was not trained on LEDs such as those of {source.name}: the result is that of physics alone"
+        )
     if illumination is None or not illumination.is_trusted:
         return "no usual LEDs explain the image: the result is that of physics alone"
     return ""
@@ -58,8 +92,9 @@ def compute_all_channels(network_input: NetworkInput, source: SensorSpec, illumi
         out[_LEDS] = _UNEXPLAINED.get(illumination.model, 0.0)
         if illumination.is_fitted_leds:
             _write_leds(out, optics.require_optics(source), get_optics(illumination, source))
-    if source.name in _TRAINED_AS:
-        out[_SENSOR + TRAINED_SENSORS.index(_TRAINED_AS[source.name])] = 1.0
+    trained = match_trained_sensor(source)
+    if trained:
+        out[_SENSOR + TRAINED_SENSORS.index(trained)] = 1.0
     return out
 
 

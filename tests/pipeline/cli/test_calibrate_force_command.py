@@ -40,7 +40,8 @@ def test_weighed_presses_turn_an_unknown_scale_into_newtons(tmp_path, capsys):
 
 
 def test_the_report_says_that_a_scale_is_not_known(tmp_path, capsys):
-    assert run("translate", SAMPLE, "--target", "soft_bubble", "--sensor", "gelslim", "--out", tmp_path / "o") == 0
+    assert run("translate", SAMPLE, "--target", "soft_bubble", "--sensor", "gelslim", "--force", "--out",
+               tmp_path / "o") == 0  # fmt: skip
     assert "its scale is not known" in " ".join(capsys.readouterr().out.split())
     report = json.loads((tmp_path / "o" / "report.json").read_text(encoding="utf-8"))
     assert report["frames"][0]["metrics"]["frame.uncalibrated_force_n"] > 0

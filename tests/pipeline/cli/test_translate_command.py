@@ -12,6 +12,7 @@ import pytest
 
 from pipeline.cli import translate
 from pipeline.cli.main import EXIT_UNEXPECTED, build_app, run_app
+from pipeline.metrics.stage_metrics import UNCALIBRATED_FORCE
 from pipeline.translation.translate import Translation
 from tests.pipeline.cli.conftest import dent, save
 
@@ -54,6 +55,20 @@ def test_a_second_run_keeps_finished_frames_and_says_so(typed, tmp_path):
     assert f"3 of them {RESUMED}" in out
     assert times(tmp_path / "out") == before
     assert frames(tmp_path / "out") == report
+
+
+def test_force_is_computed_on_request_alone_and_a_skip_is_said(typed, tmp_path, monkeypatch):
+    calls = []
+    measure = translate.measure_force
+    monkeypatch.setattr(translate, "measure_force", lambda *given: calls.append(1) or measure(*given))
+    _, out, _ = typed("--frame", "2")
+    assert "normal force: skipped" in out
+    assert not calls
+    assert UNCALIBRATED_FORCE not in frames(tmp_path / "out")[0]["metrics"]
+    _, out, _ = typed("--frame", "2", "--force")
+    assert "skipped" not in out.split("normal force", 1)[1]
+    assert len(calls) == 1
+    assert frames(tmp_path / "out")[0]["metrics"][UNCALIBRATED_FORCE] > 0.0
 
 
 def test_a_fallback_is_named_when_computed_and_when_resumed(typed):

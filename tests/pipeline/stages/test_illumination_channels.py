@@ -74,7 +74,20 @@ def test_fitted_leds_appear_in_standard_deviations_of_instances():
 
 @pytest.mark.parametrize("illumination", [Illumination(model="near"), Illumination(), None])
 def test_touches_without_explaining_leds_are_excluded(illumination):
-    source = load_sensor("digit")
-    other = replace(source, name="digit_mine")
-    assert "LEDs" in illumination_channels.explain_exclusion(source, illumination)
-    assert "digit_mine" in illumination_channels.explain_exclusion(other, Illumination(model="trusted"))
+    assert "LEDs" in illumination_channels.explain_exclusion(load_sensor("digit"), illumination)
+
+
+@pytest.mark.parametrize("name", illumination_channels.TRAINED_SENSORS)
+def test_a_description_of_ones_own_is_matched_by_its_leds_and_not_by_its_name(name):
+    source, trusted = load_sensor(name), Illumination(model="trusted")
+    assert illumination_channels.match_trained_sensor(replace(source, name="mine")) == name
+    for change in (
+        lambda led: replace(led, azimuth_deg=(led.azimuth_deg + 60.0) % 360.0),
+        lambda led: replace(led, elevation_deg=led.elevation_deg + 12.0),
+        lambda led: replace(led, rgb=tuple(0.4 * v for v in led.rgb)),
+    ):
+        leds = tuple(change(led) for led in source.optics.leds)
+        other = replace(source, name="mine", optics=replace(source.optics, leds=leds))
+        assert illumination_channels.match_trained_sensor(other) == ""
+        assert "mine" in illumination_channels.explain_exclusion(other, trusted)
+    assert illumination_channels.match_trained_sensor(load_sensor("soft_bubble")) == ""
