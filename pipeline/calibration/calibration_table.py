@@ -19,6 +19,8 @@ from pipeline.engine.digests import compute_cached_digest
 from pipeline.sensors.spec import Markers, SensorSpec
 
 SMOOTHING_PX = 1.0  # blur of the colour change, the same in fitting and in use
+P90_OVER_STD = 1.645  # of the sizes of normal errors
+USUAL_STD = 0.14  # of a ball's size on a real unit without calibration (`benchmarks.real_depth`)
 _DEGREES = 4, 2  # of colour and position, of the built-in table
 _CODE = (  # modules that the built-in table depends on: part of its cache key
     "pipeline.calibration.calibration_table", "pipeline.calibration.slope_model", "pipeline.physics.optics",
@@ -51,6 +53,11 @@ class ExpectedError:
     depth_share: float  # of its indentation
     depth_p90: float
     n_held_out: int  # validation presses; 0 = predicted only
+
+    @property
+    def depth_std(self) -> float:
+        """Relative standard deviation of the indentation."""
+        return self.depth_p90 / P90_OVER_STD
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

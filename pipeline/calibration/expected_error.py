@@ -14,7 +14,7 @@ import numpy as np
 from pipeline.base.arrays import Doubles, Mask, freeze
 from pipeline.calibration import shading_field, slope_model
 from pipeline.calibration.ball_samples import SlopeSamples
-from pipeline.calibration.calibration_table import ExpectedError
+from pipeline.calibration.calibration_table import P90_OVER_STD, USUAL_STD, ExpectedError
 from pipeline.calibration.corrections import HeldOutErrors, PressSet, compute_sphere_error
 from pipeline.calibration.shading_field import ShadingFieldPrior
 from pipeline.calibration.slope_model import SlopeModel
@@ -31,8 +31,7 @@ _ERROR_FLOOR = 0.03  # uncertainty of the contact's edge, however many presses: 
 _MEDIAN_MIN = 0.005  # smaller medians of a few errors are chance
 _COVERAGE_MIN = 0.5  # of the image: with less, the error elsewhere is unknown
 _PERCENTILES = (50.0, 90.0)  # that are stated
-_P90_OVER_STD, _STD_OVER_MEAN = 1.645, 1.253  # of normal errors, and of their sizes
-_USUAL_STD = 0.14  # of a ball on a real unit without calibration (`benchmarks.real_depth`)
+_STD_OVER_MEAN = 1.253  # standard deviation of normal errors over the mean of their sizes
 _MEDIAN_OVER_MEAN = 0.845  # of the sizes of normal errors; the mean of a few is more certain by a third
 
 
@@ -117,7 +116,7 @@ def summarise_errors(errors: Doubles) -> ExpectedError:
     def estimate_p90(sizes: Doubles) -> float:
         n = len(sizes)  # few presses seldom include the largest errors
         mean = _STD_OVER_MEAN * float(np.abs(sizes).sum())
-        return _P90_OVER_STD * (_PRIOR_PRESSES * _USUAL_STD + mean) / (_PRIOR_PRESSES + n)
+        return P90_OVER_STD * (_PRIOR_PRESSES * USUAL_STD + mean) / (_PRIOR_PRESSES + n)
 
     depth = 1.0 / (1.0 + errors) - 1.0
     return ExpectedError(

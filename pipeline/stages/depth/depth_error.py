@@ -6,13 +6,20 @@ described give a third to a sixth of the error of LEDs estimated from the touch 
 where no LEDs explain the image the error is 2.6 times the latter. The residual of the log error has a standard
 deviation of 0.86, so one touch in ten has more than three times the stated error, which is a median; the residual of
 the image under the fitted light explains hardly more (0.81).
+
+That is an error of shape. Where no usual LEDs explain the image, and with a calibration table, the depth as a whole may
+be wrong by a factor as well: by as much as the calibration expects, or as balls on real units show without one. Both
+add as variances.
 """
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from pipeline.base.ranks import percentile
+from pipeline.calibration.calibration_table import USUAL_STD, Calibration
 from pipeline.physics.slopes import compute_slopes
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth.illumination.light import Illumination
@@ -23,8 +30,10 @@ _STEEP_PERCENT = 95  # percentile of the slopes in contact
 _STEEPNESS_RANGE = 0.2, 1.6  # mm/mm: range of those presses
 
 
-def predict_gel_error(depth: DepthMap, source: SensorSpec, illumination: Illumination | None) -> DepthErrorModel | None:
-    """Expected error under an illumination (None: of a calibration); None where the sensor states no error."""
+def predict_gel_error(
+    depth: DepthMap, source: SensorSpec, calibration: Calibration, illumination: Illumination | None
+) -> DepthErrorModel | None:
+    """Expected error under an illumination (None: by the table alone); None where the sensor states no error."""
     limits = source.limits
     if not limits.depth_rms_mm:
         return None
@@ -33,8 +42,23 @@ def predict_gel_error(depth: DepthMap, source: SensorSpec, illumination: Illumin
         rms_mm = other_mm if illumination.is_fitted_leds else limits.depth_rms_mm
     else:
         rms_mm = other_mm if illumination is None else _UNEXPLAINED_FACTOR * other_mm
-    steep = _compute_steepness(depth, source.pixel_mm)
-    return DepthErrorModel(rms_mm=steep * rms_mm, correlation_mm=limits.depth_correlation_mm)
+    shape_mm = _compute_steepness(depth, source.pixel_mm) * rms_mm
+    scale_mm = get_scale_std(calibration, illumination) * _compute_rms_depth(depth)
+    return DepthErrorModel(rms_mm=math.hypot(shape_mm, scale_mm), correlation_mm=limits.depth_correlation_mm)
+
+
+def get_scale_std(calibration: Calibration, illumination: Illumination | None) -> float:
+    """Relative standard deviation of the depth as a whole; 0 where usual LEDs explain the image."""
+    if illumination is not None and illumination.is_trusted:
+        return 0.0
+    return USUAL_STD if calibration.expected_error is None else calibration.expected_error.depth_std
+
+
+def _compute_rms_depth(depth: DepthMap) -> float:
+    """Root mean square of the indentation in contact, mm; 0 without contact."""
+    if not depth.contact.any():
+        return 0.0
+    return float(np.sqrt(np.mean(np.square(depth.indentation_mm[depth.contact], dtype=np.float64))))
 
 
 def _compute_steepness(depth: DepthMap, pixel_mm: float) -> float:

@@ -175,7 +175,7 @@ def estimate_gel_depth(
         progress=progress,
         draft=params.draft,
     )  # fmt: skip
-    error = depth_error.predict_gel_error(found, seen_by, None if measured is None else measured.illumination)
+    error = depth_error.predict_gel_error(found, seen_by, table, None if measured is None else measured.illumination)
     return replace(found, error=error), measured
 
 

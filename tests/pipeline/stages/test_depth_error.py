@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from pipeline.calibration.calibration_table import USUAL_STD, ExpectedError, make_built_in
 from pipeline.geometry import rigid
 from pipeline.physics import optics
 from pipeline.sensors.spec import load_sensor
@@ -55,14 +58,16 @@ def test_measured_depth_carries_the_error_that_presses_show(name, other):
     assert 1 / LENGTHS_WITHIN < np.median(told_length_mm) / np.mean(length_mm) < LENGTHS_WITHIN
 
 
-def told_of(illumination, *, steep=1.0):
+def told_of(illumination, *, steep=1.0, level_mm=0.0, expected=None):
     spec = load_sensor("digit")
+    table = replace(make_built_in(spec), expected_error=expected)
     shape = spec.camera.shape
     ramp = (steep * spec.pixel_mm * np.arange(shape[1], dtype=np.float32)[None, :]) * np.ones(shape, np.float32)
     rest = np.zeros(shape, np.float32)
+    ramp += level_mm - ramp.mean()
     found = DepthMap(indentation_mm=ramp, depth_mm=rest, contact=rest == 0, camera=spec.camera,
                      source_index=make_pixel_index(shape))  # fmt: skip
-    return depth_error.predict_gel_error(found, spec, illumination).rms_mm
+    return depth_error.predict_gel_error(found, spec, table, illumination).rms_mm
 
 
 def test_a_touch_errs_as_its_light_and_its_slopes_have_it():
@@ -72,9 +77,28 @@ def test_a_touch_errs_as_its_light_and_its_slopes_have_it():
     assert described == pytest.approx(spec.limits.depth_rms_mm, rel=1e-3)
     assert other_std_mm == pytest.approx(spec.limits.depth_rms_other_instance_mm, rel=1e-3)
     assert 2 * described < other_std_mm < 0.5 * refused
-    assert told_of(None) == other_std_mm
     assert told_of(other, steep=0.5) == pytest.approx(0.5 * other_std_mm, rel=1e-3)
     assert told_of(other, steep=0.001) > 0.1 * other_std_mm  # no touch is without an error
+
+
+@pytest.mark.parametrize("model", ["described", "field", "near", "shadow_leds", None])
+def test_depth_as_a_whole_errs_by_what_the_calibration_expects_unless_usual_leds_explain_the_image(model):
+    light, flat = None if model is None else Illumination(model=model), {"steep": 1e-3}
+    for level_mm in (1.0, 2.0):
+        shape_mm = told_of(light, **flat)
+        for std, expected in (
+            (USUAL_STD, None),
+            (
+                0.05,
+                ExpectedError(
+                    diameter_share=0.1, diameter_p90=0.2, depth_share=0.03, depth_p90=0.05 * 1.645, n_held_out=4
+                ),
+            ),
+        ):
+            stated_mm = told_of(light, level_mm=level_mm, expected=expected, **flat)
+            assert stated_mm == pytest.approx(np.hypot(shape_mm, std * level_mm), rel=0.02)
+    usual = Illumination(model="leds", parameters=(0.0,) * 20)
+    assert told_of(usual, level_mm=2.0, **flat) == pytest.approx(told_of(usual, **flat), rel=1e-3)
 
 
 @pytest.mark.parametrize("name", ["digit", "gelslim_dotless"])
