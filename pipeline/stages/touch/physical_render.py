@@ -40,7 +40,7 @@ _MAX_CLIPPED_SHARE = 0.02  # share of clipped pixels from which on there is a wa
 _DEEP_MM = 8.0  # indentation of a bubble from which on what lies outside the source's view counts
 # Indentation over the radius of the contact from which on the object's flanks count: a free membrane of 45 to 60 mm
 # leaves such a contact at 40 degrees (indentation over radius times the log of both radii's ratio); most objects are
-# flatter. Chosen on a ball 4 mm deep; of 162 other touches 4 to 8 mm deep it marks 27 of 32 that lose to the mean touch.
+# flatter. Chosen on a ball 4 mm deep; of 162 others 4 to 8 mm deep it marks 27 of 32 that lose to the mean touch.
 _NARROW_RATIO = 2.5
 
 
