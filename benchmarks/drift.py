@@ -3,7 +3,8 @@
     python -m benchmarks.drift [METHOD]
 
 METHOD is a method of the stage *depth* (default "network"). Alone: 3 % more light and less; light that rises by 12 grey
-levels from one border to the other, along x and along y; the camera 2 pixels aside, along each axis and both. Then
+levels from one border to the other, along x and along y; the camera 2 pixels aside, along each axis and both, and 5
+pixels aside; a spot of light 10 grey levels bright or dark, small and large, white and tinted; JPEG of quality 70. Then
 random mixtures of them: every colour's gain within 3 %, a ramp of up to 12 grey levels in any direction, of any
 colour, a shift of up to 2 pixels in any direction. Images are the simulated sensor's, and the untouched ones of a
 real Mini, DIGIT and GelSlim 3.0 where they are at hand, each with fresh noise. The error is the number of frames in
@@ -37,19 +38,28 @@ _SENSORS = ("gelslim", "gelslim_dotless", "gelsight_mini", "digit")
 _REAL = {"gelslim": "gelslim3_balls/ref.jpg", "gelsight_mini": "gsmini_balls/background.png",
          "digit": "digit_balls/background.png"}  # fmt: skip
 _GAIN, _RAMP_GREY, _SHIFT_PX = 0.03, 12.0, 2.0
+_FAR_PX, _SPOT_GREY, _JPEG_QUALITY = 5.0, 10.0, 70
+_SPOTS = ((0.3, 0.3, 0.08), (0.6, 0.4, 0.15), (0.2, 0.6, 0.25))  # place and width, shares of the longer side
 _MIXTURES = 200
 _PRESS_MM = 0.4
 _LEVEL = (0.0, 0.0)
 
 
-def apply_drift(image, *, gain=(1.0, 1.0, 1.0), ramp=_LEVEL, tint=(1.0, 1.0, 1.0), shift=_LEVEL):
-    """The image (rows, cols, 3) with light times `gain` plus `ramp` grey levels across x and y, moved by `shift`."""
+def apply_drift(image, *, gain=(1.0, 1.0, 1.0), ramp=_LEVEL, tint=(1.0, 1.0, 1.0), shift=_LEVEL, spot=None):
+    """The image (rows, cols, 3) with light times `gain` plus `ramp` grey levels across x and y, moved by `shift`.
+
+    `spot` (x, y, width, grey levels): light of this `tint`, in shares of the longer side.
+    """
     rows, cols = image.shape[:2]
     by = np.array([[1, 0, shift[0]], [0, 1, shift[1]]], np.float64)
     moved = cv2.warpAffine(image.astype(np.float32), by, (cols, rows), flags=cv2.INTER_CUBIC,
                            borderMode=cv2.BORDER_REPLICATE)  # fmt: skip
     y, x = np.mgrid[-0.5 : 0.5 : rows * 1j, -0.5 : 0.5 : cols * 1j]
-    return moved * np.array(gain) + (ramp[0] * x + ramp[1] * y)[..., None] * np.array(tint)
+    more = ramp[0] * x + ramp[1] * y
+    if spot is not None:
+        right, down = np.arange(cols) / max(rows, cols) - spot[0], np.arange(rows) / max(rows, cols) - spot[1]
+        more = more + spot[3] * np.exp(-(right**2 + down[:, None] ** 2) / (2 * spot[2] ** 2))
+    return moved * np.array(gain) + more[..., None] * np.array(tint)
 
 
 def add_camera_noise(light, noise_grey: float, seed: int):
@@ -64,8 +74,16 @@ def table():
     yield {"gain": (1 - _GAIN,) * 3}
     for along in ((_RAMP_GREY, 0.0), (0.0, _RAMP_GREY)):
         yield {"ramp": along}
-    for along in ((_SHIFT_PX, 0.0), (0.0, _SHIFT_PX), (-_SHIFT_PX, _SHIFT_PX)):
+    for along in ((_SHIFT_PX, 0.0), (0.0, _SHIFT_PX), (-_SHIFT_PX, _SHIFT_PX), (_FAR_PX, 0.0), (3.0, -4.0)):
         yield {"shift": along}
+    for spot in _SPOTS:
+        for grey, tint in (
+            (_SPOT_GREY, (1.0, 1.0, 1.0)),
+            (-_SPOT_GREY, (1.0, 1.0, 1.0)),
+            (_SPOT_GREY, (1.0, 0.3, 0.6)),
+        ):
+            yield {"spot": (*spot, grey), "tint": tint}
+    yield {"jpeg": True}
 
 
 def mixture(rng):
@@ -89,18 +107,27 @@ def render_reference_images():
         yield f"real {name}", load_sensor(name), picture(data / file)
 
 
-def measure_after_drift(read, source, still, light, seed):
+def compress(image):
+    """What JPEG makes of an image (rows, cols, 3)."""
+    _, coded = cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
+    return np.ascontiguousarray(cv2.imdecode(coded, cv2.IMREAD_COLOR)[..., ::-1])
+
+
+def measure_after_drift(read, source, still, light, seed, *, jpeg=False):
     """(depth map, ms) of an image made of `light`."""
-    frame = TactileFrame(
-        sensor=source.name, image=add_camera_noise(light, source.optics.noise_grey, seed), reference=still
-    )
+    image = add_camera_noise(light, source.optics.noise_grey, seed)
+    frame = TactileFrame(sensor=source.name, image=compress(image) if jpeg else image, reference=still)
     started = time.perf_counter()
     answer = read(frame, source)
     return answer, 1e3 * (time.perf_counter() - started)
 
 
 def false_contacts(read, label, source, still, drifts):
-    found = [measure_after_drift(read, source, still, apply_drift(still, **how), k) for k, how in enumerate(drifts)]
+    found = []
+    for k, how in enumerate(drifts):
+        changes = {name: value for name, value in how.items() if name != "jpeg"}
+        light = apply_drift(still, **changes)
+        found.append(measure_after_drift(read, source, still, light, k, jpeg="jpeg" in how))
     pixels = np.array([answer.contact.sum() for answer, _ in found])
     deepest = max(float(answer.indentation_mm.max()) for answer, _ in found)
     found_row = build_measurement(

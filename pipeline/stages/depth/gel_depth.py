@@ -22,7 +22,15 @@ from pipeline.base.stage_warnings import AT_BORDER, StageWarning
 from pipeline.calibration import near_led_prior
 from pipeline.calibration.calibration_table import Calibration, check_calibration, make_built_in
 from pipeline.sensors.spec import Gel, SensorSpec
-from pipeline.stages.depth import change_detection, contact, drift, false_contacts, instance_check, rest_level
+from pipeline.stages.depth import (
+    change_detection,
+    contact,
+    drift,
+    false_contacts,
+    instance_check,
+    light_changes,
+    rest_level,
+)
 from pipeline.stages.depth.change_detection import ImageWindow
 from pipeline.stages.depth.illumination import frame_illumination, gel_surface
 from pipeline.stages.depth.illumination.light import Illumination
@@ -48,6 +56,7 @@ _WEAK_SHADING = StageWarning(
     "the LEDs hardly shade slopes where the sensor is touched: sizes and depths may be wrong by half; calibrate"
 )
 _NOT_COVERED = StageWarning("no indentation of the calibration covers this touch: it is measured without calibration")
+_LIGHT_CHANGE = "the light has changed, but no dent explains it: nothing touches the sensor"
 _SHADOW_LEDS = "no usual LEDs explain the image: measured with low LEDs that cast shadows, fitted to this touch"
 
 
@@ -129,7 +138,10 @@ def measure_gel_depth(
             median_pressure_share=calibration.median_pressure_share or contact.MEDIAN_PRESSURE_SHARE,
         )  # fmt: skip
         pressed = contact.remove_specks(pressed & (window.changed | inside), max(4, round(_SPECK_MM2 / pixel_mm**2)))
-        pressed = false_contacts.remove_false_contacts(pressed, surface, pixel_mm, _border(shape)[here], window.changed)
+        dents = light_changes.remove_light_changes(pressed, surface, changed, used)
+        if pressed.any() and not dents.any():
+            notes, surface = [*notes, _LIGHT_CHANGE], np.zeros_like(surface)
+        pressed = false_contacts.remove_false_contacts(dents, surface, pixel_mm, _border(shape)[here], window.changed)
         pressed = contact.fill_small_holes(pressed, round(_HOLE_MM2 / pixel_mm**2))
         narrow_px = _BORDER_GEL * (0.0 if source.gel is None else source.gel.thickness_mm) / pixel_mm
         touched[here] = contact.remove_border_artifacts(pressed, surface, *here, shape, narrow_px)
@@ -269,6 +281,6 @@ def _limit_depth(indentation: Floats, touched: Mask, largest_mm: float) -> list[
         notes.append(StageWarning("the contact fills the view: its depth is estimated from the little gel around it"))
     elif edge.any():
         notes.append(AT_BORDER)
-    if not touched.any():
+    if not touched.any() and indentation.any():
         notes.append("the image has changed, but nothing presses hard enough to be a contact")
     return notes
