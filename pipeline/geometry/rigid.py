@@ -16,6 +16,7 @@ from pipeline.base.errors import CalibrationError
 
 ORTHONORMAL_TOLERANCE = 1e-5  # largest entry of R^T R - I; float32 files keep 1e-6, hand-typed ones less
 MAX_TRANSLATION_MM = 1000.0  # between two sensors that feel the same touch, or one and what it touches
+_STRAIGHT_RAD = 1e-9  # a smaller rotation is a translation within rounding
 _SMALL_ANGLE_RAD = 1e-4  # below it the series is exact to double precision
 
 
@@ -99,6 +100,28 @@ def apply(target_from_source: Doubles, points_mm: ArrayLike) -> Doubles:
 def rotation_angle_deg(matrix: Doubles) -> float:
     """Return the angle of a transform's rotation."""
     return math.degrees(float(np.linalg.norm(rotation_vector_rad(matrix))))
+
+
+def apply_screw(pose: Doubles, motions: Doubles, about_mm: Doubles) -> Doubles:
+    """Return `pose` (..., 4, 4) after screw motions (..., 6), rotation rad and translation mm, of the sensor frame.
+
+    The full screw is followed, so a body of revolution rotated about its own axis stays in place at any distance.
+    """
+    vectors, shifts = motions[..., :3], motions[..., 3:]
+    angles = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    safe = np.where(angles > _STRAIGHT_RAD, angles, 1.0)
+    axes = np.where(angles > _STRAIGHT_RAD, vectors, 0.0) / safe
+    across = np.cross(axes, shifts)
+    bent = ((1 - np.cos(safe)) * across + (safe - np.sin(safe)) * np.cross(axes, across)) / safe
+    turned = rotation(vectors)
+    turned[..., :3, 3] = about_mm - turned[..., :3, :3] @ about_mm + shifts + bent
+    return turned @ pose
+
+
+def poses_differ(a: Doubles, b: Doubles, at_mm: Doubles, mm: float, deg: float) -> bool:
+    """Return whether two poses differ by more than `mm` at a point of the sensor frame, or by more than `deg`."""
+    relative = a @ invert(b)
+    return bool(np.linalg.norm(apply(relative, at_mm) - at_mm) > mm or rotation_angle_deg(relative) > deg)
 
 
 def validate_within_reach(matrix: ArrayLike, what: str) -> Doubles:

@@ -29,14 +29,7 @@ from pipeline.registration.gauss_newton import (
 from pipeline.registration.object_preparation import PreparedObject
 from pipeline.registration.observability import NORMAL_ERROR_DEG, Observability, Tolerances
 from pipeline.registration.point_matching import MatchedPoints, match_points
-from pipeline.registration.ranking import (
-    LEAST_SPREAD_MM,
-    PoseJudge,
-    align_to_outline,
-    apply_screw,
-    make_judge,
-    poses_differ,
-)
+from pipeline.registration.ranking import LEAST_SPREAD_MM, PoseJudge, align_to_outline, make_judge
 from pipeline.registration.scene import ContactScene, select_in_reach
 from pipeline.registration.starts import InitialPose
 from pipeline.values.results import PoseStep
@@ -149,7 +142,7 @@ class PoseSearch:
         misfits_mm = self._middle().misfit_mm(poses)
         kept: list[Doubles] = []
         for k in np.argsort(misfits_mm, kind="stable"):
-            if all(poses_differ(poses[k], other, self.middle_mm, SAME_MM, SAME_DEG) for other in kept):
+            if all(rigid.poses_differ(poses[k], other, self.middle_mm, SAME_MM, SAME_DEG) for other in kept):
                 kept.append(poses[k])
             if len(kept) == _N_POLISHED:
                 break
@@ -229,10 +222,10 @@ class PoseSearch:
         turns, slides = free[~straight], np.linalg.qr(free[straight, 3:].T)[0]
         if len(turns):
             turn = rigid.rotation_vector_rad(b @ rigid.invert(a))
-            a = apply_screw(a, np.linalg.lstsq(turns[:, :3].T, turn, rcond=None)[0] @ turns, self.middle_mm)
+            a = rigid.apply_screw(a, np.linalg.lstsq(turns[:, :3].T, turn, rcond=None)[0] @ turns, self.middle_mm)
         left = rigid.apply(b @ rigid.invert(a), self.middle_mm) - self.middle_mm
         a = rigid.translation(*(slides @ (slides.T @ left))) @ a
-        return poses_differ(a, b, self.middle_mm, SAME_MM, SAME_DEG)
+        return rigid.poses_differ(a, b, self.middle_mm, SAME_MM, SAME_DEG)
 
     def _about_middle(self, turn: Doubles) -> Doubles:
         """Return a rotation (3, 3) of the object about its bounding box's centre as (4, 4)."""

@@ -48,4 +48,4 @@ def test_a_frame_passes_few_modules():
             results = graph.evaluate(translation.stages, translation.read_inputs(5), params)
     assert {result.state for result in results.values()} == {"computed"}
     assert 50 < len(modules) <= 110
-    assert len(steps) < 4400
+    assert len(steps) < 4000
