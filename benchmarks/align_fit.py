@@ -25,7 +25,7 @@ import numpy as np
 from benchmarks.harness.results import BenchmarkResult, Measurement
 from benchmarks.harness.text_report import print_result
 from benchmarks.harness.timing import Requirement, build_measurement, summarize_times
-from benchmarks.scenes.data_folder import recorded_data
+from benchmarks.scenes.depth_helpers import recorded_data
 from pipeline.alignment.refine import refine_alignment
 from pipeline.alignment.rigid_start import align_rigidly
 from pipeline.alignment.touch_imprints import make_touch_pairs

@@ -88,11 +88,8 @@ class _Touch:
         described = load_sensor("soft_bubble")
         nearer = rigid.translation(0.0, 0.0, datasets.BUBBLE_DEEPER_MM) @ described.alignment_from_sensor
         self.source = replace(described, alignment_from_sensor=nearer)
-        self.unit, self.gel, self.seed = (
-            vary_sensor(self.source, 300 + k),
-            vary_sensor(load_sensor("gelslim"), 500 + k),
-            2 * k,
-        )
+        self.unit, self.gel = vary_sensor(self.source, 300 + k), vary_sensor(load_sensor("gelslim"), 500 + k)
+        self.seed = 2 * k
         self.bubble, self.truth = (simulate_press(thing, pose, unit, seed=None).truth for unit in (self.unit, self.gel))
         vertices = rigid.apply(self.bubble.sensor_from_object, thing.vertices_mm)
         self.object_mm = lattice.render_mesh_depth(vertices, thing.triangles, self.unit.camera)

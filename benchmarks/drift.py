@@ -23,8 +23,7 @@ import numpy as np
 from benchmarks.harness.results import BenchmarkResult
 from benchmarks.harness.text_report import print_result
 from benchmarks.harness.timing import Requirement, build_measurement, summarize_times
-from benchmarks.scenes.data_folder import recorded_data
-from benchmarks.scenes.depth_helpers import build_reader, picture
+from benchmarks.scenes.depth_helpers import build_reader, picture, recorded_data
 from pipeline.base.errors import FileProblem
 from pipeline.geometry import rigid
 from pipeline.metrics.stage_metrics import iou
@@ -70,8 +69,7 @@ def add_camera_noise(light, noise_grey: float, seed: int):
 
 def table():
     """Each kind of drift alone."""
-    yield {"gain": (1 + _GAIN,) * 3}
-    yield {"gain": (1 - _GAIN,) * 3}
+    yield from ({"gain": (1 + gain,) * 3} for gain in (_GAIN, -_GAIN))
     for along in ((_RAMP_GREY, 0.0), (0.0, _RAMP_GREY)):
         yield {"ramp": along}
     for along in ((_SHIFT_PX, 0.0), (0.0, _SHIFT_PX), (-_SHIFT_PX, _SHIFT_PX), (_FAR_PX, 0.0), (3.0, -4.0)):

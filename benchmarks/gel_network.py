@@ -25,7 +25,6 @@ from benchmarks.harness.text_report import print_result
 from benchmarks.harness.timing import Requirement, build_measurement, time_in_turns
 from benchmarks.scenes.depth_helpers import build_reader
 from pipeline.geometry import rigid
-from pipeline.geometry.camera import Camera
 from pipeline.networks import network_factory
 from pipeline.physics import optics
 from pipeline.sensors.spec import load_sensor
@@ -82,14 +81,6 @@ def simulate_touch(source):
     return TactileFrame(sensor=source.name, image=touch.image, reference=optics.render_reference(source))
 
 
-def large(source):
-    """The sensor with four times as many pixels along each side."""
-    c = source.camera
-    camera = Camera(rows=_LARGE * c.rows, cols=_LARGE * c.cols, fx_px=_LARGE * c.fx_px, fy_px=_LARGE * c.fy_px,
-                    cx_px=_LARGE * c.cx_px + 1.5, cy_px=_LARGE * c.cy_px + 1.5)  # fmt: skip
-    return source.with_camera(camera)
-
-
 def enlarge_frame(frame):
     def times(picture):
         return np.ascontiguousarray(picture.repeat(_LARGE, axis=0).repeat(_LARGE, axis=1))
@@ -127,7 +118,7 @@ def costs(read, network):
 
 def growth(read):
     small = load_sensor("gelslim_dotless")
-    wide, frame = large(small), simulate_touch(small)
+    wide, frame = small.with_camera(small.camera.scale(_LARGE)), simulate_touch(small)
     many = enlarge_frame(frame)
     taken = time_in_turns({"few": lambda: read(frame, small), "many": lambda: read(many, wide)}, runs=_RUNS)
     share = taken["many"].median_ms / taken["few"].median_ms / _LARGE**2

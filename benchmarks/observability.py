@@ -5,8 +5,8 @@
 Patches of rods, planes, spheres, pegs, edges, cones and of a tool that is fully determined, of random size and pose,
 with 300 to 3000 points and 0 to 0.05 mm of noise. Normals are off by 0 to 2 degrees in each of two directions: in every
 second patch point by point, on facets 4 degrees wide as a mesh of a round part has them, in the others cell by cell, as
-the gradients of a distance grid are. The truth is geometry's: see `known_patches.py` and `known_motions.py`,
-also for the band that is left out.
+the gradients of a distance grid are. The truth is geometry's: see `scenes/observability_patches.py` and
+`observability_score.py`, also for the band that is left out.
 """
 
 from __future__ import annotations
@@ -129,9 +129,7 @@ def measure() -> BenchmarkResult:
 
     peer = registered_by_open3d(press, model, normals)
     ended, aligned = np.array(peer.transformation), ours()
-    timing = time_in_turns({"ours": ours})[
-        "ours"
-    ]  # of the answer alone: it does not register, so that there is no race
+    timing = time_in_turns({"ours": ours})["ours"]  # of the answer alone: it does not register, so there is no race
     slid = build_measurement(
         f"rod slid by {SLIDE_MM} mm: error that the answer does not announce",
         ours=timing,

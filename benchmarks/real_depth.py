@@ -36,7 +36,6 @@ from benchmarks.harness.results import BenchmarkResult
 from benchmarks.harness.text_report import print_result
 from benchmarks.harness.timing import Requirement, build_measurement, summarize_times
 from benchmarks.scenes import panel_registration
-from benchmarks.scenes.data_folder import recorded_data
 from benchmarks.scenes.depth_helpers import (
     DepthReader,
     at_scale,
@@ -44,6 +43,7 @@ from benchmarks.scenes.depth_helpers import (
     list_numbered_files,
     patches,
     picture,
+    recorded_data,
 )
 from pipeline.calibration.contact_circles import find_largest_part
 from pipeline.calibration.sphere_fit import fit_sphere

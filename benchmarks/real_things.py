@@ -1,13 +1,12 @@
 """Is the contact of everyday objects on a real GelSight Mini in one piece, without specks?
 
-    python -m benchmarks.real_things [SHEET.png [METHOD [DATA_FOLDER]]]
+    python -m benchmarks.real_things [METHOD [DATA_FOLDER]]
 
 METHOD is a method of the stage *depth* (default "network") and knows nothing of the sensor instance but its reference
 image. There is no truth: counted is what the eye would complain of. A *crumb* is a part of the contact smaller than a
 thousandth of the image; a *corner blob* a part that lies whole in a corner of an eighth of the image's sides; a *stair*
 a run of 8 straight pixels or more in the contact's outline, along a row or a column and inside the image: the share of
-the outline in such runs, less that which an exact circle of the same area has. Times are of an image. SHEET.png shows
-every frame: its image, its depth (black 0 to white 1 mm) with the contact's outline.
+the outline in such runs, less that which an exact circle of the same area has. Times are of an image.
 """
 
 from __future__ import annotations
@@ -21,27 +20,19 @@ import numpy as np
 from benchmarks.harness.results import BenchmarkResult
 from benchmarks.harness.text_report import print_result
 from benchmarks.harness.timing import Requirement, build_measurement, summarize_times
-from benchmarks.scenes.data_folder import recorded_data
-from benchmarks.scenes.depth_helpers import build_reader, list_numbered_files, picture
+from benchmarks.scenes.depth_helpers import build_reader, list_numbered_files, patches, picture, recorded_data
 from pipeline.sensors.spec import load_sensor
 from pipeline.values.frames import TactileFrame
 
 NEEDS = "recorded data"
 _CRUMB, _CORNER, _STAIR_PX = 1e-3, 8, 8
-_WHITE_MM = 1.0
 _OWN_LOOK = {"rice": ("crumbs", "corner blobs"), "toothbrush": ("stairs",)}  # grains are small, a handle is straight
-
-
-def parts(contact):
-    """Labels of the connected parts, and how many pixels each has."""
-    n, labels, stats, _ = cv2.connectedComponentsWithStats(contact.astype(np.uint8), connectivity=8)
-    return labels, stats[1:n]
 
 
 def corner_blobs(contact) -> int:
     rows, cols = contact.shape
     n = 0
-    for x, y, wide, high, _ in parts(contact)[1]:
+    for x, y, wide, high, _ in cv2.connectedComponentsWithStats(contact.astype(np.uint8), connectivity=8)[2][1:]:
         at_side = x + wide <= cols // _CORNER or x >= cols - cols // _CORNER
         n += at_side and (y + high <= rows // _CORNER or y >= rows - rows // _CORNER)
     return n
@@ -70,32 +61,22 @@ def circle_of(n_px: int) -> float:
     return straight(x**2 + y**2 <= r**2)
 
 
-def draw_depth(image, answer):
-    level = np.clip(answer.indentation_mm / _WHITE_MM * 255, 0, 255).astype(np.uint8)
-    depth = np.ascontiguousarray(np.repeat(level[..., None], 3, axis=2))
-    found, _ = cv2.findContours(answer.contact.astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
-    cv2.drawContours(depth, found, -1, (255, 160, 0), 1)
-    return np.hstack([image, depth])
-
-
-def measure(sheet: str = "", method: str = "network", data: str = "") -> BenchmarkResult:
+def measure(method: str = "network", data: str = "") -> BenchmarkResult:
     folder, read, mini = recorded_data(data) / "mini_things", build_reader(method), load_sensor("gelsight_mini")
-    rows, shown = [], []
+    rows = []
     for thing in sorted(path for path in folder.iterdir() if path.is_dir()):
-        still, taken, crumbs, blobs, stairs, pieces, line = picture(thing / "ref.jpg"), [], 0, 0, [], [], []
+        still, taken, crumbs, blobs, stairs, pieces = picture(thing / "ref.jpg"), [], 0, 0, [], []
         for index, file in enumerate(list_numbered_files(thing, "frame_*.jpg")):
             frame = TactileFrame(sensor=mini.name, image=picture(file), reference=still, index=index)
             started = time.perf_counter()
             found = read(frame, mini)
             taken.append(1e3 * (time.perf_counter() - started))
-            areas = parts(found.contact)[1][:, cv2.CC_STAT_AREA]
+            areas = np.array(patches(found.contact), dtype=int)
             crumbs += int((areas < _CRUMB * found.contact.size).sum())
             blobs += corner_blobs(found.contact)
             pieces.append(len(areas))
             if found.contact.any():
-                stairs.append(straight(found.contact) - circle_of(int(areas.max())))
-            line.append(draw_depth(frame.image, found))
-        shown.append(np.hstack(line))
+                stairs.append(straight(found.contact) - circle_of(int(areas[0])))
         label = f"{thing.name} ({', '.join(map(str, pieces))} parts)"
         figures = (
             ("crumbs", crumbs, "parts", Requirement(max_error=0)),
@@ -110,10 +91,8 @@ def measure(sheet: str = "", method: str = "network", data: str = "") -> Benchma
                     f"{label}: {what}", ours=summarize_times(taken), ours_error=value, unit=unit, bar=kept
                 )
             )
-    if sheet:
-        cv2.imwrite(sheet, np.vstack(shown)[..., ::-1])
     return BenchmarkResult(title=f"Contact of everyday things on a Mini, by {method}", unit="", rows=tuple(rows))
 
 
 if __name__ == "__main__":
-    print_result(measure(*sys.argv[1:4]))
+    print_result(measure(*sys.argv[1:3]))

@@ -55,7 +55,6 @@ class RefinementProposal:
 
     refinement: Refinement
     offsets: Offsets
-    base_session: Session
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -144,7 +143,6 @@ def propose_refinement(session: Session, report: JobReporter) -> RefinementPropo
     return RefinementProposal(
         refinement=refinement,
         offsets=decompose_motion(refinement.motion @ session.offsets.to_matrix(), pivot_mm),
-        base_session=session,
     )
 
 

@@ -38,7 +38,8 @@ def plot_result(result: BenchmarkResult, path: Path) -> bool:
         axes.plot([point.ms], [point.error or floor], "o" if point.ours else "s", ms=8 if point.ours else 7, **label)
     _zero_line(axes, points, floor)
     figure.legend(loc="outside right upper", fontsize=8, frameon=False)
-    _save(figure, path)
+    with open_atomic(path, "the plot") as file:
+        figure.savefig(file, format="png")
     return True
 
 
@@ -51,12 +52,9 @@ def collect_points(result: BenchmarkResult) -> tuple[PlotPoint, ...]:
         ours = PlotPoint(method=f"ours: {row.question}", ms=row.ours_ms, error=row.ours_error, ours=True)
         found.setdefault((ours.method, 0.0, 0.0), ours)
         if row.peer:
-            found.setdefault((row.peer, row.peer_ms, row.peer_error), _peer(row))
+            peer = PlotPoint(method=row.peer, ms=row.peer_ms, error=row.peer_error)
+            found.setdefault((row.peer, row.peer_ms, row.peer_error), peer)
     return tuple(found.values())
-
-
-def _peer(row: Measurement) -> PlotPoint:
-    return PlotPoint(method=row.peer, ms=row.peer_ms, error=row.peer_error)
 
 
 def _drawable(point: PlotPoint) -> bool:
@@ -122,8 +120,3 @@ def _zero_line(axes: Any, points: Sequence[PlotPoint], floor: float) -> None:
     axes.axhline(floor, color=_BAR, lw=0.8, ls=":")
     axes.annotate("no error at all (0 has no place on this axis)", (0.0, floor), xycoords=("axes fraction", "data"),
                   xytext=(4, 3), textcoords="offset points", fontsize=7.5, color=_BAR)  # fmt: skip
-
-
-def _save(figure: Any, path: Path) -> None:
-    with open_atomic(path, "the plot") as file:
-        figure.savefig(file, format="png")

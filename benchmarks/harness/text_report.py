@@ -6,7 +6,7 @@ import math
 import sys
 from collections.abc import Sequence
 
-from benchmarks.harness.results import BenchmarkResult, Measurement, PlotPoint
+from benchmarks.harness.results import BenchmarkResult, Measurement
 from pipeline.base.machine import describe_machine, format_machine
 
 _HEADS = ("question", "peer", "ours ms (p95)", "peer ms (p95)", "ratio", "our error", "peer error", "unit", "bar", "")
@@ -22,7 +22,8 @@ def format_result(result: BenchmarkResult) -> str:
     """The result as lines of text, without the machine."""
     parts = [result.title, _table([_HEADS, *(_cells(row) for row in result.rows)])] if result.rows else [result.title]
     if result.points:
-        parts.append(_table([("method", "ms", "error"), *(_point(p, result.unit) for p in result.points)], {0}))
+        points = [(p.method, format_number(p.ms), f"{format_number(p.error)} {result.unit}") for p in result.points]
+        parts.append(_table([("method", "ms", "error"), *points], {0}))
     return "\n".join([*parts, *(f"  - {note}" for note in result.notes)])
 
 
@@ -52,10 +53,6 @@ def _ms(median: float, p95: float) -> str:
     if not math.isfinite(median):
         return "-"
     return f"{format_number(median)} ({format_number(p95)})" if math.isfinite(p95) else format_number(median)
-
-
-def _point(point: PlotPoint, unit: str) -> tuple[str, ...]:
-    return (point.method, format_number(point.ms), f"{format_number(point.error)} {unit}")
 
 
 def _table(lines: Sequence[Sequence[str]], words: frozenset[int] | set[int] = _WORDS) -> str:

@@ -1,4 +1,4 @@
-"""A depth method by its name, balls fitted to what it reads, and real images of them: for questions about depth.
+"""A depth method by its name, and recorded data that are not part of the project: for questions about depth.
 
 Not a question itself.
 """
@@ -6,13 +6,14 @@ Not a question itself.
 from __future__ import annotations
 
 import dataclasses
+import os
 from collections.abc import Callable
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from pipeline.base.errors import SettingProblem
+from pipeline.base.errors import FileProblem, SettingProblem
 from pipeline.base.progress import SILENT
 from pipeline.engine.graph import Fallback, Skipped
 from pipeline.geometry.camera import Camera
@@ -20,6 +21,8 @@ from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth.stage import STAGE
 from pipeline.values.frames import TactileFrame
 from pipeline.values.results import DepthMap
+
+_BESIDE = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 DepthReader = Callable[[TactileFrame, SensorSpec], DepthMap]
 
@@ -44,6 +47,14 @@ def build_reader(method: str = "network") -> DepthReader:
         return answer.output if isinstance(answer, Skipped) else answer
 
     return read
+
+
+def recorded_data(given: str = "") -> Path:
+    """The folder given, or that of TACTILE_DATA, or the one next to the project; raises FileProblem without any."""
+    folder = Path(given or os.environ.get("TACTILE_DATA", _BESIDE))
+    if not folder.is_dir():
+        raise FileProblem("there are no recorded data here; set TACTILE_DATA to their folder", folder)
+    return folder
 
 
 def picture(path: Path):

@@ -261,4 +261,3 @@ _WRITERS: Mapping[str, Callable[[_Work], None]] = {
     ".png": _picture, ".pdf": _picture, ".ply": _points, ".npz": _arrays, ".csv": _table,
     ".mp4": _video, ".avi": _video, ".rrd": _write_rerun, ".mcap": _write_mcap,
 }  # fmt: skip
-EXPORT_SUFFIXES = tuple(_WRITERS)
