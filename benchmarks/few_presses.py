@@ -3,9 +3,9 @@
     python -m benchmarks.few_presses [DATA_FOLDER]
 
 Ten draws of each number. A draw's error is the median over the presses judged, at most sixteen; the median draw is held
-to the bar. The Mini's presses of one ball are drawn from and the other's are judged; of the one ball of the others,
-those not drawn. The size of the DIGIT's ball is not known: its error is half of the range from the 10th to the 90th
-percentile of the diameters, over their median.
+to the bar. The Mini's presses of one ball are drawn from; those of the same ball that are not drawn, and those of the
+other ball, are judged. Of the one ball of the others, those not drawn. The size of the DIGIT's ball is not known: its
+error is half of the range from the 10th to the 90th percentile of the diameters, over their median.
 "Expected" is the 90th percentile that the calibration states of itself before anything is judged. A draw is worse than
 none where its error exceeds that of the same presses read without a calibration by more than 2 points: errors scatter
 by 7 points, so that the median of sixteen has a standard error of 1.25 x 7 / sqrt(16) = 2.2, whichever presses are
@@ -96,7 +96,7 @@ def measure(data: str = "") -> BenchmarkResult:
     )  # fmt: skip
     slim = _Ball("gelslim", folder / "gelslim3_balls", "ref.jpg", "sample_*.jpg", 7.6, _SLIM_MM_PER_PX)
     digit = _Ball("digit", folder / "digit_balls", "background.png", "0*.png", _DIGIT_MM, None)
-    pairs, found = ((small, large), (large, small), (slim, slim), (digit, digit)), []
+    pairs, found = ((small, small), (small, large), (large, small), (slim, slim), (digit, digit)), []
     for ball, judged in pairs:
         found += _none(ball, judged)
     for n in (4, 8, 16):
