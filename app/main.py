@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from app.session.sample import SAMPLE_RECORDING
 from pipeline.base.allocator import limit_arenas
+from pipeline.base.kernel_compiler import compile_in_own_process
 
 if TYPE_CHECKING:
     from PyQt6.QtWidgets import QApplication
@@ -77,8 +78,9 @@ def close_window(controller: SessionController) -> None:
 
 
 def prepare_environment() -> None:
-    """Set thread, garbage collector and allocator options; must run before heavy imports."""
+    """Set thread, garbage collector, allocator and compiler options; must run before heavy imports."""
     limit_arenas()
+    compile_in_own_process()
     os.environ.setdefault("OMP_WAIT_POLICY", _OMP_WAIT_POLICY)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # its threads spin, and no matrix product here gains from two
     gc.set_threshold(*_GC_THRESHOLDS)

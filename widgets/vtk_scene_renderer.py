@@ -25,7 +25,7 @@ from widgets.theme import get_theme_colours, to_qcolor
 from widgets.view_3d import View3D
 
 _TOGETHER_MS = 10  # changes within this time are rendered once
-_KEPT_BYTES = 42 * 1024 * 1024
+_KEPT_BYTES = 36 * 1024 * 1024
 _NEAR_PX, _ONE_SURFACE = 6.0, 0.02  # search radius; thickness of a surface as a share of its distance
 _ONE_TURN = 120  # Qt's wheel units of one notch
 _BUTTONS = {

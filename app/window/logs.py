@@ -46,6 +46,8 @@ class LogRelay(QObject):
             sys.__excepthook__(kind, error, trace)
             return
         log.error("uncaught error", exc_info=(kind, error, trace))
+        if not isinstance(error, TouchError):  # one that a user can mend is in the banner
+            sys.__excepthook__(kind, error, trace)
         self.error_uncaught.emit(error)
 
     def _report_thread_error(self, args: threading.ExceptHookArgs) -> None:

@@ -33,7 +33,7 @@ from pipeline.values.results import DepthMap
 from widgets.frame_summary import FrameSummary
 
 log = logging.getLogger("tactoscope")
-_CACHE_BYTES = 72 * 1024 * 1024  # 12 frames of a 320 x 427 gel, or 24 of a bubble
+_CACHE_BYTES = 56 * 1024 * 1024  # 18 frames from a 320 x 427 gel to a bubble, or 10 back
 _BACKGROUND_BYTES = 16 * 1024 * 1024  # 1 or 2 background frames, kept apart from the frames on screen
 _TRUTH_BYTES = 24 * 1024 * 1024
 _OUTLINED = "target_depth"  # stage whose preview gets the outline of the target's own touch
@@ -323,6 +323,7 @@ class Evaluator:
         self._translation = self._delivered = translation
         self._previews = PreviewCache(*self._preview_bytes)
         self._clear_truths()
+        release_free_memory()  # of the old recording, before the new one takes its own
         self._must_release = True  # after the first frame, when the window has dropped the old recording
         self._request = make_request(replace(session, target=translation.target.name))
         self._first_frame = find_contact_frame(translation.stream) if session.frame < 0 else session.frame

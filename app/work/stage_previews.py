@@ -25,8 +25,8 @@ from pipeline.values.frames import TactileFrame
 from pipeline.values.results import DepthMap
 from widgets.frame_summary import THUMBNAIL_PX, FrameSummary
 
-_PREVIEW_BYTES = 72 * 1024 * 1024  # 12 frames of a 320 x 427 gel, 7 images each
-_FRAME_BYTES = _TRUTH_BYTES = 40 * 1024 * 1024
+_PREVIEW_BYTES = 52 * 1024 * 1024  # 18 frames from a 320 x 427 gel to a bubble, 7 images each
+_FRAME_BYTES = _TRUTH_BYTES = 28 * 1024 * 1024
 _MAX_METRICS = 512  # frames whose metrics are kept
 
 
@@ -73,7 +73,7 @@ class PreviewCache:
         self._compared: Memo[object, tuple[object, object, StagePreview]] = Memo(
             most_bytes=min(most_bytes, _TRUTH_BYTES), weigh=lambda entry: _size_bytes(entry[2])
         )
-        self._frames: Memo[int, LoadedFrame] = Memo(most_bytes=min(most_bytes, _FRAME_BYTES))
+        self._frames: Memo[int, LoadedFrame] = Memo(most_bytes=min(most_bytes, _FRAME_BYTES), weigh=_size_loaded_bytes)
         self._metrics: Memo[object, dict[str, float]] = Memo(_MAX_METRICS)
 
     def load_frame(self, translation: Translation, index: int, display: DisplayParams) -> LoadedFrame:
@@ -144,6 +144,13 @@ def _size_bytes(shown: StagePreview) -> int:
     return measure_bytes(
         (shown.preview, shown.layers, shown.truth_view, shown.step_previews, shown.step_layers), shown.result.output
     )
+
+
+def _size_loaded_bytes(loaded: LoadedFrame) -> int:
+    """Size without what all frames of a recording share."""
+    observed = loaded.ground_truth.target_observation
+    shared = loaded.frame.reference, loaded.ground_truth.mesh, None if observed is None else observed.reference
+    return measure_bytes(loaded, shared)
 
 
 def _add_comparison(

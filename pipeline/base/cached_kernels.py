@@ -29,6 +29,13 @@ class _TolerantCache(FunctionCache):
     def load_overload(self, sig, target_context):
         # Numba's own method first imports what only compiling needs: its numpy and scipy implementations.
         rtsys.initialize(target_context)
+        cached = self._load_tolerantly(sig, target_context)
+        function = self._py_func
+        if cached is None and compiling.compile_elsewhere(function.__module__, function.__qualname__, sig):
+            cached = self._load_tolerantly(sig, target_context)
+        return cached
+
+    def _load_tolerantly(self, sig, target_context):
         try:
             return self._load_overload(sig, target_context)
         except Exception:  # noqa: BLE001 - a damaged pickle may raise anything

@@ -14,6 +14,7 @@ import shutil
 import sys
 import tempfile
 import threading
+import time
 from collections.abc import Callable, Generator
 from functools import cache
 from pathlib import Path
@@ -31,8 +32,11 @@ class _ThreadState(threading.local):
     report: Callable[[str], None] | None = None
 
 
+Compiler = Callable[[str, str, object], bool]  # (module, kernel, types of its arguments) -> whether it is cached now
+
 _thread = _ThreadState()
 _n_compiled = 0
+_compiler: Compiler | None = None
 
 
 @contextlib.contextmanager
@@ -58,6 +62,24 @@ def spent_s() -> float:
 def count_compiled() -> int:
     """Return the number of kernels that this process has compiled."""
     return _n_compiled
+
+
+def set_compiler(compiler: Compiler | None) -> None:
+    """Let `compiler` compile kernels that the cache lacks; None compiles them in this process."""
+    global _compiler  # noqa: PLW0603 - set once, at the start
+    _compiler = compiler
+
+
+def compile_elsewhere(module: str, name: str, signature: object) -> bool:
+    """Return whether another process compiled a kernel of a module into the cache; reported like any other."""
+    if _compiler is None or not hasattr(sys.modules.get(module), name):
+        return False
+    begin_kernel()
+    started_s = time.perf_counter()
+    try:
+        return _compiler(module, name, signature)
+    finally:
+        end_kernel(time.perf_counter() - started_s)
 
 
 def begin_kernel() -> None:

@@ -215,9 +215,24 @@ def write_text(path: Path, text: str, what: str) -> None:
         file.write(text.encode("utf-8"))
 
 
+def write_together(contents: Mapping[Path, bytes], what: str) -> None:
+    """Write several files: all of them are replaced, or none where one cannot be written; raises FileProblem."""
+    with contextlib.ExitStack() as stack:
+        for path, content in contents.items():
+            file = stack.enter_context(open_atomic(path, what))
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())  # a full disk shows here, before the first file is replaced
+
+
 def write_json(path: Path, value: object, what: str = "the report") -> None:
     """Write `value` as indented JSON; numbers that are not finite become null."""
-    write_text(path, json.dumps(_to_json(value), indent=1, allow_nan=False) + "\n", what)
+    write_text(path, format_json(value), what)
+
+
+def format_json(value: object) -> str:
+    """Return `value` as indented JSON; numbers that are not finite become null."""
+    return json.dumps(_to_json(value), indent=1, allow_nan=False) + "\n"
 
 
 def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], what: str = "the arrays") -> None:

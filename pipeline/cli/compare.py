@@ -15,6 +15,7 @@ from rich.console import Console
 from rich.table import Table
 
 from pipeline.base.errors import SettingProblem
+from pipeline.base.files import prepare_folder
 from pipeline.base.params import replace_value
 from pipeline.cli.interrupts import interruptible_progress
 from pipeline.cli.terminal import print_line
@@ -98,6 +99,7 @@ def compare(
         progress = stack.enter_context(interruptible_progress())
         translation.check_index(frame)
         params, display = _parse_settings(translation, settings)
+        prepare_folder(out.parent)
         steps: Iterator[Comparison]
         if across or down:
             plan = _parse_plan(translation, params, across, down, metric)

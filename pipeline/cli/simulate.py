@@ -13,6 +13,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextC
 
 from pipeline.base.cluster import connect_cluster
 from pipeline.base.errors import FileProblem
+from pipeline.base.files import prepare_folder_for
 from pipeline.base.progress import Cancelled
 from pipeline.base.units import MeshUnit
 from pipeline.cli.interrupts import handle_interrupts
@@ -84,6 +85,8 @@ def simulate(
     total = sum(plan.n_poses for plan in plans)
     if n_finished == total:
         raise FileProblem("all of this is simulated already and is kept; choose another --out or --seed", out)
+    for path in files:
+        prepare_folder_for(path)
     n_unsolved = 0
     with ExitStack() as stack:
         # Checks `jobs`; starts no process before there is work.

@@ -112,10 +112,10 @@ def translate(
     translation.check_index(0)
     params = with_settings(translation.methods, settings)
     force = force or translation.force_scale is not None
+    prepare_folder(out)
     graph = translation.build_graph(like=Graph((), cache=Cache(CACHE_BYTES)))
     with console.status("looking for a contact") as status, compiling.report_compiling(status.update):
         indices = range(translation.n_frames) if all_frames else [_select_frame(translation, graph, params, frame)]
-    prepare_folder(out)
     reports: list[FrameReport] = []
     last: FinishedFrame | None = None
     n_resumed = 0

@@ -14,7 +14,7 @@ from pipeline.geometry.distance_grid import DistanceGrid, build_grid
 from pipeline.geometry.meshes import Mesh
 
 _CODE = tuple(f"pipeline.geometry.distance_{part}" for part in ("grid", "grid_kernels", "build_kernels"))
-_MAX_BYTES = 24 * 1024 * 1024  # two or three objects; others are read from disk
+_MAX_BYTES = 12 * 1024 * 1024  # one or two objects; others are read from disk
 _grids: Memo[str, DistanceGrid] = Memo(4, most_bytes=_MAX_BYTES)
 
 

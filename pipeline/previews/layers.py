@@ -21,7 +21,9 @@ from pipeline.sensors.spec import SensorSpec
 
 MAX_POINTS = 16_000  # of one surface: more are not visible in a view this small and slow rendering down
 _MEMBRANE_COLS = 64.0  # a faint smooth surface needs no more
+_Surface = tuple[Floats, NDArray[np.int32], Floats]  # points (n, 3) in mm, triangles (m, 3), normals (n, 3)
 _membranes: Memo[str, Layer] = Memo(8)
+_rest_surfaces: Memo[tuple[str, Camera], _Surface] = Memo(8)  # under a gel's images
 _meshes: Memo[str, tuple[Floats, Indices, Floats]] = Memo(8)
 
 
@@ -61,8 +63,13 @@ def make_surface_layer(
 
 def make_frame_layer(name: str, image: Image | Floats, camera: Camera, preview: Preview, sensor: SensorSpec) -> Layer:
     """Return a 3D layer of a frame's pixels, on the rest surface of a gel or on the measured membrane of a bubble."""
-    depth = np.asarray(image, dtype=np.float32) if image.ndim == 2 else compute_rest_depth_mm(sensor, camera)
-    return make_grid_layer(name, camera.back_project(depth), preview)
+    if image.ndim == 2:
+        return make_grid_layer(name, camera.back_project(np.asarray(image, dtype=np.float32)), preview)
+    stride = _choose_stride(*camera.shape)
+    surface = _rest_surfaces.get_or_make((compute_cached_digest(sensor), camera), lambda: _surface(
+        camera.back_project(compute_rest_depth_mm(sensor, camera)), stride
+    ))  # fmt: skip
+    return _texture_surface(name, surface, preview.pixels[::stride, ::stride], preview)
 
 
 def make_cloud_layer(
@@ -134,12 +141,21 @@ def make_grid_layer(name: str, points: NDArray[np.floating], preview: Preview) -
     """Return a grid of points (rows, cols, 3) as a surface textured with its preview, thinned to what is visible."""
     here = _seen_part(points)
     points, pixels = points[here], preview.pixels[here]
-    rows, cols = points.shape[:2]
-    stride = max(1, math.ceil(math.sqrt(rows * cols / MAX_POINTS)))
-    xyz, triangles, normals = _surface(points, stride)
-    colours = freeze(pixels[::stride, ::stride].reshape(-1, 3).copy())
+    stride = _choose_stride(*points.shape[:2])
+    return _texture_surface(name, _surface(points, stride), pixels[::stride, ::stride], preview)
+
+
+def _choose_stride(rows: int, cols: int) -> int:
+    return max(1, math.ceil(math.sqrt(rows * cols / MAX_POINTS)))
+
+
+def _texture_surface(name: str, surface: _Surface, pixels: Image, preview: Preview) -> Layer:
+    xyz, triangles, normals = surface
     colour_map = None if preview.scale is None else preview.scale.colour_map
-    return Layer(name=name, points_mm=xyz, rgb=colours, triangles=triangles, normals=normals, colour_map=colour_map)
+    return Layer(
+        name=name, points_mm=xyz, rgb=freeze(pixels.reshape(-1, 3).copy()), triangles=triangles, normals=normals,
+        colour_map=colour_map,
+    )  # fmt: skip
 
 
 def _mesh_arrays(mesh: Mesh) -> tuple[Floats, NDArray[np.int32], Floats]:
@@ -163,7 +179,7 @@ def _seen_part(points: NDArray[np.floating]) -> tuple[slice, slice]:
     return slice(int(row[0]), int(row[-1]) + 1), slice(int(col[0]), int(col[-1]) + 1)
 
 
-def _surface(points: NDArray[np.floating], stride: int) -> tuple[Floats, NDArray[np.int32], Floats]:
+def _surface(points: NDArray[np.floating], stride: int) -> _Surface:
     """Return points (n, 3), triangles and normals of every `stride`-th point, without triangles with a NaN corner."""
     grid = np.asarray(points[::stride, ::stride], dtype=np.float32)
     rows, cols = grid.shape[:2]

@@ -16,7 +16,7 @@ from pipeline.geometry.meshes import Mesh
 from pipeline.registration.model import ObjectModel, sample_model
 
 N_MODEL = 30_000  # points on the whole object
-_MAX_BYTES = 24 * 1024 * 1024  # of the cache: two or three objects with their grids
+_MAX_BYTES = 12 * 1024 * 1024  # of the cache: one or two objects with their grids
 _objects: Memo[str, PreparedObject] = Memo(4, most_bytes=_MAX_BYTES)
 
 

@@ -16,15 +16,7 @@ from msgspec import Meta
 
 from pipeline.base.arrays import Doubles
 from pipeline.base.errors import FileProblem
-from pipeline.base.files import (
-    MOST_TEXT_BYTES,
-    open_atomic,
-    prepare_folder,
-    read_bytes,
-    read_json,
-    write_json,
-    write_text,
-)
+from pipeline.base.files import MOST_TEXT_BYTES, format_json, prepare_folder, read_bytes, read_json, write_together
 from pipeline.base.typed_data import Name, Number, convert
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh, load_mesh
@@ -120,20 +112,23 @@ def _format_cell(value: float | str | None) -> str:
 
 
 def write_record(folder: Path, record: TrackRecord) -> None:
-    """Write the three files into a folder; a surface only where one could be fused."""
+    """Write the three files into a folder, all or none; a surface only where one could be fused."""
     prepare_folder(folder)
-    write_text(folder / TABLE, format_table(record.rows), "the track")
-    write_json(folder / SUMMARY, {
+    summary = {
         "stage": record.stage, "frames": len(record.rows), "lost": record.count("lost"), "parts": record.n_parts,
         "key_frames": list(record.key_frames), "closed_loops": record.n_loops,
         "error": None if record.error is None else asdict(record.error),
-    })  # fmt: skip
+    }  # fmt: skip
+    contents = {TABLE: format_table(record.rows).encode(), SUMMARY: format_json(summary).encode()}
     if record.patch is not None:
-        write_patch(folder / PATCH, record.patch)
+        contents[PATCH] = format_patch(record.patch)
+    write_together({folder / name: content for name, content in contents.items()}, "the track")
+    if record.patch is None:
+        (folder / PATCH).unlink(missing_ok=True)  # of an earlier track
 
 
-def write_patch(path: Path, patch: Mesh) -> None:
-    """Write a mesh in mm as a binary PLY."""
+def format_patch(patch: Mesh) -> bytes:
+    """Return a mesh in mm as a binary PLY."""
     rows: Any = np.empty(len(patch.triangles), dtype=[("n", "u1"), ("corners", "<i4", 3)])
     rows["n"], rows["corners"] = 3, patch.triangles
     head = (
@@ -141,10 +136,7 @@ def write_patch(path: Path, patch: Mesh) -> None:
         f"element vertex {len(patch.vertices_mm)}\nproperty float x\nproperty float y\nproperty float z\n"
         f"element face {len(patch.triangles)}\nproperty list uchar int vertex_indices\nend_header\n"
     )
-    with open_atomic(path, "the patch map") as file:
-        file.write(head.encode("ascii", "replace"))
-        file.write(patch.vertices_mm.astype("<f4").tobytes())
-        file.write(rows.tobytes())
+    return head.encode("ascii", "replace") + patch.vertices_mm.astype("<f4").tobytes() + rows.tobytes()
 
 
 class _Summary(msgspec.Struct, kw_only=True):

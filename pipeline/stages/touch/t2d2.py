@@ -133,7 +133,7 @@ def _render(view: TargetDepth, target: SensorSpec, params: PhysicalRenderParams,
     return _rendered.get_or_make(key, lambda: physical_render.render_touch(view, target, params, progress))
 
 
-_rendered: Memo[tuple[str, str, PhysicalRenderParams], GeneratedTouch] = Memo(4)
+_rendered: Memo[tuple[str, str, PhysicalRenderParams], GeneratedTouch] = Memo(1)
 
 
 def build_condition(view: TargetDepth, physical: DepthMap, target: SensorSpec) -> Floats:

@@ -26,11 +26,25 @@ print(json.dumps([sentences, spent_s(), compiling.count_compiled(), str(compilin
 """
 
 
-def call_kernel(cache: Path) -> tuple[list[str], float, int, Path]:
+NO_COMPILING_HERE = """
+from numba.core import dispatcher
+from pipeline.base import kernel_compiler
+kernel_compiler.compile_in_own_process()
+dispatcher._FunctionCompiler.compile = None
+"""
+NO_PROCESS = """
+from pipeline.base import kernel_compiler
+kernel_compiler.compile_in_own_process()
+kernel_compiler._SERVE = "raise SystemExit"
+"""
+
+
+def call_kernel(cache: Path, before: str = "") -> tuple[list[str], float, int, Path]:
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(cache)}
     done = subprocess.run(
-        [sys.executable, "-c", KERNEL_CALL], env=environment, capture_output=True, text=True, check=True, timeout=100
-    )
+        [sys.executable, "-c", before + KERNEL_CALL], env=environment, capture_output=True, text=True, check=True,
+        timeout=100,
+    )  # fmt: skip
     sentences, spent_s, n, folder = json.loads(done.stdout)
     return sentences, spent_s, n, Path(folder)
 
@@ -42,6 +56,18 @@ def test_a_kernel_is_compiled_once_reported_and_loaded_by_the_next_process(tmp_p
     assert spent_s > 0
     assert folder.is_relative_to(tmp_path)
     assert call_kernel(tmp_path) == ([], 0.0, 0, folder)
+
+
+def test_another_process_compiles_so_that_this_one_only_loads(tmp_path):
+    sentences, spent_s, n, folder = call_kernel(tmp_path, NO_COMPILING_HERE)
+    assert (len(sentences), n) == (1, 1)
+    assert spent_s > 0
+    assert call_kernel(tmp_path, NO_COMPILING_HERE) == ([], 0.0, 0, folder)
+
+
+def test_a_kernel_is_compiled_here_where_no_process_can(tmp_path):
+    assert call_kernel(tmp_path, NO_PROCESS)[2] >= 1
+    assert call_kernel(tmp_path)[2] == 0
 
 
 def test_damaged_cache_files_are_compiled_again(tmp_path):

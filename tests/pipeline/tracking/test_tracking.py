@@ -16,7 +16,7 @@ from pipeline.tracking import patch_map
 from pipeline.tracking.membrane_surface import make_surface
 from pipeline.tracking.surface_registration import register_surfaces
 from pipeline.tracking.track import compute_error, make_record, track_frames
-from pipeline.tracking.track_record import format_table, is_track_folder, read_record, write_patch, write_record
+from pipeline.tracking.track_record import format_patch, format_table, is_track_folder, read_record, write_record
 from pipeline.tracking.tracker import GIVE_UP_AFTER, KeyFrame
 from tests.pipeline.tracking.presses import press, untouched
 
@@ -123,7 +123,7 @@ def test_the_patch_map_lies_on_the_object(tmp_path):
     import open3d as o3d
 
     presses = [press("star", *step) for step in ((0.0, 0.0), (0.5, 0.0), (1.0, 0.4, 5.0))]
-    write_patch(tmp_path / "patch.ply", track(presses).patch)
+    (tmp_path / "patch.ply").write_bytes(format_patch(track(presses).patch))
     patch = load_mesh(tmp_path / "patch.ply", unit="mm")
     from pipeline.simulation import shapes
 
