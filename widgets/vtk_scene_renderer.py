@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
+from weakref import ref
 
 import numpy as np
 from PyQt6.QtCore import QPointF, QSize, Qt
@@ -16,7 +17,7 @@ from vtkmodules.vtkInteractionStyle import vtkInteractorStyleTrackballCamera
 from vtkmodules.vtkRenderingUI import vtkGenericRenderWindowInteractor
 
 from pipeline.base.arrays import Doubles
-from pipeline.base.memo import Memo, measure_bytes
+from pipeline.base.memo import Memo
 from pipeline.previews.layers import Layer, ViewBounds
 from widgets.offscreen_renderer import OffscreenRenderer
 from widgets.scene_renderer import CameraState, Point3, SceneRenderer
@@ -25,7 +26,7 @@ from widgets.theme import get_theme_colours, to_qcolor
 from widgets.view_3d import View3D
 
 _TOGETHER_MS = 10  # changes within this time are rendered once
-_KEPT_BYTES = 36 * 1024 * 1024
+_KEPT_BYTES = 24 * 1024 * 1024  # 18 frames of 6 views of 240 x 240 px
 _NEAR_PX, _ONE_SURFACE = 6.0, 0.02  # search radius; thickness of a surface as a share of its distance
 _ONE_TURN = 120  # Qt's wheel units of one notch
 _BUTTONS = {
@@ -35,7 +36,7 @@ _BUTTONS = {
 }
 _ENDS = {"press": "PressEvent", "release": "ReleaseEvent"}
 
-CachedImage = tuple[QImage, tuple[Layer, ...]]  # layers are held so that none takes another's identity
+CachedImage = tuple[QImage, tuple["ref[Layer]", ...]]  # it shows these very layers, which live in other caches
 
 
 class VtkSceneRenderer(SceneRenderer):
@@ -58,7 +59,7 @@ class VtkSceneRenderer(SceneRenderer):
         self._placed: dict[int, dict[str, Doubles]] = {}
         self._marks: dict[int, Point3] = {}
         self._due: list[int] = []
-        self._kept: Memo[object, CachedImage] = Memo(most_bytes=_KEPT_BYTES, weigh=_bytes)
+        self._kept: Memo[object, CachedImage] = Memo(most_bytes=_KEPT_BYTES, weigh=_size_bytes)
         self._finished, self._turned = False, 0
         self.n_renders = 0  # images rendered by OpenGL
         self.render_time_s = 0.0  # and their processor time
@@ -171,21 +172,22 @@ class VtkSceneRenderer(SceneRenderer):
             tuple((name, at.tobytes()) for name, at in placed.items()),
         )  # fmt: skip
         kept = self._kept.get(key)
-        if kept is None:
+        is_kept = kept is not None and all(one() is layer for one, layer in zip(kept[1], layers, strict=True))
+        if kept is None or not is_kept:
             begun_s = time.thread_time()
             self._stage.show_layers(column, layers, placed, ink)
             pixels = self._stage.render_pixels(column, *view.size_px, ink)
             rows, cols = pixels.shape[:2]
             image = QImage(pixels.tobytes(), cols, rows, 3 * cols, QImage.Format.Format_RGB888)
             image = image.convertToFormat(QImage.Format.Format_RGB32)
-            self._kept.put(key, (image, layers))
+            self._kept.put(key, (image, tuple(ref(layer) for layer in layers)))
             self.n_renders += 1
             self.render_time_s += time.thread_time() - begun_s
             view.show_image(image)
         else:
             view.show_image(kept[0])
         self._show_dot(column)
-        return kept is None
+        return not is_kept
 
     def _show_dot(self, column: int) -> None:
         place = self._marks.get(column)
@@ -221,9 +223,8 @@ class VtkSceneRenderer(SceneRenderer):
                 self._draw_soon(other)
 
 
-def _bytes(picture: CachedImage) -> int:
-    image, layers = picture
-    return image.sizeInBytes() + sum(measure_bytes(layer.points_mm) + measure_bytes(layer.rgb) for layer in layers)
+def _size_bytes(cached: CachedImage) -> int:
+    return cached[0].sizeInBytes()
 
 
 def _samples() -> int:

@@ -33,7 +33,7 @@ from pipeline.values.results import DepthMap
 from widgets.frame_summary import FrameSummary
 
 log = logging.getLogger("tactoscope")
-_CACHE_BYTES = 56 * 1024 * 1024  # 18 frames from a 320 x 427 gel to a bubble, or 10 back
+_CACHE_BYTES = 50 * 1024 * 1024  # 16 frames from a 320 x 427 gel to a bubble, or 9 back
 _BACKGROUND_BYTES = 16 * 1024 * 1024  # 1 or 2 background frames, kept apart from the frames on screen
 _TRUTH_BYTES = 24 * 1024 * 1024
 _OUTLINED = "target_depth"  # stage whose preview gets the outline of the target's own touch

@@ -25,8 +25,8 @@ from pipeline.values.frames import TactileFrame
 from pipeline.values.results import DepthMap
 from widgets.frame_summary import THUMBNAIL_PX, FrameSummary
 
-_PREVIEW_BYTES = 52 * 1024 * 1024  # 18 frames from a 320 x 427 gel to a bubble, 7 images each
-_FRAME_BYTES = _TRUTH_BYTES = 28 * 1024 * 1024
+_PREVIEW_BYTES = 49 * 1024 * 1024  # 16 frames from a 320 x 427 gel to a bubble, 7 images each
+_FRAME_BYTES = _TRUTH_BYTES = 26 * 1024 * 1024
 _MAX_METRICS = 512  # frames whose metrics are kept
 
 
@@ -149,7 +149,8 @@ def _size_bytes(shown: StagePreview) -> int:
 def _size_loaded_bytes(loaded: LoadedFrame) -> int:
     """Size without what all frames of a recording share."""
     observed = loaded.ground_truth.target_observation
-    shared = loaded.frame.reference, loaded.ground_truth.mesh, None if observed is None else observed.reference
+    layer = None if loaded.frame.is_depth else replace(loaded.layer, rgb=np.empty((0, 3), np.uint8))  # of a gel at rest
+    shared = loaded.frame.reference, loaded.ground_truth.mesh, None if observed is None else observed.reference, layer
     return measure_bytes(loaded, shared)
 
 

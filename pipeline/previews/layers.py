@@ -27,7 +27,7 @@ _rest_surfaces: Memo[tuple[str, Camera], _Surface] = Memo(8)  # under a gel's im
 _meshes: Memo[str, tuple[Floats, Indices, Floats]] = Memo(8)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, weakref_slot=True, kw_only=True)
 class Layer:
     """Points or a surface in one sub-view."""
 

@@ -37,6 +37,26 @@ class PixelPositions(NamedTuple):
         return float(x[col]) * z, float(y[row]) * z, z
 
 
+class PointPositions(NamedTuple):
+    """Positions of the points on display, looked up on demand."""
+
+    points_mm: Floats  # (n, 3)
+    element_index: Indices  # (rows, cols) of the point on display, -1 = none
+
+    def compute_all_mm(self) -> Floats:
+        """Return the position (rows, cols, 3) of each pixel, NaN = none."""
+        positions = np.full((*self.element_index.shape, 3), np.nan, dtype=np.float32)
+        shown = self.element_index >= 0
+        positions[shown] = self.points_mm[self.element_index[shown]]
+        return freeze(positions)
+
+    def compute_point_mm(self, row: int, col: int) -> tuple[float, float, float]:
+        """Return the position of one pixel."""
+        at = int(self.element_index[row, col])
+        x, y, z = (float(v) for v in self.points_mm[at]) if at >= 0 else (math.nan,) * 3
+        return x, y, z
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Preview:
     """Pixels and their meaning."""
@@ -46,7 +66,8 @@ class Preview:
     values: Floats | None = None  # (rows, cols) shown by the probe; None = the colour itself
     distance_mm: Floats | None = None  # (rows, cols) measured distance from the camera, where `values` follow from it
     scale: ColourScale | None = None  # None = true colours
-    positions_mm: PixelPositions | Floats | None = None  # of each pixel; as an array (rows, cols, 3), NaN = none
+    # of each pixel; as an array (rows, cols, 3), NaN = none
+    positions_mm: PixelPositions | PointPositions | Floats | None = None
     outline_px: Floats | None = None  # (n, 2) x, y of the contact outline, NaN between pieces
     observed_outline_px: Floats | None = None  # (n, 2) outline of another contact to compare with
     pixel_mm: float = math.nan  # width of a pixel on the surface
@@ -89,9 +110,9 @@ class Preview:
         if self.positions_mm is not None:
             places = self.positions_mm
             x, y, z = (
-                places.compute_point_mm(row, col)
-                if isinstance(places, PixelPositions)
-                else (float(v) for v in places[row, col])
+                (float(v) for v in places[row, col])
+                if isinstance(places, np.ndarray)
+                else places.compute_point_mm(row, col)
             )
             if math.isfinite(x + y + z):
                 parts.append(f"x {x:.2f}, y {y:.2f}, z {z:.2f} mm in {self.frame_name}")
@@ -99,9 +120,8 @@ class Preview:
 
     def compute_positions_mm(self) -> Floats | None:
         """Return the position (rows, cols, 3) of each pixel, NaN = none; None where no position is known."""
-        return (
-            self.positions_mm.compute_all_mm() if isinstance(self.positions_mm, PixelPositions) else self.positions_mm
-        )
+        places = self.positions_mm
+        return places if places is None or isinstance(places, np.ndarray) else places.compute_all_mm()
 
 
 def make_indentation_preview(

@@ -9,7 +9,7 @@ from pipeline.engine.graph import Method, skip_if_exact
 from pipeline.geometry.camera import Camera
 from pipeline.previews.colours import ColourScale, apply_colour_map
 from pipeline.previews.layers import Layer, make_cloud_layer, make_membrane_layer, stretch_depth
-from pipeline.previews.preview import Preview, compute_pixel_mm
+from pipeline.previews.preview import PointPositions, Preview, compute_pixel_mm
 from pipeline.stages.cloud import back_projection
 from pipeline.stages.pixel_lookup import look_up_element, to_xyz
 from pipeline.stages.stage import PreviewContext, ProbePoint, Stage
@@ -36,14 +36,13 @@ def _make_preview(cloud: Cloud, context: PreviewContext) -> Preview:
     index = _splat(cloud, camera)
     drawn = index >= 0
     reach = np.full(camera.shape, np.nan, dtype=np.float32)
-    positions = np.full((*camera.shape, 3), np.nan, dtype=np.float32)
     if len(cloud.points_mm):
         reach[drawn] = -target.membrane.signed_distance_mm(cloud.points_mm[index[drawn]])
-        positions[drawn] = cloud.points_mm[index[drawn]]
     scale = _make_scale(context)
     return Preview(
         pixels=apply_colour_map(reach, scale), values=freeze(reach), scale=scale, frame_name=f"{target.name} frame",
-        positions_mm=freeze(positions), pixel_mm=compute_pixel_mm(camera, target), element_index=index, camera=camera,
+        positions_mm=PointPositions(cloud.points_mm, index), element_index=index, camera=camera,
+        pixel_mm=compute_pixel_mm(camera, target),
         caption=f"{len(cloud.points_mm)} points; past rest surface, + toward camera",
     )  # fmt: skip
 
