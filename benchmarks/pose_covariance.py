@@ -195,10 +195,8 @@ def error_of_depth(spec: SensorSpec, how: str, presses: int) -> str:
         along = products / np.maximum(counted, 50.0)
         length_px = np.flatnonzero(np.append(along, -np.inf) < along[0] * np.exp(-0.5))[0]
         found.append((np.sqrt(along[0]), length_px * spec.pixel_mm, depth.error.rms_mm if depth.error else np.nan))
-    (rms_mm, length_mm, told_mm), (mean_mm, mean_length_mm, mean_told_mm) = (
-        np.median(found, axis=0),
-        np.mean(found, axis=0),
-    )
+    rms_mm, length_mm, told_mm = np.median(found, axis=0)
+    mean_mm, mean_length_mm, mean_told_mm = np.mean(found, axis=0)
     return (
         f"{rms_mm:.3f} mm over {length_mm:.1f} mm (means {mean_mm:.3f} over {mean_length_mm:.1f}), "
         f"stated as {told_mm:.3f} ({mean_told_mm:.3f}) over {spec.limits.depth_correlation_mm:g}"

@@ -66,6 +66,11 @@ def press_foremost(unit, thing, *, depth_mm, place, turn, seed):
     return touched if touched.converged and touched.truth.contact.any() else None
 
 
+def draw_place(rng, reach_mm: float):
+    """Place (mm) and turn (rad) of a press at random."""
+    return {"place": rng.uniform(-reach_mm, reach_mm, 2), "turn": rng.uniform(-3, 3)}
+
+
 def by_rule(indentation_mm, source):
     """The contact that the rule finds in exact depth."""
     return contact.detect_contact(indentation_mm, source.pixel_mm, least_mm=source.limits.contact_min_mm,
@@ -78,16 +83,8 @@ def tools(read, name: str):
     for depth_mm, most_um in _DEPTHS_UM.items():
         rng, found = np.random.default_rng(round(1000 * depth_mm)), []
         for index, tool in enumerate(shapes.list_shapes("unseen")):
-            touched = measure_press(
-                read,
-                source,
-                vary_sensor(source, 100 + index),
-                shapes.make_shape(tool).mesh,
-                depth_mm=depth_mm,
-                place=rng.uniform(-2.5, 2.5, 2),
-                turn=rng.uniform(-3, 3),
-                seed=index,
-            )
+            unit, mesh = vary_sensor(source, 100 + index), shapes.make_shape(tool).mesh
+            touched = measure_press(read, source, unit, mesh, depth_mm=depth_mm, seed=index, **draw_place(rng, 2.5))
             if touched is not None:
                 answer, truth, _, ms = touched
                 inside = truth.contact
@@ -100,22 +97,17 @@ def tools(read, name: str):
         wrong, inside_um, outside_um, shape_um, exact, ms = np.array(found).T
         label = f"{name}, unseen tools, {depth_mm:g} mm"
         note = f"{label}: IoU of each {_listed(1 - wrong)}; by the rule in exact depth {_listed(exact)}"
+        figures = (("contact", wrong, "1 - IoU", 0.10), ("depth in contact", inside_um, "um", most_um))
         yield (
-            (
+            tuple(
                 build_measurement(
-                    f"{label}: contact",
+                    f"{label}: {what}",
                     ours=summarize_times(ms),
-                    ours_error=wrong.mean(),
-                    unit="1 - IoU",
-                    bar=Requirement(max_error=0.10),
-                ),
-                build_measurement(
-                    f"{label}: depth in contact",
-                    ours=summarize_times(ms),
-                    ours_error=inside_um.mean(),
-                    unit="um",
-                    bar=Requirement(max_error=most_um),
-                ),
+                    ours_error=values.mean(),
+                    unit=unit,
+                    bar=Requirement(max_error=most),
+                )
+                for what, values, unit, most in figures
             ),
             (
                 f"{note}; outside the contact {outside_um.mean():.1f} um; in it, were each touch's scale known, "
@@ -138,14 +130,8 @@ def recordings(read, name: str):
         unit, touched = vary_sensor(source, 300 + number), []
         for index in range(_FRAMES):
             depth_mm = tuple(_DEPTHS_UM)[(index + number) % len(_DEPTHS_UM)]
-            found = press_foremost(
-                unit,
-                shapes.make_shape(tools_[(index + number) % len(tools_)]).mesh,
-                depth_mm=depth_mm,
-                place=rng.uniform(-2.5, 2.5, 2),
-                turn=rng.uniform(-3, 3),
-                seed=index,
-            )
+            mesh = shapes.make_shape(tools_[(index + number) % len(tools_)]).mesh
+            found = press_foremost(unit, mesh, depth_mm=depth_mm, seed=index, **draw_place(rng, 2.5))
             if found is not None:
                 touched.append((depth_mm, found))
         frames = [TactileFrame(sensor=name, image=one.image, reference=optics.render_reference(unit), index=index)
@@ -202,16 +188,9 @@ def light(read, name: str):
     things = (*shapes.list_shapes("unseen"), *shapes.list_shapes("training"))
     volume, true_volume, force, taken = [], [], [], []
     for index in range(_LIGHT_PRESSES):
-        touched = measure_press(
-            read,
-            source,
-            vary_sensor(source, index),
-            shapes.make_shape(things[index % len(things)]).mesh,
-            depth_mm=rng.uniform(*_LIGHT_MM),
-            place=rng.uniform(-2, 2, 2),
-            turn=rng.uniform(-3, 3),
-            seed=index,
-        )
+        unit, mesh = vary_sensor(source, index), shapes.make_shape(things[index % len(things)]).mesh
+        depth_mm = rng.uniform(*_LIGHT_MM)
+        touched = measure_press(read, source, unit, mesh, depth_mm=depth_mm, seed=index, **draw_place(rng, 2.0))
         if touched is not None:
             answer, truth, newton, ms = touched
             true_volume.append(float(truth.indentation_mm.sum(dtype=np.float64)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 
 import pytest
@@ -53,6 +54,12 @@ def test_every_benchmark_that_needs_nothing_runs_and_its_rows_are_written(folder
     assert report["questions"][0]["title"] == "Nothing, with 2 threads"
     assert "not part of the report" not in printed
     assert (tmp_path / "plots" / "first.png").exists()
+
+
+@pytest.mark.parametrize("benchmark", runner.list_benchmarks(), ids=lambda known: known.name)
+def test_a_benchmark_can_be_imported(benchmark, monkeypatch):
+    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "1")  # which those of the window set
+    assert callable(importlib.import_module(f"benchmarks.{benchmark.name}").measure)
 
 
 def test_a_benchmark_that_needs_more_runs_when_named(folder, capsys):
