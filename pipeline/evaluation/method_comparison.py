@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -41,20 +40,26 @@ def compare_methods(
     variants, excluded = list_method_variants(translation, params, _STAGE)
     recorded, truth = _read_recorded_touch(translation, frame), _make_truth_preview(translation, frame, display)
     target = translation.target
-    summary = [f"frame {frame}, {translation.source.title} to {target.title}: {len(variants)} methods"]
+    facts = [f"frame {frame}, {translation.source.title} to {target.title}: {len(variants)} methods"]
     first: tuple[Tile, ...] = ()
     if truth is not None:
         first = (Tile(title="truth", subtitle=f"recorded by {target.title}", preview=truth),)
     else:
-        summary.append(f"the recording does not hold {target.title}'s own frame, so errors are not known")
-    if excluded:
-        summary.append(f"left out: {'; '.join(excluded)}")
-    comparison = Comparison(tiles=first, summary=" · ".join(summary))
-    yield comparison
-    tiles: list[Tile] = []
+        facts.append(f"the recording does not hold {target.title}'s own frame, so errors are not known")
+    tiles, left_out = list[Tile](), list(excluded)
+
+    def collect() -> Comparison:
+        summary = [*facts, f"left out: {'; '.join(left_out)}"] if left_out else facts
+        return Comparison(tiles=(*first, *sort_tiles(tiles, order)), summary=" · ".join(summary))
+
+    yield collect()
     for result in runner.evaluate_all(variants, frame, [_STAGE], progress):
-        tiles.append(_make_tile(runner, result, recorded, truth, display))
-        yield replace(comparison, tiles=(*first, *sort_tiles(tiles, order)))
+        tile = _make_tile(runner, result, recorded, truth, display)
+        if tile.problem:
+            left_out.append(f"{tile.title}: {tile.problem.partition(';')[0]}")
+        else:
+            tiles.append(tile)
+        yield collect()
 
 
 def sort_tiles(tiles: Sequence[Tile], order: str) -> list[Tile]:

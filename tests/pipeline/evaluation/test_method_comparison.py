@@ -95,3 +95,12 @@ def test_tiles_without_error_come_last_in_any_order():
              (("a", {"contact_error_mm": 1.0}), ("b", {}), ("c", {"contact_error_mm": 3.0}), ("d", {"error_mm": 2.0}))]  # fmt: skip
     for order, titles in (("worst first", "cdab"), ("best first", "adcb"), ("in order", "abcd")):
         assert "".join(tile.title for tile in sort_tiles(tiles, order)) == titles
+
+
+def test_a_method_that_cannot_run_has_no_tile_and_is_named_with_its_reason(opened, no_weights, monkeypatch):
+    runner = VariantRunner()
+    failed = replace(physics_result(runner, opened), problem="this sensor is unknown to it; train another")
+    monkeypatch.setattr(runner, "evaluate_all", lambda *_: iter([failed]))
+    *_, comparison = compare_methods(runner, opened, FRAME, {}, DisplayParams(), "in order")
+    assert [tile.title for tile in comparison.tiles] == ["truth"]
+    assert f"{failed.variant.label}: this sensor is unknown to it" in comparison.summary
