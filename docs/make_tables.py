@@ -38,8 +38,8 @@ position bias. As published it lost to the mean touch in both directions, and us
     python docs/make_tables.py registered.json tools.json grasps.json > docs/tables/README.md
 
 The JSON files in this folder were made so, one direction at a time (`--direction`), with one version of program and
-weights; rows of latent diffusion and VQ-VAE, and those from other sources than a bubble, are older. Samples, steps
-and a few real pairs:
+weights; rows of latent diffusion, VQ-VAE and T2D2 onto a GelSlim, those from a Mini onto a bubble, times, and poses by
+registration and ICP are older. Samples, steps and a few real pairs:
 [samples.md](samples.md).
 """
 COLUMNS = (
