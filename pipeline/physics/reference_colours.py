@@ -19,6 +19,7 @@ _BLOCK_PX = 8  # grid of the comparison, coarser than noise and markers
 _MARGIN = 0.2  # by which a corrected image must be more similar for a warning
 _FITS = 0.6  # least similarity of the corrected image; real instances reach 0.87 to 0.99 (`inspect` on recordings)
 _MIRROR_SHARE, _MIRROR_FITS = 0.5, 0.8  # possible mirroring: remaining dissimilarity, and least similarity
+_FOREIGN = 0.15  # largest similarity of a sensor that nobody described; clips of a GelSlim 4.0 reach 0.20 to 0.54
 _OWN_MARGIN = 0.05  # by which another sensor must be more similar than this one swapped, mirrored or rotated
 _COLOURLESS_GREY = 1.0  # mean difference of a pixel's colours from their mean; lit gels have 10 and more
 
@@ -40,8 +41,8 @@ class ColourComparison:
 def compare_colours(image: Image, spec: SensorSpec) -> ColourComparison:
     """Compare a reference image (rows, cols, 3) with the sensor's nominal one of the same size.
 
-    Detects swapped channels, mirrored or rotated images, those of another sensor and those without colours. Raises
-    SettingProblem for a sensor without optics in its description.
+    Detects swapped channels, mirrored or rotated images, those of another sensor, of a light that nobody described, and
+    those without colours. Raises SettingProblem for a sensor without optics in its description.
     """
     return _comparisons.get_or_make(
         (compute_cached_digest(image), compute_cached_digest(render_reference(spec))),
@@ -64,6 +65,9 @@ def _compare(seen: Image, want: Image, name: str) -> ColourComparison:
             odd, best = other, more
         if best > max(_FITS, plain + _MARGIN):
             return ColourComparison(similarity=plain, problem=odd, corrected_similarity=best)
+        if plain < _FOREIGN:
+            nearest = f"; {other.removeprefix('it ')} at best" if more > max(_FOREIGN, best - _OWN_MARGIN) else ""
+            return ColourComparison(similarity=plain, problem=f"its colours are those of another light{nearest}")
     how, best = max(
         ((how, _compute_similarity(_average_blocks(mirror_image(seen, how)), _average_blocks(want)))
          for how in get_args(MirrorDirection)),
