@@ -26,7 +26,7 @@ from pipeline.registration.gauss_newton import (
     register_from_starts,
     trace_iterations,
 )
-from pipeline.registration.object_preparation import PreparedObject
+from pipeline.registration.model import PreparedObject
 from pipeline.registration.observability import NORMAL_ERROR_DEG, Observability, Tolerances
 from pipeline.registration.point_matching import MatchedPoints, match_points
 from pipeline.registration.ranking import LEAST_SPREAD_MM, PoseJudge, align_to_outline, make_judge

@@ -20,7 +20,7 @@ from pipeline.base.progress import SILENT, Progress, SubProgress
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh
 from pipeline.registration.gauss_newton import CentredPoints, NotDetermined
-from pipeline.registration.object_preparation import prepare_object
+from pipeline.registration.model import prepare_object
 from pipeline.registration.planar_pose import estimate_planar_pose
 from pipeline.registration.pose_selection import SelectedPose, select_pose
 from pipeline.registration.scene import ContactScene, extract_scene

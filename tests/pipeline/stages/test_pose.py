@@ -11,7 +11,7 @@ from pipeline.engine.digests import compute_cached_digest
 from pipeline.geometry import rigid
 from pipeline.geometry.distance_grid_store import load_distance_grid
 from pipeline.geometry.meshes import Mesh
-from pipeline.registration.object_preparation import prepare_object
+from pipeline.registration.model import prepare_object
 from pipeline.registration.observability import assess_observability
 from pipeline.registration.pose_selection import MISSING_CONTACT_WARNING
 from pipeline.registration.ranking import make_judge
