@@ -23,6 +23,7 @@ class FrameSummary:
     warnings: tuple[str, ...] = ()  # "stage: sentence"
     cause: str = ""  # stage that most of the error comes from
     thumbnail: Image | None = None  # (rows, cols, 3) of the source
+    dark_thumbnail: Image | None = None  # the same in the dark theme's colours; None = no other colours
     is_complete: bool = False  # whether it has the metrics that take another translation
 
     def get_metric(self, name: str) -> float:
@@ -39,5 +40,6 @@ class FrameSummary:
         return replace(
             newer, metrics={**self.metrics, **newer.metrics}, cause=newer.cause or self.cause,
             thumbnail=self.thumbnail if newer.thumbnail is None else newer.thumbnail,
+            dark_thumbnail=self.dark_thumbnail if newer.thumbnail is None else newer.dark_thumbnail,
             is_complete=newer.is_complete or self.is_complete,
         )  # fmt: skip

@@ -6,12 +6,13 @@ import math
 from collections.abc import Mapping
 
 from PyQt6.QtCore import QAbstractTableModel, QModelIndex, Qt, pyqtSignal
-from PyQt6.QtGui import QImage, QPixmap
+from PyQt6.QtGui import QGuiApplication, QImage, QPixmap
 from PyQt6.QtWidgets import QWidget
 
 from pipeline.base.arrays import Image
 from widgets.frame_summary import FrameSummary
 from widgets.icons import make_state_icon
+from widgets.theme import is_dark
 
 SORT_ROLE = Qt.ItemDataRole.UserRole  # a number, so that 10 comes after 9; unknown values come last
 FRAME, METRIC, CAUSE, DEPTH, CONTACT, WARNINGS, NOTE = range(7)
@@ -41,7 +42,7 @@ class FramesModel(QAbstractTableModel):
         self._quantities: dict[int, Mapping[str, float]] = {}  # measured on request, also of frames without summary
         self._notes: Mapping[int, str] = {}
         self._common: frozenset[str] | None = None  # None = not computed yet
-        self._thumbnails: dict[int, QPixmap] = {}
+        self._thumbnails: dict[int, tuple[QPixmap, QPixmap]] = {}  # in the light and the dark theme
 
     @property
     def metrics(self) -> tuple[str, ...]:
@@ -127,7 +128,8 @@ class FramesModel(QAbstractTableModel):
         if old is summary or not 0 <= frame < self._n_frames:
             return
         if summary.thumbnail is not None and frame not in self._thumbnails:
-            self._thumbnails[frame] = _to_pixmap(summary.thumbnail)
+            dark = summary.thumbnail if summary.dark_thumbnail is None else summary.dark_thumbnail
+            self._thumbnails[frame] = _to_pixmap(summary.thumbnail), _to_pixmap(dark)
         self._known[frame], self._common = summary if old is None else old.merge(summary), None
         self._emit_changed(frame, frame)
 
@@ -189,7 +191,8 @@ class FramesModel(QAbstractTableModel):
         """Return why a frame failed or has warnings, its image, or the sign next to its number of warnings."""
         summary = self._known.get(frame)
         if role == Qt.ItemDataRole.DecorationRole and column == FRAME:
-            return self._thumbnails.get(frame)
+            thumbnails = self._thumbnails.get(frame)
+            return None if thumbnails is None else thumbnails[is_dark(QGuiApplication.palette())]
         if summary is None:
             return None
         if role == Qt.ItemDataRole.ToolTipRole:

@@ -12,7 +12,7 @@ from app.session.state import Session
 from app.work.availability import explain_unavailable
 from app.work.jobs import JobReporter
 from app.work.requests import get_depth_params, make_request, open_request
-from app.work.stage_previews import PreviewCache, SourcePreview, make_thumbnail, summarise_frame
+from app.work.stage_previews import PreviewCache, SourcePreview, add_thumbnails, summarise_frame
 from app.work.target_comparison import TargetComparison, build_target_comparison
 from pipeline.base.allocator import release_free_memory
 from pipeline.base.errors import SettingProblem, TouchError
@@ -210,7 +210,7 @@ class Evaluator:
             truth = translation.read_ground_truth(index)
             results = {name: add_truth_warnings(result, truth) for name, result in results.items()}
             summary = summarise_frame(results, metrics, translation) or FrameSummary(metrics=metrics)
-            summary = replace(summary, thumbnail=make_thumbnail(frame, translation.source, session.display))
+            summary = add_thumbnails(summary, frame, translation.source, session.display)
             if completely:
                 round_trip = measure_round_trip(results, translation, graph, params, report)
                 cause = self._find_cause(translation, results, params, index, report)

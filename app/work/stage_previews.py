@@ -24,6 +24,8 @@ from pipeline.translation.truth_view import TruthView, build_observation_view, b
 from pipeline.values.frames import TactileFrame
 from pipeline.values.results import DepthMap
 from widgets.frame_summary import THUMBNAIL_PX, FrameSummary
+from widgets.preview_renderer import recolour_for_theme
+from widgets.theme import DARK_COLOURS
 
 _PREVIEW_BYTES = 49 * 1024 * 1024  # 16 frames from a 320 x 427 gel to a bubble, 7 images each
 _FRAME_BYTES = _TRUTH_BYTES = 26 * 1024 * 1024
@@ -189,12 +191,19 @@ def _draw_frame(frame: TactileFrame, sensor: SensorSpec, display: DisplayParams)
     return preview, make_frame_layer("source", frame.image, camera, preview, sensor)
 
 
-def make_thumbnail(frame: TactileFrame, sensor: SensorSpec, display: DisplayParams) -> Image:
-    """Return a small image (rows, cols, 3) of a frame, for the frames table."""
+def add_thumbnails(
+    summary: FrameSummary, frame: TactileFrame, sensor: SensorSpec, display: DisplayParams
+) -> FrameSummary:
+    """Return the summary with a small image (rows, cols, 3) of its frame for either theme, for the frames table."""
+    camera = match_camera(frame.camera or sensor.camera, frame.image.shape)
+    preview = make_frame_preview(frame.image, camera, sensor, display, reference=frame.reference)
+    dark = None if preview.scale is None else _shrink(recolour_for_theme(preview.pixels, preview.scale, DARK_COLOURS))
+    return replace(summary, thumbnail=_shrink(preview.pixels), dark_thumbnail=dark)
+
+
+def _shrink(pixels: Image) -> Image:
     import cv2
 
-    camera = match_camera(frame.camera or sensor.camera, frame.image.shape)
-    pixels = make_frame_preview(frame.image, camera, sensor, display, reference=frame.reference).pixels
     rows, cols = pixels.shape[:2]
     share = min(THUMBNAIL_PX[0] / cols, THUMBNAIL_PX[1] / rows)
     size = max(1, round(share * cols)), max(1, round(share * rows))

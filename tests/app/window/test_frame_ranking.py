@@ -107,14 +107,16 @@ def test_a_recording_without_truth_fills_the_strip_by_its_round_trip(bubble_wind
     assert {"round-trip error, mm", "distance from training", "warnings", "contact area, mm²"} <= set(names)
 
 
-def test_a_row_has_a_thumbnail_and_the_cause_of_its_error(qtbot):
+def test_a_row_has_a_thumbnail_and_the_cause_of_its_error(qtbot, monkeypatch):
     panel = FramesPanel()
     qtbot.addWidget(panel)
     model = panel.model
     model.reset_frames(3)
     image = np.full((30, 40, 3), 200, np.uint8)
     touched = {"max_indentation_mm": 0.2, "contact_area_mm2": 3.0}
-    model.show_summary(0, FrameSummary(**touched, warnings=("depth: saturated",), thumbnail=image))
+    model.show_summary(
+        0, FrameSummary(**touched, warnings=("depth: saturated",), thumbnail=image, dark_thumbnail=image // 4)
+    )
     model.show_summary(1, FrameSummary(**touched))
     assert model.find_incomplete_frame(0) == 0
     figures = {"frame.round_trip_mm": 0.04}
@@ -128,6 +130,9 @@ def test_a_row_has_a_thumbnail_and_the_cause_of_its_error(qtbot):
     assert cells == ["0.040", "depth", "1"]
     pixmap = model.data(model.index(0, FRAME), Qt.ItemDataRole.DecorationRole)
     assert (pixmap.width(), pixmap.height()) == (40, 30)
+    monkeypatch.setattr("widgets.frames_model.is_dark", lambda _palette: True)
+    dark = model.data(model.index(0, FRAME), Qt.ItemDataRole.DecorationRole)
+    assert dark.toImage().pixelColor(0, 0).red() < 100 < pixmap.toImage().pixelColor(0, 0).red()
     assert model.get_values("frame.n_warnings")[:2] == (1.0, 0.0)
     assert model.get_values("frame.contact_area_mm2")[0] == 3.0
     header = panel.table.horizontalHeader()
