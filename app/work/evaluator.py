@@ -318,12 +318,14 @@ class Evaluator:
             return self._translation
         report.step(0.0, "opening the recording")
         translation = open_request(request, self._catalogue)
+        is_first = self._translation is None
         if self._translation is not None:
             self._translation.close()
         self._translation = self._delivered = translation
         self._previews = PreviewCache(*self._preview_bytes)
         self._clear_truths()
-        release_free_memory()  # of the old recording, before the new one takes its own
+        if not is_first:
+            release_free_memory()  # before the new recording takes its own
         self._must_release = True  # after the first frame, when the window has dropped the old recording
         self._request = make_request(replace(session, target=translation.target.name))
         self._first_frame = find_contact_frame(translation.stream) if session.frame < 0 else session.frame
