@@ -22,7 +22,7 @@ from pipeline.stages.depth.stage import STAGE
 from pipeline.values.frames import TactileFrame
 from pipeline.values.results import DepthMap
 
-_BESIDE = Path(__file__).resolve().parents[2] / "shared" / "data"
+_BESIDE = Path(__file__).resolve().parents[3] / "shared" / "data"
 
 DepthReader = Callable[[TactileFrame, SensorSpec], DepthMap]
 

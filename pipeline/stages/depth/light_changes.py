@@ -41,7 +41,7 @@ def remove_light_changes(
     if n < 2:
         return touched
     labels = np.asarray(found, np.int32)
-    _, cells = changed.extract_patches()
+    _, cells = changed.patches
     around = _spread_labels(labels, cells)
     change = cells.change * cells.unmarked_share
     net, total, energy = (_sum_regions(a, around, n) for a in (change, np.abs(change), change * change))

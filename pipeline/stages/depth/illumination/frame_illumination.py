@@ -61,7 +61,7 @@ def estimate_illumination(
         changed = detect_changed_image(image, reference, source, calibration)
         if changed is None:
             return selection.DESCRIBED
-        _, cells = changed.extract_patches()
+        _, cells = changed.patches
         integrate = changed.make_integrator(cells, progress, 0.3)
         return selection.choose_illumination(
             changed.guess_surface(cells, integrate), cells, source,
@@ -103,7 +103,7 @@ def fit_recording(
 
 def observe_leds(changed: ChangedImage, progress: Progress) -> LedObservation:
     """What one touch contributes to the LED fit of its recording."""
-    _, cells = changed.extract_patches()
+    _, cells = changed.patches
 
     def make_integrator(patch: ImagePatch) -> Integrator:
         return changed.make_integrator(patch, progress)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -24,7 +25,7 @@ from pipeline.stages.depth.poisson import Boundary, Integrator, SideBoundaries, 
 DEFAULT_SMOOTHING_PX = 1.0  # standard deviation, image pixels
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)  # without slots, which a cached property needs
 class ChangedImage:
     """An image with a change, and the settings it is measured by."""
 
@@ -36,7 +37,8 @@ class ChangedImage:
     smoothing_px: float = DEFAULT_SMOOTHING_PX
     boundary: Boundary = "flat"
 
-    def extract_patches(self) -> tuple[ImagePatch, ImagePatch]:
+    @cached_property
+    def patches(self) -> tuple[ImagePatch, ImagePatch]:
         """The window at image resolution, and on the refinement grid."""
         patch = image_patch.extract_patch(
             self.image, self.reference.image, self.window, self.smoothing_px, self.source.markers,
@@ -87,7 +89,7 @@ def estimate_surface(
     if not uses_illumination(source, changed.calibration):
         progress.step(0.6, "integrating slopes")
         return _integrate_window(*_look_up_window(changed), changed, window, changed.calibration.pixel_mm)
-    patch, cells = changed.extract_patches()
+    patch, cells = changed.patches
     integrate = changed.make_integrator(cells, progress)
     guess = changed.guess_surface(cells, integrate)
     surface = selection.correct_surface(guess, cells, source, illumination, integrate, draft=draft)
