@@ -45,7 +45,7 @@ class FirstPassPredictor(ResidualConstants):
         names = {field.name for field in fields(ResidualConstants)}
         super().__init__(**{name: float(value) for name, value in weights.config.items() if name in names})
         self._weights, self._load = weights, load
-        self._predict = OnnxPredictor(weights.onnx, fold=int(weights.config.get("fold", 2)))
+        self._predict = OnnxPredictor(weights.read_onnx(), fold=int(weights.config.get("fold", 2)))
 
     def predict(self, condition: Floats) -> tuple[Floats, Floats]:
         """The clean field (2, rows, cols) and the log of its expected error (rows, cols) of a condition."""

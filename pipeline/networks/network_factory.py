@@ -95,7 +95,7 @@ def _load_predictor(weights: Weights) -> OnnxPredictor | FirstPassPredictor:
     try:
         if weights.kind == _RESIDUAL:
             return FirstPassPredictor(weights, load_network)
-        return OnnxPredictor(weights.onnx or export_weights(weights), fold=int(weights.config.get("fold", 2)))
+        return OnnxPredictor(weights.read_onnx() or export_weights(weights), fold=int(weights.config.get("fold", 2)))
     except ValueError as error:
         raise ModelMissing(f"the weights {weights.name!r} cannot be run: {error}") from error
 
@@ -111,18 +111,17 @@ def use_channels_last(net: nn.Module) -> nn.Module:
 def _build_with_weights(weights: Weights) -> nn.Module:
     from pipeline.networks.uninitialised import WithoutInitialisation
 
-    with WithoutInitialisation():
-        shapes = [side for tensor in weights.tensors.values() for side in tensor.shape]
-    most = max(_MOST_COUNT, len(weights.tensors), *shapes)
+    tensors = dict(weights.tensors)
+    shapes = [side for tensor in tensors.values() for side in tensor.shape]
+    most = max(_MOST_COUNT, len(tensors), *shapes)
     if any(abs(value) > most for value in weights.config.values() if isinstance(value, (int, float))):
         raise ModelMissing(f"the weights {weights.name!r} state a network that their tensors cannot fill")
-    net = build_network(weights.kind, weights.config)
+    with WithoutInitialisation():
+        net = build_network(weights.kind, weights.config)
     expected: dict[str, Any] = net.state_dict()
-    mismatched = expected.keys() ^ weights.tensors.keys()
+    mismatched = expected.keys() ^ tensors.keys()
     mismatched |= {
-        name
-        for name, tensor in expected.items()
-        if name not in mismatched and tensor.shape != weights.tensors[name].shape
+        name for name, tensor in expected.items() if name not in mismatched and tensor.shape != tensors[name].shape
     }
     if mismatched:
         examples = ", ".join(repr(name) for name in sorted(mismatched)[:2])
@@ -130,7 +129,7 @@ def _build_with_weights(weights: Weights) -> nn.Module:
             f"the weights {weights.name!r} do not fit the network {weights.kind!r}: {len(mismatched)} tensors are "
             f"missing, unexpected or of another shape, such as {examples}"
         )
-    _share_tensors(net, weights.tensors)
+    _share_tensors(net, tensors)
     return use_channels_last(net).eval().requires_grad_(requires_grad=False)
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, cast
@@ -36,6 +36,45 @@ _FLOATS = {"F64": np.float64, "F32": np.float32, "F16": np.float16}
 _COUNTS = {"I64": np.int64, "I32": np.int32, "I16": np.int16, "I8": np.int8, "U8": np.uint8, "BOOL": np.bool_}
 
 
+@dataclass(frozen=True, slots=True)
+class OnnxOnDisk:
+    """The ONNX file inside a file of weights, read when it is needed."""
+
+    path: Path
+
+    def read(self) -> bytes:
+        """The ONNX file; raises FileProblem where the file of weights is gone or damaged."""
+        return _unpack_onnx(bytes(_read_entries(self.path)[1][_ONNX]["data"]), self.path)
+
+
+@dataclass(frozen=True, slots=True)
+class TensorsOnDisk(Mapping[str, Floats]):
+    """The tensors of a file of weights by name, each read when it is needed."""
+
+    path: Path
+    names: tuple[str, ...]
+
+    def __getitem__(self, name: str) -> Floats:
+        """One tensor as float32; raises FileProblem where the file is gone or damaged."""
+        from safetensors import SafetensorError, safe_open
+
+        if name not in self.names:
+            raise KeyError(name)
+        try:
+            with safe_open(self.path, framework="numpy") as file:
+                return freeze(np.asarray(file.get_tensor(name), np.float32))
+        except (OSError, SafetensorError) as error:
+            raise FileProblem(f"cannot read {_WHAT} again", self.path) from error
+
+    def __iter__(self) -> Iterator[str]:
+        """The names, in the order of the file."""
+        return iter(self.names)
+
+    def __len__(self) -> int:
+        """Number of tensors."""
+        return len(self.names)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Weights:
     """A trained network: its kind, constructor arguments and parameters."""
@@ -45,15 +84,17 @@ class Weights:
     config: Mapping[str, Value] = field(metadata=UNDIGESTED)  # constructor arguments of the network
     tensors: Mapping[str, Floats] = field(metadata=UNDIGESTED)  # by name in the network
     card: Mapping[str, str] = field(default_factory=dict, metadata=UNDIGESTED)  # entries of the model card
-    onnx: bytes = field(
+    onnx: bytes | OnnxOnDisk = field(
         default=b"", metadata=UNDIGESTED, repr=False
     )  # the network as an ONNX file; b"" if not exported
     content_digest: str = field(init=False)  # of kind, config and tensors: all that results depend on
+    n_parameters: int = field(init=False, metadata=UNDIGESTED)  # trained ones
 
     def __post_init__(self) -> None:
-        """Freeze the tensors and compute their digest once."""
+        """Freeze the tensors, count them and compute their digest once."""
         for tensor in self.tensors.values():
             freeze(tensor)
+        object.__setattr__(self, "n_parameters", sum(tensor.size for tensor in self.tensors.values()))
         object.__setattr__(self, "content_digest", compute_digest((self.kind, dict(self.config), dict(self.tensors))))
 
     @property
@@ -64,10 +105,9 @@ class Weights:
         """
         return bool(self.config.get("trained_with_condition_dropout", True))
 
-    @property
-    def n_parameters(self) -> int:
-        """Number of trained parameters."""
-        return sum(tensor.size for tensor in self.tensors.values())
+    def read_onnx(self) -> bytes:
+        """The ONNX file; b"" if not exported; raises FileProblem where it was read from a file that is gone."""
+        return self.onnx if isinstance(self.onnx, bytes) else self.onnx.read()
 
 
 class _Header(msgspec.Struct):
@@ -83,6 +123,18 @@ class NoWeights:
     """Input of a method that has no usable weights."""
 
     why: str  # reason, one sentence
+
+
+def load_weights_of_package(path: Path) -> Weights:
+    """`load_weights` of a file that stays where it is: its numbers are read again when a network is built of them.
+
+    A network that OpenCV answers needs none of them afterwards. Raises what `load_weights` does.
+    """
+    weights = load_weights(path)
+    object.__setattr__(weights, "tensors", TensorsOnDisk(path, tuple(weights.tensors)))
+    if weights.onnx:
+        object.__setattr__(weights, "onnx", OnnxOnDisk(path))
+    return weights
 
 
 def load_weights(path: Path) -> Weights:
@@ -179,7 +231,7 @@ def save_weights(path: Path, weights: Weights, *, use_float16: bool = False) -> 
             f"{_WHAT} hold values beyond the range of {16 if use_float16 else 32} bits; nothing is written", path
         )
     if weights.onnx:
-        stored[_ONNX] = np.frombuffer(zlib.compress(weights.onnx, 9), np.uint8)
+        stored[_ONNX] = np.frombuffer(zlib.compress(weights.read_onnx(), 9), np.uint8)
     header = {
         _HEADER_KEY: _VERSION, "kind": weights.kind,
         "config": json.dumps(dict(weights.config)), "card": json.dumps(dict(weights.card)),

@@ -12,7 +12,7 @@ from typing import Any
 from pipeline.base.errors import FileProblem
 from pipeline.base.memo import Memo
 from pipeline.networks import depth_anything_files, latent_diffusion_files, unet_files, vqvae_files
-from pipeline.networks.weights import SUFFIX, NoWeights, Weights, load_weights
+from pipeline.networks.weights import SUFFIX, NoWeights, Weights, load_weights, load_weights_of_package
 from pipeline.networks.weights_description import get_description_path
 
 _SOURCE, _WHEEL = Path(__file__).parents[2] / "sample_data" / "weights", Path(__file__).parent / "shipped"
@@ -31,7 +31,7 @@ def load_shipped(name: str) -> Weights | NoWeights:
         return NoWeights(
             why=f"no weights {name!r} are shipped; train them with `tactoscope train` or choose a file with --weights"
         )
-    return load_file(path)
+    return load_file(path, load_weights_of_package)
 
 
 def select_reader(kind: str) -> Callable[[Path], Weights]:

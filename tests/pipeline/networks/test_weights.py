@@ -15,7 +15,14 @@ from pipeline.base.errors import FileProblem
 from pipeline.engine.digests import compute_digest
 from pipeline.networks import weights as weights_module
 from pipeline.networks import weights_registry
-from pipeline.networks.weights import NoWeights, Weights, load_tensors, load_weights, save_weights
+from pipeline.networks.weights import (
+    NoWeights,
+    Weights,
+    load_tensors,
+    load_weights,
+    load_weights_of_package,
+    save_weights,
+)
 
 
 def some(scale=1.0, **more):
@@ -124,7 +131,9 @@ def test_an_onnx_file_is_packed_and_limited(tmp_path, monkeypatch):
     path, onnx = tmp_path / "some.safetensors", b"\x08" + bytes(1 << 20)
     save_weights(path, some(onnx=onnx))
     assert path.stat().st_size < 1 << 16
-    assert load_weights(path).onnx == onnx
+    for load in (load_weights, load_weights_of_package):
+        assert load(path).read_onnx() == onnx
+
     content = path.read_bytes()
     path.write_bytes(content.replace(zlib.compress(onnx, 9)[:8], b"\x78" + bytes(7)))
     with pytest.raises(FileProblem, match="cannot be unpacked"):
@@ -143,3 +152,17 @@ def test_a_scalar_tensor_keeps_its_shape(tmp_path):
     )
     back = load_weights(tmp_path / "some.safetensors")
     assert {name: tensor.shape for name, tensor in back.tensors.items()} == {"n": (), "a": (2, 1)}
+
+
+def test_weights_of_the_package_hold_no_numbers_in_memory(tmp_path):
+    path = tmp_path / "w.safetensors"
+    save_weights(path, some(onnx=b"graph" * 100))
+    whole, lean = load_weights(path), load_weights_of_package(path)
+    assert lean.content_digest == whole.content_digest
+    assert lean.n_parameters == whole.n_parameters > 0
+    assert all(np.array_equal(lean.tensors[name], t) for name, t in whole.tensors.items())
+    path.unlink()
+    with pytest.raises(FileProblem, match=r"w\.safetensors"):
+        lean.tensors["a.bias"]
+    with pytest.raises(FileProblem, match=r"w\.safetensors"):
+        lean.read_onnx()
