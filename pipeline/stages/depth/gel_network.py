@@ -22,7 +22,7 @@ import numpy as np
 from pipeline.base.arrays import Floats, Image, Mask, freeze
 from pipeline.base.memo import Memo
 from pipeline.base.params import setting
-from pipeline.base.progress import SILENT, Progress
+from pipeline.base.progress import SILENT, Progress, SubProgress
 from pipeline.base.stage_warnings import AT_BORDER, StageWarning
 from pipeline.calibration.calibration_table import Calibration
 from pipeline.engine.digests import compute_cached_digest
@@ -108,7 +108,9 @@ def _estimate(
     params: NetworkParams, progress: Progress, illumination: Illumination | None = None,
 ) -> DepthMap:  # fmt: skip
     """The photometric depth, corrected where the network applies."""
-    physical, measured, inputs = estimate_physical_depth(frame, source, progress, calibration, params, illumination)
+    physical, measured, inputs = estimate_physical_depth(
+        frame, source, SubProgress(progress, 0.0, 0.9), calibration, params, illumination
+    )
     if measured is None or not physical.contact.any():
         return physical
     progress.step(0.9, "correcting by the network")

@@ -149,7 +149,7 @@ def _render_cached(*reads: Any) -> GeneratedTouch:
     return _rendered.get_or_make(compute_cached_digest(reads[:-1]), render)
 
 
-_rendered: Memo[str, GeneratedTouch] = Memo(1)
+_rendered: Memo[str, GeneratedTouch] = Memo(4)
 
 
 def build_condition(frame: TactileFrame, source: SensorSpec, alignment: Alignment, target: SensorSpec) -> Floats:
