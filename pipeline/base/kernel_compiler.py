@@ -92,7 +92,7 @@ class _CompilerProcess:
         if self._process is None or self._process.poll() is not None:
             self.stop()
             environment = {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
-            self._process = subprocess.Popen(  # noqa: S603 - this very interpreter
-                [sys.executable, "-c", _SERVE], stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment
+            self._process = subprocess.Popen(  # noqa: S603 - this very interpreter; -P: nothing from the folder it runs in
+                [sys.executable, "-P", "-c", _SERVE], stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment
             )
         return self._process

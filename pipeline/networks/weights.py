@@ -41,9 +41,11 @@ class OnnxOnDisk:
     """The ONNX file inside a file of weights, read when it is needed."""
 
     path: Path
+    stamp: tuple[int, int]  # of the file when it was opened
 
     def read(self) -> bytes:
-        """The ONNX file; raises FileProblem where the file of weights is gone or damaged."""
+        """The ONNX file; raises FileProblem where the file of weights is gone, damaged or another one."""
+        _require_same(self.path, self.stamp)
         return _unpack_onnx(bytes(_read_entries(self.path)[1][_ONNX]["data"]), self.path)
 
 
@@ -53,13 +55,15 @@ class TensorsOnDisk(Mapping[str, Floats]):
 
     path: Path
     names: tuple[str, ...]
+    stamp: tuple[int, int]  # of the file when it was opened
 
     def __getitem__(self, name: str) -> Floats:
-        """One tensor as float32; raises FileProblem where the file is gone or damaged."""
+        """One tensor as float32; raises FileProblem where the file is gone, damaged or another one."""
         from safetensors import SafetensorError, safe_open
 
         if name not in self.names:
             raise KeyError(name)
+        _require_same(self.path, self.stamp)
         try:
             with safe_open(self.path, framework="numpy") as file:
                 return freeze(np.asarray(file.get_tensor(name), np.float32))
@@ -130,11 +134,28 @@ def load_weights_of_package(path: Path) -> Weights:
 
     A network that OpenCV answers needs none of them afterwards. Raises what `load_weights` does.
     """
+    require_file(path, _WHAT)
+    stamp = stamp_file(path)
     weights = load_weights(path)
-    object.__setattr__(weights, "tensors", TensorsOnDisk(path, tuple(weights.tensors)))
+    object.__setattr__(weights, "tensors", TensorsOnDisk(path, tuple(weights.tensors), stamp))
     if weights.onnx:
-        object.__setattr__(weights, "onnx", OnnxOnDisk(path))
+        object.__setattr__(weights, "onnx", OnnxOnDisk(path, stamp))
     return weights
+
+
+def stamp_file(path: Path) -> tuple[int, int]:
+    """Modification time and size of a file; raises OSError or ValueError."""
+    status = path.stat()
+    return status.st_mtime_ns, status.st_size
+
+
+def _require_same(path: Path, stamp: tuple[int, int]) -> None:
+    try:
+        if stamp_file(path) == stamp:
+            return
+    except OSError as error:
+        raise FileProblem(f"{_WHAT} cannot be read again", path) from error
+    raise FileProblem(f"{_WHAT} have changed since they were opened; open the recording again", path)
 
 
 def load_weights(path: Path) -> Weights:

@@ -12,7 +12,7 @@ from typing import Any
 from pipeline.base.errors import FileProblem
 from pipeline.base.memo import Memo
 from pipeline.networks import depth_anything_files, latent_diffusion_files, unet_files, vqvae_files
-from pipeline.networks.weights import SUFFIX, NoWeights, Weights, load_weights, load_weights_of_package
+from pipeline.networks.weights import SUFFIX, NoWeights, Weights, load_weights, load_weights_of_package, stamp_file
 from pipeline.networks.weights_description import get_description_path
 
 _SOURCE, _WHEEL = Path(__file__).parents[2] / "sample_data" / "weights", Path(__file__).parent / "shipped"
@@ -44,19 +44,13 @@ def load_file(path: Path, read: Callable[[Path], Weights] = load_weights) -> Wei
     """The weights of a file, cached until the file changes."""
     try:
         try:
-            stamps = [_stamp(file) for file in (path, get_description_path(path)) if file == path or file.is_file()]
+            stamps = [stamp_file(file) for file in (path, get_description_path(path)) if file == path or file.is_file()]
         except (OSError, ValueError):
             return read(path)  # raises the FileProblem
         key = (read.__module__, read.__qualname__, path, *stamps)
         return _read.get_or_make(key, lambda: read(path))
     except FileProblem as problem:
         return NoWeights(why=str(problem))
-
-
-def _stamp(path: Path) -> tuple[int, int]:
-    """Modification time and size of a file; raises OSError or ValueError."""
-    status = path.stat()
-    return status.st_mtime_ns, status.st_size
 
 
 def load_for_task(

@@ -143,3 +143,20 @@ def test_every_kernel_uses_the_tolerant_cache():
 
     measure_level_distance(np.zeros(6, np.float32), 1.0, np.empty(2))
     assert isinstance(measure_level_distance._cache, _TolerantCache)
+
+
+def test_the_compiler_takes_no_module_from_the_folder_it_runs_in(tmp_path, monkeypatch):
+    from pipeline.base import kernel_compiler
+    from pipeline.geometry.membrane_kernels import measure_level_distance
+
+    (tmp_path / "pipeline.py").write_text("open('seen', 'w').close()\n")
+    monkeypatch.chdir(tmp_path)
+    measure_level_distance(np.zeros(6, np.float32), 1.0, np.empty(2))
+    process = kernel_compiler._CompilerProcess()
+    try:
+        assert process.compile(
+            measure_level_distance.__module__, "measure_level_distance", measure_level_distance.signatures[0]
+        )
+    finally:
+        process.stop()
+    assert not (tmp_path / "seen").exists()

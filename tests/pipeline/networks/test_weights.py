@@ -161,6 +161,11 @@ def test_weights_of_the_package_hold_no_numbers_in_memory(tmp_path):
     assert lean.content_digest == whole.content_digest
     assert lean.n_parameters == whole.n_parameters > 0
     assert all(np.array_equal(lean.tensors[name], t) for name, t in whole.tensors.items())
+    save_weights(path, some(onnx=b"other"))
+    with pytest.raises(FileProblem, match="have changed"):
+        lean.tensors["a.bias"]
+    with pytest.raises(FileProblem, match="have changed"):
+        lean.read_onnx()
     path.unlink()
     with pytest.raises(FileProblem, match=r"w\.safetensors"):
         lean.tensors["a.bias"]
