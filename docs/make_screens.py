@@ -98,7 +98,7 @@ def sweep(instrument: SessionController) -> None:
     tour.open_sample(instrument, frame=5)
     _layout(instrument, "sweep")
     sweeping = next(child for child in instrument.children() if isinstance(child, SweepController))
-    instrument.window.comparison.sweep.sweep_requested.emit()
+    instrument.window.comparison.sweep.start_button.click()
     tour.until(lambda: not sweeping.is_busy)
     tour.wait_for_idle(instrument)
 

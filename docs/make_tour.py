@@ -205,7 +205,7 @@ def track(instrument: SessionController, path: Path) -> None:
     command(instrument, "layout_track")
     wait_for_views(instrument)
     tracking = next(child for child in instrument.children() if isinstance(child, TrackController))
-    instrument.window.track.start_button.click()
+    instrument.window.track.run_bar.start_button.click()
     until(lambda: tracking.view is not None)
     instrument.choose_frame(8)
     wait_for_idle(instrument)

@@ -58,9 +58,6 @@ class AlignmentPanel(VerticalScrollArea):
     drag_started = pyqtSignal()
     offset_changed = pyqtSignal(str, float)  # axis, offset in mm or degrees
     drag_ended = pyqtSignal()
-    reset_requested = pyqtSignal()
-    pivot_requested = pyqtSignal()
-    original_requested = pyqtSignal()
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -70,12 +67,12 @@ class AlignmentPanel(VerticalScrollArea):
         self.gauges = {"iou": Gauge(_IOU), "edge_px": Gauge(_EDGE), "depth_mm": Gauge(make_depth_gauge_scale(1.0))}
         self.bars, self.refine = SensitivityBars(), RefineBox()
         self.dragging = False  # whether a handle is being dragged
-        self._still = make_single_shot_timer(self, SETTLE_MS, self._end)
-        self._origin, self._pivot, self._reason = QLabel(), QLabel(), ThemedLabel(lambda inks: inks.warning_text)
+        self._still = make_single_shot_timer(self, SETTLE_MS, self.end_drag)
+        self.origin, self._pivot, self.no_score_reason = QLabel(), QLabel(), ThemedLabel(lambda inks: inks.warning_text)
         self._lay_out()
         for row in self.rows.values():
-            row.grabbed.connect(self._begin)
-            row.released.connect(self._end)
+            row.slider.sliderPressed.connect(self.begin_drag)
+            row.slider.sliderReleased.connect(self.end_drag)
             row.value_changed.connect(self._move)
 
     def _lay_out(self) -> None:
@@ -91,8 +88,8 @@ class AlignmentPanel(VerticalScrollArea):
         layout.addWidget(self._handles)
         layout.addLayout(self._foot())
         layout.addWidget(_title("Agreement"))
-        self._reason.setWordWrap(True)
-        layout.addWidget(self._reason)
+        self.no_score_reason.setWordWrap(True)
+        layout.addWidget(self.no_score_reason)
         for gauge in self.gauges.values():
             layout.addWidget(gauge)
         layout.addWidget(_title("Sensitivity"))
@@ -104,13 +101,12 @@ class AlignmentPanel(VerticalScrollArea):
         self.show_empty()
 
     def _head(self) -> QVBoxLayout:
-        self._origin.setWordWrap(True)
-        self._original = make_icon_button("reset", "alignment_original", "Return to the alignment of the recording")
-        self._original.clicked.connect(self.original_requested)
+        self.origin.setWordWrap(True)
+        self.original = make_icon_button("reset", "alignment_original", "Return to the alignment of the recording")
         self._files = set_spacing(QHBoxLayout(), 1)
         head, first = set_spacing(QVBoxLayout(), 2), QHBoxLayout()
-        first.addWidget(self._origin, 1)
-        first.addWidget(self._original)
+        first.addWidget(self.origin, 1)
+        first.addWidget(self.original)
         head.addLayout(first)
         head.addLayout(self._files)
         return head
@@ -118,32 +114,20 @@ class AlignmentPanel(VerticalScrollArea):
     def _foot(self) -> QHBoxLayout:
         self._pivot.setWordWrap(True)
         resize_font(self._pivot)
-        self._here = make_icon_button(
+        self.here = make_icon_button(
             "target", "alignment_pivot", "Express the same motion about the centre of this frame's contact"
         )
-        self._here.clicked.connect(self.pivot_requested)
-        self._reset = make_icon_button("reset", "alignment_reset", "Reset all six offsets to zero")
-        self._reset.clicked.connect(self.reset_requested)
+        self.reset = make_icon_button("reset", "alignment_reset", "Reset all six offsets to zero")
         foot = QHBoxLayout()
         foot.addWidget(self._pivot, 1)
-        foot.addWidget(self._here)
-        foot.addWidget(self._reset)
+        foot.addWidget(self.here)
+        foot.addWidget(self.reset)
         return foot
 
     def add_command(self, action: QAction) -> None:
         """Add a button for a command at the top."""
         self._files.addWidget(make_command_button(action), 1)
         self.updateGeometry()
-
-    @property
-    def no_score_reason(self) -> str:
-        """Return why there is no score; "" if there is one."""
-        return self._reason.text()
-
-    @property
-    def origin(self) -> str:
-        """Return the name of the open alignment and whether it was edited."""
-        return self._origin.text()
 
     def show_empty(self) -> None:
         """Disable the handles while no frame is scored."""
@@ -162,9 +146,9 @@ class AlignmentPanel(VerticalScrollArea):
 
     def show_origin(self, origin: str, *, edited: bool, from_file: bool) -> None:
         """Show the name of the open alignment, and whether it was edited."""
-        self._origin.setText(f"{origin}{', moved by' if edited else ''}")
-        self._original.setVisible(from_file)
-        self._reset.setEnabled(edited)
+        self.origin.setText(f"{origin}{', moved by' if edited else ''}")
+        self.original.setVisible(from_file)
+        self.reset.setEnabled(edited)
 
     def show_values(self, values: Sequence[float]) -> None:
         """Show the six offsets without emitting a signal."""
@@ -176,12 +160,12 @@ class AlignmentPanel(VerticalScrollArea):
         at = ", ".join(f"{v:.1f}" for v in pivot_mm)
         whose = "another frame's contact" if elsewhere else "the contact's centre"
         self._pivot.setText(f"offsets in the {frame} frame; rotations about {whose}, ({at}) mm")
-        self._here.setVisible(elsewhere)
+        self.here.setVisible(elsewhere)
 
     def show_score(self, score: AlignmentScore | None, reason: str) -> None:
         """Show the agreement, or the reason why there is none."""
-        self._reason.setText(reason)
-        self._reason.setVisible(bool(reason))
+        self.no_score_reason.setText(reason)
+        self.no_score_reason.setVisible(bool(reason))
         for name, gauge in self.gauges.items():
             gauge.show_value(None if score is None else getattr(score, name))
 
@@ -195,33 +179,27 @@ class AlignmentPanel(VerticalScrollArea):
         self.bars.setEnabled(True)
         self.bars.show_sensitivities(axes)
 
-    def begin_drag(self) -> None:
-        """Begin a drag that another widget controls."""
-        self._begin()
-
     def drag_axis(self, axis: Axis, value: float) -> None:
         """Show the value of an axis that another widget drags."""
-        self._begin()
+        self.begin_drag()
         self.rows[axis].show_value(value)
         self.offset_changed.emit(axis, value)
 
-    def end_drag(self) -> None:
-        """End a drag that another widget controls."""
-        self._end()
-
-    def _begin(self) -> None:
+    def begin_drag(self) -> None:
+        """Begin a drag, here or in another widget."""
         if not self.dragging:
             self.dragging = True
             self.bars.setEnabled(False)  # the bars belong to the alignment before the move
             self.drag_started.emit()
 
     def _move(self, axis: str, value: float) -> None:
-        self._begin()
+        self.begin_drag()
         if not self.rows[axis].slider.isSliderDown():  # type: ignore[index]
             self._still.start()
         self.offset_changed.emit(axis, value)
 
-    def _end(self) -> None:
+    def end_drag(self) -> None:
+        """End a drag, or a pause of changes by wheel or keys."""
         self._still.stop()
         if self.dragging:
             self.dragging = False

@@ -20,8 +20,6 @@ _SIGN = {"mm": " mm", "deg": "°"}
 class AxisRow(QObject):
     """Label, slider and spin box of one axis, which show the same number."""
 
-    grabbed = pyqtSignal()  # a drag of the slider began
-    released = pyqtSignal()
     value_changed = pyqtSignal(str, float)  # axis, mm or degrees
 
     def __init__(self, axis: Axis, parent: QObject | None = None) -> None:
@@ -44,8 +42,6 @@ class AxisRow(QObject):
         self.box.setKeyboardTracking(False)
         self.box.setAlignment(Qt.AlignmentFlag.AlignRight)
         self._explain(axis, unit)
-        self.slider.sliderPressed.connect(self.grabbed)
-        self.slider.sliderReleased.connect(self.released)
         self.slider.valueChanged.connect(self._slid)
         self.box.valueChanged.connect(self._apply_typed)
 

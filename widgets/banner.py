@@ -19,7 +19,7 @@ from PyQt6.QtWidgets import (
 
 from widgets.choice_buttons import Choice, make_choice_button
 from widgets.icons import StateIcon
-from widgets.styling import make_single_shot_timer
+from widgets.styling import EventListener, make_single_shot_timer
 from widgets.theme import is_dark
 
 _READ_MS = 30_000  # until an error leaves; the log keeps it
@@ -68,14 +68,9 @@ class Banner(QFrame):
         self._more.toggled.connect(self._details.setVisible)
         self._copy.clicked.connect(self.copy_report)
         self._away.clicked.connect(self.hide)
+        EventListener(self, self._take_colours, QEvent.Type.PaletteChange)
         self._details.hide()
         self.hide()
-
-    def changeEvent(self, a0: QEvent | None) -> None:  # noqa: N802
-        """Use the error colour of the new theme."""
-        super().changeEvent(a0)
-        if a0 is not None and a0.type() == QEvent.Type.PaletteChange:
-            self._take_colours()
 
     def _take_colours(self) -> None:
         ground, rim, letters = _ON_DARK if is_dark(self.palette()) else _ON_LIGHT

@@ -2,26 +2,17 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from PyQt6.QtCore import QPointF, QRectF, QSize, Qt, pyqtSignal
 from PyQt6.QtGui import QColor, QFontMetrics, QPainter, QPalette, QPen
-from PyQt6.QtWidgets import (
-    QComboBox,
-    QHBoxLayout,
-    QLabel,
-    QProgressBar,
-    QPushButton,
-    QSizePolicy,
-    QToolTip,
-    QVBoxLayout,
-    QWidget,
-)
+from PyQt6.QtWidgets import QHBoxLayout, QLabel, QSizePolicy, QToolTip, QVBoxLayout, QWidget
 
+from widgets.choice_box import ChoiceBox
 from widgets.fonts import resize_font
+from widgets.run_bar import RunBar
 from widgets.styling import set_spacing
 from widgets.theme import CATEGORY_COLOURS, to_qcolor
 
@@ -162,58 +153,18 @@ def get_pose_colour(answer: int) -> QColor:
 
 
 class BasinPanel(QWidget):
-    """Button, message and map; `wanted(axis)` requests a map, `chosen(row, col)` selects a pose."""
-
-    map_requested = pyqtSignal(str)
-    cancel_requested = pyqtSignal()
-    cell_chosen = pyqtSignal(int, int)
+    """Start, axis of the starts and message over the map."""
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self.start_button, self.axis_box, self.bar, self._told, self.map = (
-            QPushButton("Map basins"), QComboBox(), QProgressBar(), QLabel(), BasinMap(),
-        )  # fmt: skip
-        self.start_button.setObjectName("basins_go")
-        self.start_button.setToolTip("Register this touch from 216 starts around the pose and map the results")
-        self.axis_box.setObjectName("basins_along")
-        self.axis_box.setAccessibleName("translation axis of the starts")
-        self.axis_box.addItems(["x", "y"])
-        self.bar.setRange(0, 1000)
-        self.bar.setTextVisible(False)
-        self.bar.setFixedWidth(140)
-        self._told.setWordWrap(True)
-        self._busy = False
+        self.run_bar, self.message, self.map = RunBar("basins", "Map basins"), QLabel(), BasinMap()
+        self.axis_box = ChoiceBox("basins_along", "translation axis of the starts", {"x": "x", "y": "y"})
+        self.run_bar.start_button.setToolTip("Register this touch from 216 starts around the pose and map the results")
+        self.message.setWordWrap(True)
         head = set_spacing(QHBoxLayout(), 8)
-        for widget in (self.start_button, QLabel("translated along"), self.axis_box):
+        for widget in (self.run_bar, QLabel("translated along"), self.axis_box):
             head.addWidget(widget)
-        head.addWidget(self._told, 1)
-        head.addWidget(self.bar)
+        head.addWidget(self.message, 1)
         layout = set_spacing(QVBoxLayout(self), 4, (6, 4, 6, 4))
         layout.addLayout(head)
         layout.addWidget(self.map, 1)
-        self.start_button.clicked.connect(self._start_or_stop)
-        self.map.cell_chosen.connect(self.cell_chosen)
-        self.show_progress(None)
-
-    @property
-    def message(self) -> str:
-        """The message above the map."""
-        return self._told.text()
-
-    def show_message(self, text: str) -> None:
-        """Show a message above the map."""
-        self._told.setText(text)
-
-    def show_progress(self, fraction: float | None) -> None:
-        """Show progress from 0 to 1; None hides the bar."""
-        self._busy = fraction is not None
-        self.start_button.setText("Cancel" if self._busy else "Map basins")
-        self.bar.setVisible(self._busy)
-        if fraction is not None and math.isfinite(fraction):
-            self.bar.setValue(round(1000 * fraction))
-
-    def _start_or_stop(self) -> None:
-        if self._busy:
-            self.cancel_requested.emit()
-        else:
-            self.map_requested.emit(self.axis_box.currentText())

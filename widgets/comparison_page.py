@@ -7,9 +7,10 @@ from typing import get_args
 
 from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
 from PyQt6.QtGui import QAction
-from PyQt6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QPushButton, QSpinBox, QTabWidget, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QHBoxLayout, QLabel, QPushButton, QSpinBox, QTabWidget, QVBoxLayout, QWidget
 
 from pipeline.evaluation.method_comparison import SortOrder
+from widgets.choice_box import ChoiceBox
 from widgets.comparison_tab import ComparisonTab
 from widgets.spread_plot import SpreadPlot
 from widgets.styling import make_command_button, set_spacing
@@ -30,32 +31,26 @@ class TileTab(ComparisonTab):
 
 
 class ComparisonPage(QWidget):
-    """Tabs by name; `tab_chosen`, `choice_changed` and `sampling_requested` request what they show."""
+    """Tabs by name; `choice_changed` requests what the tab and its controls choose."""
 
-    tab_chosen = pyqtSignal()
     choice_changed = pyqtSignal()
-    sampling_requested = pyqtSignal()
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self.order_box, self.stage_box = QComboBox(), QComboBox()
+        orders = {order: order for order in get_args(SortOrder)}
+        self.order_box = ChoiceBox("compare_order", "order of the methods", orders)
+        self.stage_box = ChoiceBox("compare_stage", "compared stage")
         self.seed_count_box, self.sample_button = QSpinBox(), QPushButton("Sample")
-        self.order_box.addItems(get_args(SortOrder))
         self.seed_count_box.setRange(2, MAX_SEEDS)
         self.seed_count_box.setValue(8)
         for widget, name, text in (
-            (self.order_box, "compare_order", "order of the methods"),
-            (self.stage_box, "compare_stage", "compared stage"),
             (self.seed_count_box, "compare_seeds", "number of seeds"),
             (self.sample_button, "compare_sample", "Sample the touch with these seeds"),
         ):
             widget.setObjectName(name)
             widget.setAccessibleName(text)
-        for box in (self.order_box, self.stage_box):
-            box.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToContents)
-            box.activated.connect(self._emit_choice)
-        self.seed_count_box.valueChanged.connect(self._emit_choice)
-        self.sample_button.clicked.connect(self.sampling_requested)
+        for changed in (self.order_box.chosen, self.stage_box.chosen, self.seed_count_box.valueChanged):
+            changed.connect(self._emit_choice)
         self.methods = TileTab([QLabel("order"), self.order_box])
         self.variants = TileTab([QLabel("stage"), self.stage_box])
         self.seeds = TileTab([QLabel("seeds"), self.seed_count_box, self.sample_button])
@@ -81,7 +76,7 @@ class ComparisonPage(QWidget):
             self._tab_bar.addTab(tab, title)
         layout = set_spacing(QVBoxLayout(self), 0)
         layout.addWidget(self._tab_bar)
-        self._tab_bar.currentChanged.connect(self._emit_tab)
+        self._tab_bar.currentChanged.connect(self._emit_choice)
 
     @property
     def current_name(self) -> str:
@@ -93,11 +88,8 @@ class ComparisonPage(QWidget):
         """The current tab; the methods tab while the parameters are shown."""
         return self.tabs.get(self.current_name, self.methods)
 
-    def _emit_choice(self, _: int) -> None:
+    def _emit_choice(self, _: object) -> None:
         self.choice_changed.emit()
-
-    def _emit_tab(self, _: int) -> None:
-        self.tab_chosen.emit()
 
     def add_command(self, action: QAction) -> None:
         """Add a button for a command to the tab of two settings."""
@@ -108,28 +100,15 @@ class ComparisonPage(QWidget):
 
     def offer_stages(self, stages: Mapping[str, str]) -> None:
         """Offer stages (name -> title) after "all stages"; emits no signal."""
-        names = ["", *stages]
-        if [self.stage_box.itemData(i) for i in range(self.stage_box.count())] == names:
-            return
-        chosen = self.stage_box.currentData()
-        with QSignalBlocker(self.stage_box):
-            self.stage_box.clear()
-            for name in names:
-                self.stage_box.addItem(stages[name] if name else ALL_STAGES, name)
-            self.stage_box.setCurrentIndex(names.index(chosen) if chosen in names else len(names) - 1)
+        self.stage_box.offer({"": ALL_STAGES, **stages})
 
     def show_choices(self, tab: str, order: str, stage: str, seeds: int) -> None:
         """Show the current choices, the last stage for one that is not offered; emits no signal."""
         index = self.stage_box.findData(stage)
-        with (
-            QSignalBlocker(self._tab_bar),
-            QSignalBlocker(self.order_box),
-            QSignalBlocker(self.stage_box),
-            QSignalBlocker(self.seed_count_box),
-        ):
+        self.order_box.setCurrentText(order)
+        self.stage_box.setCurrentIndex(index if index >= 0 else self.stage_box.count() - 1)
+        with QSignalBlocker(self._tab_bar), QSignalBlocker(self.seed_count_box):
             self.show_tab(tab)
-            self.order_box.setCurrentText(order)
-            self.stage_box.setCurrentIndex(index if index >= 0 else self.stage_box.count() - 1)
             self.seed_count_box.setValue(seeds)
 
     def show_3d_views(self, shown: bool) -> None:

@@ -4,25 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from PyQt6.QtCore import pyqtSignal
-from PyQt6.QtWidgets import QHBoxLayout, QLabel, QLayout, QProgressBar, QPushButton, QSizePolicy, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QHBoxLayout, QLabel, QLayout, QSizePolicy, QVBoxLayout, QWidget
 
+from widgets.run_bar import RunBar
 from widgets.styling import set_spacing
 
 
 class ComparisonTab(QWidget):
     """Controls above a message above the widget with the results."""
 
-    cancel_requested = pyqtSignal()
-
     def __init__(self, controls: Sequence[QWidget] | QLayout, results: QWidget, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self.message, self._bar, self._cancel = QLabel(), QProgressBar(), QPushButton("Cancel")
-        self._bar.setRange(0, 1000)
-        self._bar.setTextVisible(False)
-        self._bar.setFixedWidth(140)
-        self._cancel.setObjectName("compare_cancel")
-        self._cancel.clicked.connect(self.cancel_requested)
+        self.message, self.run_bar = QLabel(), RunBar("compare", keeps_room=True)
         self.message.setWordWrap(True)
         self.message.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Minimum)
         self.head = set_spacing(QHBoxLayout(), 6)
@@ -34,22 +27,10 @@ class ComparisonTab(QWidget):
             self.head.addStretch(1)
         status = set_spacing(QHBoxLayout(), 6)
         status.addWidget(self.message, 1)
-        for widget in (self._bar, self._cancel):
-            policy = widget.sizePolicy()
-            policy.setRetainSizeWhenHidden(True)
-            widget.setSizePolicy(policy)
-            status.addWidget(widget)
+        status.addWidget(self.run_bar)
         self.body = set_spacing(QHBoxLayout(), 6)
         self.body.addWidget(results, 1)
         self.stack = set_spacing(QVBoxLayout(self), 4, (4, 4, 4, 2))
         self.stack.addLayout(self.head)
         self.stack.addLayout(status)
         self.stack.addLayout(self.body, 3)
-        self.show_progress(None)
-
-    def show_progress(self, fraction: float | None) -> None:
-        """Show the fraction done, or hide the bar for None."""
-        for widget in (self._bar, self._cancel):
-            widget.setVisible(fraction is not None)
-        if fraction is not None:
-            self._bar.setValue(round(1000 * fraction))

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 from PyQt6.QtCore import QRectF, QSize, Qt, pyqtSignal
 from PyQt6.QtGui import QMouseEvent, QPainter, QPaintEvent, QPalette
-from PyQt6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
 
+from widgets.choice_box import ChoiceBox
 from widgets.styling import make_bold, set_spacing
 from widgets.theme import get_theme_colours, to_qcolor
 
@@ -98,28 +99,21 @@ class Waterfall(QWidget):
 
 
 class ErrorAttributionPanel(QWidget):
-    """Metric chooser, sentence and waterfall; `metric_chosen` names the error to attribute.
+    """Metric chooser, sentence and waterfall; `share_clicked` carries the number of the clicked share."""
 
-    `share_clicked` carries the number of the clicked share.
-    """
-
-    metric_chosen = pyqtSignal(str)
     share_clicked = pyqtSignal(int)
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self.metric_box, self._sentence, self.waterfall = QComboBox(), QLabel(), Waterfall()
-        self.metric_box.setObjectName("attributed_metric")
-        self.metric_box.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToContents)
-        self.metric_box.setAccessibleName("metric to attribute")
-        self.metric_box.activated.connect(lambda: self.metric_chosen.emit(self.metric_box.currentData()))
+        self.metric_box = ChoiceBox("attributed_metric", "metric to attribute")
+        self.sentence, self.waterfall = QLabel(), Waterfall()
         self.waterfall.setToolTip("A click on a share pins the truth of its stage in the column's head, or releases it")
         self.waterfall.row_clicked.connect(self._click_row)
-        self._sentence.setWordWrap(True)
-        make_bold(self._sentence)
+        self.sentence.setWordWrap(True)
+        make_bold(self.sentence)
         head = set_spacing(QHBoxLayout(), 8)
         head.addWidget(self.metric_box)
-        head.addWidget(self._sentence, 1)
+        head.addWidget(self.sentence, 1)
         layout = set_spacing(QVBoxLayout(self), 4, (6, 4, 6, 4))
         layout.addLayout(head)
         layout.addWidget(self.waterfall, 1)
@@ -129,26 +123,17 @@ class ErrorAttributionPanel(QWidget):
         if not self.waterfall.bars[row].is_total:
             self.share_clicked.emit(row - 1)  # the first row is the whole error
 
-    @property
-    def sentence(self) -> str:
-        """The sentence about the frame."""
-        return self._sentence.text()
-
     def offer_metrics(self, names: Mapping[str, str], chosen: str) -> None:
         """Offer the metrics (name -> text) that this frame has; emits no signal."""
-        if [self.metric_box.itemData(i) for i in range(self.metric_box.count())] != list(names):
-            self.metric_box.clear()
-            for name, text in names.items():
-                self.metric_box.addItem(text, name)
-        self.metric_box.setCurrentIndex(self.metric_box.findData(chosen))
+        self.metric_box.offer(names, chosen)
         self.metric_box.setEnabled(bool(names))
 
     def show_empty(self, why: str) -> None:
         """Show why there is no error to attribute."""
-        self._sentence.setText(why)
+        self.sentence.setText(why)
         self.waterfall.show_bars((), "")
 
     def show_attribution(self, sentence: str, shown: tuple[WaterfallBar, ...], unit: str) -> None:
         """Show an error and its parts."""
-        self._sentence.setText(sentence)
+        self.sentence.setText(sentence)
         self.waterfall.show_bars(shown, unit)

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from PyQt6.QtCore import pyqtSignal
-from PyQt6.QtWidgets import QComboBox, QDialog, QFormLayout, QHBoxLayout, QLabel, QLineEdit, QPushButton, QWidget
+from PyQt6.QtWidgets import QDialog, QFormLayout, QHBoxLayout, QLabel, QLineEdit, QPushButton, QWidget
+
+from widgets.choice_box import ChoiceBox
 
 FORMATS = (  # suffix, title, content it can hold
     (".png", "image, PNG", "every"),
@@ -29,16 +31,12 @@ class ExportDialog(QDialog):
         super().__init__(parent)
         self.setWindowTitle("Export")
         self.setObjectName("export_dialog")
-        self.pane_box, self.content_box, self.format_box, self.frames = (
-            QComboBox(),
-            QComboBox(),
-            QComboBox(),
-            QLineEdit(),
-        )
-        for word in ("computed", "truth", "difference"):
-            self.content_box.addItem(word, word)
-        for suffix, words, _ in FORMATS:
-            self.format_box.addItem(words, suffix)
+        contents = {name: name for name in ("computed", "truth", "difference")}
+        self.pane_box, self.frames = ChoiceBox("export_pane", "export pane"), QLineEdit()
+        self.content_box = ChoiceBox("export_shows", "export shows", contents)
+        self.format_box = ChoiceBox("export_as", "export as", {suffix: words for suffix, words, _ in FORMATS})
+        self.frames.setObjectName("export_frames")
+        self.frames.setAccessibleName("export frames")
         self.frames.setPlaceholderText("all, or for example 0,3-7")
         self.frames.setToolTip("frames of a table or a video, by number")
         form = QFormLayout(self)
@@ -48,8 +46,6 @@ class ExportDialog(QDialog):
             ("as", self.format_box),
             ("frames", self.frames),
         ):
-            widget.setObjectName(f"export_{label}")
-            widget.setAccessibleName(f"export {label}")
             form.addRow(label, widget)
         self._told = QLabel()
         self._told.setWordWrap(True)
@@ -69,24 +65,21 @@ class ExportDialog(QDialog):
     @property
     def selection(self) -> tuple[str, str, str, str]:
         """Pane, content, suffix, frames."""
-        shown = self.content_box.currentData() if self.content_box.isEnabled() else "computed"
+        shown = self.content_box.choice if self.content_box.isEnabled() else "computed"
         frames = self.frames.text().strip() if self.frames.isEnabled() else ""
-        return self.pane_box.currentData(), shown, self.format_box.currentData(), frames
+        return self.pane_box.choice, shown, self.format_box.choice, frames
 
     def show_panes(self, panes: Sequence[tuple[str, str]], chosen: str, shown: str) -> None:
         """Offer these panes (name, title) and select one of them with its content."""
-        self.pane_box.clear()
-        for name, title in panes:
-            self.pane_box.addItem(title, name)
-        self.pane_box.setCurrentIndex(max(0, self.pane_box.findData(chosen)))
+        self.pane_box.offer(dict(panes), chosen)
         self.content_box.setCurrentIndex(max(0, self.content_box.findData(shown)))
         self._fit()
 
     def _fit(self) -> None:
         """Enable only the options of the selected pane and format."""
-        pane = self.pane_box.currentData()
-        of = next((of for suffix, _, of in FORMATS if suffix == self.format_box.currentData()), "every")
-        self.content_box.setEnabled(pane not in (SHEET, "source", None))
+        pane = self.pane_box.choice
+        of = next((of for suffix, _, of in FORMATS if suffix == self.format_box.choice), "every")
+        self.content_box.setEnabled(pane not in (SHEET, "source", ""))
         self.frames.setEnabled(of == "frames")
         wrong = of == "pane" and pane == SHEET
         self._told.setText("a sheet has no points; select one pane" if wrong else "")

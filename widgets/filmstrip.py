@@ -17,7 +17,7 @@ from pipeline.previews.preview import Preview
 from widgets.fonts import make_caption_font
 from widgets.icons import paint_state
 from widgets.preview_renderer import MAX_ZOOM, PreviewRenderer
-from widgets.styling import set_spacing
+from widgets.styling import EventListener, set_spacing
 from widgets.theme import get_theme_colours
 
 _PICTURE_PX = QSize(132, 62)
@@ -37,6 +37,7 @@ class Thumbnail(QAbstractButton):
         self.is_in_pane = self.is_active = self.is_collapsed = False
         self._picture: Preview | None = None
         self._pixmap: QPixmap | None = None
+        EventListener(self, self._drop_pixmap, QEvent.Type.Resize, QEvent.Type.PaletteChange)
 
     def show_preview(self, picture: Preview | None) -> None:
         """Take another preview, None for none; the thumbnail is rendered when it is painted."""
@@ -96,16 +97,8 @@ class Thumbnail(QAbstractButton):
         painter.setOpacity(0.5 if self.state in ("stale", "running", "waiting") else 1.0)
         painter.drawPixmap(_EDGE_PX, _EDGE_PX + line, self._pixmap)
 
-    def resizeEvent(self, a0: Any) -> None:  # noqa: N802
-        """Render the thumbnail at the new width."""
-        super().resizeEvent(a0)
+    def _drop_pixmap(self) -> None:
         self._pixmap = None
-
-    def changeEvent(self, e: Any) -> None:  # noqa: N802
-        """Render the thumbnail in the new theme."""
-        super().changeEvent(e)
-        if e.type() == QEvent.Type.PaletteChange:
-            self._pixmap = None
 
     def _font(self) -> QFont:
         font = make_caption_font(self.font())

@@ -53,19 +53,17 @@ class FramesModel(QAbstractTableModel):
         """Return the summary of a frame; None if unknown."""
         return self._known.get(frame)
 
-    def find_unknown_frame(self, frame: int) -> int:
-        """Return the unknown frame closest to `frame`, later ones first; -1 when all are known."""
-        waiting = [i for i in range(self._n_frames) if i not in self._known]
-        return min(waiting, key=lambda i: (abs(i - frame), -i), default=-1)
+    def find_unknown_frame(self, frame: int, *, completely: bool = False, quantity: str = "") -> int:
+        """Return the frame closest to `frame` that is not known, later ones first; -1 when all are.
 
-    def find_incomplete_frame(self, frame: int) -> int:
-        """Return the frame closest to `frame` that lacks what takes another translation; -1 when none does."""
-        waiting = [i for i, known in self._known.items() if not known.is_complete]
-        return min(waiting, key=lambda i: (abs(i - frame), -i), default=-1)
-
-    def find_frame_without(self, quantity: str, frame: int) -> int:
-        """Return the frame closest to `frame` whose `quantity` was not measured; -1 when all were."""
-        waiting = [i for i in range(self._n_frames) if quantity not in self._quantities.get(i, {})]
+        `completely` looks for frames that lack what takes another translation, `quantity` for those where it was not
+        measured.
+        """
+        if completely:
+            waiting = [i for i, known in self._known.items() if not known.is_complete]
+        else:
+            known = {i for i, values in self._quantities.items() if quantity in values} if quantity else self._known
+            waiting = [i for i in range(self._n_frames) if i not in known]
         return min(waiting, key=lambda i: (abs(i - frame), -i), default=-1)
 
     @property

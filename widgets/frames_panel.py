@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from PyQt6.QtCore import QModelIndex, QSignalBlocker, QSize, QSortFilterProxyModel, Qt, pyqtSignal
-from PyQt6.QtGui import QShowEvent
+from PyQt6.QtCore import QEvent, QModelIndex, QSize, QSortFilterProxyModel, Qt, pyqtSignal
 from PyQt6.QtWidgets import (
     QAbstractItemView,
     QComboBox,
@@ -18,22 +17,22 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
-from widgets.eliding_combo_box import ElidingComboBox
+from widgets.choice_box import ChoiceBox
 from widgets.fonts import resize_font
 from widgets.frame_summary import THUMBNAIL_PX
 from widgets.frames_filter import FramesFilter, get_limits, replace_limits
 from widgets.frames_model import CAUSE, CONTACT, DEPTH, FRAME, METRIC, NOTE, SORT_ROLE, WARNINGS, FramesModel
 from widgets.metric_histogram import MetricHistogram
-from widgets.styling import make_single_shot_timer, set_spacing
+from widgets.styling import EventListener, make_single_shot_timer, set_spacing
+from widgets.table_copier import prepare_table
 
 _HISTOGRAM_DELAY_MS = 60  # values that arrive within it are drawn together
 
 
 class FramesPanel(QWidget):
-    """Shows the frames `model`; `frame_chosen` carries the selected frame, `metric_chosen` the name of a metric."""
+    """Shows the frames `model`; `frame_chosen` carries the selected frame."""
 
     frame_chosen = pyqtSignal(int)
-    metric_chosen = pyqtSignal(str)
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -42,7 +41,8 @@ class FramesPanel(QWidget):
         self._sorted.setSourceModel(self.model)
         self._sorted.setSortRole(SORT_ROLE)
         self._frame = 0
-        self.metric_box, self._told, self.filter_line = ElidingComboBox(), QLabel(), QLineEdit()
+        self.metric_box = ChoiceBox("frames_figure", "metric of the frames")
+        self._told, self.filter_line = QLabel(), QLineEdit()
         self.filter_line.setObjectName("frames_filter")
         self.filter_line.setAccessibleName("filter of the frames")
         self.filter_line.setPlaceholderText("filter: >0.3, <2, contact, warned, noted, a word")
@@ -50,10 +50,7 @@ class FramesPanel(QWidget):
                                "noted, or a word of a note or a warning")  # fmt: skip
         self.filter_line.setClearButtonEnabled(True)
         self.filter_line.textChanged.connect(self._filter)
-        self.metric_box.setObjectName("frames_figure")
-        self.metric_box.setAccessibleName("metric of the frames")
         self.metric_box.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
-        self.metric_box.activated.connect(lambda: self.metric_chosen.emit(self.metric_box.currentData()))
         resize_font(self._told)
         self.histogram = MetricHistogram()
         self.histogram.range_chosen.connect(self._choose_range)
@@ -66,6 +63,7 @@ class FramesPanel(QWidget):
         self._histogram_timer = make_single_shot_timer(self, _HISTOGRAM_DELAY_MS, self._show_histogram)
         for signal in (self.model.dataChanged, self.model.modelReset):
             signal.connect(self._tell)
+        EventListener(self, self._show_histogram, QEvent.Type.Show)  # which is not drawn while the panel is hidden
         self._tell()
 
     def show_frame(self, frame: int) -> None:
@@ -83,12 +81,7 @@ class FramesPanel(QWidget):
 
     def offer_metrics(self, names: Mapping[str, str], chosen: str, title: str) -> None:
         """Offer the metrics (name -> text) and the title of the selected one; emits no signal."""
-        with QSignalBlocker(self.metric_box):
-            if [self.metric_box.itemData(i) for i in range(self.metric_box.count())] != list(names):
-                self.metric_box.clear()
-                for name, text in names.items():
-                    self.metric_box.addItem(text, name)
-            self.metric_box.setCurrentIndex(self.metric_box.findData(chosen))
+        self.metric_box.offer(names, chosen)
         self.metric_box.setEnabled(bool(names))
         self.model.show_metric(chosen, title, names.get(chosen, chosen))
         self._histogram_timer.start()
@@ -117,14 +110,9 @@ class FramesPanel(QWidget):
         self._told.setText(f"{done} of {frames} frames known{some}" if frames else "")
         self._histogram_timer.start()
 
-    def showEvent(self, a0: QShowEvent | None) -> None:  # noqa: N802
-        """Draw the histogram, which is not drawn while the panel is hidden."""
-        super().showEvent(a0)
-        self._show_histogram()
-
     def _show_histogram(self) -> None:
         if self.isVisible():
-            values = self.model.get_values(str(self.metric_box.currentData() or ""))
+            values = self.model.get_values(self.metric_box.choice)
             self.histogram.show_values(values, get_limits(self.filter_line.text()))
 
     def _choose_range(self, low: float, high: float) -> None:
@@ -141,17 +129,13 @@ class FramesPanel(QWidget):
 
 def _table(model: QSortFilterProxyModel) -> QTableView:
     table = QTableView()
-    table.setObjectName("frames")
-    table.setAccessibleName("frames")
+    columns = prepare_table(table, "frames", "frames")
     table.setModel(model)
-    table.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
     table.setSelectionMode(QAbstractItemView.SelectionMode.SingleSelection)
-    table.setShowGrid(False)
+    table.setEditTriggers(QAbstractItemView.EditTrigger.DoubleClicked | QAbstractItemView.EditTrigger.EditKeyPressed)
     table.setAlternatingRowColors(True)
-    rows, columns = table.verticalHeader(), table.horizontalHeader()
+    rows = table.verticalHeader()
     assert rows is not None
-    assert columns is not None
-    rows.hide()
     rows.setDefaultSectionSize(THUMBNAIL_PX[1] + 2)
     table.setIconSize(QSize(*THUMBNAIL_PX))
     columns.setMinimumSectionSize(30)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from PyQt6.QtCore import pyqtSignal
 from PyQt6.QtWidgets import QFrame, QHBoxLayout, QLabel, QPushButton, QSizePolicy, QWidget
 
 from widgets.styling import make_bold
@@ -10,11 +9,6 @@ from widgets.styling import make_bold
 
 class LiveBar(QFrame):
     """Hidden while no sensor is live."""
-
-    zero_requested = pyqtSignal()
-    record_toggled = pyqtSignal(bool)
-    follow_toggled = pyqtSignal(bool)
-    stop_requested = pyqtSignal()
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -44,10 +38,6 @@ class LiveBar(QFrame):
         row.addWidget(self._wrong, 1)
         for button in (self.follow, self.zero, self.record, self.stop):
             row.addWidget(button)
-        self.follow.clicked.connect(self.follow_toggled)
-        self.zero.clicked.connect(self.zero_requested)
-        self.record.clicked.connect(self.record_toggled)
-        self.stop.clicked.connect(self.stop_requested)
         self.hide()
 
     @property

@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from PyQt6.QtCore import QSize, Qt
-from PyQt6.QtWidgets import QFrame, QHBoxLayout, QLabel, QProgressBar, QPushButton, QSizePolicy, QToolButton, QWidget
+from PyQt6.QtWidgets import QFrame, QHBoxLayout, QLabel, QPushButton, QSizePolicy, QToolButton, QWidget
 
 from widgets.choice_buttons import Choice, make_choice_button
+from widgets.run_bar import RunBar
 from widgets.styling import make_single_shot_timer
 
-_BAR_PX = 160
 _READ_MS, _ACT_MS = 10_000, 20_000  # until a notification leaves, without and with buttons
 
 
 class NotificationBar(QFrame):
-    """Hidden until `show_notification`; each button acts once and hides it.
+    """Hidden until `show_notification`; each button acts once and hides it. `run_bar` shows what the sentence is about.
 
     It leaves by itself after a time to read it, unless the pointer is over it.
     """
@@ -25,13 +25,10 @@ class NotificationBar(QFrame):
         self.setObjectName(name)
         self.setFrameShape(QFrame.Shape.StyledPanel)
         self.setAutoFillBackground(True)
-        self._text, self._bar, self._away = QLabel(), QProgressBar(), QToolButton()
+        self._text, self.run_bar, self._away = QLabel(), RunBar(name), QToolButton()
         self._text.setTextFormat(Qt.TextFormat.PlainText)  # file names are no markup
         self._text.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
         self._text.setWordWrap(True)
-        self._bar.setRange(0, 1000)
-        self._bar.setFixedWidth(_BAR_PX)
-        self._bar.setTextVisible(False)
         self._away.setText("\N{MULTIPLICATION SIGN}")
         self._away.setAutoRaise(True)
         self._away.setToolTip("Dismiss")
@@ -40,7 +37,7 @@ class NotificationBar(QFrame):
         self._row = QHBoxLayout(self)
         self._row.setContentsMargins(8, 3, 8, 3)
         self._row.addWidget(self._text, 1)
-        self._row.addWidget(self._bar)
+        self._row.addWidget(self.run_bar)
         self._row.addWidget(self._away)
         self.buttons: list[QPushButton] = []
         self._read = make_single_shot_timer(self, _READ_MS, self._leave)
@@ -60,7 +57,6 @@ class NotificationBar(QFrame):
         for i, button in enumerate(self.buttons):
             self._row.insertWidget(2 + i, button)
         self._text.setText(sentence[:1].upper() + sentence[1:])
-        self._bar.hide()
         self.show()
         self.updateGeometry()
         self._read.stop() if stays else self._read.start(_ACT_MS if choices else _READ_MS)
@@ -68,11 +64,6 @@ class NotificationBar(QFrame):
     def _leave(self) -> None:
         """Hide, but not under the pointer."""
         self._read.start(_READ_MS) if self.underMouse() else self.hide()
-
-    def show_progress(self, fraction: float) -> None:
-        """Show the progress of the work that the sentence is about."""
-        self._bar.show()
-        self._bar.setValue(round(1000 * fraction))
 
     def sizeHint(self) -> QSize:  # noqa: N802
         """Return a narrow width: the sentence wraps."""

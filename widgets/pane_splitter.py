@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from PyQt6.QtCore import QSize, Qt
-from PyQt6.QtGui import QResizeEvent
+from PyQt6.QtCore import QEvent, QSize, Qt
 from PyQt6.QtWidgets import QSplitter, QWidget
 
 from widgets.stage_column import StageColumn
-from widgets.styling import make_single_shot_timer
+from widgets.styling import EventListener, make_single_shot_timer
 from widgets.view_3d_panel import View3DPanel
 
 _MOST_HIGH = 0.74  # largest share of a pane's height for the image when stacked
@@ -29,6 +28,7 @@ class PaneSplitter(QSplitter):
         self._held: tuple[StageColumn, View3DPanel] | None = None
         self._soon = make_single_shot_timer(self, 0, self.fit_sizes)
         self.splitterMoved.connect(self._keep)
+        EventListener(self, self._soon.start, QEvent.Type.Resize)
 
     def set_contents(self, column: StageColumn, cell: View3DPanel) -> None:
         """Show these widgets; the previous ones must have been released."""
@@ -72,11 +72,6 @@ class PaneSplitter(QSplitter):
             whole, first = room.width(), round(max(_LEAST_WIDE * room.width(), around.width() + at_side))
         if abs(self.sizes()[0] - first) > 1:
             self.setSizes([first, whole - first])
-
-    def resizeEvent(self, a0: QResizeEvent | None) -> None:  # noqa: N802
-        """Fit the sizes to the new room."""
-        super().resizeEvent(a0)
-        self._soon.start()
 
     def _keep(self) -> None:
         self.is_user_sized = True

@@ -7,14 +7,13 @@ from functools import partial
 from typing import Any
 
 from PyQt6.QtCore import QEvent, QObject, QSize, pyqtSignal
-from PyQt6.QtGui import QResizeEvent
 from PyQt6.QtWidgets import QFrame, QHBoxLayout, QLabel, QToolButton, QVBoxLayout, QWidget
 
 from widgets.filmstrip import Filmstrip
 from widgets.fonts import resize_font
 from widgets.pane_splitter import PaneSplitter
 from widgets.stage_column import StageColumn
-from widgets.styling import set_spacing
+from widgets.styling import EventListener, set_spacing
 from widgets.view_3d_panel import View3DPanel
 
 MAX_PANES = 3
@@ -125,6 +124,7 @@ class PanesPage(QWidget):
             pane.activated.connect(partial(self.activate_pane, number))
             pane.dims_chosen.connect(partial(self.dims_chosen.emit, number))
         self.filmstrip.stage_chosen.connect(self._choose)
+        EventListener(self, self._fold_filmstrip, QEvent.Type.Resize)
 
     @property
     def active_stage(self) -> str:
@@ -156,9 +156,7 @@ class PanesPage(QWidget):
         hint = super().minimumSizeHint()
         return QSize(hint.width(), hint.height() - self.filmstrip.collapsible_px)
 
-    def resizeEvent(self, a0: QResizeEvent | None) -> None:  # noqa: N802
-        """Give the panes the height of a low page."""
-        super().resizeEvent(a0)
+    def _fold_filmstrip(self) -> None:
         self.filmstrip.set_collapsed(self.height() < _FOLDED_BELOW_PX)
 
     def _choose(self, stage: str) -> None:

@@ -11,6 +11,7 @@ from PyQt6.QtCore import QSignalBlocker, Qt
 from PyQt6.QtWidgets import (
     QAbstractSpinBox,
     QCheckBox,
+    QComboBox,
     QDoubleSpinBox,
     QHBoxLayout,
     QLineEdit,
@@ -21,7 +22,7 @@ from PyQt6.QtWidgets import (
 )
 
 from pipeline.base.params import Setting, Value
-from widgets.eliding_combo_box import ElidingComboBox
+from widgets.choice_box import ChoiceBox
 
 _SLIDER_STEPS, _NARROW_PX = 400, 24
 _MANY, _TOO_MANY, _BEND = (
@@ -147,9 +148,9 @@ def _switch(value: bool, edited: Callable[[Value], None]) -> ParameterControl:
 
 
 def _choice(value: str, setting: Setting, edited: Callable[[Value], None]) -> ParameterControl:
-    box = ElidingComboBox()
-    box.addItems(list(setting.choices))
+    box = ChoiceBox("", setting.label, {name: name for name in setting.choices})
     box.setCurrentText(value)
+    box.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToContentsOnFirstShow)
     box.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
     box.currentTextChanged.connect(edited)
     return _quiet(box, box.setCurrentText)

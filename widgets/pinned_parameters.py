@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from functools import partial
 
-from PyQt6.QtCore import pyqtSignal
-from PyQt6.QtGui import QResizeEvent
+from PyQt6.QtCore import QEvent, pyqtSignal
 from PyQt6.QtWidgets import QBoxLayout, QHBoxLayout, QLabel, QVBoxLayout, QWidget
 
 from pipeline.base.params import Setting, Value, list_settings, replace_value
 from widgets.fonts import resize_font
 from widgets.parameter_controls import ParameterControl, describe_setting, make_control
-from widgets.styling import set_spacing
+from widgets.styling import EventListener, set_spacing
 
 _LABEL_PX, _ROW_PX, _COMPACT_ROW_PX = 54, 22, 19
 _SLIDERS_FROM_PX = 126  # width from which on a slider fits between label and number
@@ -39,6 +38,7 @@ class PinnedParameters(QWidget):
         self._lines = set_spacing(QBoxLayout(QBoxLayout.Direction.TopToBottom), 1)
         self._outer.addLayout(self._lines)
         self._outer.addStretch(1)
+        EventListener(self, self._leave_room_to_numbers, QEvent.Type.Resize)
 
     def offer_methods(self, methods: Iterable[tuple[str, object]]) -> None:
         """Offer the pinned parameters of these methods, (key, default parameters) each."""
@@ -80,9 +80,8 @@ class PinnedParameters(QWidget):
             self._is_compact = compact
             self._arrange()
 
-    def resizeEvent(self, a0: QResizeEvent | None) -> None:  # noqa: N802
-        """Leave the room to the numbers where there is little: without slider, name and unit."""
-        super().resizeEvent(a0)
+    def _leave_room_to_numbers(self) -> None:
+        """Hide slider, name and unit where there is little room."""
         is_narrow = not self._is_wide and self.width() < _SLIDERS_FROM_PX
         if is_narrow != self._is_narrow:
             self._is_narrow = is_narrow

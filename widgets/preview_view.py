@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
-from PyQt6.QtCore import QPointF, QSize, Qt, pyqtSignal
+from PyQt6.QtCore import QEvent, QPointF, QSize, Qt, pyqtSignal
 from PyQt6.QtWidgets import QBoxLayout, QLabel, QVBoxLayout, QWidget
 
 from pipeline.previews.preview import Preview
@@ -15,7 +14,7 @@ from widgets.colour_bar import ColourBar
 from widgets.comparison_overlay import ComparisonOverlay
 from widgets.fixed_size_label import FixedSizeLabel
 from widgets.fonts import resize_font
-from widgets.styling import set_spacing
+from widgets.styling import EventListener, set_spacing
 
 SIDE_TEXT_PX = 170  # width of text next to an image
 _AROUND = 1.3  # margin around a fitted contact, as a factor
@@ -60,6 +59,7 @@ class PreviewView(QWidget):
         self.canvas.mouse_left.connect(lambda: self.pixel_hovered.emit(-1, -1))
         self.canvas.clicked.connect(self._report_click)
         self.canvas.view_changed.connect(self.view_changed)
+        EventListener(self, self._place_message, QEvent.Type.Resize)
 
     def place_text(self, *, at_side: bool) -> None:
         """Place the text to the right of the image, or under it."""
@@ -155,11 +155,6 @@ class PreviewView(QWidget):
             return None
         (left, top), (right, below) = np.nanmin(border, axis=0), np.nanmax(border, axis=0)
         return float(left), float(top), float(right), float(below)
-
-    def resizeEvent(self, a0: Any) -> None:  # noqa: N802
-        """Keep the message centred."""
-        super().resizeEvent(a0)
-        self._place_message()
 
     def sizeHint(self) -> QSize:  # noqa: N802
         """Return a column's share of a laptop screen."""

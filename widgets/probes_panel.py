@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
+from PyQt6.QtCore import QSignalBlocker, pyqtSignal
 from PyQt6.QtGui import QColor, QIcon, QPixmap
 from PyQt6.QtWidgets import (
-    QAbstractItemView,
     QHBoxLayout,
     QHeaderView,
     QLabel,
@@ -20,6 +19,7 @@ from PyQt6.QtWidgets import (
 )
 
 from widgets.styling import set_spacing
+from widgets.table_copier import prepare_table
 from widgets.theme import get_probe_colour, to_qcolor
 
 _HINT = "A click on an image pins a pixel, up to five; a click on its mark releases it."
@@ -39,31 +39,18 @@ class ProbesPanel(QWidget):
     """Shows one row per pinned pixel; `probe_chosen` carries the number of the selected row."""
 
     probe_chosen = pyqtSignal(int)
-    clear_requested = pyqtSignal()
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self.table, self._clear = QTableWidget(0, 0), QPushButton("Release all")
-        self.table.setObjectName("probes")
-        self.table.setAccessibleName("pinned pixels")
-        self.table.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
-        self.table.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
-        self.table.setShowGrid(False)
-        self.table.setWordWrap(False)
-        self.table.cellClicked.connect(self._choose)
-        rows, columns = self.table.verticalHeader(), self.table.horizontalHeader()
-        assert rows is not None
-        assert columns is not None
-        rows.hide()
-        rows.setDefaultSectionSize(self.table.fontMetrics().height() + 5)
+        self.table, self.clear_button = QTableWidget(0, 0), QPushButton("Release all")
+        columns = prepare_table(self.table, "probes", "pinned pixels")
         columns.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
-        columns.setDefaultAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter)
+        self.table.cellClicked.connect(self._choose)
         self._numbers: tuple[int, ...] = ()
-        self._clear.setEnabled(False)
-        self._clear.clicked.connect(self.clear_requested)
+        self.clear_button.setEnabled(False)
         head = set_spacing(QHBoxLayout(), 8)
         head.addWidget(QLabel(_HINT), 1)
-        head.addWidget(self._clear)
+        head.addWidget(self.clear_button)
         layout = set_spacing(QVBoxLayout(self), 3, (6, 3, 6, 2))
         layout.addLayout(head)
         layout.addWidget(self.table, 1)
@@ -74,7 +61,7 @@ class ProbesPanel(QWidget):
     def show_probes(self, titles: Sequence[str], rows: Sequence[ProbeRow]) -> None:
         """Show these pinned pixels under these titles."""
         self._numbers = tuple(row.number for row in rows)
-        self._clear.setEnabled(bool(rows))
+        self.clear_button.setEnabled(bool(rows))
         with QSignalBlocker(self.table):
             self.table.setColumnCount(len(titles))
             self.table.setHorizontalHeaderLabels(titles)

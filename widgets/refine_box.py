@@ -6,102 +6,66 @@ import math
 from collections.abc import Callable
 from html import escape
 
-from PyQt6.QtCore import QEvent, Qt, pyqtSignal
-from PyQt6.QtWidgets import QHBoxLayout, QLabel, QProgressBar, QPushButton, QVBoxLayout, QWidget
+from PyQt6.QtCore import QEvent, Qt
+from PyQt6.QtWidgets import QHBoxLayout, QLabel, QPushButton, QVBoxLayout, QWidget
 
 from pipeline.alignment.refine import AlignmentFit, Refinement
 from pipeline.base.arrays import Doubles
 from pipeline.previews.colours import Rgb
-from widgets.styling import set_spacing
+from widgets.run_bar import RunBar
+from widgets.styling import EventListener, set_spacing
 from widgets.theme import ThemeColours, get_theme_colours, to_hex
 
 _IDLE = "least squares over all frames with contact on both sensors; a quarter is held out"
 
 
 class RefineBox(QWidget):
-    """Emits requests; shows state and result."""
-
-    refine_requested = pyqtSignal()
-    cancel_requested = pyqtSignal()
-    accepted = pyqtSignal()
-    discarded = pyqtSignal()
+    """Start over message or result over the choice to accept or discard it."""
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self.button, self.cancel = _button("Refine on all frames", "refine"), _button("Cancel", "refine_cancel")
-        self.accept, self.discard = _button("Accept", "refine_accept"), _button("Discard", "refine_discard")
+        self.run_bar, self.text = RunBar("refine", "Refine on all frames"), QLabel()
+        self.accept, self.discard = QPushButton("Accept"), QPushButton("Discard")
+        self.accept.setObjectName("refine_accept")
+        self.discard.setObjectName("refine_discard")
         self.accept.setToolTip("Use the refined alignment (one undo step)")
         self.discard.setToolTip("Keep the alignment as it is")
-        self.button.setToolTip(_IDLE[0].upper() + _IDLE[1:])
-        self.bar, self._text = QProgressBar(), QLabel()
-        self.bar.setRange(0, 1000)
-        self.bar.setTextVisible(False)
-        self.bar.setFixedHeight(8)
-        self._text.setWordWrap(True)
-        self._text.setTextFormat(Qt.TextFormat.RichText)
-        self._text.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+        self.run_bar.start_button.setToolTip(_IDLE[0].upper() + _IDLE[1:])
+        self.text.setWordWrap(True)
+        self.text.setTextFormat(Qt.TextFormat.RichText)
+        self.text.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
         layout = set_spacing(QVBoxLayout(self), 4)
-        for pair in ((self.button, self.cancel), (self.accept, self.discard)):
-            row = QHBoxLayout()
-            for one in pair:
-                row.addWidget(one)
-            layout.addLayout(row)
-            if pair[0] is self.button:
-                layout.addWidget(self.bar)
-                layout.addWidget(self._text)
-        self.button.clicked.connect(self.refine_requested)
-        self.cancel.clicked.connect(self.cancel_requested)
-        self.accept.clicked.connect(self.accepted)
-        self.discard.clicked.connect(self.discarded)
-        self.show_idle()
+        choice = QHBoxLayout()
+        for button in (self.accept, self.discard):
+            choice.addWidget(button)
+        for widget in (self.run_bar, self.text):
+            layout.addWidget(widget)
+        layout.addLayout(choice)
+        EventListener(self, lambda: self._say(self._format_mm), QEvent.Type.PaletteChange)
+        self.show_message()
 
-    @property
-    def text(self) -> str:
-        """The message as rich text."""
-        return self._text.text()
-
-    def show_idle(self, note: str = _IDLE) -> None:
-        """Show that refinement can start."""
-        self._show(running=False, done=False)
+    def show_message(self, note: str = _IDLE) -> None:
+        """Show what runs, or that refinement can start."""
+        self._offer_choice(False)
         self._say(lambda ink: _in(ink.secondary_text, note))
-
-    def show_progress(self, fraction: float, text: str) -> None:
-        """Show progress."""
-        self._show(running=True, done=False)
-        self.bar.setValue(round(1000 * fraction))
-        self._say(lambda ink: _in(ink.secondary_text, text))
 
     def show_result(self, answer: Refinement, target: str) -> None:
         """Show agreement before and after, unobservable directions, and the choice."""
-        self._show(running=False, done=True)
+        self._offer_choice(True)
         self._say(lambda ink: _table(answer, ink) + _words(answer, target, ink))
-
-    def changeEvent(self, a0: QEvent | None) -> None:  # noqa: N802
-        """Use the colours of the new theme."""
-        super().changeEvent(a0)
-        if a0 is not None and a0.type() == QEvent.Type.PaletteChange:
-            self._say(self._format_mm)
 
     def _say(self, make_text: Callable[[ThemeColours], str]) -> None:
         self._format_mm = make_text
-        self._text.setText(make_text(get_theme_colours(self.palette())))
+        self.text.setText(make_text(get_theme_colours(self.palette())))
 
-    def _show(self, *, running: bool, done: bool) -> None:
-        for widget, seen in (
-            (self.button, not running and not done), (self.cancel, running), (self.bar, running),
-            (self.accept, done), (self.discard, done),
-        ):  # fmt: skip
-            widget.setVisible(seen)
+    def _offer_choice(self, offered: bool) -> None:
+        for button in (self.accept, self.discard):
+            button.setVisible(offered)
+        self.run_bar.setHidden(offered)
 
 
 def _in(colour: Rgb, text: str) -> str:
     return f"<span style='color:{to_hex(colour)}'>{escape(text)}</span>"
-
-
-def _button(text: str, name: str) -> QPushButton:
-    button = QPushButton(text)
-    button.setObjectName(name)
-    return button
 
 
 def _table(answer: Refinement, ink: ThemeColours) -> str:

@@ -6,7 +6,6 @@ from PyQt6.QtCore import QSignalBlocker, pyqtSignal
 from PyQt6.QtGui import QAction
 from PyQt6.QtWidgets import (
     QApplication,
-    QComboBox,
     QDoubleSpinBox,
     QHBoxLayout,
     QLabel,
@@ -16,13 +15,14 @@ from PyQt6.QtWidgets import (
 )
 
 from pipeline.translation.cross_section import CrossSection, SectionLine, format_csv
+from widgets.choice_box import ChoiceBox
 from widgets.fixed_size_label import FixedSizeLabel
 from widgets.section_plot import SectionPlot
 from widgets.styling import make_command_button, set_spacing
 
 _NAMES = ("A, mm", "", "B, mm", "")
 _TIPS = ("across", "down", "across", "down")
-_PLACES = (("both sensors", ""), ("source", "source"), ("target", "target"))
+_PLACES = {"": "both sensors", "source": "source", "target": "target"}
 _REACH_MM, _STEP_MM, _DIGITS = 999.0, 0.1, 2
 _HOW = "{:.2f} mm; Shift and drag draws a new line, drag A or B, P and arrow keys move it"
 _OFF = "no line"
@@ -32,7 +32,6 @@ class SectionPanel(QWidget):
     """Shows a `CrossSection`; emits line positions that the user types."""
 
     line_typed = pyqtSignal(object)  # Line
-    command_requested = pyqtSignal()
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -41,7 +40,6 @@ class SectionPanel(QWidget):
         self.command = QPushButton("Copy command")
         self.command.setObjectName("section_command")
         self.command.setToolTip("Copy the command line that writes this table")
-        self.command.clicked.connect(self.command_requested)
         self.copy.setObjectName("section_copy")
         self.copy.setToolTip("Copy the curves as a table: mm along the line, and mm of indentation for every stage")
         self._head = set_spacing(QHBoxLayout(), 5)
@@ -60,13 +58,9 @@ class SectionPanel(QWidget):
                 self._head.addWidget(QLabel(name))
             self._head.addWidget(box)
             self.ends.append(box)
-        self.sensor_box = QComboBox()
-        self.sensor_box.setObjectName("section_place")
-        self.sensor_box.setAccessibleName("sensor of the curves")
+        self.sensor_box = ChoiceBox("section_place", "sensor of the curves", _PLACES)
         self.sensor_box.setToolTip("Sensor of the curves; a gel is indented less than a bubble")
-        for title, place in _PLACES:
-            self.sensor_box.addItem(title, place)
-        self.sensor_box.currentIndexChanged.connect(self._place_chosen)
+        self.sensor_box.chosen.connect(self.plot.show_sensor_role)
         self._head.addWidget(self.sensor_box)
         self._head.addWidget(self.message, 1)
         self._head.addWidget(self.copy)
@@ -98,9 +92,6 @@ class SectionPanel(QWidget):
         self.plot.show_section(section)
         for button in (self.copy, self.command):
             button.setEnabled(section is not None)
-
-    def _place_chosen(self, _: int) -> None:
-        self.plot.show_sensor_role(str(self.sensor_box.currentData()))
 
     def _emit_typed(self) -> None:
         x0, y0, x1, y1 = (box.value() for box in self.ends)

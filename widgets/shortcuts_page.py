@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from PyQt6.QtCore import Qt
 from PyQt6.QtGui import QAction, QKeySequence
 from PyQt6.QtWidgets import QDialog, QHeaderView, QLineEdit, QTableWidget, QTableWidgetItem, QVBoxLayout, QWidget
 
 from widgets.styling import set_spacing
-from widgets.table_copier import TableCopier
+from widgets.table_copier import TableCopier, prepare_table
 
 _SIZE_PX = 760, 560
 _TITLES = ("menu", "command", "shortcut", "what it does")
@@ -28,19 +27,11 @@ class ShortcutsPage(QDialog):
         self.line.setAccessibleName("search of the commands")
         self.line.setClearButtonEnabled(True)
         self.line.textChanged.connect(self._filter)
-        self.table.setObjectName("shortcuts_table")
-        self.table.setAccessibleName("commands and shortcuts")
+        columns = prepare_table(self.table, "shortcuts_table", "commands and shortcuts")
         self.table.setHorizontalHeaderLabels(_TITLES)
-        self.table.setEditTriggers(QTableWidget.EditTrigger.NoEditTriggers)
-        self.table.setSelectionBehavior(QTableWidget.SelectionBehavior.SelectRows)
-        self.table.setShowGrid(False)
         self.table.setAlternatingRowColors(True)
-        rows, columns = self.table.verticalHeader(), self.table.horizontalHeader()
-        if rows is not None and columns is not None:
-            rows.hide()
-            columns.setDefaultAlignment(Qt.AlignmentFlag.AlignLeft)
-            columns.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
-            columns.setStretchLastSection(True)
+        columns.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
+        columns.setStretchLastSection(True)
         layout = set_spacing(QVBoxLayout(self), 6, (8, 8, 8, 8))
         layout.addWidget(self.line)
         layout.addWidget(self.table)

@@ -6,19 +6,18 @@ import math
 import re
 from collections.abc import Sequence
 from functools import partial
-from typing import Any
 
-from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
+from PyQt6.QtCore import QEvent, QSignalBlocker, Qt, pyqtSignal
 from PyQt6.QtGui import QStandardItemModel
 from PyQt6.QtWidgets import QBoxLayout, QComboBox, QFrame, QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
 
-from widgets.eliding_combo_box import ElidingComboBox
+from widgets.choice_box import ChoiceBox
 from widgets.fixed_size_label import FixedSizeLabel
 from widgets.fonts import resize_font
 from widgets.icons import StateIcon
 from widgets.pinned_parameters import PinnedParameters
 from widgets.preview_view import PreviewView
-from widgets.styling import make_bold, set_spacing
+from widgets.styling import EventListener, make_bold, set_spacing
 
 _BETWEEN_PX = 40  # sign, text and time of a state, with margins
 _SIGN_PX = 10  # between a title and the state's sign
@@ -53,11 +52,9 @@ class StageColumn(QFrame):
         status.addWidget(self._word)
         status.addWidget(self._ms, 1)
         layout = set_spacing(QVBoxLayout(self), 1, (1, 2, 1, 1))
-        self._method = ElidingComboBox()
-        self._method.setObjectName(f"method_{name}")
-        self._method.setAccessibleName(f"method of {title}")
+        self._method = ChoiceBox(f"method_{name}", f"method of {title}")
         self._method.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
-        self._method.activated.connect(lambda: self.method_chosen.emit(name, self._method.currentData()))
+        self._method.chosen.connect(partial(self.method_chosen.emit, name))
         self._only = QLabel()  # in place of the chooser where there is one method only
         for widget in (self._word, self._ms, self._method, self._only):
             resize_font(widget)
@@ -87,6 +84,7 @@ class StageColumn(QFrame):
         self.view.pixel_hovered.connect(partial(self.pixel_hovered.emit, name))
         self.view.pixel_clicked.connect(partial(self.pixel_clicked.emit, name))
         self.show_state("waiting")
+        EventListener(self, self._fit_time, QEvent.Type.Resize)
 
     def set_wide(self, wide: bool) -> None:
         """Place title, method and state in one row if wide, else in several."""
@@ -130,11 +128,6 @@ class StageColumn(QFrame):
         self.view.set_caption_lines(lines)
         self._note.set_lines(lines)
 
-    def resizeEvent(self, a0: Any) -> None:  # noqa: N802
-        """Hide the time where there is no room, and the state's text next to title or method."""
-        super().resizeEvent(a0)
-        self._fit_time()
-
     def _fit_time(self) -> None:
         at_side = self._head.direction() == QBoxLayout.Direction.LeftToRight
         before = self._title.minimumWidth() + _METHOD_PX if at_side else 0
@@ -152,10 +145,8 @@ class StageColumn(QFrame):
 
     def offer_methods(self, methods: Sequence[tuple[str, str, str]]) -> None:
         """Offer (name, title, help) of the methods of this stage; a single one is a label."""
-        self._method.clear()
-        for i, (name, title, tip) in enumerate(methods):
-            self._method.addItem(title, name)
-            self._method.setItemData(i, tip, Qt.ItemDataRole.ToolTipRole)
+        tips = {name: tip for name, _, tip in methods}
+        self._method.offer({name: title for name, title, _ in methods}, tips=tips)
         several = len(methods) > 1
         self._method.setVisible(several)
         self._only.setVisible(not several)

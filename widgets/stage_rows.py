@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from PyQt6.QtCore import QEvent, QObject, Qt, pyqtSignal
-from PyQt6.QtGui import QResizeEvent
 from PyQt6.QtWidgets import QHBoxLayout, QSplitter, QWidget
 
 from widgets.stage_column import StageColumn
-from widgets.styling import make_single_shot_timer, set_spacing
+from widgets.styling import EventListener, make_single_shot_timer, set_spacing
 from widgets.view_3d_panel import View3DPanel
 
 _SHORT_PX = 420  # a lower row gives a caption one line, and the state none
@@ -41,6 +40,7 @@ class StageRows(QSplitter):
         self.setChildrenCollapsible(False)
         self._soon = make_single_shot_timer(self, 0, self.fit_sizes)
         self.splitterMoved.connect(self._keep)
+        EventListener(self, self._soon.start, QEvent.Type.Resize)
 
     def set_columns(self, pairs: Sequence[tuple[StageColumn, View3DPanel]], *, wide: bool = False) -> None:
         """Show these columns and cells in this order; their own visibility decides which are seen.
@@ -55,11 +55,11 @@ class StageRows(QSplitter):
             for seen in (column, column.view):  # the view too, because a note takes room from it
                 if seen not in self._watched:
                     self._watched.add(seen)
-                    seen.installEventFilter(self)
+                    EventListener(seen, self._soon.start, QEvent.Type.Show, QEvent.Type.Hide, QEvent.Type.Resize)
                     if seen is column.view:
-                        column.view.shape_changed.connect(self._fit_soon)
-                        column.view.scale_changed.connect(self._fit_soon)
-        self._fit_soon()
+                        column.view.shape_changed.connect(self._soon.start)
+                        column.view.scale_changed.connect(self._soon.start)
+        self._soon.start()
 
     def fit_sizes(self) -> None:
         """Share the height by what the previews need, unless the user set it."""
@@ -76,7 +76,7 @@ class StageRows(QSplitter):
             column.pinned.reserve_height(pinned_px)
         if (short, joined, some) != self._told:
             self._told = short, joined, some
-            self._fit_soon()  # again after the layout
+            self._soon.start()  # again after the layout
         room = self.height() - self.handleWidth()
         if self._restored and sum(self._restored) == room and self.sizes() != list(self._restored):
             self.setSizes(self._restored)
@@ -89,27 +89,13 @@ class StageRows(QSplitter):
         below = [cell.compute_height_px(_TALL_BELOW) for cell in self._cells if cell.isVisibleTo(self)]
         self.spare_height_changed.emit(room - wanted - max(below, default=0))
 
-    def resizeEvent(self, a0: QResizeEvent | None) -> None:  # noqa: N802
-        """Fit to the new widths."""
-        super().resizeEvent(a0)
-        self._fit_soon()
-
-    def eventFilter(self, a0: QObject | None, a1: QEvent | None) -> bool:  # noqa: N802
-        """Fit again when a column appears, disappears or changes width."""
-        if a1 is not None and a1.type() in (QEvent.Type.Show, QEvent.Type.Hide, QEvent.Type.Resize):
-            self._fit_soon()
-        return super().eventFilter(a0, a1)
-
-    def _fit_soon(self) -> None:
-        self._soon.start()
-
     def restore_sizes(self, sizes: Sequence[int]) -> None:
         """Restore user sizes; without sizes, fit the previews again."""
         self.is_user_sized = len(sizes) == self.count()
         self._restored = tuple(sizes) if self.is_user_sized else ()
         if self.is_user_sized:
             self.setSizes(self._restored)
-        self._fit_soon()
+        self._soon.start()
 
     def _keep(self) -> None:
         self.is_user_sized, self._restored = True, ()

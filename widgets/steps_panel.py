@@ -7,11 +7,12 @@ from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
-from PyQt6.QtCore import QPointF, QRectF, QSignalBlocker, QSize, Qt, pyqtSignal
+from PyQt6.QtCore import QPointF, QRectF, QSize, Qt, pyqtSignal
 from PyQt6.QtGui import QPainter, QPalette, QPen
-from PyQt6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QPushButton, QSizePolicy, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QHBoxLayout, QLabel, QPushButton, QSizePolicy, QVBoxLayout, QWidget
 
 from pipeline.stages.stage import StepCurve, StepHistory
+from widgets.choice_box import ChoiceBox
 from widgets.fonts import resize_font
 from widgets.styling import set_spacing
 from widgets.theme import get_theme_colours, to_qcolor
@@ -140,70 +141,31 @@ class StepsPlot(QWidget):
 class StepsPanel(QWidget):
     """Stage chooser, button that requests the steps, message, plot, and the current step as text."""
 
-    stage_chosen = pyqtSignal()
-    step_chosen = pyqtSignal(str, int)
     keep_steps_requested = pyqtSignal(str, bool)
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self.stage_box, self.keep_button, self.plot = QComboBox(), QPushButton(KEEP_STEPS), StepsPlot()
-        self._told, self._step = QLabel(_NOTHING), QLabel()
+        self.stage_box = ChoiceBox("steps_slot", "stage to step through")
+        self.keep_button, self.plot = QPushButton(KEEP_STEPS), StepsPlot()
+        self.message, self.step_text = QLabel(_NOTHING), QLabel()  # why it stopped, or what can be done
         self._way: StepHistory | None = None
         self._kept = False
-        self.stage_box.setObjectName("steps_slot")
-        self.stage_box.setAccessibleName("stage to step through")
-        self.stage_box.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToContents)
         self.keep_button.setObjectName("steps_keep")
-        self._told.setWordWrap(True)
+        self.message.setWordWrap(True)
         head = set_spacing(QHBoxLayout(), 8)
         for widget in (self.stage_box, self.keep_button):
             head.addWidget(widget)
-        head.addWidget(self._told, 1)
+        head.addWidget(self.message, 1)
         layout = set_spacing(QVBoxLayout(self), 2, (6, 4, 6, 4))
         layout.addLayout(head)
         layout.addWidget(self.plot, 1)
-        layout.addWidget(self._step)
-        self.stage_box.activated.connect(self._choose_from_box)
-        self.keep_button.clicked.connect(lambda: self.keep_steps_requested.emit(self.stage, not self._kept))
-        self.plot.step_chosen.connect(self._step_chosen)
-
-    @property
-    def stage(self) -> str:
-        """The selected stage; "" for none."""
-        return str(self.stage_box.currentData() or "")
-
-    @property
-    def message(self) -> str:
-        """Why the method stopped, or what can be done."""
-        return self._told.text()
-
-    @property
-    def step_text(self) -> str:
-        """The current step as text."""
-        return self._step.text()
-
-    def _choose_from_box(self, _: int) -> None:
-        self.stage_chosen.emit()
-
-    def _step_chosen(self, at: int) -> None:
-        self.step_chosen.emit(self.stage, at)
+        layout.addWidget(self.step_text)
+        self.keep_button.clicked.connect(lambda: self.keep_steps_requested.emit(self.stage_box.choice, not self._kept))
 
     def offer_stages(self, stages: Mapping[str, str]) -> None:
-        """Offer name -> title of stages with steps."""
-        names = list(stages)
-        if [self.stage_box.itemData(i) for i in range(self.stage_box.count())] == names:
-            return
-        chosen = self.stage
-        with QSignalBlocker(self.stage_box):
-            self.stage_box.clear()
-            for name in names:
-                self.stage_box.addItem(stages[name], name)
-            self.stage_box.setCurrentIndex(names.index(chosen) if chosen in names else len(names) - 1)
-
-    def choose_stage(self, stage: str) -> None:
-        """Select a stage without emitting a signal."""
-        with QSignalBlocker(self.stage_box):
-            self.stage_box.setCurrentIndex(max(0, self.stage_box.findData(stage)))
+        """Offer name -> title of stages with steps; the last one unless another was chosen."""
+        chosen = self.stage_box.choice
+        self.stage_box.offer(stages, chosen if chosen in stages else ["", *stages][-1])
 
     def show_history(
         self, history: StepHistory | None, *, keeps_steps: bool, can_keep_steps: bool, why_not: str = ""
@@ -212,7 +174,7 @@ class StepsPanel(QWidget):
         self._way, self._kept = history, keeps_steps
         self.keep_button.setText(DISCARD_STEPS if keeps_steps else KEEP_STEPS)
         self.keep_button.setEnabled(can_keep_steps)
-        self._told.setText(history.stop_reason if history is not None else why_not or _NOTHING)
+        self.message.setText(history.stop_reason if history is not None else why_not or _NOTHING)
         self.plot.show_curves(
             () if history is None else history.curves, () if history is None else history.phase_starts
         )
@@ -222,4 +184,4 @@ class StepsPanel(QWidget):
         """Mark a step and show its text."""
         self.plot.show_step(at)
         steps = () if self._way is None else self._way.descriptions
-        self._step.setText(f"step {at + 1} of {len(steps)}: {steps[at]}" if 0 <= at < len(steps) else "")
+        self.step_text.setText(f"step {at + 1} of {len(steps)}: {steps[at]}" if 0 <= at < len(steps) else "")

@@ -39,6 +39,22 @@ def make_single_shot_timer(parent: QObject, after_ms: int, then: Callable[[], ob
     return timer
 
 
+class EventListener(QObject):
+    """Calls `then` at events of these kinds of a widget, before the widget handles them; lives as long as it."""
+
+    def __init__(self, widget: QWidget, then: Callable[[], object], *kinds: QEvent.Type) -> None:
+        super().__init__(widget)
+        self._then, self._kinds = then, kinds
+        widget.installEventFilter(self)
+
+    def eventFilter(self, a0: QObject | None, a1: QEvent | None) -> bool:  # noqa: N802
+        """Call the function."""
+        del a0
+        if a1 is not None and a1.type() in self._kinds:
+            self._then()
+        return False
+
+
 def make_command_button(action: QAction) -> QToolButton:
     """Return a flat button for a command."""
     button = QToolButton()
@@ -65,12 +81,7 @@ class ThemedLabel(QLabel):
         super().__init__(text, parent)
         self._ink = ink
         self._take_ink()
-
-    def changeEvent(self, a0: QEvent | None) -> None:  # noqa: N802
-        """Use the colour of the new theme."""
-        super().changeEvent(a0)
-        if a0 is not None and a0.type() == QEvent.Type.PaletteChange:
-            self._take_ink()
+        EventListener(self, self._take_ink, QEvent.Type.PaletteChange)
 
     def _take_ink(self) -> None:
         colour = to_qcolor(self._ink(get_theme_colours(self.palette())))

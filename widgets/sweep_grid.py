@@ -13,6 +13,7 @@ from PyQt6.QtWidgets import QSizePolicy, QToolTip, QWidget
 from pipeline.evaluation.parameter_sweep import SweepCell
 from pipeline.previews.preview import Preview
 from widgets.preview_renderer import make_themed_qimage
+from widgets.styling import EventListener
 from widgets.theme import get_theme_colours, to_qcolor
 
 CellIndex = tuple[int, int]  # row, col
@@ -94,6 +95,7 @@ class SweepGrid(_CellView):
         self._across: tuple[str, Sequence[str]] = ("", ())
         self._down: tuple[str, Sequence[str]] = ("", ())
         self._thumbnails: dict[CellIndex, QPixmap] = {}
+        EventListener(self, self._drop_thumbnails, QEvent.Type.Resize, QEvent.Type.PaletteChange)
 
     def show_axes(self, across: tuple[str, Sequence[str]], down: tuple[str, Sequence[str]], unit: str) -> None:
         """Show empty cells for (name, values) of columns and rows."""
@@ -120,16 +122,8 @@ class SweepGrid(_CellView):
                     return row, col
         return -1, -1
 
-    def resizeEvent(self, a0: Any) -> None:  # noqa: N802
-        """Drop thumbnails of the old size."""
-        super().resizeEvent(a0)
+    def _drop_thumbnails(self) -> None:
         self._thumbnails = {}
-
-    def changeEvent(self, a0: Any) -> None:  # noqa: N802
-        """Drop thumbnails of the old theme."""
-        super().changeEvent(a0)
-        if a0.type() == QEvent.Type.PaletteChange:
-            self._thumbnails = {}
 
     def _cell(self, row: int, col: int) -> QRectF:
         line = QFontMetrics(self.font()).height()

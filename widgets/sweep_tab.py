@@ -3,29 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import partial
 
-from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
-from PyQt6.QtWidgets import QComboBox, QGridLayout, QLabel, QLineEdit, QPushButton, QSplitter, QWidget
+from PyQt6.QtCore import Qt
+from PyQt6.QtWidgets import QGridLayout, QLabel, QLineEdit, QPushButton, QSplitter, QWidget
 
 from pipeline.evaluation.parameter_sweep import SweepCell, format_value
+from widgets.choice_box import ChoiceBox
 from widgets.comparison_tab import ComparisonTab
 from widgets.styling import set_spacing
 from widgets.sweep_grid import SweepGrid, SweepPlot
 
+_AXES = "columns", "rows"
 _HINT = "choose two parameters and their values, then press Sweep; click a cell to use its values"
 
 
 class SweepTab(ComparisonTab):
     """Parameters, values and metric of a sweep, and its cells."""
 
-    axis_chosen = pyqtSignal(int)  # 0 across, 1 down
-    sweep_requested = pyqtSignal()
-    cell_chosen = pyqtSignal(int, int)
-
     def __init__(self, parent: QWidget | None = None) -> None:
-        self.axes, self.values = (QComboBox(), QComboBox()), (QLineEdit(), QLineEdit())
-        self.metric_box, self.start_button = QComboBox(), QPushButton("Sweep")
+        self.axes = tuple(ChoiceBox(f"sweep_{word}", f"parameter of the {word}") for word in _AXES)  # across, down
+        self.values = QLineEdit(), QLineEdit()
+        self.metric_box, self.start_button = ChoiceBox("sweep_metric", "metric"), QPushButton("Sweep")
         self.grid, self.plot = SweepGrid(), SweepPlot()
         controls = set_spacing(QGridLayout(), 6)
         results = QSplitter(Qt.Orientation.Horizontal)
@@ -33,22 +31,14 @@ class SweepTab(ComparisonTab):
             results.addWidget(widget)
             results.setStretchFactor(results.count() - 1, share)
         super().__init__(controls, results, parent)
-        for which, word in enumerate(("columns", "rows")):
-            box, line = self.axes[which], self.values[which]
-            box.setObjectName(f"sweep_{word}")
+        for which, (word, box, line) in enumerate(zip(_AXES, self.axes, self.values, strict=True)):
             line.setObjectName(f"sweep_{word}_values")
-            box.setAccessibleName(f"parameter of the {word}")
             line.setAccessibleName(f"values of the {word}")
             line.setToolTip("Comma-separated values")
-            box.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToContents)
-            box.activated.connect(partial(self._emit_axis, which))
-            line.returnPressed.connect(self.sweep_requested)
+            line.returnPressed.connect(self.start_button.click)
             for col, widget in enumerate((QLabel(word), box, line)):
                 controls.addWidget(widget, which, col)
-        self.metric_box.setObjectName("sweep_metric")
-        self.metric_box.setAccessibleName("metric")
         self.start_button.setObjectName("sweep_start")
-        self.start_button.clicked.connect(self.sweep_requested)
         controls.addWidget(QLabel("metric"), 0, 3)
         controls.addWidget(self.metric_box, 0, 4)
         controls.addWidget(self.start_button, 1, 4)
@@ -57,18 +47,14 @@ class SweepTab(ComparisonTab):
         for view, other in ((self.grid, self.plot), (self.plot, self.grid)):
             view.cell_hovered.connect(view.mark_cell)
             view.cell_hovered.connect(other.mark_cell)
-            view.cell_chosen.connect(self.cell_chosen)
-
-    def _emit_axis(self, which: int, _: int) -> None:
-        self.axis_chosen.emit(which)
 
     def offer_parameters(
         self, names: Sequence[str], chosen: tuple[int, int], metrics: Mapping[str, str], metric: str
     ) -> None:
         """Offer parameters and metrics (name -> title) and show the chosen ones; emits no signal."""
         for box, index in zip(self.axes, chosen, strict=True):
-            _fill_box(box, {name: name for name in names}, index)
-        _fill_box(self.metric_box, metrics, list(metrics).index(metric))
+            box.offer({name: name for name in names}, names[index] if names else "")
+        self.metric_box.offer(metrics, metric)
 
     def show_values(self, which: int, values: Sequence[object]) -> None:
         """Show the values of an axis."""
@@ -92,19 +78,7 @@ class SweepTab(ComparisonTab):
             view.used_cell = (row, col)
             view.update()
 
-    def show_progress(self, fraction: float | None, message: str = "") -> None:
-        """Show the fraction done (None = not running) and a message, if given."""
-        super().show_progress(fraction)
-        self.start_button.setEnabled(fraction is None)
-        if message:
-            self.message.setText(message)
-
-
-def _fill_box(box: QComboBox, items: Mapping[str, str], index: int) -> None:
-    """Offer items (name -> text) and choose one."""
-    with QSignalBlocker(box):
-        if [box.itemData(i) for i in range(box.count())] != list(items):
-            box.clear()
-            for name, text in items.items():
-                box.addItem(text, name)
-        box.setCurrentIndex(index)
+    def show_state(self, message: str, *, runs: bool) -> None:
+        """Show a message, and whether another sweep can start."""
+        self.message.setText(message)
+        self.start_button.setDisabled(runs)

@@ -1,4 +1,4 @@
-"""Copy of any table: Ctrl+C or its menu puts the selected rows, else all, on the clipboard, with titles."""
+"""Tables: their common look, and their copy: Ctrl+C or the menu puts the selected rows, else all, on the clipboard."""
 
 from __future__ import annotations
 
@@ -6,9 +6,26 @@ from functools import partial
 
 from PyQt6.QtCore import QEvent, QObject, QPoint, Qt
 from PyQt6.QtGui import QGuiApplication, QKeyEvent, QKeySequence
-from PyQt6.QtWidgets import QMenu, QTableView, QWidget
+from PyQt6.QtWidgets import QAbstractItemView, QHeaderView, QMenu, QTableView, QWidget
 
 _Role = Qt.ItemDataRole
+
+
+def prepare_table(table: QTableView, name: str, description: str) -> QHeaderView:
+    """Show rows of one line, selected as a whole and edited nowhere; returns the header of the columns."""
+    table.setObjectName(name)
+    table.setAccessibleName(description)
+    table.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
+    table.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
+    table.setShowGrid(False)
+    table.setWordWrap(False)
+    rows, columns = table.verticalHeader(), table.horizontalHeader()
+    assert rows is not None
+    assert columns is not None
+    rows.hide()
+    rows.setDefaultSectionSize(table.fontMetrics().height() + 5)
+    columns.setDefaultAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter)
+    return columns
 
 
 class TableCopier(QObject):

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
-from PyQt6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QSplitter, QVBoxLayout, QWidget
+from PyQt6.QtCore import Qt
+from PyQt6.QtWidgets import QHBoxLayout, QLabel, QSplitter, QVBoxLayout, QWidget
 
 from pipeline.previews.colours import Rgb
+from widgets.choice_box import ChoiceBox
 from widgets.decision_panel import DecisionPanel
 from widgets.preview_view import PreviewView
 from widgets.rollout_plot import RolloutPlot
 from widgets.styling import make_bold, set_spacing
+from widgets.theme import to_hex
 from widgets.timeline import Timeline
 from widgets.trials_panel import TrialsPanel
 from widgets.view_3d_panel import View3DPanel
@@ -23,8 +25,6 @@ TOUCHES = {"source": "Source", "touch": "Generated touch", "truth": "True touch"
 class TaskPage(QWidget):
     """Trials at the left; scene and touches over the plot, the ticks and the decision at the right."""
 
-    place_chosen = pyqtSignal(str)  # stream of the finger
-
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.trials, self.scene, self.plot = TrialsPanel(), View3DPanel(), RolloutPlot()
@@ -32,11 +32,7 @@ class TaskPage(QWidget):
         self.scene.view.setAccessibleName("scene of the rollout")
         self.scene.view.setMinimumSize(220, 160)
         self.message.setWordWrap(True)
-        self.place_box = QComboBox()
-        self.place_box.setObjectName("task_place")
-        self.place_box.setAccessibleName("finger of the touches")
-        self.place_box.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToContents)
-        self.place_box.activated.connect(lambda: self.place_chosen.emit(str(self.place_box.currentData())))
+        self.place_box = ChoiceBox("task_place", "finger of the touches")  # by stream
         self.views = {name: PreviewView() for name in TOUCHES}
         upper, lower = QSplitter(Qt.Orientation.Horizontal), QSplitter(Qt.Orientation.Vertical)
         for widget, share in ((self.scene, 4), (self._build_touches(), 5)):
@@ -92,19 +88,14 @@ class TaskPage(QWidget):
 
     def offer_places(self, places: Mapping[str, str], chosen: str) -> None:
         """Offer stream -> title of the fingers; emits no signal."""
-        with QSignalBlocker(self.place_box):
-            if [self.place_box.itemData(i) for i in range(self.place_box.count())] != list(places):
-                self.place_box.clear()
-                for stream, title in places.items():
-                    self.place_box.addItem(title, stream)
-            self.place_box.setCurrentIndex(max(0, self.place_box.findData(chosen)))
+        self.place_box.offer(places, chosen)
         self.place_box.setVisible(len(places) > 1)
 
     def show_legend(self, estimate: Rgb, truth: Rgb, *, has_estimate: bool) -> None:
         """Name the two poses by their colours and line styles."""
-        lines = [f"<span style='color:{_hex(truth)}'>\N{BLACK SQUARE}</span> true pose, solid"]
+        lines = [f"<span style='color:{to_hex(truth)}'>\N{BLACK SQUARE}</span> true pose, solid"]
         if has_estimate:
-            lines.append(f"<span style='color:{_hex(estimate)}'>\N{BOX DRAWINGS LIGHT TRIPLE DASH HORIZONTAL}"
+            lines.append(f"<span style='color:{to_hex(estimate)}'>\N{BOX DRAWINGS LIGHT TRIPLE DASH HORIZONTAL}"
                          "\N{BOX DRAWINGS LIGHT TRIPLE DASH HORIZONTAL}</span> estimated pose, dashed")  # fmt: skip
         self.scene.caption.set_texts(" &nbsp; ".join(lines))
         self.scene.show()
@@ -119,7 +110,3 @@ class TaskPage(QWidget):
         for view in self.views.values():
             view.show_preview(None)
             view.show_message("")
-
-
-def _hex(colour: Rgb) -> str:
-    return "#{:02x}{:02x}{:02x}".format(*colour)

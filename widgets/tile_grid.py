@@ -6,13 +6,13 @@ from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
-from PyQt6.QtCore import QPointF, QSize, Qt, pyqtSignal
+from PyQt6.QtCore import QEvent, QPointF, QSize, Qt, pyqtSignal
 from PyQt6.QtWidgets import QBoxLayout, QFrame, QGridLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
 
 from pipeline.previews.tile import Tile
 from widgets.fonts import resize_font
 from widgets.preview_view import SIDE_TEXT_PX, PreviewView
-from widgets.styling import make_bold, set_spacing
+from widgets.styling import EventListener, make_bold, set_spacing
 
 _MOST_COLUMNS = 8
 _NARROW_PX = 360
@@ -43,15 +43,11 @@ class TileView(QFrame):
         self._subtitle.setAlignment(Qt.AlignmentFlag.AlignTop | Qt.AlignmentFlag.AlignLeft)
         self.view.set_caption_lines(1)
         self._text_at_side, self._lines = False, _LINES
+        EventListener(self, self._fit_words, QEvent.Type.Resize)  # a narrow tile wraps its metrics
         self._around = set_spacing(QVBoxLayout(self), 2, (3, 3, 3, 2))
         self._around.addWidget(self._title)
         self._around.addWidget(self._subtitle)
         self._around.addWidget(self.view, 1)
-
-    def resizeEvent(self, a0: Any) -> None:  # noqa: N802
-        """Wrap the metrics of a narrow tile."""
-        super().resizeEvent(a0)
-        self._fit_words()
 
     def place_text(self, *, at_side: bool) -> None:
         """Place all text to the right of the image, or over and under it."""

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
 from PyQt6.QtWidgets import (
-    QAbstractItemView,
     QHBoxLayout,
     QHeaderView,
     QLabel,
@@ -21,6 +20,7 @@ from PyQt6.QtWidgets import (
 from widgets.fixed_size_label import FixedSizeLabel
 from widgets.icons import make_state_icon
 from widgets.styling import make_bold, set_spacing
+from widgets.table_copier import prepare_table
 from widgets.time_budget_bar import BudgetPart, TimeBudgetBar
 
 _HEADER = ("stage", "state", "this frame, ms", "median, ms", "share", "notes")
@@ -81,21 +81,10 @@ class TimingsPanel(QWidget):
 
     def _prepare_table(self) -> None:
         table = self.table
-        table.setObjectName("timings")
-        table.setAccessibleName("times of the stages")
+        columns = prepare_table(table, "timings", "times of the stages")
         table.setHorizontalHeaderLabels(_HEADER)
-        table.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
-        table.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
-        table.setShowGrid(False)
-        table.setWordWrap(False)
         table.itemChanged.connect(self._report_tick)
-        rows, columns = table.verticalHeader(), table.horizontalHeader()
-        assert rows is not None
-        assert columns is not None
-        rows.hide()
-        rows.setDefaultSectionSize(table.fontMetrics().height() + 5)
         columns.setSectionResizeMode(QHeaderView.ResizeMode.Fixed)
-        columns.setDefaultAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter)
         for column, widest in enumerate(
             ("     Target depth and mask ", "    unchanged  ", "this frame, ms ", "median, ms  ", "100 %  ")
         ):

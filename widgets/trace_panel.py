@@ -8,6 +8,7 @@ from html import escape
 from PyQt6.QtCore import QEvent, Qt
 from PyQt6.QtWidgets import QFrame, QLabel, QScrollArea, QVBoxLayout, QWidget
 
+from widgets.styling import EventListener
 from widgets.theme import get_theme_colours, to_hex
 
 _INVITATION = (
@@ -40,13 +41,11 @@ class TracePanel(QScrollArea):
         self.setFixedHeight(_LINES * self.fontMetrics().lineSpacing() + 3)
         self.text = ""
         self._shown: tuple[Sequence[tuple[str, str]], bool, str, bool] = ((), False, "", False)
+        EventListener(self, self._show_again, QEvent.Type.PaletteChange)
 
-    def changeEvent(self, a0: QEvent | None) -> None:  # noqa: N802
-        """Use the colours of the new theme."""
-        super().changeEvent(a0)
-        if a0 is not None and a0.type() == QEvent.Type.PaletteChange:
-            steps, pinned, ending, waits = self._shown
-            self.show_steps(steps, pinned=pinned, ending=ending, is_waiting=waits)
+    def _show_again(self) -> None:
+        steps, pinned, ending, waits = self._shown
+        self.show_steps(steps, pinned=pinned, ending=ending, is_waiting=waits)
 
     def show_steps(
         self, steps: Sequence[tuple[str, str]], *, pinned: bool = False, ending: str = "", is_waiting: bool = False

@@ -7,7 +7,6 @@ from pathlib import Path
 
 from PyQt6.QtCore import QModelIndex, Qt, pyqtSignal
 from PyQt6.QtWidgets import (
-    QAbstractItemView,
     QHeaderView,
     QLabel,
     QLineEdit,
@@ -19,7 +18,7 @@ from PyQt6.QtWidgets import (
 from pipeline.tasks.trial_rows import TrialRow
 from widgets.fonts import resize_font
 from widgets.styling import set_spacing
-from widgets.table_copier import copy_table
+from widgets.table_copier import copy_table, prepare_table
 from widgets.trials_model import CAUSE, TRIAL, TrialsFilter, TrialsModel
 
 _HINT = "filter: fails, t2t, hex_key, >0.5, a word"
@@ -51,19 +50,9 @@ class TrialsPanel(QWidget):
 
     def _prepare_table(self) -> None:
         table = self.table
-        table.setObjectName("trials")
-        table.setAccessibleName("trials")
+        columns = prepare_table(table, "trials", "trials")
         table.setModel(self._listed)
-        table.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
-        table.setSelectionMode(QAbstractItemView.SelectionMode.ExtendedSelection)
-        table.setShowGrid(False)
         table.setAlternatingRowColors(True)
-        table.setWordWrap(False)
-        rows, columns = table.verticalHeader(), table.horizontalHeader()
-        assert rows is not None
-        assert columns is not None
-        rows.hide()
-        rows.setDefaultSectionSize(table.fontMetrics().height() + 5)
         columns.setMinimumSectionSize(30)
         columns.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
         columns.setSectionResizeMode(CAUSE, QHeaderView.ResizeMode.Interactive)

@@ -9,6 +9,7 @@ from PyQt6.QtCore import QEvent, QPointF, QRectF, QSize, Qt, pyqtSignal
 from PyQt6.QtGui import QImage, QPainter, QPen
 from PyQt6.QtWidgets import QSizePolicy, QWidget
 
+from widgets.styling import EventListener
 from widgets.theme import CROSSHAIR_COLOUR, get_backdrop, to_qcolor
 
 _DOT_PX = 5.0
@@ -34,6 +35,8 @@ class View3D(QWidget):
         self.marker: QPointF | None = None  # shares of width and height
         self._pressed: QPointF | None = None
         self.setMouseTracking(True)
+        kinds = QEvent.Type.Resize, QEvent.Type.Show, QEvent.Type.PaletteChange
+        EventListener(self, self.image_requested.emit, *kinds)  # nothing is rendered while it is hidden
         self.mouse_handler: Callable[[Any, str], None] | None = None  # (event, press, release, move or wheel)
 
     @property
@@ -79,22 +82,6 @@ class View3D(QWidget):
             painter.setBrush(to_qcolor(CROSSHAIR_COLOUR))
             at = QPointF(self.marker.x() * self.width(), self.marker.y() * self.height())
             painter.drawEllipse(at, _DOT_PX, _DOT_PX)
-
-    def resizeEvent(self, a0: Any) -> None:  # noqa: N802
-        """Request an image of the new size."""
-        super().resizeEvent(a0)
-        self.image_requested.emit()
-
-    def showEvent(self, a0: Any) -> None:  # noqa: N802
-        """Request what was not rendered while the view was hidden."""
-        super().showEvent(a0)
-        self.image_requested.emit()
-
-    def changeEvent(self, a0: QEvent | None) -> None:  # noqa: N802
-        """Use the backdrop of the new theme."""
-        super().changeEvent(a0)
-        if a0 is not None and a0.type() == QEvent.Type.PaletteChange:
-            self.image_requested.emit()
 
     def mousePressEvent(self, a0: Any) -> None:  # noqa: N802
         """Begin to move the camera."""

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-from PyQt6.QtCore import Qt
+from PyQt6.QtCore import QEvent, Qt
 from PyQt6.QtGui import QTextDocumentFragment
 from PyQt6.QtWidgets import QLabel, QSizePolicy, QVBoxLayout, QWidget
 
 from widgets.fixed_size_label import FixedSizeLabel
 from widgets.fonts import resize_font
-from widgets.styling import set_spacing
+from widgets.styling import EventListener, set_spacing
 from widgets.view_3d import View3D
 
 
@@ -43,6 +41,7 @@ class FittingLabel(QLabel):
         self.setAlignment(Qt.AlignmentFlag.AlignHCenter)
         self._tellings: tuple[str, ...] = ()
         self._widths: list[int] = []
+        EventListener(self, self._fit, QEvent.Type.Resize)
 
     def set_texts(self, *tellings: str) -> None:
         """Set the versions, the longest first; that one is the tooltip, without markup."""
@@ -51,11 +50,6 @@ class FittingLabel(QLabel):
             self._widths = [self._width(telling) for telling in tellings]
             self.setToolTip(QTextDocumentFragment.fromHtml(tellings[0]).toPlainText())
             self._fit()
-
-    def resizeEvent(self, a0: Any) -> None:  # noqa: N802
-        """Choose the version that fits the new width."""
-        super().resizeEvent(a0)
-        self._fit()
 
     def _width(self, telling: str) -> int:
         self.setText(telling)

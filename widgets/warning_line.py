@@ -6,14 +6,14 @@ import re
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from PyQt6.QtCore import Qt
+from PyQt6.QtCore import QEvent, Qt
 from PyQt6.QtWidgets import QHBoxLayout, QPushButton, QToolTip, QWidget
 
 from widgets.choice_buttons import Choice, make_choice_button
 from widgets.fixed_size_label import FixedSizeLabel
 from widgets.fonts import resize_font
 from widgets.icons import StateIcon
-from widgets.styling import set_spacing
+from widgets.styling import EventListener, set_spacing
 
 _BETWEEN = "   ·   "
 _SPARE_PX = 4  # what the last letter of a text may need beyond its measured width
@@ -33,6 +33,7 @@ class WarningLine(QWidget):
         layout.addWidget(self._sign)
         layout.addWidget(self._label, 1)
         self.buttons: list[QPushButton] = []  # that mend what is warned of
+        EventListener(self, self._fit, QEvent.Type.Resize)
 
     @property
     def visible_text(self) -> str:
@@ -62,11 +63,6 @@ class WarningLine(QWidget):
             resize_font(button)
             button.setFixedHeight(self._label.sizeHint().height())
             layout.addWidget(button)
-        self._fit()
-
-    def resizeEvent(self, a0: Any) -> None:  # noqa: N802
-        """Fit the text to the new width."""
-        super().resizeEvent(a0)
         self._fit()
 
     def mousePressEvent(self, a0: Any) -> None:  # noqa: N802

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from PyQt6.QtCore import QEvent, QObject, QPoint, QRectF, QSize, Qt, pyqtSignal
+from PyQt6.QtCore import QEvent, QPoint, QRectF, QSize, Qt, pyqtSignal
 from PyQt6.QtGui import QAction, QPainter, QPaintEvent, QPen
 from PyQt6.QtWidgets import QHBoxLayout, QLabel, QListWidget, QListWidgetItem, QToolButton, QVBoxLayout, QWidget
 
 from pipeline.base.text import escape_text
 from widgets.fonts import resize_font
-from widgets.styling import ThemedLabel, make_bold, set_spacing
+from widgets.styling import EventListener, ThemedLabel, make_bold, set_spacing
 from widgets.theme import get_theme_colours, to_qcolor
 
 _WIDTH_PX, _ROW_PX = 620, 24
@@ -82,7 +82,7 @@ class WelcomePage(QWidget):
         outer.addLayout(middle, 10)
         outer.addStretch(1)
         for widget in (over, first):
-            widget.installEventFilter(self)
+            EventListener(widget, self._cover, QEvent.Type.Resize, QEvent.Type.Move)
         self._cover()
 
     def show_recent(self, paths: Sequence[Path]) -> None:
@@ -97,12 +97,6 @@ class WelcomePage(QWidget):
         for widget in (self._told, self.recent):
             widget.setVisible(bool(paths))
         self.recent.setFixedHeight(min(len(paths), 8) * _ROW_PX + 6)
-
-    def eventFilter(self, a0: QObject | None, a1: QEvent | None) -> bool:  # noqa: N802
-        """Keep the size of the widgets below, on top of them."""
-        if a1 is not None and a1.type() in (QEvent.Type.Resize, QEvent.Type.Move):
-            self._cover()
-        return super().eventFilter(a0, a1)
 
     def _cover(self) -> None:
         over = self.parentWidget()

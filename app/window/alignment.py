@@ -58,9 +58,9 @@ class AlignmentController(QObject):
         panel.drag_started.connect(self._begin_drag)
         panel.offset_changed.connect(self._drag)
         panel.drag_ended.connect(self._end_drag)
-        panel.reset_requested.connect(lambda: controller.change("reset alignment", offsets=Offsets()))
-        panel.pivot_requested.connect(self._set_pivot_to_contact)
-        panel.original_requested.connect(lambda: controller.change("use recorded alignment", alignment=None))
+        panel.reset.clicked.connect(lambda: controller.change("reset alignment", offsets=Offsets()))
+        panel.here.clicked.connect(self._set_pivot_to_contact)
+        panel.original.clicked.connect(lambda: controller.change("use recorded alignment", alignment=None))
         controller.window.drawers.alignment.visibilityChanged.connect(self._set_visible)
 
     @property
@@ -211,7 +211,7 @@ class AlignmentController(QObject):
 
     def _show_score(self, score: AlignmentScore | None) -> None:
         self._score = score
-        self._panel.show_score(score, self._panel.no_score_reason)
+        self._panel.show_score(score, self._panel.no_score_reason.text())
 
     def _show_pivot(self) -> None:
         """Show the origin of the alignment and the pivot of its rotations."""

@@ -18,14 +18,13 @@ class RefinementController(BackgroundController):
     proposal_changed = pyqtSignal()
 
     def __init__(self, controller: SessionController) -> None:
-        super().__init__("refine", controller)
         self._box = controller.window.alignment.refine
+        super().__init__("refine", controller, self._box.run_bar)
         self._session: Session | None = None  # that is refined
         self.proposal: RefinementProposal | None = None
-        self._box.refine_requested.connect(self.start_refinement)
-        self._box.cancel_requested.connect(self.cancel)
-        self._box.accepted.connect(self.accept)
-        self._box.discarded.connect(self.discard)
+        self._box.run_bar.start_button.clicked.connect(self.start_refinement)
+        self._box.accept.clicked.connect(self.accept)
+        self._box.discard.clicked.connect(self.discard)
 
     @property
     def is_refining(self) -> bool:
@@ -38,7 +37,7 @@ class RefinementController(BackgroundController):
         if self._controller.views.translation is None:
             return
         self._session, self.proposal = session, None
-        self._box.show_progress(0.0, "opening the recording")
+        self._box.show_message("opening the recording")
         self.start(lambda report: alignment_jobs.propose_refinement(session, report))
 
     def accept(self) -> None:
@@ -52,7 +51,7 @@ class RefinementController(BackgroundController):
         """Drop the proposal, or the running refinement."""
         had_proposal, self._session, self.proposal = self.proposal is not None, None, None
         self.abandon()
-        self._box.show_idle()
+        self._box.show_message()
         if had_proposal:
             self.proposal_changed.emit()
 
@@ -63,7 +62,8 @@ class RefinementController(BackgroundController):
 
     def show_progress(self, fraction: float, text: str) -> None:
         """Show the progress in the box."""
-        self._box.show_progress(fraction, text)
+        super().show_progress(fraction, text)
+        self._box.show_message(text)
 
     def show_result(self, result: object) -> None:
         """Show the proposal in the box."""
@@ -81,4 +81,4 @@ class RefinementController(BackgroundController):
     def show_cancelled(self) -> None:
         """Show in the box that the alignment is unchanged."""
         self._session = None
-        self._box.show_idle("cancelled; alignment unchanged")
+        self._box.show_message("cancelled; alignment unchanged")

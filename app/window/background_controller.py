@@ -6,17 +6,19 @@ from PyQt6.QtCore import QObject
 
 from app.window.session_controller import SessionController
 from app.work.jobs import JobFunction, LatestJob
+from widgets.run_bar import RunBar
 
 
 class BackgroundController(QObject):
     """Runs one function at a time on its own thread; subclasses override the `show_` methods they need.
 
-    Only the newest run is shown. A run that was not interrupted by the next one still shows its result.
+    Only the newest run is shown. A run that was not interrupted by the next one still shows its result. `bar` shows the
+    progress and cancels.
     """
 
-    def __init__(self, name: str, controller: SessionController) -> None:
+    def __init__(self, name: str, controller: SessionController, bar: RunBar | None = None) -> None:
         super().__init__(controller)
-        self._controller = controller
+        self._controller, self._bar = controller, bar
         self.job = LatestJob(name, self)
         self._ticket = self._oldest_shown = 0  # the newest run, and the oldest whose result is shown; 0 = none
         self.job.progressed.connect(self._handle_progress)
@@ -25,18 +27,22 @@ class BackgroundController(QObject):
         self.job.failed.connect(self._handle_failure)
         self.job.cancelled.connect(self._handle_cancellation)
         controller.closing.connect(self.job.close)
+        if bar is not None:
+            bar.cancel_button.clicked.connect(self.cancel)
 
     @property
     def is_busy(self) -> bool:
         """Whether a run has not ended yet."""
         return not self.job.is_settled
 
-    def start(self, work: JobFunction, *, interrupt: bool = True) -> None:
+    def start(self, work: JobFunction, *, interrupt: bool = True, shows_progress: bool = True) -> None:
         """Run `work`; without `interrupt` the run before it finishes first, and shows its result."""
         self._ticket = 0  # the end of the run before it is not that of this one
         self._ticket = self.job.submit(work, interrupt=interrupt)
         if interrupt or not self._oldest_shown:
             self._oldest_shown = self._ticket
+        if shows_progress:
+            self._show_fraction(0.0)
 
     def cancel(self) -> None:
         """Cancel the run; `show_cancelled` follows."""
@@ -46,9 +52,15 @@ class BackgroundController(QObject):
         """Cancel the run, and show nothing more of it."""
         self._ticket = self._oldest_shown = 0
         self.job.cancel()
+        self._show_fraction(None)
 
-    def show_progress(self, fraction: float, text: str) -> None:
-        """Show how far the run is."""
+    def _show_fraction(self, fraction: float | None) -> None:
+        if self._bar is not None:
+            self._bar.show_progress(fraction)
+
+    def show_progress(self, fraction: float, text: str) -> None:  # noqa: ARG002 - for those with room for a text
+        """Show how far the run is, by default in the bar alone."""
+        self._show_fraction(fraction)
 
     def show_part(self, part: object) -> None:
         """Show a part of the result."""
@@ -72,13 +84,17 @@ class BackgroundController(QObject):
             self.show_part(part)
 
     def _handle_result(self, ticket: int, result: object) -> None:
+        if not self.job.is_busy:
+            self._show_fraction(None)
         if self._oldest_shown and ticket >= self._oldest_shown:
             self.show_result(result)
 
     def _handle_failure(self, ticket: int, error: object) -> None:
         if ticket == self._ticket and isinstance(error, BaseException):
+            self._show_fraction(None)
             self.show_failure(error)
 
     def _handle_cancellation(self, ticket: int) -> None:
         if ticket == self._ticket:
+            self._show_fraction(None)
             self.show_cancelled()

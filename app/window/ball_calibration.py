@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
+from PyQt6.QtCore import QObject
 from PyQt6.QtWidgets import QInputDialog
 
 from app.window import dialogs
 from app.window.autosave import AutosaveController
-from app.window.background_controller import BackgroundController
+from app.window.export import ExportController
 from app.window.session_controller import SessionController
 from app.work.jobs import JobReporter
 from pipeline.base.errors import SettingProblem
 from pipeline.base.text import escape_text
 from pipeline.translation.translate import Translation
-from widgets.notification_bar import NotificationBar
 
 _DIAMETER_MM = 6.35  # of a quarter-inch bearing ball
 _MIN_MM, _MAX_MM = 0.1, 1000.0
@@ -23,15 +24,12 @@ _QUESTION = (
 )
 
 
-class BallCalibrationController(BackgroundController):
+class BallCalibrationController(QObject):
     """Asks for the ball and a file, fits the table in the background, and uses it."""
 
-    def __init__(self, controller: SessionController, autosave: AutosaveController) -> None:
-        super().__init__("calibration", controller)
-        self._autosave, self._window = autosave, controller.window
-        self.notification = NotificationBar("calibration_notification")
-        self._window.notifications.add_bar(self.notification)
-        self._path = Path()
+    def __init__(self, controller: SessionController, export: ExportController, autosave: AutosaveController) -> None:
+        super().__init__(controller)
+        self._controller, self._window, self._export, self._autosave = controller, controller.window, export, autosave
 
     def ask(self) -> None:
         """Ask for the ball's diameter and the file to write, then calibrate."""
@@ -47,28 +45,15 @@ class BallCalibrationController(BackgroundController):
     def calibrate(self, diameter_mm: float, path: Path) -> None:
         """Fit and write the table of the open recording; it becomes the session's calibration."""
         opened = self._controller.views.translation
-        if opened is not None:
-            self._path = path
-            self.notification.show_notification("calibrating…", (("Cancel", self.cancel),), stays=True)
-            self.start(lambda report: calibrate_recording(opened, diameter_mm, path, report))
+        if opened is None:
+            return
 
-    def show_progress(self, fraction: float, text: str) -> None:  # noqa: ARG002 - the bar has its own text
-        """Show the progress in the notification."""
-        self.notification.show_progress(fraction)
+        def use_table(quality: object) -> str:
+            self._controller.change("calibrate", calibration=path)
+            return f"calibration written to {escape_text(path.name)}: {quality}"
 
-    def show_result(self, result: object) -> None:
-        """Use the table, and say how good it is."""
-        self.notification.show_notification(f"calibration written to {escape_text(self._path.name)}: {result}")
-        self._controller.change("calibrate", calibration=self._path)
-
-    def show_failure(self, error: BaseException) -> None:
-        """Show why there is no calibration."""
-        self.notification.hide()
-        super().show_failure(error)
-
-    def show_cancelled(self) -> None:
-        """Show that no file was written."""
-        self.notification.show_notification("cancelled; nothing was written")
+        work = partial(calibrate_recording, opened, diameter_mm, path)
+        self._export.start_writing("calibrating", work, path, describe=use_table)
 
 
 def calibrate_recording(opened: Translation, diameter_mm: float, path: Path, report: JobReporter) -> str:

@@ -8,8 +8,9 @@ from typing import cast
 from app.session.state import Session
 from app.window.background_controller import BackgroundController
 from app.window.session_controller import SessionController
-from app.work.basin_jobs import BasinMapResult, BasinPosePreview, run_basin_map
+from app.work.basin_jobs import BasinMapResult, run_basin_map
 from pipeline.base.errors import TouchError
+from pipeline.previews.preview import Preview
 from pipeline.registration.basin_map import ShiftAxis
 from pipeline.stages.pose.signed_distances import PoseParams
 from widgets.basin_map import BasinCell, get_pose_letter
@@ -22,35 +23,38 @@ class BasinMapController(BackgroundController):
     """Connects the tab with the session; a map of another frame or of other settings is dropped."""
 
     def __init__(self, controller: SessionController) -> None:
-        super().__init__("basins", controller)
         self._panel = controller.window.basins
+        super().__init__("basins", controller, self._panel.run_bar)
         self._session: Session | None = None  # of the map, or of the one that is computed
         self.result: BasinMapResult | None = None
-        self._panel.map_requested.connect(self._start_map)
-        self._panel.cancel_requested.connect(self.cancel)
-        self._panel.cell_chosen.connect(self._show_pose)
+        self._panel.run_bar.start_button.clicked.connect(self._start_map)
+        self._panel.map.cell_chosen.connect(self._show_pose)
         controller.window.connect_command("cancel", self.cancel)
         controller.window.connect_command("map_basins", self.open_and_start)
-        self._panel.show_message(_HINT)
+        self._panel.message.setText(_HINT)
 
     def open_and_start(self) -> None:
         """Show the tab and compute the map."""
         self._controller.window.show_diagnostics(self._panel)
-        self._start_map(self._panel.axis_box.currentText())
+        self._start_map()
 
-    def _start_map(self, along: str) -> None:
+    def _start_map(self) -> None:
         controller = self._controller
         opened, latest, session = controller.views.translation, controller.latest_frame, controller.session
         if opened is None or latest is None or latest.index != session.frame or not controller.is_idle:
-            self._panel.show_message("No finished frame to map. Open a recording, or wait for this frame.")
+            self._panel.message.setText("No finished frame to map. Open a recording, or wait for this frame.")
             return
         method = next((m for m in opened.methods if m.stage == "pose"), None)
         params = PoseParams() if method is None else session.get_params(method)
         params = params if isinstance(params, PoseParams) else PoseParams()
-        results, display, frame, axis = latest.results, session.display, latest.index, cast("ShiftAxis", along)
+        results, display, frame, axis = (
+            latest.results,
+            session.display,
+            latest.index,
+            cast("ShiftAxis", self._panel.axis_box.choice),
+        )
         self._clear("registering")
         self._session = session
-        self._panel.show_progress(0.0)
         self.start(lambda report: run_basin_map(opened, frame, results, display, params, axis, report))
 
     def show_session(self, session: Session) -> None:
@@ -62,24 +66,17 @@ class BasinMapController(BackgroundController):
 
     def _clear(self, message: str) -> None:
         self._session = self.result = None
-        self._panel.show_progress(None)
         self._panel.map.show_map((), (), (), "")
-        self._panel.show_message(message)
-
-    def show_progress(self, fraction: float, text: str) -> None:  # noqa: ARG002 - the panel has no room for it
-        """Show the progress in the tab."""
-        if self.result is None:
-            self._panel.show_progress(fraction)
+        self._panel.message.setText(message)
 
     def show_result(self, result: object) -> None:
         """Show the map, or the pose of a start."""
-        if isinstance(result, BasinPosePreview) and self.result is not None:
-            self._controller.views.show_pose(self.result.basins.poses[result.row, result.col], result.preview)
+        if isinstance(result, Preview) and self.result is not None:
+            self._controller.views.show_pose(self.result.basins.poses[self._panel.map.selected_cell], result)
         if not isinstance(result, BasinMapResult):
             return
         self.result, basins = result, result.basins
-        self._panel.show_progress(None)
-        self._panel.show_message(f"frame {result.frame}: {basins.summary}; click a cell to show its pose")
+        self._panel.message.setText(f"frame {result.frame}: {basins.summary}; click a cell to show its pose")
         n_rows, n_cols = len(basins.translations_mm), len(basins.rotations_deg)
         cells = [[_make_cell(result, row, col) for col in range(n_cols)] for row in range(n_rows)]
         rows, columns = (
@@ -93,13 +90,12 @@ class BasinMapController(BackgroundController):
         result = self.result
         if result is not None:
             self._controller.views.show_pose(result.basins.poses[row, col], None)
-            self.start(lambda _: BasinPosePreview(row=row, col=col, preview=result.make_preview(row, col)))
-            self._panel.show_message(f"{self._panel.map.cells[row][col].tooltip}; shown until the next frame")
+            self.start(lambda _: result.make_preview(row, col), shows_progress=False)
+            self._panel.message.setText(f"{self._panel.map.cells[row][col].tooltip}; shown until the next frame")
 
     def show_failure(self, error: BaseException) -> None:
         """Show the error in the tab; an unexpected one also in the banner."""
-        self._panel.show_progress(None)
-        self._panel.show_message(str(error))
+        self._panel.message.setText(str(error))
         if not isinstance(error, TouchError):
             self._controller.show_problem(error)
 

@@ -53,11 +53,10 @@ class ComparisonController(BackgroundController):
             "methods": self._build_methods, "two": self._build_pair, "seeds": self._build_seeds,
         }  # fmt: skip
         page, window = self._page, controller.window
-        page.tab_chosen.connect(self._choose)
         page.choice_changed.connect(self._choose)
-        page.sampling_requested.connect(self._sample)
+        page.sample_button.clicked.connect(self._sample)
         for tab in page.tabs.values():
-            tab.cancel_requested.connect(self.cancel)
+            tab.run_bar.cancel_button.clicked.connect(self.cancel)
             tab.grid.readout_changed.connect(window.readout.setText)
         controller.frame_shown.connect(self._update)
         controller.closing.connect(self._close)
@@ -108,11 +107,11 @@ class ComparisonController(BackgroundController):
             self._controller.change("choose in Compare", layout=layout)
             return
         old = session.comparison
-        stage = old.stage if page.stage_box.currentIndex() < 0 else str(page.stage_box.currentData())
+        stage = old.stage if page.stage_box.currentIndex() < 0 else page.stage_box.choice
         if old.stage == LAST_STAGE and page.stage_box.currentIndex() == page.stage_box.count() - 1:
             stage = LAST_STAGE
         new = ComparisonSettings(
-            tab=cast("ComparisonTabName", page.current_name), order=page.order_box.currentText(), stage=stage,
+            tab=cast("ComparisonTabName", page.current_name), order=page.order_box.choice, stage=stage,
             seeds=page.seed_count_box.value(),
         )  # fmt: skip
         key = "seeds" if new.seeds != old.seeds else ""
@@ -134,7 +133,7 @@ class ComparisonController(BackgroundController):
         other = replace(
             session.variant, frame=session.frame, params={**session.variant.params, "display": session.display}
         )
-        stage = str(self._page.stage_box.currentData() or "")
+        stage = self._page.stage_box.choice
         differs = "; ".join(describe_differences(session, other, self._controller.catalogue)) or _NO_DIFFERENCE
 
         def run(report: JobReporter) -> Iterator[Comparison]:
@@ -175,7 +174,7 @@ class ComparisonController(BackgroundController):
     def _get_choices(self) -> tuple[object, ...]:
         """The choices of the current tab."""
         page, session = self._page, self._controller.session
-        choices = {"methods": session.comparison.order, "two": (page.stage_box.currentData(), session.variant)}
+        choices = {"methods": session.comparison.order, "two": (page.stage_box.choice, session.variant)}
         return (page.current_name, choices.get(page.current_name))
 
     def show_session(self, session: Session) -> None:
@@ -232,7 +231,7 @@ class ComparisonController(BackgroundController):
             self._hide_progress()
             self._show(Comparison(tiles=(), summary=steps))
             return
-        page.current_tab.show_progress(0.0)
+        page.current_tab.run_bar.show_progress(0.0)
         self.start(lambda report: _deliver_steps(steps, report), interrupt=not is_next_frame)
 
     def show_part(self, part: object) -> None:
@@ -274,11 +273,11 @@ class ComparisonController(BackgroundController):
 
     def show_progress(self, fraction: float, text: str) -> None:  # noqa: ARG002 - the tab shows tiles instead
         """Show the progress in the tab."""
-        self._page.current_tab.show_progress(fraction)
+        self._page.current_tab.run_bar.show_progress(fraction)
 
     def _hide_progress(self) -> None:
         for tab in self._page.tabs.values():
-            tab.show_progress(None)
+            tab.run_bar.show_progress(None)
 
     def _close(self) -> None:
         self._release_timer.stop()

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from functools import partial
 from typing import TypeVar, get_args
 
-from PyQt6.QtCore import Qt
 from PyQt6.QtGui import QAction, QKeySequence
 from PyQt6.QtWidgets import QWidget
 
@@ -78,13 +78,12 @@ def connect(controller: SessionController, theme: Theme = "light") -> AutosaveCo
     window.frames.frame_chosen.connect(controller.choose_frame)
     _connect_columns(controller)
     window.paths_dropped.connect(controller.open_paths)
-    window.cancel_button.clicked.connect(job.cancel)
+    window.run_bar.cancel_button.clicked.connect(job.cancel)
     window.closing.connect(controller.close)
 
-    change = controller.change
-    window.source.activated.connect(lambda: change("choose source", source=window.source.currentData(), stream=""))
-    window.target.activated.connect(lambda: change("choose target", target=window.target.currentData()))
-    window.route.activated.connect(lambda: change("choose route", route=window.route.currentData()))
+    window.source.chosen.connect(partial(_choose, controller, "source", {"stream": ""}))
+    window.target.chosen.connect(partial(_choose, controller, "target", {}))
+    window.route.chosen.connect(partial(_choose, controller, "route", {}))
 
     for add_feature in (
         ErrorAttributionController, TimeBudgetController, PinnedProbesController, Probe3DController, KeyboardController,
@@ -99,13 +98,13 @@ def connect(controller: SessionController, theme: Theme = "light") -> AutosaveCo
     ThemeController(controller, autosave, theme)
     arrangements = ArrangementController(controller, autosave)
     export = ExportController(controller, autosave, sweep)
-    PresentationVideoController(controller, autosave)
+    PresentationVideoController(controller, export)
     rollouts = RolloutController(controller)
     RolloutAttributionController(controller, rollouts)
     RolloutExportController(controller, rollouts, export, autosave)
     LiveController(controller, autosave)
     track = TrackController(controller, export, autosave)
-    mending = MendingController(controller, BallCalibrationController(controller, autosave))
+    mending = MendingController(controller, BallCalibrationController(controller, export, autosave))
     alignment = AlignmentController(controller)
     gizmo, layouts = AlignmentGizmoController(controller, alignment), LayoutController(controller)
 
@@ -139,6 +138,10 @@ def connect(controller: SessionController, theme: Theme = "light") -> AutosaveCo
     return autosave
 
 
+def _choose(controller: SessionController, field: str, others: Mapping[str, str], value: str) -> None:
+    controller.change(f"choose {field}", **{field: value}, **others)
+
+
 def _connect_columns(controller: SessionController) -> None:
     window, probe = controller.window, controller.probe
     for parameters in (window.parameters, *(column.pinned for column in window.columns.values())):
@@ -153,14 +156,12 @@ def _connect_columns(controller: SessionController) -> None:
 
 
 def _fill_choices(window: MainWindow, catalogue: Catalogue) -> None:
-    window.source.addItem("as recorded", "")
-    for name, title in list_sensor_titles().items():
-        for box in (window.source, window.target):
-            box.addItem(title, name)
-            box.setItemData(box.count() - 1, name, Qt.ItemDataRole.ToolTipRole)
-    for route in catalogue.routes:
-        window.route.addItem(route.label, route.name)
-        window.route.setItemData(window.route.count() - 1, route.title, Qt.ItemDataRole.ToolTipRole)
+    sensors = list_sensor_titles()
+    names = {name: name for name in sensors}
+    window.source.offer({"": "as recorded", **sensors}, tips=names)
+    window.target.offer(sensors, tips=names)
+    titles = {route.name: route.title for route in catalogue.routes}
+    window.route.offer({route.name: route.label for route in catalogue.routes}, tips=titles)
     window.route.setEnabled(len(catalogue.routes) > 1)
     for stage in catalogue.stages:
         choices, column = catalogue.list_choices(stage.name), window.columns[stage.name]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from PyQt6.QtCore import QEvent, QObject, QTimer
+from PyQt6.QtCore import QEvent, QObject
 
 from app.window.session_controller import SessionController
 from pipeline.metrics.stage_metrics import describe_metric, is_stage_error
@@ -10,6 +10,7 @@ from pipeline.stages.truth_method import TRUTH
 from pipeline.translation.error_attribution import DEFAULT_METRIC, ErrorAttribution, ErrorShare
 from pipeline.translation.translate import Translation
 from widgets.error_attribution_panel import make_bars
+from widgets.styling import EventListener, make_single_shot_timer
 
 _DELAY_MS = 250  # attribution costs several frames of computation: not while playing or browsing
 _NO_TRUTH = "This frame has no known error: the recording has no touch of the target."
@@ -23,25 +24,15 @@ class ErrorAttributionController(QObject):
         self._controller, self._panel = controller, controller.window.error_attribution
         self._metric, self._ticket = DEFAULT_METRIC, 0
         self._shares: tuple[ErrorShare, ...] = ()
-        self._timer = QTimer(self)
-        self._timer.setSingleShot(True)
-        self._timer.setInterval(_DELAY_MS)
-        self._timer.timeout.connect(self._attribute)
-        self._panel.installEventFilter(self)
-        self._panel.metric_chosen.connect(self._choose_metric)
+        self._timer = make_single_shot_timer(self, _DELAY_MS, self._attribute)
+        EventListener(self._panel, self._timer.start, QEvent.Type.Show)
+        EventListener(self._panel, self._timer.stop, QEvent.Type.Hide)
+        self._panel.metric_box.chosen.connect(self._choose_metric)
         self._panel.share_clicked.connect(self._toggle_truth)
         controller.frame_shown.connect(self._frame_shown)
         controller.closing.connect(self._timer.stop)
         controller.job.delivered.connect(self._clear_for_translation)
         controller.job.finished.connect(self._show_attribution)
-
-    def eventFilter(self, a0: QObject | None, a1: QEvent | None) -> bool:  # noqa: N802
-        """Attribute when the tab is shown; stop when it is hidden."""
-        if a1 is not None and a1.type() == QEvent.Type.Show:
-            self._timer.start()
-        elif a1 is not None and a1.type() == QEvent.Type.Hide:
-            self._timer.stop()
-        return super().eventFilter(a0, a1)
 
     def _choose_metric(self, metric: str) -> None:
         self._metric = metric

@@ -17,12 +17,13 @@ from app.window.autosave import AutosaveController
 from app.window.background_controller import BackgroundController
 from app.window.session_controller import SessionController
 from app.window.sweep import SweepController
-from app.work.jobs import JobFunction
+from app.work.jobs import JobFunction, JobReporter
 from app.work.requests import make_request
 from app.work.variants import format_compare_command
 from pipeline.base.errors import TouchError
 from pipeline.base.text import escape_text
 from pipeline.reporting.export_request import SHEET, SOURCE, ExportRequest, PaneContent, format_command, format_settings
+from widgets.choice_buttons import Choice
 from widgets.export_dialog import ExportDialog
 from widgets.notification_bar import NotificationBar
 
@@ -35,16 +36,17 @@ class ExportController(BackgroundController):
     """Connects the export commands with the exports of the pipeline."""
 
     def __init__(self, controller: SessionController, autosave: AutosaveController, sweep: SweepController) -> None:
-        super().__init__("export", controller)
+        self.notification = NotificationBar("export_notification")
+        super().__init__("export", controller, self.notification.run_bar)
         self._autosave, self._sweep, self._window = autosave, sweep, controller.window
-        self.notification, self.dialog = NotificationBar("export_notification"), ExportDialog(self._window)
+        self.dialog = ExportDialog(self._window)
         self._window.notifications.add_bar(self.notification)
-        self._written: tuple[Path, str] = Path(), ""  # what the running export writes, and its command
+        self._written: tuple[Path, str, Callable[[object], str] | None] = Path(), "", None  # see `start_writing`
         self._window.connect_command("export", self.show_export_dialog)
         self._window.connect_command("copy_command", self.copy_view_command)
-        self._window.section_panel.command_requested.connect(self.copy_section_command)
+        self._window.section_panel.command.clicked.connect(self.copy_section_command)
         self._window.connect_command("export_bundle", self.ask_bundle)
-        self.dialog.export_requested.connect(self._ask_path)
+        self.dialog.export_requested.connect(self._export_selected)
         self.dialog.command_requested.connect(self.copy_export_command)
         for name, column in self._window.columns.items():
             column.setContextMenuPolicy(Qt.ContextMenuPolicy.CustomContextMenu)
@@ -71,26 +73,19 @@ class ExportController(BackgroundController):
         """Write a file in the background."""
         from pipeline.reporting.export import export_file
 
-        if self._can_start():
-            text = f"writing {escape_text(request.path.name)}"
-            self._start(
-                text, lambda report: export_file(request, report), request.path, format_command(request)
-            )  # fmt: skip
+        text = f"writing {escape_text(request.path.name)}"
+        self.start_writing(text, partial(export_file, request), request.path, format_command(request))
 
     def start_bundle(self, folder: Path, note: str) -> None:
         """Write a repro bundle of the frame on screen in the background."""
         from pipeline.reporting.repro_bundle import write_bundle
 
-        if not self._can_start():
-            return
-        request = self.make_export_request(folder)
-        self._start(
-            "writing the repro bundle",
-            lambda report: write_bundle(
-                request.request, request.settings, request.frame, folder, note=note, progress=report
-            ),
-            folder, f"tactoscope replay {dialogs.quote_path(folder)}",
-        )  # fmt: skip
+        of = self.make_export_request(folder)
+
+        def work(report: JobReporter) -> None:
+            write_bundle(of.request, of.settings, of.frame, folder, note=note, progress=report)
+
+        self.start_writing("writing the repro bundle", work, folder, f"tactoscope replay {dialogs.quote_path(folder)}")
 
     def copy_export_command(self, pane: str, content: str = "", suffix: str = ".png", frames: str = "") -> None:
         """Copy the command that writes this export."""
@@ -154,41 +149,44 @@ class ExportController(BackgroundController):
         if folder is not None:
             self.start_bundle(folder, note)
 
-    def _ask_path(self, pane: str, content: str, suffix: str, frames: str) -> None:
-        path = dialogs.ask_export_path(self._window, "Export", suffix, self._autosave.dialog_folder)
+    def _export_selected(self, pane: str, content: str, suffix: str, frames: str) -> None:
+        path = self.ask_path("Export", suffix)
         if path is not None:
-            self._autosave.preferences.last_folder = path.parent
             self.start_export(self.make_export_request(path, pane, content, frames))
 
-    def _can_start(self) -> bool:
+    def ask_path(self, title: str, suffix: str) -> Path | None:
+        """Ask for a file to write; None if nothing is open or the user cancels."""
+        if self._controller.views.translation is None:
+            self.notification.show_notification(_NOT_OPEN)
+            return None
+        path = dialogs.ask_export_path(self._window, title, suffix, self._autosave.dialog_folder)
+        if path is not None:
+            self._autosave.preferences.last_folder = path.parent
+        return path
+
+    def start_writing(
+        self, text: str, work: JobFunction, path: Path, command: str = "",
+        describe: Callable[[object], str] | None = None,
+    ) -> None:  # fmt: skip
+        """Write something in the background, unless an export is running.
+
+        `command` writes the same, `describe` turns the result into a sentence.
+        """
         if self._controller.views.translation is None or self.job.is_busy:
             self.notification.show_notification(_BUSY if self.job.is_busy else _NOT_OPEN)
-            return False
-        return True
-
-    def start_writing(self, text: str, work: JobFunction, path: Path, command: str) -> None:
-        """Write something in the background, unless an export is running."""
-        if self._can_start():
-            self._start(text, work, path, command)
-
-    def _start(self, text: str, work: JobFunction, path: Path, command: str) -> None:
-        self.notification.show_notification(f"{text}…", (("Cancel", self.cancel),), stays=True)
-        self._written = path, command
+            return
+        self.notification.show_notification(f"{text}…", stays=True)
+        self._written = path, command, describe
         self.start(work)
 
-    def show_progress(self, fraction: float, text: str) -> None:  # noqa: ARG002 - the bar has its own text
-        """Show the progress in the notification."""
-        self.notification.show_progress(fraction)
-
-    def show_result(self, result: object) -> None:  # noqa: ARG002 - the file is the result
+    def show_result(self, result: object) -> None:
         """Offer the folder and the command of the written file."""
-        path, command = self._written
+        path, command, describe = self._written
+        show_folder = partial(QDesktopServices.openUrl, QUrl.fromLocalFile(str(path.parent)))
+        choices: list[Choice] = [("Copy as command", partial(_copy_text, command))] if command else []
         self.notification.show_notification(
-            f"written: {escape_text(str(path))}",
-            (
-                ("Copy as command", lambda: _copy_text(command)),
-                ("Show folder", lambda: QDesktopServices.openUrl(QUrl.fromLocalFile(str(path.parent)))),
-            ),
+            describe(result) if describe is not None else f"written: {escape_text(str(path))}",
+            (*choices, ("Show folder", show_folder)),
         )
 
     def show_failure(self, error: BaseException) -> None:

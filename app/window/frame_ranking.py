@@ -35,7 +35,7 @@ class FrameRankingController(QObject):
         controller.frame_shown.connect(self._frame_shown)
         controller.closing.connect(self._timer.stop)
         controller.job.finished.connect(self._show_summary)
-        self._panel.metric_chosen.connect(self._choose_metric)
+        self._panel.metric_box.chosen.connect(self._choose_metric)
         window = controller.window
         self._panel.model.dataChanged.connect(self._update_timeline_soon)
         self._panel.model.modelReset.connect(self._update_timeline_soon)
@@ -133,7 +133,7 @@ class FrameRankingController(QObject):
             return
         frame = model.find_unknown_frame(controller.session.frame)
         if completely := frame < 0 and self._needs_completion:
-            frame = model.find_incomplete_frame(controller.session.frame)
+            frame = model.find_unknown_frame(controller.session.frame, completely=True)
         if frame < 0 or controller.window.timeline.is_playing or not controller.is_idle:
             return
         session, evaluator = controller.session, controller.evaluator
@@ -147,7 +147,7 @@ class FrameRankingController(QObject):
         if not metric or metric != self._force_metric:
             return False
         session, evaluator = controller.session, controller.evaluator
-        frame = self._panel.model.find_frame_without(metric, session.frame)
+        frame = self._panel.model.find_unknown_frame(session.frame, quantity=metric)
         if frame >= 0 and not controller.window.timeline.is_playing and controller.is_idle:
             self._ticket = controller.submit_background(
                 lambda report: evaluator.measure_force_in_background(session, frame, metric, report)

@@ -14,8 +14,6 @@ from PyQt6.QtWidgets import (
     QLabel,
     QMainWindow,
     QMenu,
-    QProgressBar,
-    QPushButton,
     QStackedWidget,
     QTabWidget,
     QVBoxLayout,
@@ -30,8 +28,8 @@ from app.window.menus import add_layout_tabs, build_menus, build_tool_bar
 from widgets.alignment_panel import AlignmentPanel
 from widgets.banner import Banner
 from widgets.basin_map import BasinPanel
+from widgets.choice_box import ChoiceBox
 from widgets.comparison_page import ComparisonPage
-from widgets.eliding_combo_box import ElidingComboBox
 from widgets.error_attribution_panel import ErrorAttributionPanel
 from widgets.fixed_size_label import FixedSizeLabel
 from widgets.frames_panel import FramesPanel
@@ -40,6 +38,7 @@ from widgets.notification_stack import NotificationStack
 from widgets.panes import PanesPage
 from widgets.parameters_panel import ParametersPanel
 from widgets.probes_panel import ProbesPanel
+from widgets.run_bar import RunBar
 from widgets.section_panel import SectionPanel
 from widgets.stage_column import StageColumn
 from widgets.stage_rows import StageRows
@@ -98,7 +97,8 @@ class MainWindow(QMainWindow):
         self.pages, self.rows, self.comparison = QStackedWidget(), StageRows(), ComparisonPage()
         self.task, self.track = TaskPage(), TrackPage()
         self.panes = PanesPage({name: f"{i + 1} · {title}" for i, (name, title) in enumerate(columns)})
-        self.source, self.target, self.route = (self._make_chooser(n) for n in ("source", "target", "route"))
+        self.source, self.target = (self._make_sensor_box(role) for role in ("source", "target"))
+        self.route = ChoiceBox("choose_route", "route")
         self._build_centre()
         self._build_drawers()
         self.menus = build_menus(self, self.actions_by_name, len(self.columns), self.drawers.all_drawers)
@@ -199,13 +199,8 @@ class MainWindow(QMainWindow):
         """Insert a submenu into a menu of the menu bar, before a command."""
         self.menus[menu].insertMenu(self.actions_by_name[before], submenu)
 
-    def _make_chooser(self, name: str) -> QComboBox:
-        box = ElidingComboBox()
-        box.setObjectName(f"choose_{name}")
-        box.setAccessibleName(f"{name} sensor" if name != "route" else "route")
-        if name == "route":
-            box.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToContents)
-            return box
+    def _make_sensor_box(self, role: str) -> ChoiceBox:
+        box = ChoiceBox(f"choose_{role}", f"{role} sensor")
         box.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
         box.setMinimumContentsLength(_CHOOSER_LETTERS)
         view = box.view()
@@ -215,32 +210,21 @@ class MainWindow(QMainWindow):
 
     def _build_status(self) -> None:
         self.readout, self.activity_label = FixedSizeLabel(), QLabel()
-        self.progress_bar, self.cancel_button = QProgressBar(), QPushButton("Cancel")
+        self.run_bar = RunBar("frame", keeps_room=True)
         self.readout.setObjectName("probe")
-        self.progress_bar.setRange(0, 1000)
-        self.progress_bar.setFixedWidth(140)
         self.activity_label.setFixedWidth(_ACTIVITY_WIDTH_PX)
         self.activity_label.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
-        for widget in (self.progress_bar, self.cancel_button):  # the layout does not move when work starts and ends
-            policy = widget.sizePolicy()
-            policy.setRetainSizeWhenHidden(True)
-            widget.setSizePolicy(policy)
-        self.progress_bar.setTextVisible(False)
-        self.cancel_button.setObjectName("cancel_button")
         status = self.statusBar()
         assert status is not None
         status.addWidget(self.readout, 1)
-        for widget in (self.progress_bar, self.cancel_button, self.activity_label):
+        for widget in (self.run_bar, self.activity_label):
             status.addPermanentWidget(widget)
         self.show_progress(None)
 
     def show_progress(self, fraction: float | None, text: str = "") -> None:
         """Show what is being computed; None shows that nothing is."""
-        for widget in (self.progress_bar, self.cancel_button):
-            widget.setVisible(fraction is not None)
+        self.run_bar.show_progress(fraction)
         self.activity_label.setText(text if fraction is not None else "ready")
-        if fraction is not None:
-            self.progress_bar.setValue(round(1000 * fraction))
 
     @property
     def views_3d(self) -> tuple[View3D, ...]:

@@ -11,7 +11,7 @@ from app.window.session_controller import SessionController
 from app.work.stage_previews import StagePreview
 from pipeline.previews.preview import Preview
 from widgets.probes_panel import ProbeRow
-from widgets.styling import make_single_shot_timer
+from widgets.styling import EventListener, make_single_shot_timer
 
 _DELAY_MS = 40  # shortest interval between updates
 _NONE = "\N{EN DASH}"
@@ -29,14 +29,8 @@ class PinnedProbesController(QObject):
         controller.probe.results_changed.connect(self._update_soon)
         controller.closing.connect(self._timer.stop)
         self._panel.probe_chosen.connect(controller.probe.choose_pin)
-        self._panel.clear_requested.connect(controller.probe.clear_trace)
-        self._panel.installEventFilter(self)
-
-    def eventFilter(self, a0: QObject | None, a1: QEvent | None) -> bool:  # noqa: N802
-        """Show the table when the tab is shown."""
-        if a1 is not None and a1.type() in (QEvent.Type.Show, QEvent.Type.Hide):
-            self._update_soon()
-        return super().eventFilter(a0, a1)
+        self._panel.clear_button.clicked.connect(controller.probe.clear_trace)
+        EventListener(self._panel, self._update_soon, QEvent.Type.Show, QEvent.Type.Hide)
 
     def _update_soon(self) -> None:
         if not self._timer.isActive():

@@ -20,12 +20,11 @@ class RolloutAttributionController(BackgroundController):
     """Connects the decision's panel with the rollout on screen."""
 
     def __init__(self, controller: SessionController, rollouts: RolloutController) -> None:
-        super().__init__("rollout attribution", controller)
+        super().__init__("rollout attribution", controller, controller.window.task.decision.run_bar)
         self._rollouts, self._panel = rollouts, controller.window.task.decision
         self._results: dict[Path, tuple[Decision, ...]] = {}  # computed in this window
         self._running: Path | None = None
-        self._panel.attribution_requested.connect(self.attribute)
-        self._panel.cancel_requested.connect(self.cancel)
+        self._panel.run_bar.start_button.clicked.connect(self.attribute)
         rollouts.rollout_shown.connect(self._show_rollout)
         rollouts.decision_shown.connect(self._show_decision)
         controller.window.connect_command("attribute_rollout", self.attribute)
@@ -38,7 +37,6 @@ class RolloutAttributionController(BackgroundController):
         if opened is None or not self._can_attribute or self.job.is_busy:
             return
         self._running = opened.rollout.path
-        self._panel.show_progress(0.0, "running the rollout again")
         self.start(partial(attribute_decisions, opened.rollout))
 
     @property
@@ -59,7 +57,6 @@ class RolloutAttributionController(BackgroundController):
         opened = self._rollouts.shown
         if opened is None or opened.rollout.path != self._running:
             self.abandon()
-            self._panel.show_progress(None)
         self._show_decision()
 
     def _show_decision(self, _: int = 0) -> None:
@@ -82,8 +79,9 @@ class RolloutAttributionController(BackgroundController):
         self._panel.show_decision(sentence, shown, can_attribute=can)
 
     def show_progress(self, fraction: float, text: str) -> None:
-        """Show how far the run is."""
-        self._panel.show_progress(fraction, text)
+        """Show how far the run is, and what it does."""
+        super().show_progress(fraction, text)
+        self._panel.sentence.setText(text)
 
     def show_result(self, result: object) -> None:
         """Keep and show the shares."""
@@ -104,5 +102,4 @@ class RolloutAttributionController(BackgroundController):
 
     def _end(self) -> None:
         self._running = None
-        self._panel.show_progress(None)
         self._show_decision()

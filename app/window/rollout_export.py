@@ -70,7 +70,7 @@ class RolloutExportController(QObject):
             self._window.actions_by_name[name].setEnabled(self._rollouts.shown is not None)
 
     def _ask_video(self) -> None:
-        path = dialogs.ask_export_path(self._window, "Export rollout video", ".mp4", self._autosave.dialog_folder)
+        path = self._export.ask_path("Export rollout video", ".mp4")
         if path is not None:
             self.write_video(path)
 

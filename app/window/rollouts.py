@@ -42,7 +42,7 @@ class RolloutController(BackgroundController):
         self._opening: Path | None = None  # that the user opened: a folder, or a recording that may be a rollout
         page, window = self._page, self._window
         page.trials.trial_chosen.connect(self.choose_trial)
-        page.place_chosen.connect(self._choose_place)
+        page.place_box.chosen.connect(self._choose_place)
         page.ticks.frame_chosen.connect(controller.set_tick)
         page.plot.step_chosen.connect(controller.set_tick)
         controller.tick_changed.connect(self._show_tick)

@@ -16,7 +16,7 @@ from pipeline.translation.pixel_trace import SOURCE
 from pipeline.translation.translate import Translation
 from pipeline.values.results import DepthMap
 from widgets.section_line_tool import SectionLineTool
-from widgets.styling import make_single_shot_timer
+from widgets.styling import EventListener, make_single_shot_timer
 
 _DELAY_MS = 15  # updates within it are drawn together
 _DEFAULT_SHARE = 0.9  # of the source's width, for the default line
@@ -45,18 +45,12 @@ class SectionLineController(QObject):
         )
         self._panel.line_typed.connect(controller.set_section)
         self._panel.add_command(self._action)
-        self._panel.installEventFilter(self)
+        EventListener(self._panel, self._update_soon, QEvent.Type.Show)
         self._window.connect_command("section_line", self._toggle)
         controller.section_changed.connect(self._show_change)
         controller.job.delivered.connect(self._update_soon)
         controller.frame_shown.connect(self._update_soon)
         controller.closing.connect(self._close)
-
-    def eventFilter(self, a0: QObject | None, a1: QEvent | None) -> bool:  # noqa: N802
-        """Update the curves when the tab is shown."""
-        if a1 is not None and a1.type() == QEvent.Type.Show:
-            self._update_soon()
-        return super().eventFilter(a0, a1)
 
     def _toggle(self) -> None:
         controller, window = self._controller, self._window

@@ -8,6 +8,7 @@ from PyQt6.QtCore import QEvent, QObject, Qt
 
 from app.window.session_controller import SessionController
 from widgets.preview_key_filter import PreviewKeyFilter
+from widgets.styling import EventListener
 
 _HINT = (
     "arrow keys move the pixel or the section line (Ctrl: end A, Alt: end B), Shift: 10 times as far; "
@@ -31,7 +32,7 @@ class KeyboardController(QObject):
         self._window.connect_command("cancel", self._end)
         self._window.connect_command("edit_alignment", self._edit_alignment)
         self._box, self._wants_focus = self._window.alignment.rows["x"].box, False
-        self._box.installEventFilter(self)
+        EventListener(self._box, self._focus_box, QEvent.Type.EnabledChange)
 
     @property
     def focused_column(self) -> str:
@@ -76,9 +77,3 @@ class KeyboardController(QObject):
             self._wants_focus = False
             self._box.setFocus(Qt.FocusReason.ShortcutFocusReason)
             self._box.selectAll()
-
-    def eventFilter(self, a0: QObject | None, a1: QEvent | None) -> bool:  # noqa: N802
-        """Focus the box once it is enabled, which needs an assessed frame."""
-        if a1 is not None and a1.type() == QEvent.Type.EnabledChange:
-            self._focus_box()
-        return super().eventFilter(a0, a1)

@@ -25,20 +25,22 @@ class StepScrubberController(QObject):
         super().__init__(controller)
         self._controller, self._panel = controller, controller.window.steps_panel
         window, panel = controller.window, self._panel
-        panel.stage_chosen.connect(self.show_session)
+        panel.stage_box.chosen.connect(self.show_session)
         panel.keep_steps_requested.connect(self.set_keep_steps)
-        panel.step_chosen.connect(self._set_step)
+        panel.plot.step_chosen.connect(self._set_step)
         for stage, slider in window.steps.items():
             slider.keep_steps_requested.connect(self.show_steps_of)
             slider.slider.valueChanged.connect(partial(self._show_step, stage))
         controller.frame_shown.connect(self.show_session)
-        window.connect_command("step_through", lambda: self.show_steps_of(self._panel.stage or _DEFAULT_STAGE))
+        window.connect_command(
+            "step_through", lambda: self.show_steps_of(self._panel.stage_box.choice or _DEFAULT_STAGE)
+        )
 
     def show_steps_of(self, stage: str) -> None:
         """Show the tab, and keep the iterations of a stage from now on."""
         window, layout = self._controller.window, self._controller.session.layout
         window.show_diagnostics(self._panel)
-        self._panel.choose_stage(stage)
+        self._panel.stage_box.setCurrentIndex(max(0, self._panel.stage_box.findData(stage)))
         if stage in window.route_columns and stage not in window.visible_columns():
             self._controller.change("show stages", layout=Layout(panes=layout.panes))
         self.set_keep_steps(stage, keep=True)
@@ -67,24 +69,25 @@ class StepScrubberController(QObject):
             slider.set_can_keep_steps(
                 can_keep=(method := self._get_method(stage)) is not None and bool(_find_keep_parameter(method))
             )
-        method, part = self._get_method(panel.stage), controller.views.get_shown_stage(panel.stage)
+        chosen = panel.stage_box.choice
+        method, part = self._get_method(chosen), controller.views.get_shown_stage(chosen)
         name = "" if method is None else _find_keep_parameter(method)
         is_kept = (
             bool(name) and method is not None and bool(list_settings(controller.session.get_params(method))[name][0])
         )
         history = part.step_history if isinstance(part, StagePreview) else None
-        why_not = _NO_STEPS.format(titles.get(panel.stage, "this stage")) if method is not None and not name else ""
+        why_not = _NO_STEPS.format(titles.get(chosen, "this stage")) if method is not None and not name else ""
         if is_kept and history is None:
             why_not = _NO_ITERATIONS if controller.is_idle else _NOT_YET
         panel.show_history(history, keeps_steps=is_kept, can_keep_steps=bool(name), why_not=why_not)
         if history is not None:
-            panel.show_step(window.steps[panel.stage].slider.value())
+            panel.show_step(window.steps[chosen].slider.value())
 
-    def _set_step(self, stage: str, at: int) -> None:
-        self._controller.window.steps[stage].slider.setValue(at)
+    def _set_step(self, at: int) -> None:
+        self._controller.window.steps[self._panel.stage_box.choice].slider.setValue(at)
 
     def _show_step(self, stage: str, at: int) -> None:
-        if stage == self._panel.stage:
+        if stage == self._panel.stage_box.choice:
             self._panel.show_step(at)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 from app.session.state import Session
@@ -41,18 +42,18 @@ class SweepController(BackgroundController):
     """Connects the tab with the session. A sweep of another recording or frame is cancelled."""
 
     def __init__(self, controller: SessionController) -> None:
-        super().__init__("sweep", controller)
-        self._tab = controller.window.comparison.sweep
+        self._tab = tab = controller.window.comparison.sweep
+        super().__init__("sweep", controller, tab.run_bar)
         self._evaluator = Evaluator(controller.catalogue)
         self._parameters: list[SweepableParameter] = []
         self._plan: SweepPlan | None = None
         self._swept: Session | None = None  # session of the sweep that is shown
         self._start_s, self._n_done = 0.0, 0
-        tab = self._tab
-        tab.axis_chosen.connect(self._suggest_values)
-        tab.sweep_requested.connect(self._start_sweep)
-        tab.cancel_requested.connect(self.cancel)
-        tab.cell_chosen.connect(self._use_cell)
+        for which, box in enumerate(tab.axes):
+            box.chosen.connect(partial(self._suggest_values, which))
+        tab.start_button.clicked.connect(self._start_sweep)
+        for view in (tab.grid, tab.plot):
+            view.cell_chosen.connect(self._use_cell)
         controller.frame_shown.connect(self._update_metrics)
         controller.closing.connect(self._evaluator.close)
 
@@ -75,7 +76,7 @@ class SweepController(BackgroundController):
         indices = tuple(box.currentIndex() for box in self._tab.axes)
         if is_new or min(indices, default=-1) < 0:
             indices = choose_default_axes(self._parameters)
-        metrics, metric = self._list_metrics(), self._tab.metric_box.currentData()
+        metrics, metric = self._list_metrics(), self._tab.metric_box.choice
         names = [parameter[2] for parameter in self._parameters]
         self._tab.offer_parameters(
             names, (indices[0], indices[1]), metrics, metric if metric in metrics else next(iter(metrics))
@@ -96,7 +97,7 @@ class SweepController(BackgroundController):
         if self._controller.session.layout.name == "sweep":
             self.show_session(self._controller.session)
 
-    def _suggest_values(self, which: int) -> None:
+    def _suggest_values(self, which: int, _name: str = "") -> None:
         index = self._tab.axes[which].currentIndex()
         if 0 <= index < len(self._parameters):
             *_, value, setting = self._parameters[index]
@@ -113,20 +114,20 @@ class SweepController(BackgroundController):
             axes.append(parse_axis(self._controller.session.get_params(method), method, name, line.text()))
         if axes[0].qualified_name == axes[1].qualified_name:
             raise SettingProblem("columns and rows are the same parameter; choose another for one of them")
-        return SweepPlan(across=axes[0], down=axes[1], metric=str(self._tab.metric_box.currentData() or ""))
+        return SweepPlan(across=axes[0], down=axes[1], metric=self._tab.metric_box.choice)
 
     def _start_sweep(self) -> None:
         try:
             plan = self._parse_plan()
         except TouchError as error:
-            self._tab.show_progress(None, str(error))
+            self._tab.show_state(str(error), runs=False)
             return
         session = self._controller.session
         self._plan, self._swept, self._n_done, self._start_s = plan, session, 0, time.monotonic()
         unit = METRICS[plan.metric.partition(".")[2]].unit if plan.metric else ""
         across, down = (_format_axis(axis) for axis in (plan.across, plan.down))
         self._tab.start_sweep(across, down, unit)
-        self._tab.show_progress(0.0, "opening the recording")
+        self._tab.show_state("opening the recording", runs=True)
         self.start(lambda report: run_sweep(self._evaluator, session, plan, report))
 
     def show_part(self, part: object) -> None:
@@ -137,20 +138,21 @@ class SweepController(BackgroundController):
         self._tab.show_cell(part)
         n_cells = len(self._plan.run_order)
         left_s = (time.monotonic() - self._start_s) / self._n_done * (n_cells - self._n_done)
-        self._tab.show_progress(self._n_done / n_cells, f"{self._n_done} of {n_cells} done, about {left_s:.0f} s left")
+        self._tab.message.setText(f"{self._n_done} of {n_cells} done, about {left_s:.0f} s left")
+        self._tab.run_bar.show_progress(self._n_done / n_cells)
 
     def show_result(self, result: object) -> None:
         """Show that all cells are done."""
-        self._tab.show_progress(None, f"{result} pairs done; click a cell to use its values")
+        self._tab.show_state(f"{result} pairs done; click a cell to use its values", runs=False)
 
     def show_failure(self, error: BaseException) -> None:
         """Show the error in the tab and in the banner."""
-        self._tab.show_progress(None, str(error))
+        self._tab.show_state(str(error), runs=False)
         super().show_failure(error)
 
     def show_cancelled(self) -> None:
         """Show how many cells were computed."""
-        self._tab.show_progress(None, f"cancelled after {self._n_done} pairs")
+        self._tab.show_state(f"cancelled after {self._n_done} pairs", runs=False)
 
     def _use_cell(self, row: int, col: int) -> None:
         """Use a cell's values in the session, as one change."""

@@ -31,15 +31,14 @@ class TrackController(BackgroundController):
     """Connects the page with the session; a track runs on its own copy of the recording."""
 
     def __init__(self, controller: SessionController, export: ExportController, autosave: AutosaveController) -> None:
-        super().__init__("track", controller)
+        super().__init__("track", controller, controller.window.track.run_bar)
         self._window, self._page, self._export = controller.window, controller.window.track, export
         self._autosave = autosave
         self.view: TrackView | None = None
         self._tracked: Session | None = None  # what the track on screen was computed from; None = read from a folder
         self._of: Path | None = None  # recording, or the folder that is read
         page, window = self._page, self._window
-        page.start_requested.connect(self.start_track)
-        page.cancel_requested.connect(self.cancel)
+        page.run_bar.start_button.clicked.connect(lambda: self.start_track(page.stage_box.choice))
         page.plot.step_chosen.connect(self._choose_row)
         controller.tracks_requested.connect(self.open_track)
         controller.frame_shown.connect(self._frame_shown)
@@ -61,7 +60,6 @@ class TrackController(BackgroundController):
 
         self._tracked, self._of = session, session.recording
         self._show_none("")
-        self._page.show_progress(0.0)
         self.start(work)
 
     def open_track(self, folder: Path) -> None:
@@ -95,16 +93,11 @@ class TrackController(BackgroundController):
         if self._tracked is not None and session.recording != self._tracked.recording:
             self.abandon()
             self._tracked = None
-            self._page.show_progress(None)
             self._show_none(_READY if session.recording is not None else _NO_RECORDING)
         elif self.view is None and not self.is_busy and self._of is None and session.recording is not None:
             self._show_none(_READY)
         self._offer_stages(session)
         self._show_frame()
-
-    def show_progress(self, fraction: float, text: str) -> None:  # noqa: ARG002 - the plot shows the frames
-        """Show how far the run is."""
-        self._page.show_progress(fraction)
 
     def show_part(self, part: object) -> None:
         """Show the frames so far."""
@@ -113,7 +106,6 @@ class TrackController(BackgroundController):
     def show_result(self, result: object) -> None:
         """Show the track with its surface."""
         self.view = view = cast("TrackView", result)
-        self._page.show_progress(None)
         self._page.show_record(view.record, self._of.name if self._of is not None else "")
         self._controller.views.show_page_scene("track", view.layers, view.bounds, self._controller.session)
         self._window.actions_by_name["export_track"].setEnabled(self._tracked is not None)
@@ -121,13 +113,11 @@ class TrackController(BackgroundController):
 
     def show_failure(self, error: BaseException) -> None:
         """Show why there is no track."""
-        self._page.show_progress(None)
         self._show_none("")
         super().show_failure(error)
 
     def show_cancelled(self) -> None:
         """Show that the run was cancelled."""
-        self._page.show_progress(None)
         self._show_none("cancelled")
 
     def _frame_shown(self, _: int) -> None:

@@ -45,15 +45,6 @@ class BasinMapResult:
         return self.translation.catalogue.stage("pose").make_preview(end_pose, context)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BasinPosePreview:
-    """Preview of the pose that one start converged to."""
-
-    row: int
-    col: int
-    preview: Preview
-
-
 def run_basin_map(
     translation: Translation, frame: int, results: Mapping[str, StageResult], display: DisplayParams,
     params: PoseParams, along: ShiftAxis, report: JobReporter,

@@ -51,7 +51,7 @@ def _window_with_dock(open_window, qtbot, recording: Path, **session) -> Session
     controller.window.drawers.alignment.show()
     controller.show_session(Session(recording=recording, **session))
     panel = controller.window.alignment
-    qtbot.waitUntil(lambda: bool(panel.no_score_reason) or bool(panel.bars.axes), timeout=WAIT_MS)
+    qtbot.waitUntil(lambda: bool(panel.no_score_reason.text()) or bool(panel.bars.axes), timeout=WAIT_MS)
     return controller
 
 
@@ -134,7 +134,7 @@ def test_a_drag_is_one_undo_step_and_ends_at_full_size(aligned, qtbot, settled):
     assert aligned.session.offsets.values == (1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     assert aligned.latest_frame.results["target_depth"].state == "computed"
     assert panel.gauges["iou"].value < good
-    assert "moved" in panel.origin
+    assert "moved" in panel.origin.text()
     aligned.undo_stack.undo()
     settled(aligned)
     assert aligned.session.offsets.is_zero
@@ -195,11 +195,11 @@ def test_refining_shows_before_and_after_and_accepting_is_one_step(aligned, qtbo
     panel.rows["x"].box.setValue(1.0)
     settled(aligned)
     steps, bad = aligned.undo_stack.count(), panel.gauges["iou"].value
-    panel.refine.button.click()
-    assert panel.refine.cancel.isVisible()
+    panel.refine.run_bar.start_button.click()
+    assert panel.refine.run_bar.cancel_button.isVisible()
     qtbot.waitUntil(lambda: refining.proposal is not None, timeout=WAIT_MS)
-    assert "→" in panel.refine.text
-    assert "surface mm" in panel.refine.text
+    assert "→" in panel.refine.text.text()
+    assert "surface mm" in panel.refine.text.text()
     before, after = refining.proposal.refinement.used_fit
     assert after.outline_mm < before.outline_mm
     assert aligned.undo_stack.count() == steps
@@ -217,7 +217,7 @@ def test_a_proposal_is_shown_against_the_current_alignment(aligned, qtbot, settl
     aligned.window.alignment.rows["x"].box.setValue(1.0)
     settled(aligned)
     plain = view.preview
-    aligned.window.alignment.refine.button.click()
+    aligned.window.alignment.refine.run_bar.start_button.click()
     qtbot.waitUntil(lambda: refining.proposal is not None and view.overlay.is_visible, timeout=WAIT_MS)
     settled(aligned)
     before, after = view.preview, view.overlay._picture
@@ -237,25 +237,25 @@ def test_a_proposal_is_shown_against_the_current_alignment(aligned, qtbot, settl
 
 def test_refining_can_be_cancelled_and_changes_nothing(aligned, qtbot):
     refining = aligned.findChild(AlignmentController).refinement
-    aligned.window.alignment.refine.button.click()
-    aligned.window.alignment.refine.cancel.click()
-    qtbot.waitUntil(aligned.window.alignment.refine.button.isVisible, timeout=WAIT_MS)
+    aligned.window.alignment.refine.run_bar.start_button.click()
+    aligned.window.alignment.refine.run_bar.cancel_button.click()
+    qtbot.waitUntil(aligned.window.alignment.refine.run_bar.start_button.isVisible, timeout=WAIT_MS)
     assert refining.proposal is None
-    assert "cancelled" in aligned.window.alignment.refine.text
+    assert "cancelled" in aligned.window.alignment.refine.text.text()
     assert aligned.session.offsets.is_zero
 
 
 def test_a_recording_without_target_touch_still_previews(open_window, touch_file, qtbot):
     controller = _window_with_dock(open_window, qtbot, touch_file, target="gelslim", frame=2)
     panel = controller.window.alignment
-    assert panel.no_score_reason == "the recording has no gelslim touch to compare with"
+    assert panel.no_score_reason.text() == "the recording has no gelslim touch to compare with"
     assert panel.gauges["iou"].text == "-"
     before = controller.window.columns["target_depth"].view.preview
     assert before.observed_outline_px is None
     _drag(controller, "x", 2.0, qtbot)
     qtbot.waitUntil(lambda: controller.window.columns["target_depth"].state == "preview", timeout=WAIT_MS)
     assert controller.window.columns["target_depth"].view.preview is not before
-    panel.refine.button.click()
+    panel.refine.run_bar.start_button.click()
     qtbot.waitUntil(controller.window.banner.isVisible, timeout=WAIT_MS)
     assert "both sensors" in controller.window.banner.text
 
@@ -273,7 +273,7 @@ def test_a_saved_alignment_opens_unchanged(aligned, tmp_path, settled):
     assert aligned.session.alignment == path
     assert aligned.session.offsets.is_zero
     assert aligned.saved_session.offsets.is_zero  # closing does not ask
-    assert "mine.toml" in aligned.window.alignment.origin
+    assert "mine.toml" in aligned.window.alignment.origin.text()
     assert np.allclose(aligned.views.translation.alignment.target_from_source, expected, rtol=0, atol=1e-9)
 
 

@@ -37,7 +37,7 @@ def test_a_click_shows_the_pose_that_a_start_converged_to(window, qtbot):
     window.window.actions_by_name["map_basins"].trigger()
     qtbot.waitUntil(lambda: tab.result is not None, timeout=LIMIT_MS)
     assert panel.isVisible()
-    assert "12 starts" in panel.message
+    assert "12 starts" in panel.message.text()
     of, view = tab.result.basins, window.window.columns["pose"].view
     assert [len(row) for row in panel.map.cells] == [4, 4, 4]
     own = view.preview
@@ -57,11 +57,11 @@ def test_a_click_shows_the_pose_that_a_start_converged_to(window, qtbot):
 def test_the_map_can_be_cancelled_and_states_why_there_is_none(window, qtbot, monkeypatch):
     tab, panel = _tab(window), window.window.basins
     window.window.actions_by_name["map_basins"].trigger()
-    assert panel.start_button.text() == "Cancel"
-    panel.start_button.click()
-    qtbot.waitUntil(lambda: panel.start_button.text() == "Map basins", timeout=LIMIT_MS)
-    assert panel.message == "cancelled" or tab.result is not None
+    assert panel.run_bar.cancel_button.isVisible()
+    panel.run_bar.cancel_button.click()
+    qtbot.waitUntil(panel.run_bar.start_button.isVisible, timeout=LIMIT_MS)
+    assert panel.message.text() == "cancelled" or tab.result is not None
     window.choose_frame(0)
     assert wait_until_shown(window, LIMIT_S)
-    panel.start_button.click()
-    qtbot.waitUntil(lambda: "no pose to map" in panel.message, timeout=LIMIT_MS)
+    panel.run_bar.start_button.click()
+    qtbot.waitUntil(lambda: "no pose to map" in panel.message.text(), timeout=LIMIT_MS)

@@ -26,7 +26,7 @@ def test_the_error_of_the_current_frame_is_attributed(window, qtbot):
     window.window.drawers.diagnostics.show()
     window.window.tabs.setCurrentWidget(panel)
     qtbot.waitUntil(lambda: bool(panel.waterfall.bars), timeout=LIMIT_MS)
-    assert OUTSIDE_VIEW in panel.sentence
+    assert OUTSIDE_VIEW in panel.sentence.text()
     first, *parts, last = panel.waterfall.bars
     assert first.end + sum(bar.change for bar in parts) == pytest.approx(last.end)
     window.choose_frame(6)
@@ -34,7 +34,7 @@ def test_the_error_of_the_current_frame_is_attributed(window, qtbot):
     qtbot.waitUntil(lambda: bool(panel.waterfall.bars), timeout=LIMIT_MS)
     panel.metric_box.setCurrentIndex(panel.metric_box.findData("pose.mssd_mm"))
     assert "mm" in panel.metric_box.currentText()
-    panel.metric_chosen.emit("pose.mssd_mm")
+    panel.metric_box.chosen.emit("pose.mssd_mm")
     qtbot.waitUntil(lambda: len(panel.waterfall.bars) == 7, timeout=LIMIT_MS)
 
 
@@ -68,7 +68,7 @@ def test_a_frame_without_truth_has_no_attribution(bubble_window, qtbot):
     panel = bubble_window.window.error_attribution
     bubble_window.window.drawers.diagnostics.show()
     bubble_window.window.tabs.setCurrentWidget(panel)
-    qtbot.waitUntil(lambda: "no touch of the target" in panel.sentence, timeout=LIMIT_MS)
+    qtbot.waitUntil(lambda: "no touch of the target" in panel.sentence.text(), timeout=LIMIT_MS)
     assert not panel.metric_box.isEnabled()
 
 

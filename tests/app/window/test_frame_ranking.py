@@ -62,8 +62,8 @@ def test_every_frame_with_truth_is_ranked_and_one_key_shows_the_worst(window, qt
 def test_force_of_every_frame_is_a_curve_that_takes_their_depth_alone(window, qtbot, tmp_path):
     panel, line = window.window.frames, window.window.timeline.errors
     assert panel.metric_box.findData(UNCALIBRATED_FORCE) >= 0
-    panel.metric_chosen.emit(UNCALIBRATED_FORCE)
-    qtbot.waitUntil(lambda: panel.model.find_frame_without(UNCALIBRATED_FORCE, 0) < 0, timeout=LIMIT_MS)
+    panel.metric_box.chosen.emit(UNCALIBRATED_FORCE)
+    qtbot.waitUntil(lambda: panel.model.find_unknown_frame(0, quantity=UNCALIBRATED_FORCE) < 0, timeout=LIMIT_MS)
     qtbot.waitUntil(lambda: bool(np.isfinite(line.values).all()), timeout=LIMIT_MS)
     assert line.is_curve
     assert panel.model.find_unknown_frame(5) >= 0  # frames whose whole translation nobody needed
@@ -118,10 +118,10 @@ def test_a_row_has_a_thumbnail_and_the_cause_of_its_error(qtbot, monkeypatch):
         0, FrameSummary(**touched, warnings=("depth: saturated",), thumbnail=image, dark_thumbnail=image // 4)
     )
     model.show_summary(1, FrameSummary(**touched))
-    assert model.find_incomplete_frame(0) == 0
+    assert model.find_unknown_frame(0, completely=True) == 0
     figures = {"frame.round_trip_mm": 0.04}
     model.show_summary(0, FrameSummary(**touched, metrics=figures, cause="depth", is_complete=True))
-    assert model.find_incomplete_frame(0) == 1
+    assert model.find_unknown_frame(0, completely=True) == 1
     model.show_summary(
         0, FrameSummary(**touched, warnings=("depth: saturated",))
     )  # shown again: keeps what took longer

@@ -12,6 +12,7 @@ from PyQt6.QtGui import QGuiApplication, QImage
 from PyQt6.QtWidgets import QWidget
 
 from app.session.sample import SAMPLE_RECORDING
+from app.window.export import ExportController
 from app.window.live import LiveController
 from app.window.presentation import PresentationController
 from app.window.presentation_video import PresentationVideoController
@@ -141,10 +142,10 @@ def test_the_video_is_the_presentation(open_window, tmp_path, qtbot, monkeypatch
     controller = open_window(SAMPLE_RECORDING, target="soft_bubble", frame=3)
     assert wait_until_shown(controller, LIMIT_S)
     size, path = QSize(640, 360), tmp_path / "shown.avi"
-    video = controller.findChild(PresentationVideoController)
+    video, export = controller.findChild(PresentationVideoController), controller.findChild(ExportController)
     video.write(path, size)
-    qtbot.waitUntil(lambda: "Written as MJPEG" in video.notification.text, timeout=100_000)
-    assert "H.264 needs an ffmpeg" in video.notification.text
+    qtbot.waitUntil(lambda: "Written as MJPEG" in export.notification.text, timeout=100_000)
+    assert "H.264 needs an ffmpeg" in export.notification.text
     film = cv2.VideoCapture(str(path))
     frames = [film.read()[1] for _ in range(int(film.get(cv2.CAP_PROP_FRAME_COUNT)))]
     film.release()

@@ -73,7 +73,7 @@ def test_one_rollout_opens_its_layout_and_translates_as_its_controller(open_wind
     np.testing.assert_array_equal(views["source"].preview.pixels, opened.stream.frame(0).image)
     truth = opened.recording.stream("soft_bubble_left").frame(0)
     np.testing.assert_array_equal(views["truth"].preview.distance_mm, truth.image)
-    controller.window.task.place_chosen.emit("gelslim_right")
+    controller.window.task.place_box.chosen.emit("gelslim_right")
     qtbot.waitUntil(lambda: controller.is_idle and controller.views.translation is not opened, timeout=LIMIT_MS)
     opened = controller.views.translation
     truth = opened.recording.stream("soft_bubble_right").frame(0)
@@ -119,18 +119,18 @@ def test_a_session_keeps_trial_and_tick(opened, open_window, tmp_path, qtbot):
 def test_attribution_runs_when_asked_adds_up_and_is_kept(opened, qtbot):
     controller, rollouts = opened
     panel, attribution = controller.window.task.decision, get_part(controller, RolloutAttributionController)
-    assert panel.sentence.startswith("fails by 1.0 mm off the hole's axis")
+    assert panel.sentence.text().startswith("fails by 1.0 mm off the hole's axis")
     assert panel.waterfall.bars == ()
-    panel.attribute_button.click()
+    panel.run_bar.start_button.click()
     assert attribution.is_busy
     qtbot.waitUntil(lambda: not attribution.is_busy, timeout=LIMIT_MS)
     bars = panel.waterfall.bars
     assert sum(-bar.change for bar in bars[1:]) == pytest.approx(bars[0].end)
     assert bars[1].title == "generated touch \N{CHECK MARK} succeeds"
-    assert panel.sentence.endswith("with the true touch it succeeds")
+    assert panel.sentence.text().endswith("with the true touch it succeeds")
     controller.window.actions_by_name["next_trial"].trigger()
     qtbot.waitUntil(lambda: rollouts.shown.rollout.path.name != FAILS, timeout=LIMIT_MS)
-    assert "succeeds: there is no failure" in panel.sentence
+    assert "succeeds: there is no failure" in panel.sentence.text()
     controller.undo_stack.undo()
     qtbot.waitUntil(lambda: rollouts.shown.rollout.path.name == FAILS, timeout=LIMIT_MS)
     assert panel.waterfall.bars == bars
@@ -140,11 +140,11 @@ def test_attribution_runs_when_asked_adds_up_and_is_kept(opened, qtbot):
 def test_attribution_can_be_cancelled(opened, qtbot):
     controller, _ = opened
     panel, attribution = controller.window.task.decision, get_part(controller, RolloutAttributionController)
-    panel.attribute_button.click()
-    panel.cancel_button.click()
+    panel.run_bar.start_button.click()
+    panel.run_bar.cancel_button.click()
     qtbot.waitUntil(lambda: not attribution.is_busy, timeout=LIMIT_MS)
     assert panel.waterfall.bars == ()
-    assert panel.attribute_button.isEnabled()
+    assert panel.run_bar.start_button.isEnabled()
 
 
 def test_video_has_one_image_per_tick_and_a_bundle_replays(opened, tmp_path, qtbot):

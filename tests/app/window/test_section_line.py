@@ -113,7 +113,7 @@ def test_every_stage_with_heights_has_a_curve_equal_to_its_pixels(window, qtbot)
     assert shown.along_mm[-1] == pytest.approx(shown.line.length_mm)
     for name, column in window.window.columns.items():
         assert column.view.canvas.line is not None, name
-    panel.sensor_box.setCurrentIndex(panel.sensor_box.findData("source"))
+    panel.sensor_box.chosen.emit("source")
     assert {p.name for p in panel.plot.visible_profiles} == {"depth", "true_source"}  # on their own scale
     panel.copy.click()
     rows = list(csv.DictReader(io.StringIO(QApplication.clipboard().text())))

@@ -32,15 +32,15 @@ def test_steps_are_kept_on_request_and_shown_everywhere(posed, qtbot):
     assert part.result.digest == before.result.digest, "the answer is the same"
     n = len(part.result.output.steps)
     assert n == len(part.step_previews) == len(part.step_layers) == tab.plot.n_steps > 3
-    assert "converged: " in tab.message
+    assert "converged: " in tab.message.text()
     assert window.tabs.currentWidget() is tab
-    assert tab.stage == "pose"
+    assert tab.stage_box.choice == "pose"
     drawn = []
     posed.views.scene.show_layers = lambda _, layers: drawn.append(layers)
     tab.plot.setFocus()
     qtbot.keyClick(tab.plot, Qt.Key.Key_Home)
     assert slider.slider.value() == tab.plot.current_step == 0
-    assert tab.step_text.startswith(f"step 1 of {n}: rms ")
+    assert tab.step_text.text().startswith(f"step 1 of {n}: rms ")
     assert view.preview is part.step_previews[0]
     assert not np.array_equal(view.preview.pixels, part.step_previews[-1].pixels)
     (layers,) = drawn

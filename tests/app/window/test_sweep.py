@@ -35,7 +35,7 @@ def swept(bubble_window, qtbot):
     page = instrument.window.comparison.sweep
     for which, (words, values) in enumerate((("cloud.stride", "1, 4"), ("target_depth.jump_mm", "1, 2"))):
         page.axes[which].setCurrentText(words)
-        page.axis_chosen.emit(which)
+        page.axes[which].chosen.emit(words)
         page.values[which].setText(values)
     return instrument, page
 

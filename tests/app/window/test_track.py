@@ -32,7 +32,7 @@ def track_window(bubble_window):
 def _run(controller, qtbot, stage):
     track, page = _child(controller, TrackController), controller.window.track
     page.stage_box.setCurrentIndex(page.stage_box.findData(stage))
-    qtbot.mouseClick(page.start_button, Qt.MouseButton.LeftButton)
+    qtbot.mouseClick(page.run_bar.start_button, Qt.MouseButton.LeftButton)
     qtbot.waitUntil(lambda: track.view is not None, timeout=LIMIT_MS)
     return track
 
@@ -43,7 +43,7 @@ def test_the_window_writes_what_the_command_writes_and_reads_it_again(track_wind
     page, record = track_window.window.track, track.view.record
     assert record.count("tracked") == n_tracked
     assert record.count("no contact") == 3 - n_tracked
-    assert page.sentence.startswith(f"pressed.h5: {n_tracked} of 3 frames tracked, 0 lost")
+    assert page.sentence.text().startswith(f"pressed.h5: {n_tracked} of 3 frames tracked, 0 lost")
     assert [layer.name for layer in track.view.layers] == ["patch", "path"][:n_tracked]
     assert page.plot.n_steps == 3
     page.plot.step_chosen.emit(1)
@@ -64,7 +64,7 @@ def test_the_window_writes_what_the_command_writes_and_reads_it_again(track_wind
 
     track_window.open_path(tmp_path / "window")
     qtbot.waitUntil(lambda: track.view is not None, timeout=LIMIT_MS)
-    assert page.sentence.startswith(f"window: {n_tracked} of 3 frames tracked")
+    assert page.sentence.text().startswith(f"window: {n_tracked} of 3 frames tracked")
     assert not track_window.window.actions_by_name["export_track"].isEnabled()
     assert np.allclose(track.view.path_mm, read_path(tmp_path), atol=1e-4, equal_nan=True)
 
@@ -87,12 +87,11 @@ def test_a_run_is_cancelled_and_another_recording_drops_the_track(
             progress.step(0.3, "")
 
     monkeypatch.setattr(track_recording, "track_frames", waits_for_the_end)
-    qtbot.mouseClick(page.start_button, Qt.MouseButton.LeftButton)
-    qtbot.waitUntil(lambda: page.progress_bar.value() == 300, timeout=LIMIT_MS)
-    assert page.start_button.text() == "Cancel"
-    qtbot.mouseClick(page.start_button, Qt.MouseButton.LeftButton)
-    qtbot.waitUntil(lambda: page.sentence == "cancelled", timeout=LIMIT_MS)
-    assert page.start_button.text() == "Track"
+    qtbot.mouseClick(page.run_bar.start_button, Qt.MouseButton.LeftButton)
+    qtbot.waitUntil(lambda: page.run_bar.bar.value() == 300, timeout=LIMIT_MS)
+    qtbot.mouseClick(page.run_bar.cancel_button, Qt.MouseButton.LeftButton)
+    qtbot.waitUntil(lambda: page.sentence.text() == "cancelled", timeout=LIMIT_MS)
+    assert page.run_bar.start_button.isVisible()
     monkeypatch.undo()
     _run(track_window, qtbot, "depth")
     other = tmp_path / "other.h5"
@@ -113,8 +112,8 @@ def test_a_track_opens_without_a_recording(open_window, qtbot, tmp_path):
     track = _child(controller, TrackController)
     qtbot.waitUntil(lambda: track.view is not None, timeout=LIMIT_MS)
     assert controller.window.track.isVisible()
-    assert not controller.window.track.start_button.isEnabled()
-    assert controller.window.track.sentence.startswith(f"{tmp_path.name}: 1 of 1 frames tracked")
+    assert not controller.window.track.run_bar.start_button.isEnabled()
+    assert controller.window.track.sentence.text().startswith(f"{tmp_path.name}: 1 of 1 frames tracked")
     (tmp_path / "track.json").write_text("[")
     controller.open_path(tmp_path)
     qtbot.waitUntil(lambda: "track.json" in controller.window.banner.text, timeout=LIMIT_MS)
