@@ -1,36 +1,35 @@
-"""Icons drawn in the colours of the current palette: stage states and commands."""
+"""Icons in the colours of the current palette: signs of stage states, and commands, from `widgets/drawings`."""
 
 from __future__ import annotations
 
-from PyQt6.QtCore import QPointF, QRect, QRectF, QSize, Qt
-from PyQt6.QtGui import QColor, QGuiApplication, QIcon, QIconEngine, QPainter, QPalette, QPen, QPixmap, QPolygonF
+from functools import lru_cache
+from pathlib import Path
+
+from PyQt6.QtCore import QByteArray, QRect, QRectF, QSize, Qt
+from PyQt6.QtGui import QGuiApplication, QIcon, QIconEngine, QPainter, QPalette, QPixmap
+from PyQt6.QtSvg import QSvgRenderer
 from PyQt6.QtWidgets import QWidget
 
-from widgets.icon_drawings import CANVAS_PX, COMMAND_DRAWINGS, STATE_DRAWINGS, IconDrawing
-from widgets.theme import get_theme_colours, to_qcolor
+from pipeline.previews.colours import Rgb
+from widgets.theme import get_theme_colours, to_hex
 
-_LINE_PX, _MARK_PX = 2.4, 3.0  # in pixels of the drawings' canvas
-_FAINT = 90  # of 255: a disabled command
+DRAWINGS = Path(__file__).with_name("drawings")  # one SVG per icon, in currentColor; `state_*` are signs of states
+_FAINT = 0.35  # opacity of a disabled command
 
 
 def make_command_icon(name: str) -> QIcon:
     """Return the icon of a command."""
-    return QIcon(_Engine(COMMAND_DRAWINGS[name], state=""))
+    return QIcon(_Engine(name))
 
 
 def make_state_icon(state: str) -> QIcon:
     """Return the sign of a state, for tables."""
-    return QIcon(_Engine(STATE_DRAWINGS[state], state=state))
+    return QIcon(_Engine(state, is_state=True))
 
 
 def paint_state(painter: QPainter, room: QRectF, state: str, palette: QPalette) -> None:
     """Paint the round sign of a stage's state; states differ by their mark, not by colour alone."""
-    ink = to_qcolor(get_theme_colours(palette).states[state])
-    with _Canvas(painter, room):
-        painter.setPen(QPen(ink, 2))
-        painter.setBrush(QColor(ink.red(), ink.green(), ink.blue(), 40))
-        painter.drawEllipse(QRectF(3, 3, 26, 26))
-        _draw(painter, STATE_DRAWINGS[state], ink, _MARK_PX)
+    _load_drawing(f"state_{state}", get_theme_colours(palette).states[state]).render(painter, room)
 
 
 class StateIcon(QWidget):
@@ -58,12 +57,12 @@ class StateIcon(QWidget):
 class _Engine(QIconEngine):
     """Icon engine that paints on request, so that an icon follows theme and screen density."""
 
-    def __init__(self, drawing: IconDrawing, *, state: str) -> None:
+    def __init__(self, name: str, *, is_state: bool = False) -> None:
         super().__init__()
-        self._drawing, self._state = drawing, state
+        self._name, self._is_state = name, is_state
 
     def clone(self) -> QIconEngine:
-        return _Engine(self._drawing, state=self._state)
+        return _Engine(self._name, is_state=self._is_state)
 
     def pixmap(self, size: QSize, mode: QIcon.Mode, state: QIcon.State) -> QPixmap:
         pixmap = QPixmap(size)
@@ -78,45 +77,18 @@ class _Engine(QIconEngine):
         if painter is None:
             return
         palette = QGuiApplication.palette()
-        if self._state:
-            paint_state(painter, QRectF(rect), self._state, palette)
+        if self._is_state:
+            paint_state(painter, QRectF(rect), self._name, palette)
             return
-        ink = to_qcolor(get_theme_colours(palette).icon, _FAINT if mode == QIcon.Mode.Disabled else 255)
-        with _Canvas(painter, QRectF(rect)):
-            _draw(painter, self._drawing, ink, _LINE_PX)
-
-
-class _Canvas:
-    """The canvas of the drawings, mapped to a rectangle."""
-
-    def __init__(self, painter: QPainter, room: QRectF) -> None:
-        self._painter, self._room = painter, room
-
-    def __enter__(self) -> None:
-        painter, room = self._painter, self._room
-        side = min(room.width(), room.height())
         painter.save()
-        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
-        painter.translate(room.center() - QPointF(0.5 * side, 0.5 * side))
-        painter.scale(side / CANVAS_PX, side / CANVAS_PX)
-
-    def __exit__(self, *_: object) -> None:
-        self._painter.restore()
+        painter.setOpacity(_FAINT if mode == QIcon.Mode.Disabled else 1.0)
+        _load_drawing(self._name, get_theme_colours(palette).icon).render(painter, QRectF(rect))
+        painter.restore()
 
 
-def _draw(painter: QPainter, drawing: IconDrawing, ink: QColor, width_px: float) -> None:
-    painter.setPen(QPen(ink, width_px, cap=Qt.PenCapStyle.RoundCap, join=Qt.PenJoinStyle.RoundJoin))
-    painter.setBrush(Qt.BrushStyle.NoBrush)
-    for x, y, width, height, begin_deg, by_deg in drawing.arcs:
-        painter.drawArc(QRectF(x, y, width, height), 16 * begin_deg, 16 * by_deg)
-    for x, y, width, height, radius in drawing.boxes:
-        painter.drawRoundedRect(QRectF(x, y, width, height), radius, radius)
-    for stroke in drawing.strokes:
-        painter.drawPolyline(_corners(stroke))
-    painter.setBrush(ink)
-    for shape in drawing.filled:
-        painter.drawPolygon(_corners(shape))
-
-
-def _corners(stroke: str) -> QPolygonF:
-    return QPolygonF([QPointF(*map(float, corner.split(","))) for corner in stroke.split()])
+@lru_cache
+def _load_drawing(name: str, colour: Rgb) -> QSvgRenderer:
+    text = (DRAWINGS / f"{name}.svg").read_text("utf-8").replace("currentColor", to_hex(colour))
+    renderer = QSvgRenderer(QByteArray(text.encode()))
+    renderer.setAspectRatioMode(Qt.AspectRatioMode.KeepAspectRatio)
+    return renderer

@@ -15,8 +15,7 @@ from pipeline.previews.colours import NO_VALUE_COLOUR, ColourScale, apply_colour
 from pipeline.previews.preview import Preview
 from widgets.canvas import Canvas
 from widgets.colour_bar import ColourBar
-from widgets.icon_drawings import COMMAND_DRAWINGS
-from widgets.icons import make_command_icon
+from widgets.icons import DRAWINGS, make_command_icon
 from widgets.plain_text_style import PlainTextStyle
 from widgets.styling import ThemedLabel
 from widgets.theme import get_theme_colours, is_dark, make_palette, use_palette
@@ -103,12 +102,13 @@ def test_the_outline_of_a_control_stands_out_from_the_window(themes, qtbot, dark
 
 def test_every_ink_has_both_themes():
     light, dark = (get_theme_colours(make_palette(dark=on)) for on in (False, True))
+    assert {path.stem for path in DRAWINGS.glob("state_*.svg")} == {f"state_{state}" for state in light.states}
     same = [f.name for f in fields(light) if getattr(light, f.name) == getattr(dark, f.name)]
     assert not same
     assert light.states.keys() == dark.states.keys()
 
 
-@pytest.mark.parametrize("name", COMMAND_DRAWINGS)
+@pytest.mark.parametrize("name", [path.stem for path in DRAWINGS.glob("*.svg") if not path.stem.startswith("state_")])
 def test_icons_are_drawn_in_the_ink_of_the_theme(themes, name):
     icon = make_command_icon(name)
     for dark in (False, True):
