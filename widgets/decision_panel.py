@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from PyQt6.QtWidgets import QHBoxLayout, QLabel, QVBoxLayout, QWidget
 
 from pipeline.tasks.task import Decision
-from widgets.error_attribution_panel import Waterfall, WaterfallBar
+from widgets.error_attribution_panel import Waterfall, WaterfallBar, make_bars
 from widgets.run_bar import RunBar
 from widgets.styling import make_bold, set_spacing
 
@@ -44,12 +44,5 @@ class DecisionPanel(QWidget):
 
 def make_share_bars(decision: Decision) -> tuple[WaterfallBar, ...]:
     """Return the error, then each stage's share from where the one before ends; () without shares."""
-    if not decision.shares:
-        return ()
-    bars = [WaterfallBar(title="error", begin=0.0, end=decision.error_mm, is_total=True)]
-    left = decision.error_mm
-    for part in decision.shares:
-        title = f"{part.title} {_SUCCEEDS}" if part.succeeds else part.title
-        bars.append(WaterfallBar(title=title, begin=left, end=left - part.share_mm))
-        left -= part.share_mm
-    return tuple(bars)
+    parts = [(f"{p.title} {_SUCCEEDS}" if p.succeeds else p.title, p.share_mm) for p in decision.shares]
+    return make_bars("error", decision.error_mm, parts) if parts else ()

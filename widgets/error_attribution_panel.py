@@ -32,14 +32,17 @@ class WaterfallBar:
         return self.end - self.begin
 
 
-def make_bars(total: float, parts: Sequence[tuple[str, float]], rest: float) -> tuple[WaterfallBar, ...]:
-    """Return the rows of (title, share) parts between the total error and the remainder."""
-    rows = [WaterfallBar(title="this frame's error", begin=0.0, end=total, is_total=True)]
+def make_bars(
+    title: str, total: float, parts: Sequence[tuple[str, float]], rest: float | None = None
+) -> tuple[WaterfallBar, ...]:
+    """Return the rows of the total error, of (title, share) parts from where the one before ends, and of the rest."""
+    rows = [WaterfallBar(title=title, begin=0.0, end=total, is_total=True)]
     left = total
-    for title, share in parts:
-        rows.append(WaterfallBar(title=title, begin=left, end=left - share))
+    for name, share in parts:
+        rows.append(WaterfallBar(title=name, begin=left, end=left - share))
         left -= share
-    rows.append(WaterfallBar(title="the rest", begin=0.0, end=rest, is_total=True))
+    if rest is not None:
+        rows.append(WaterfallBar(title="the rest", begin=0.0, end=rest, is_total=True))
     return tuple(rows)
 
 

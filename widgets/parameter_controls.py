@@ -24,7 +24,7 @@ from PyQt6.QtWidgets import (
 from pipeline.base.params import Setting, Value
 from widgets.choice_box import ChoiceBox
 
-_SLIDER_STEPS, _NARROW_PX = 400, 24
+_SLIDER_STEPS, _SLIDER_PX, _NARROW_PX = 400, 40, 24
 _MANY, _TOO_MANY, _BEND = (
     200,
     10_000,
@@ -166,81 +166,52 @@ def _whole(value: int, setting: Setting, edited: Callable[[Value], None]) -> Par
     box = QSpinBox()
     box.setRange(int(max(setting.low, -_WIDEST)), int(min(setting.high, _WIDEST)))
     box.setSingleStep(max(1, int(setting.step)))
-    box.setKeyboardTracking(False)
-    box.setValue(value)
-    if not _MANY <= setting.high - setting.low <= _TOO_MANY:
-        box.valueChanged.connect(edited)
-        return _quiet(box, box.setValue)
-    low, span = int(setting.low), setting.high - setting.low
-    slider = QSlider(Qt.Orientation.Horizontal)
-    slider.setRange(0, _SLIDER_STEPS)
-    slider.setMinimumWidth(40)
-
-    def place_slider(new: float) -> None:
-        with QSignalBlocker(slider):
-            slider.setValue(round(((new - low) / span) ** (1 / _BEND) * _SLIDER_STEPS))
-
-    def apply_typed(new: int) -> None:
-        place_slider(new)
-        edited(new)
-
-    def show(new: Value) -> None:
-        with QSignalBlocker(box):
-            box.setValue(int(new))
-        place_slider(float(new))
-
-    def apply_dragged(at: int) -> None:
-        box.setValue(low + round(span * (at / _SLIDER_STEPS) ** _BEND))
-
-    place_slider(value)
-    box.valueChanged.connect(apply_typed)
-    slider.valueChanged.connect(apply_dragged)
-    return ParameterControl(widget=_side_by_side(slider, box), show=show)
-
-
-def _side_by_side(slider: QSlider | None, box: QWidget) -> QWidget:
-    both = QWidget()
-    row = QHBoxLayout(both)
-    row.setContentsMargins(0, 0, 0, 0)
-    if slider is not None:
-        row.addWidget(slider, 1)
-    row.addWidget(box, int(slider is None))
-    return both
+    bend = _BEND if _MANY <= setting.high - setting.low <= _TOO_MANY else 0.0
+    return _with_slider(box, lambda new: box.setValue(round(new)), value, setting, edited, bend)
 
 
 def _number(value: float, setting: Setting, edited: Callable[[Value], None]) -> ParameterControl:
-    """Return a spin box, with a slider where the range has two ends."""
     box = QDoubleSpinBox()
     low, high = max(setting.low, -_WIDEST), min(setting.high, _WIDEST)
-    bounded = math.isfinite(setting.low) and math.isfinite(setting.high)
-    step = setting.step or ((high - low) / 10 if bounded else 0.1)
+    is_bounded = math.isfinite(setting.low) and math.isfinite(setting.high)
+    step = setting.step or ((high - low) / 10 if is_bounded else 0.1)
     box.setDecimals(max(2, min(6, 2 - math.floor(math.log10(step)))))
     box.setRange(low, high)
     box.setSingleStep(step)
+    return _with_slider(box, box.setValue, value, setting, edited, float(is_bounded))
+
+
+def _with_slider(
+    box: QSpinBox | QDoubleSpinBox, put: Callable[[float], object], value: float, setting: Setting,
+    edited: Callable[[Value], None], bend: float,
+) -> ParameterControl:  # fmt: skip
+    """Return a spin box with a slider whose values grow by the power `bend`; without one for 0."""
     box.setKeyboardTracking(False)
-    box.setValue(value)
-    slider = QSlider(Qt.Orientation.Horizontal)
+    put(value)
+    box.valueChanged.connect(edited)
+    both, slider = QWidget(), QSlider(Qt.Orientation.Horizontal)
+    row = QHBoxLayout(both)
+    row.setContentsMargins(0, 0, 0, 0)
+    if not bend:
+        row.addWidget(box, 1)
+        control = _quiet(box, put)
+        return ParameterControl(widget=both, show=control.show)
+    low, span = setting.low, setting.high - setting.low
     slider.setRange(0, _SLIDER_STEPS)
-    slider.setMinimumWidth(40)
+    slider.setMinimumWidth(_SLIDER_PX)
 
     def place_slider(new: float) -> None:
-        if bounded:
-            with QSignalBlocker(slider):
-                slider.setValue(round((new - low) / (high - low) * _SLIDER_STEPS))
-
-    def apply_typed(new: float) -> None:
-        place_slider(new)
-        edited(new)
-
-    def apply_dragged(at: int) -> None:
-        box.setValue(low + (high - low) * at / _SLIDER_STEPS)
+        with QSignalBlocker(slider):
+            slider.setValue(round(((new - low) / span) ** (1 / bend) * _SLIDER_STEPS))
 
     def show(new: Value) -> None:
         with QSignalBlocker(box):
-            box.setValue(float(new))
+            put(float(new))
         place_slider(float(new))
 
     place_slider(value)
-    box.valueChanged.connect(apply_typed)
-    slider.valueChanged.connect(apply_dragged)
-    return ParameterControl(widget=_side_by_side(slider if bounded else None, box), show=show)
+    box.valueChanged.connect(place_slider)
+    slider.valueChanged.connect(lambda at: put(low + span * (at / _SLIDER_STEPS) ** bend))
+    row.addWidget(slider, 1)
+    row.addWidget(box)
+    return ParameterControl(widget=both, show=show)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, cast
 
@@ -32,6 +32,10 @@ _N_CAMERA = 10  # numbers of a 3D view: position (3), focal point (3), view-up (
 _SectionMm = Annotated[float, Meta(ge=-1000.0, le=1000.0)]  # of the section line's ends; beyond any sensor
 PATH_FIELDS = ("recording", "reference", "calibration", "mesh", "alignment")
 _TEXT_FIELDS = ("source", "target", "stream", "route", "mesh_unit")
+_PLAIN_FIELDS = (
+    *_TEXT_FIELDS, "depth_unit", "cameras_linked", "offsets", "layout", "methods", "notes", "comparison", "cameras",
+    "tick",
+)  # fmt: skip
 REQUEST_FIELDS = (*PATH_FIELDS, *_TEXT_FIELDS, "depth_unit")  # fields that a session and a request share
 _OFFSET_FIELDS = frozenset({"source", "target", "stream", "alignment"})  # offsets are valid only for these values
 
@@ -116,26 +120,17 @@ def save_session(session: Session, path: Path, contents: Mapping[str, str] | Non
 
 
 def _plain(session: Session, folder: Path) -> dict[str, Any]:
-    data: dict[str, Any] = {
-        "tactoscope session": _VERSION,
-        "frame": max(0, session.frame),
-        "cameras_linked": session.cameras_linked,
-    }
-    data |= {name: getattr(session, name) for name in (*_TEXT_FIELDS, "depth_unit")}
+    data: dict[str, Any] = {"tactoscope session": _VERSION, "frame": max(0, session.frame)}
+    data |= {name: to_plain(getattr(session, name)) for name in _PLAIN_FIELDS}
     for name in PATH_FIELDS:
         value: Path | None = getattr(session, name)
         data[name] = None if value is None else _relative(value, folder)
-    data["offsets"], data["layout"] = asdict(session.offsets), to_plain(session.layout)
-    data["methods"] = dict(session.methods)
     data["weights"] = {stage: _relative(file, folder) for stage, file in session.weights.items()}
     data["params"] = {
         key: {name: value for name, (value, _) in list_settings(params).items()}
         for key, params in session.params.items()
     }
-    data["notes"] = {str(frame): text for frame, text in sorted(session.notes.items())}
-    data["comparison"], data["cameras"] = to_plain(session.comparison), {n: list(c) for n, c in session.cameras.items()}
     data["section"] = None if session.section is None else session.section.plain
-    data["tick"] = session.tick
     data["variant"] = None if session.variant is None else _plain(replace(session.variant, variant=None), folder)
     return data
 
@@ -157,12 +152,12 @@ class _SessionFile(msgspec.Struct, kw_only=True):
     mesh: FileName | None = None
     alignment: FileName | None = None
     offsets: Offsets
-    layout: Layout | None = None
+    layout: Layout = msgspec.field(default_factory=Layout)
     methods: dict[Name, Name] = {}
     weights: dict[Name, FileName] = {}
     params: dict[Name, dict[Name, Plain]] = {}
     notes: dict[Annotated[int, Meta(ge=0)], Note] = {}
-    comparison: ComparisonSettings | None = None
+    comparison: ComparisonSettings = msgspec.field(default_factory=ComparisonSettings)
     variant: dict[str, object] | None = None
     cameras: dict[Name, Annotated[tuple[Number, ...], Meta(min_length=_N_CAMERA, max_length=_N_CAMERA)]] = {}
     section: tuple[_SectionMm, _SectionMm, _SectionMm, _SectionMm] | None = None
@@ -188,20 +183,11 @@ def _parse_session(data: object, path: Path, catalogue: Catalogue) -> Session:
     files = {name: getattr(said, name) for name in PATH_FIELDS}
     return Session(
         **{name: None if file is None else path.parent / file for name, file in files.items()},
-        **{name: getattr(said, name) for name in _TEXT_FIELDS},
-        depth_unit=said.depth_unit,
+        **{name: getattr(said, name) for name in _PLAIN_FIELDS},
         frame=said.frame,
-        offsets=said.offsets,
-        layout=said.layout or Layout(),
-        cameras_linked=said.cameras_linked,
-        methods=said.methods,
         weights={stage: path.parent / file for stage, file in said.weights.items()},
         params=_params(said.params, path, catalogue),
-        notes=said.notes,
-        comparison=said.comparison or ComparisonSettings(),
         variant=None if said.variant is None else _parse_session({**said.variant, "variant": None}, path, catalogue),
-        cameras=said.cameras,
-        tick=said.tick,
         section=None if said.section is None else SectionLine(begin_mm=said.section[:2], end_mm=said.section[2:]),
     )
 

@@ -73,7 +73,9 @@ class ErrorAttributionController(QObject):
             return
         self._shares = result.shares
         parts = [(part.title, part.share) for part in result.shares]
-        self._panel.show_attribution(result.summary, make_bars(result.total, parts, result.remainder), result.unit)
+        self._panel.show_attribution(
+            result.summary, make_bars("this frame's error", result.total, parts, result.remainder), result.unit
+        )
 
     def _toggle_truth(self, share: int) -> None:
         """Pin the truth of the stage of a share in its column's head; a pinned stage is computed again."""

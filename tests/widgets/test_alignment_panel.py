@@ -72,7 +72,7 @@ def test_gauges_keep_a_tick_where_the_drag_began(panel):
     panel.show_score(None, "there is nothing to compare with")
     assert panel.gauges["iou"].ghost == 0.8
     assert [g.text for g in panel.gauges.values()] == ["-", "-", "-"]
-    assert panel.no_score_reason == "there is nothing to compare with"
+    assert panel.no_score_reason.text() == "there is nothing to compare with"
 
 
 def test_gauges_have_units_and_survive_figures_beyond_their_limits(panel):

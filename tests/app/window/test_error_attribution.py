@@ -73,5 +73,5 @@ def test_a_frame_without_truth_has_no_attribution(bubble_window, qtbot):
 
 
 def test_each_bar_begins_where_the_one_before_it_ended():
-    shown = make_bars(1.0, (("depth", 0.3), ("drawing", -0.1)), 0.8)
+    shown = make_bars("error", 1.0, (("depth", 0.3), ("drawing", -0.1)), 0.8)
     assert [(round(b.begin, 3), round(b.end, 3)) for b in shown] == [(0.0, 1.0), (1.0, 0.7), (0.7, 0.8), (0.0, 0.8)]
