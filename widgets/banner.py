@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from PyQt6.QtCore import QEvent, Qt
-from PyQt6.QtGui import QGuiApplication
 from PyQt6.QtWidgets import (
     QFrame,
     QHBoxLayout,
@@ -19,7 +18,7 @@ from PyQt6.QtWidgets import (
 
 from widgets.choice_buttons import Choice, make_choice_button
 from widgets.icons import StateIcon
-from widgets.styling import EventListener, make_single_shot_timer
+from widgets.styling import EventListener, copy_text, make_single_shot_timer
 from widgets.theme import is_dark
 
 _READ_MS = 30_000  # until an error leaves; the log keeps it
@@ -109,6 +108,4 @@ class Banner(QFrame):
 
     def copy_report(self) -> None:
         """Copy sentence and details to the clipboard."""
-        clipboard = QGuiApplication.clipboard()
-        if clipboard is not None:
-            clipboard.setText(f"{self.text}\n\n{self.details}".strip() + "\n")
+        copy_text(f"{self.text}\n\n{self.details}".strip() + "\n")

@@ -11,7 +11,6 @@ from PyQt6.QtWidgets import (
     QComboBox,
     QHeaderView,
     QLabel,
-    QLineEdit,
     QTableView,
     QVBoxLayout,
     QWidget,
@@ -23,9 +22,13 @@ from widgets.frame_summary import THUMBNAIL_PX
 from widgets.frames_filter import FramesFilter, get_limits, replace_limits
 from widgets.frames_model import CAUSE, CONTACT, DEPTH, FRAME, METRIC, NOTE, SORT_ROLE, WARNINGS, FramesModel
 from widgets.metric_histogram import MetricHistogram
-from widgets.styling import EventListener, make_single_shot_timer, set_spacing
+from widgets.styling import EventListener, make_search_line, make_single_shot_timer, set_spacing
 from widgets.table_copier import prepare_table
 
+_HINT = "filter: >0.3, <2, contact, warned, noted, a word"
+_FILTER_TIP = (
+    "Frames that match all terms: a limit of the metric, contact, warned, noted, or a word of a note or a warning"
+)
 _HISTOGRAM_DELAY_MS = 60  # values that arrive within it are drawn together
 
 
@@ -42,13 +45,8 @@ class FramesPanel(QWidget):
         self._sorted.setSortRole(SORT_ROLE)
         self._frame = 0
         self.metric_box = ChoiceBox("frames_figure", "metric of the frames")
-        self._told, self.filter_line = QLabel(), QLineEdit()
-        self.filter_line.setObjectName("frames_filter")
-        self.filter_line.setAccessibleName("filter of the frames")
-        self.filter_line.setPlaceholderText("filter: >0.3, <2, contact, warned, noted, a word")
-        self.filter_line.setToolTip("Frames that match all terms: a limit of the metric, contact, warned, "
-                               "noted, or a word of a note or a warning")  # fmt: skip
-        self.filter_line.setClearButtonEnabled(True)
+        self._told = QLabel()
+        self.filter_line = make_search_line("frames_filter", "filter of the frames", _HINT, _FILTER_TIP)
         self.filter_line.textChanged.connect(self._filter)
         self.metric_box.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
         resize_font(self._told)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from PyQt6.QtWidgets import QFrame, QHBoxLayout, QLabel, QPushButton, QSizePolicy, QWidget
+from PyQt6.QtWidgets import QFrame, QHBoxLayout, QLabel, QSizePolicy, QWidget
 
-from widgets.styling import make_bold
+from widgets.styling import make_bold, make_button
 
 
 class LiveBar(QFrame):
@@ -19,16 +19,13 @@ class LiveBar(QFrame):
         make_bold(self._wrong)
         self._rates.setToolTip("frames per second over the last two seconds; lost: counted by the sensor")
         self._wrong.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
-        self.follow, self.zero = QPushButton("Follow"), QPushButton("Set zero")
-        self.record, self.stop = QPushButton("Record…"), QPushButton("Stop")
-        for button, tip in (
-            (self.follow, "Follow the newest frame"),
-            (self.zero, "Use the last frames as the reference image; nothing may touch the sensor"),
-            (self.record, "Record every frame to a file that can be opened at any time"),
-            (self.stop, "Disconnect the sensor; the frames stay on screen"),
-        ):
-            button.setToolTip(tip)
-            button.setObjectName(f"live_{button.text().split(maxsplit=1)[0].strip('…').lower()}")
+        zero_tip = "Use the last frames as the reference image; nothing may touch the sensor"
+        self.follow = make_button("Follow", "live_follow", "Follow the newest frame")
+        self.zero = make_button("Set zero", "live_set", zero_tip)
+        self.record = make_button(
+            "Record…", "live_record", "Record every frame to a file that can be opened at any time"
+        )
+        self.stop = make_button("Stop", "live_stop", "Disconnect the sensor; the frames stay on screen")
         self.follow.setCheckable(True)
         self.record.setCheckable(True)
         row = QHBoxLayout(self)

@@ -90,4 +90,4 @@ def _wide(room: QSize, around: QSize, tall: float) -> tuple[float, float]:
 
 def _around(column: StageColumn) -> QSize:
     """Return the size of a column without its image."""
-    return column.size() - column.view.canvas_size_px
+    return column.size() - column.view.canvas.size()

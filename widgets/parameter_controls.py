@@ -209,9 +209,12 @@ def _with_slider(
             put(float(new))
         place_slider(float(new))
 
+    def apply_dragged(at: int) -> None:
+        put(low + span * (at / _SLIDER_STEPS) ** bend)
+
     place_slider(value)
     box.valueChanged.connect(place_slider)
-    slider.valueChanged.connect(lambda at: put(low + span * (at / _SLIDER_STEPS) ** bend))
+    slider.valueChanged.connect(apply_dragged)
     row.addWidget(slider, 1)
     row.addWidget(box)
     return ParameterControl(widget=both, show=show)

@@ -37,24 +37,24 @@ class PreviewView(QWidget):
         self.canvas = Canvas()
         self.overlay = ComparisonOverlay(self.canvas)
         self.colour_bar = ColourBar()
-        self._caption = FixedSizeLabel()
-        self._caption.setAlignment(Qt.AlignmentFlag.AlignTop | Qt.AlignmentFlag.AlignLeft)
-        self._message = QLabel(self.canvas)
-        self._message.setWordWrap(True)
-        self._message.setAlignment(Qt.AlignmentFlag.AlignCenter)
-        self._message.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
-        self._message.setAutoFillBackground(True)
-        self._message.hide()
+        self.caption = FixedSizeLabel()
+        self.caption.setAlignment(Qt.AlignmentFlag.AlignTop | Qt.AlignmentFlag.AlignLeft)
+        self.message = QLabel(self.canvas)
+        self.message.setWordWrap(True)
+        self.message.setAlignment(Qt.AlignmentFlag.AlignCenter)
+        self.message.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
+        self.message.setAutoFillBackground(True)
+        self.message.hide()
         self.text_area = QWidget()  # all text about the image
         column = set_spacing(QVBoxLayout(self.text_area), 2)
         column.addWidget(self.colour_bar)
-        column.addWidget(self._caption)
+        column.addWidget(self.caption)
         column.addStretch(1)
         self._both = set_spacing(QBoxLayout(QBoxLayout.Direction.TopToBottom, self), 2)
         self._both.addWidget(self.canvas, 1)
         self._both.addWidget(self.text_area)
-        resize_font(self._caption)
-        self.set_caption_lines(2)
+        resize_font(self.caption)
+        self.caption.set_lines(2)
         self.canvas.mouse_moved.connect(self._report_hover)
         self.canvas.mouse_left.connect(lambda: self.pixel_hovered.emit(-1, -1))
         self.canvas.clicked.connect(self._report_click)
@@ -69,20 +69,6 @@ class PreviewView(QWidget):
             self.text_area.setFixedWidth(SIDE_TEXT_PX) if at_side else self.text_area.setMaximumWidth(_NO_LIMIT)
             self.text_area.setMinimumWidth(SIDE_TEXT_PX if at_side else 0)
 
-    def set_caption_lines(self, lines: int) -> None:
-        """Set the number of caption lines."""
-        self._caption.set_lines(lines)
-
-    @property
-    def message(self) -> str:
-        """The message over the image."""
-        return self._message.text()
-
-    @property
-    def crosshair(self) -> tuple[int, int] | None:
-        """The probe's crosshair, (row, col)."""
-        return self.canvas.crosshair
-
     def show_preview(self, picture: Preview | None) -> None:
         """Show a preview, None for none; the view changes only with the number of pixels."""
         if picture is self.preview:
@@ -93,17 +79,27 @@ class PreviewView(QWidget):
         if picture is None:
             self.overlay.clear()
             self.colour_bar.show_scale(None)
-            self._caption.setText("")
+            self.caption.setText("")
             return
         self.colour_bar.show_scale(picture.scale, picture.values)
-        self._caption.setText(picture.caption)
-        self._caption.setToolTip(picture.caption)
+        self.caption.setText(picture.caption)
+        self.caption.setToolTip(picture.caption)
         shape = (picture.pixels.shape[0], picture.pixels.shape[1])
         if shape != self._shape:
             self._shape = shape
             self.shape_changed.emit()
         if other:
             self.scale_changed.emit()
+
+    def show_compared(self, preview: Preview, truth: Preview | None, difference: Preview | None, mode: str) -> None:
+        """Show a preview, or where known its truth, their difference, or both by wipe or blink; "" = itself."""
+        self.show_preview({"truth": truth, "difference": difference}.get(mode) or preview)
+        if truth is not None and mode == "wipe":
+            self.overlay.show_wipe(truth)
+        elif truth is not None and mode == "blink":
+            self.overlay.show_blink(truth)
+        else:
+            self.overlay.clear()
 
     @property
     def has_colour_scale(self) -> bool:
@@ -112,33 +108,16 @@ class PreviewView(QWidget):
 
     def show_message(self, text: str) -> None:
         """Show a message over the image (why it was skipped, or that it is out of date); "" removes it."""
-        if text == self._message.text():
+        if text == self.message.text():
             return
-        self._message.setText(text)
-        self._message.setVisible(bool(text))
+        self.message.setText(text)
+        self.message.setVisible(bool(text))
         self._place_message()
-
-    def set_dimmed(self, dimmed: bool) -> None:
-        """Fade the image while a newer one is computed."""
-        self.canvas.set_dimmed(dimmed)
-
-    def show_crosshair(self, pixel: tuple[int, int] | None, tag: str = "") -> None:
-        """Show the probe's crosshair at (row, col) with its value; None hides it."""
-        self.canvas.show_crosshair(pixel, tag)
-
-    @property
-    def canvas_size_px(self) -> QSize:
-        """Size of the image area."""
-        return self.canvas.size()
 
     @property
     def height_over_width(self) -> float:
         """Rows over columns of the image, or of a typical camera while there is none."""
         return self._shape[0] / self._shape[1] if self._shape is not None else 0.75
-
-    def reset_view(self) -> None:
-        """Fit the whole image."""
-        self.canvas.fit_view()
 
     def fit_to_box(self, box_px: tuple[float, float, float, float]) -> None:
         """Fit a part of the image, given by left, top, right and bottom in pixels, with a margin."""
@@ -161,12 +140,12 @@ class PreviewView(QWidget):
         return QSize(200, 220)
 
     def _place_message(self) -> None:
-        if self._message.isHidden():
+        if self.message.isHidden():
             return
         room = self.canvas.size()
         width = max(60, room.width() - 12)
-        height = min(room.height() - 8, max(20, self._message.heightForWidth(width) + 4))
-        self._message.setGeometry((room.width() - width) // 2, (room.height() - height) // 2, width, height)
+        height = min(room.height() - 8, max(20, self.message.heightForWidth(width) + 4))
+        self.message.setGeometry((room.width() - width) // 2, (room.height() - height) // 2, width, height)
 
     def _pixel_at(self, place: QPointF) -> tuple[int, int] | None:
         point = self.canvas.to_image(place)

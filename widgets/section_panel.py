@@ -5,11 +5,9 @@ from __future__ import annotations
 from PyQt6.QtCore import QSignalBlocker, pyqtSignal
 from PyQt6.QtGui import QAction
 from PyQt6.QtWidgets import (
-    QApplication,
     QDoubleSpinBox,
     QHBoxLayout,
     QLabel,
-    QPushButton,
     QVBoxLayout,
     QWidget,
 )
@@ -18,7 +16,7 @@ from pipeline.translation.cross_section import CrossSection, SectionLine, format
 from widgets.choice_box import ChoiceBox
 from widgets.fixed_size_label import FixedSizeLabel
 from widgets.section_plot import SectionPlot
-from widgets.styling import make_command_button, set_spacing
+from widgets.styling import copy_text, make_button, make_command_button, set_spacing
 
 _NAMES = ("A, mm", "", "B, mm", "")
 _TIPS = ("across", "down", "across", "down")
@@ -35,13 +33,12 @@ class SectionPanel(QWidget):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self.plot, self.message, self.copy = SectionPlot(), FixedSizeLabel(_OFF), QPushButton("Copy CSV")
+        self.plot, self.message = SectionPlot(), FixedSizeLabel(_OFF)
         self.line: SectionLine | None = None
-        self.command = QPushButton("Copy command")
-        self.command.setObjectName("section_command")
-        self.command.setToolTip("Copy the command line that writes this table")
-        self.copy.setObjectName("section_copy")
-        self.copy.setToolTip("Copy the curves as a table: mm along the line, and mm of indentation for every stage")
+        tip = "Copy the curves as a table: mm along the line, and mm of indentation for every stage"
+        self.copy = make_button("Copy CSV", "section_copy", tip)
+        tip = "Copy the command line that writes this table"
+        self.command = make_button("Copy command", "section_command", tip)
         self._head = set_spacing(QHBoxLayout(), 5)
         self.ends: list[QDoubleSpinBox] = []
         for k, (name, tip) in enumerate(zip(_NAMES, _TIPS, strict=True)):
@@ -98,6 +95,5 @@ class SectionPanel(QWidget):
         self.line_typed.emit(SectionLine(begin_mm=(x0, y0), end_mm=(x1, y1)))
 
     def _copy(self) -> None:
-        board = QApplication.clipboard()
-        if board is not None and self.plot.section is not None:
-            board.setText(format_csv(self.plot.section))
+        if self.plot.section is not None:
+            copy_text(format_csv(self.plot.section))

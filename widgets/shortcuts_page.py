@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from PyQt6.QtGui import QAction, QKeySequence
-from PyQt6.QtWidgets import QDialog, QHeaderView, QLineEdit, QTableWidget, QTableWidgetItem, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QDialog, QHeaderView, QTableWidget, QTableWidgetItem, QVBoxLayout, QWidget
 
-from widgets.styling import set_spacing
+from widgets.styling import make_search_line, set_spacing
 from widgets.table_copier import TableCopier, prepare_table
 
 _SIZE_PX = 760, 560
@@ -22,10 +22,9 @@ class ShortcutsPage(QDialog):
         super().__init__(parent)
         self.setWindowTitle("Commands and shortcuts")
         self.setObjectName("shortcuts")
-        self.line, self.table = QLineEdit(), QTableWidget(0, len(_TITLES))
-        self.line.setPlaceholderText("search: a command, a key, a word")
-        self.line.setAccessibleName("search of the commands")
-        self.line.setClearButtonEnabled(True)
+        hint = "search: a command, a key, a word"
+        self.line = make_search_line("shortcuts_search", "search of the commands", hint)
+        self.table = QTableWidget(0, len(_TITLES))
         self.line.textChanged.connect(self._filter)
         columns = prepare_table(self.table, "shortcuts_table", "commands and shortcuts")
         self.table.setHorizontalHeaderLabels(_TITLES)

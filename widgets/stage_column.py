@@ -125,7 +125,7 @@ class StageColumn(QFrame):
 
     def _show_lines(self, lines: int) -> None:
         """Reserve the lines of caption and note whether they are used or not: previews stay aligned."""
-        self.view.set_caption_lines(lines)
+        self.view.caption.set_lines(lines)
         self._note.set_lines(lines)
 
     def _fit_time(self) -> None:
@@ -183,7 +183,7 @@ class StageColumn(QFrame):
             first = notes[0] if notes and state not in ("skipped", "failed") else ""
             self._note.setText(badge or _AN_END.split(first, maxsplit=1)[0])
         old = state in ("stale", "running", "failed") and self.view.preview is not None
-        self.view.set_dimmed(old)
+        self.view.canvas.set_dimmed(old)
         self.view.show_message(self._message(state, notes))
 
     def show_result(
@@ -204,7 +204,7 @@ class StageColumn(QFrame):
 
     def compute_preferred_height_px(self) -> int:
         """Return the height at which the preview fills the column's width."""
-        room = self.view.canvas_size_px
+        room = self.view.canvas.size()
         return self.height() - room.height() + math.ceil(room.width() * self.view.height_over_width)
 
     def _message(self, state: str, notes: tuple[str, ...]) -> str:

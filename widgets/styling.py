@@ -6,8 +6,8 @@ from collections.abc import Callable
 from typing import TypeVar
 
 from PyQt6.QtCore import QEvent, QObject, QTimer
-from PyQt6.QtGui import QAction, QPalette
-from PyQt6.QtWidgets import QLabel, QLayout, QToolButton, QWidget
+from PyQt6.QtGui import QAction, QGuiApplication, QPalette
+from PyQt6.QtWidgets import QLabel, QLayout, QLineEdit, QPushButton, QToolButton, QWidget
 
 from pipeline.previews.colours import Rgb
 from widgets.icons import make_command_icon
@@ -61,6 +61,32 @@ def make_command_button(action: QAction) -> QToolButton:
     button.setDefaultAction(action)
     button.setAutoRaise(True)
     return button
+
+
+def make_button(text: str, name: str, tip: str = "") -> QPushButton:
+    """Return a button with a text, an object name and a tooltip."""
+    button = QPushButton(text)
+    button.setObjectName(name)
+    button.setToolTip(tip)
+    return button
+
+
+def make_search_line(name: str, description: str, placeholder: str, tip: str = "") -> QLineEdit:
+    """Return a line for a search or filter, with a button that clears it."""
+    line = QLineEdit()
+    line.setObjectName(name)
+    line.setAccessibleName(description)
+    line.setPlaceholderText(placeholder)
+    line.setToolTip(tip)
+    line.setClearButtonEnabled(True)
+    return line
+
+
+def copy_text(text: str) -> None:
+    """Put a text on the clipboard."""
+    clipboard = QGuiApplication.clipboard()
+    if clipboard is not None:
+        clipboard.setText(text)
 
 
 def make_icon_button(icon: str, name: str, tip: str) -> QToolButton:

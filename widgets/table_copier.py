@@ -5,8 +5,10 @@ from __future__ import annotations
 from functools import partial
 
 from PyQt6.QtCore import QEvent, QObject, QPoint, Qt
-from PyQt6.QtGui import QGuiApplication, QKeyEvent, QKeySequence
+from PyQt6.QtGui import QKeyEvent, QKeySequence
 from PyQt6.QtWidgets import QAbstractItemView, QHeaderView, QMenu, QTableView, QWidget
+
+from widgets.styling import copy_text
 
 _Role = Qt.ItemDataRole
 
@@ -54,9 +56,7 @@ class TableCopier(QObject):
 
 def copy_table(table: QTableView, *, only_selected: bool = False) -> None:
     """Copy a table as text with tabs, as spreadsheets take it: titles, then the rows in the order on screen."""
-    clipboard = QGuiApplication.clipboard()
-    if clipboard is not None:
-        clipboard.setText(format_table(table, only_selected=only_selected))
+    copy_text(format_table(table, only_selected=only_selected))
 
 
 def format_table(table: QTableView, *, only_selected: bool = False) -> str:

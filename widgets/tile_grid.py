@@ -41,7 +41,7 @@ class TileView(QFrame):
             label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
         self._subtitle.setWordWrap(True)
         self._subtitle.setAlignment(Qt.AlignmentFlag.AlignTop | Qt.AlignmentFlag.AlignLeft)
-        self.view.set_caption_lines(1)
+        self.view.caption.set_lines(1)
         self._text_at_side, self._lines = False, _LINES
         EventListener(self, self._fit_words, QEvent.Type.Resize)  # a narrow tile wraps its metrics
         self._around = set_spacing(QVBoxLayout(self), 2, (3, 3, 3, 2))
@@ -60,7 +60,7 @@ class TileView(QFrame):
             room.insertWidget(at, label)
         self._title.setWordWrap(at_side)
         self.view.place_text(at_side=at_side)
-        self.view.set_caption_lines(3 if at_side else 1)
+        self.view.caption.set_lines(3 if at_side else 1)
         self._fit_words()
 
     def _fit_words(self) -> None:
@@ -89,21 +89,10 @@ class TileView(QFrame):
             label.setText(text)
             label.setToolTip(text)
         versus = versus if versus in ("wipe", "blink") or not tile.default_mode else tile.default_mode
-        shown = tile.preview
-        if tile.truth is not None and versus == "truth":
-            shown = tile.truth
-        elif tile.difference is not None and versus == "difference":
-            shown = tile.difference
-        if shown is not None:
-            self.view.show_preview(shown)
-        self.view.canvas.setVisible(shown is not None or bool(tile.problem))
+        if tile.preview is not None:
+            self.view.show_compared(tile.preview, tile.truth, tile.difference, versus)
+        self.view.canvas.setVisible(tile.preview is not None or bool(tile.problem))
         self.view.show_message(tile.problem)
-        if shown is not None and tile.truth is not None and versus == "wipe":
-            self.view.overlay.show_wipe(tile.truth)
-        elif shown is not None and tile.truth is not None and versus == "blink":
-            self.view.overlay.show_blink(tile.truth)
-        else:
-            self.view.overlay.clear()
 
 
 class TileGrid(QWidget):
@@ -161,7 +150,7 @@ class TileGrid(QWidget):
     def reset_view(self) -> None:
         """Fit every image."""
         for view in self.views:
-            view.view.reset_view()
+            view.view.canvas.fit_view()
 
     def resizeEvent(self, a0: Any) -> None:  # noqa: N802
         """Choose the layout for the new size."""
@@ -237,14 +226,14 @@ class TileGrid(QWidget):
         own = at.view.preview
         if own is None or row < 0:
             for view in self.views:
-                view.view.show_crosshair(None)
+                view.view.canvas.show_crosshair(None)
             self.readout_changed.emit("")
             return
         shape = own.pixels.shape
         for view in self.views:
             there = view.view.preview
             same = there is not None and there.pixels.shape == shape
-            view.view.show_crosshair(
+            view.view.canvas.show_crosshair(
                 (row, col) if same else None, there.format_value(row, col) if same and there else ""
             )
         self.readout_changed.emit(f"{at.tile.title} {own.describe_pixel(row, col)}")

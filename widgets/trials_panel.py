@@ -9,7 +9,6 @@ from PyQt6.QtCore import QModelIndex, Qt, pyqtSignal
 from PyQt6.QtWidgets import (
     QHeaderView,
     QLabel,
-    QLineEdit,
     QTableView,
     QVBoxLayout,
     QWidget,
@@ -17,11 +16,12 @@ from PyQt6.QtWidgets import (
 
 from pipeline.tasks.trial_rows import TrialRow
 from widgets.fonts import resize_font
-from widgets.styling import set_spacing
+from widgets.styling import make_search_line, set_spacing
 from widgets.table_copier import copy_table, prepare_table
 from widgets.trials_model import CAUSE, TRIAL, TrialsFilter, TrialsModel
 
 _HINT = "filter: fails, t2t, hex_key, >0.5, a word"
+_FILTER_TIP = "Trials that match all terms: a limit of the error in mm, or a word of any column"
 _CAUSE_PX = 320
 
 
@@ -34,12 +34,8 @@ class TrialsPanel(QWidget):
         super().__init__(parent)
         self.model, self._listed = TrialsModel(self), TrialsFilter(self)
         self._listed.setSourceModel(self.model)
-        self.filter_line, self.table, self._count = QLineEdit(), QTableView(), QLabel()
-        self.filter_line.setObjectName("trials_filter")
-        self.filter_line.setAccessibleName("filter of the trials")
-        self.filter_line.setPlaceholderText(_HINT)
-        self.filter_line.setToolTip("Trials that match all terms: a limit of the error in mm, or a word of any column")
-        self.filter_line.setClearButtonEnabled(True)
+        self.filter_line = make_search_line("trials_filter", "filter of the trials", _HINT, _FILTER_TIP)
+        self.table, self._count = QTableView(), QLabel()
         self.filter_line.textChanged.connect(self._filter)
         resize_font(self._count)
         resize_font(self.table)

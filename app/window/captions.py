@@ -7,6 +7,7 @@ from html import escape
 from PyQt6.QtGui import QGuiApplication
 
 from app.window.main_window import MainWindow
+from app.window.scene_geometry import get_depth_stretch
 from pipeline.previews.display_params import DisplayParams
 from pipeline.translation.translate import Translation
 from widgets.theme import get_theme_colours, to_hex
@@ -21,13 +22,8 @@ def show_captions(window: MainWindow, opened: Translation, display: DisplayParam
     window.truth_view_panel.caption.set_texts(*_format_captions(opened.target.name, 1.0))
     _show_caption(window.view_panels["source"], _SOURCE_LEGEND, opened.source.name, 1.0)
     for stage in opened.catalogue.stages:
-        sensor = opened.source if stage.sensor_role == "source" else opened.target
-        _show_caption(
-            window.view_panels[stage.name],
-            stage.legend,
-            sensor.name,
-            display.get_depth_stretch(sensor) if stage.exaggerates_indentation else 1.0,
-        )
+        stretch = get_depth_stretch(stage.name, opened, display)
+        _show_caption(window.view_panels[stage.name], stage.legend, opened.get_sensor(stage.name).name, stretch)
 
 
 def _show_caption(panel: View3DPanel, legend: str, frame: str, stretch: float) -> None:

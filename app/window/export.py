@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import cast
 
 from PyQt6.QtCore import QPoint, Qt, QUrl
-from PyQt6.QtGui import QDesktopServices, QGuiApplication
+from PyQt6.QtGui import QDesktopServices
 from PyQt6.QtWidgets import QInputDialog, QMenu
 
 from app.window import dialogs
@@ -26,6 +26,7 @@ from pipeline.reporting.export_request import SHEET, SOURCE, ExportRequest, Pane
 from widgets.choice_buttons import Choice
 from widgets.export_dialog import ExportDialog
 from widgets.notification_bar import NotificationBar
+from widgets.styling import copy_text
 
 _NOT_OPEN = "Nothing to export. Open a recording first."
 _NO_VARIANT = "No session B to compare with. Set B from the current settings or from another recording first."
@@ -121,7 +122,7 @@ class ExportController(BackgroundController):
         self._copy(format_command(replace(request, section=tuple(line.plain))))
 
     def _copy(self, command: str) -> None:
-        _copy_text(command)
+        copy_text(command)
         self.notification.show_notification(f"copied: {command}")
 
     def show_export_dialog(self, pane: str = "") -> None:
@@ -183,7 +184,7 @@ class ExportController(BackgroundController):
         """Offer the folder and the command of the written file."""
         path, command, describe = self._written
         show_folder = partial(QDesktopServices.openUrl, QUrl.fromLocalFile(str(path.parent)))
-        choices: list[Choice] = [("Copy as command", partial(_copy_text, command))] if command else []
+        choices: list[Choice] = [("Copy as command", partial(copy_text, command))] if command else []
         self.notification.show_notification(
             describe(result) if describe is not None else f"written: {escape_text(str(path))}",
             (*choices, ("Show folder", show_folder)),
@@ -220,9 +221,3 @@ class ExportController(BackgroundController):
             assert action is not None
             action.triggered.connect(function)
         menu.popup(column.mapToGlobal(at))
-
-
-def _copy_text(text: str) -> None:
-    clipboard = QGuiApplication.clipboard()
-    if clipboard is not None:
-        clipboard.setText(text)

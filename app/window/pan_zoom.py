@@ -49,7 +49,7 @@ class PanZoomController(QObject):
             if box is not None:
                 view.fit_to_box(box)
             elif not contact:
-                view.reset_view()
+                view.canvas.fit_view()
         if contact and self._link.isChecked():
             self._follow_view("depth")
 
@@ -69,26 +69,18 @@ class PanZoomController(QObject):
         if not self._link.isChecked() or opened is None or view is None or view.preview is None:
             return
         moved = view.preview
-        x_mm, y_mm = _to_mm(moved, _get_sensor(opened, name), view.canvas.centre)
+        x_mm, y_mm = _to_mm(moved, opened.get_sensor(name), view.canvas.centre)
         px_of_mm = view.canvas.scale / moved.pixel_mm
-        at_source = _get_role(opened, name) == "source"
+        at_source = opened.get_role(name) == "source"
         for other, other_panel in self._views.items():
             preview = other_panel.preview
             if other == name or preview is None:
                 continue
             x, y = x_mm, y_mm
-            if (_get_role(opened, other) == "source") != at_source:
+            if (opened.get_role(other) == "source") != at_source:
                 x, y = _transfer_point(opened, (x_mm, y_mm), to_target=at_source)
-            centre = _to_px(preview, _get_sensor(opened, other), x, y)
+            centre = _to_px(preview, opened.get_sensor(other), x, y)
             other_panel.canvas.set_view(centre, px_of_mm * preview.pixel_mm)
-
-
-def _get_role(opened: Translation, name: str) -> str:
-    return "source" if name == SOURCE else opened.catalogue.stage(name).sensor_role
-
-
-def _get_sensor(opened: Translation, name: str) -> SensorSpec:
-    return opened.source if _get_role(opened, name) == "source" else opened.target
 
 
 def _find_axis_px(preview: Preview, sensor: SensorSpec) -> tuple[float, float]:

@@ -157,7 +157,7 @@ class PixelProbe(QObject):
     def _clear_crosshair(self) -> None:
         self._pixel, self._points = None, ()
         for column in self._window.columns.values():
-            column.view.show_crosshair(None)
+            column.view.canvas.show_crosshair(None)
         self._window.trace.show_steps(())
         self._points_timer.start()
 
@@ -179,7 +179,7 @@ class PixelProbe(QObject):
         self._pixel = (column, row, col)
         points, crosses = self.locate(column, row, col)
         for name, shown in self._window.columns.items():
-            shown.view.show_crosshair(crosses[name], self._format_value(name, crosses[name]))
+            shown.view.canvas.show_crosshair(crosses[name], self._format_value(name, crosses[name]))
         steps = [(self._get_title(m.stage), m.text) for m in points]
         ending = "" if points else _NO_SOURCE
         if not self._results or (column != pixel_trace.SOURCE and column not in self._results):

@@ -8,6 +8,7 @@ from functools import partial
 import numpy as np
 from PyQt6.QtCore import QObject, QPointF
 
+from app.window.scene_geometry import get_depth_stretch
 from app.window.session_controller import SessionController
 from pipeline.base.arrays import Doubles
 from pipeline.previews.layers import stretch_depth
@@ -72,15 +73,12 @@ class Probe3DController(QObject):
         opened, preview = self._controller.views.translation, self._window.columns[name].view.preview
         if opened is None or preview is None:
             return None
-        stage = None if name == SOURCE else opened.catalogue.stage(name)
-        sensor = opened.source if stage is None or stage.sensor_role == "source" else opened.target
-        display = self._controller.session.display
-        stretch = display.get_depth_stretch(sensor) if stage is not None and stage.exaggerates_indentation else 1.0
+        sensor, stretch = opened.get_sensor(name), get_depth_stretch(name, opened, self._controller.session.display)
         cached = self._surfaces.get(name)
         if cached is not None and cached.preview is preview and cached.depth_stretch == stretch:
             return cached
         positions = preview.compute_positions_mm()
-        if positions is None and stage is None:  # a gel's image lies on its rest surface
+        if positions is None and name == SOURCE:  # a gel's image lies on its rest surface
             camera = sensor.camera.scale(preview.pixels.shape[1] / sensor.camera.cols)
             positions = camera.back_project(compute_rest_depth_mm(sensor, camera)).astype(np.float32)
         if positions is None:

@@ -41,13 +41,17 @@ def compute_trace_points(
     for point in points:
         if point.point_mm is None or point.stage == SOURCE:
             continue
-        stage = translation.catalogue.stage(point.stage)
-        sensor = translation.source if stage.sensor_role == "source" else translation.target
-        stretch = display.get_depth_stretch(sensor) if stage.exaggerates_indentation else 1.0
+        sensor, stretch = translation.get_sensor(point.stage), get_depth_stretch(point.stage, translation, display)
         positions[point.stage] = _stretch_point(point.point_mm, sensor, stretch)
-        if stage.sensor_role == "source":  # gel images lie on the rest surface, bubble images on the measured one
+        if sensor is translation.source:  # gel images lie on the rest surface, bubble images on the measured one
             positions[SOURCE] = _stretch_point(point.point_mm, sensor, 1.0 if sensor.sensor_kind.is_depth else 0.0)
     return positions
+
+
+def get_depth_stretch(column: str, translation: Translation, display: DisplayParams) -> float:
+    """Return by how much the 3D view of a column exaggerates indentations."""
+    is_stretched = column != SOURCE and translation.catalogue.stage(column).exaggerates_indentation
+    return display.get_depth_stretch(translation.get_sensor(column)) if is_stretched else 1.0
 
 
 def _stretch_point(

@@ -9,11 +9,9 @@ from PyQt6.QtCore import QEvent, QObject, QPointF
 
 from app.window.session_controller import SessionController
 from app.work.stage_previews import SourcePreview, StagePreview
-from pipeline.stages.stage import SensorRole
 from pipeline.translation import cross_section
 from pipeline.translation.cross_section import HeightMap, SectionLine, SectionPlane
 from pipeline.translation.pixel_trace import SOURCE
-from pipeline.translation.translate import Translation
 from pipeline.values.results import DepthMap
 from widgets.section_line_tool import SectionLineTool
 from widgets.styling import EventListener, make_single_shot_timer
@@ -151,13 +149,9 @@ class SectionLineController(QObject):
         opened, preview = self._controller.views.translation, self._views[name].preview
         if opened is None or preview is None:
             return None
-        role = "target" if name == _TRUTH else _get_role(opened, name)
+        role = "target" if name == _TRUTH else opened.get_role(name)
         camera = cross_section.find_image_camera(preview, opened.source if role == "source" else opened.target)
         return cross_section.build_plane(opened, role, camera, self._controller.session.offsets)
-
-
-def _get_role(opened: Translation, name: str) -> SensorRole:
-    return "source" if name == SOURCE else opened.catalogue.stage(name).sensor_role
 
 
 def _make_line(begin_mm: tuple[float, float], end_mm: tuple[float, float]) -> SectionLine | None:

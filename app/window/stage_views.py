@@ -151,18 +151,9 @@ class StageViews:
         return self._shown.get(name)
 
     def _show_preview(self, view: PreviewView, preview: Preview, other: TruthView | None) -> None:
-        """Show a preview, its truth or their difference, as the comparison mode says and if the truth is known."""
-        if other is not None and self.comparison_mode == "truth":
-            preview = other.truth
-        elif other is not None and self.comparison_mode == "difference" and other.difference_to_truth is not None:
-            preview = other.difference_to_truth
-        view.show_preview(preview)
-        if other is not None and self.comparison_mode == "wipe":
-            view.overlay.show_wipe(other.truth)
-        elif other is not None and self.comparison_mode == "blink":
-            view.overlay.show_blink(other.truth)
-        else:
-            view.overlay.clear()
+        """Show a preview and what is known of its truth in the comparison mode."""
+        truth, difference = (None, None) if other is None else (other.truth, other.difference_to_truth)
+        view.show_compared(preview, truth, difference, self.comparison_mode)
 
     def _show_truth(self, part: StagePreview) -> None:
         """Show the truth of the generated touch in the column of the Demo layout."""

@@ -18,7 +18,6 @@ from pipeline.base.errors import SettingProblem
 from pipeline.previews.layers import Layer
 from pipeline.previews.preview import Preview, add_observed_outline, enlarge_preview
 from pipeline.sensors.offsets import Offsets, decompose_motion
-from pipeline.stages.stage import PreviewContext
 from pipeline.stages.target_depth import stage as target_depth
 from pipeline.stages.target_depth.surface_projection import ProjectionParams
 from pipeline.translation.translate import Translation, open_translation
@@ -71,7 +70,7 @@ def draw_before_and_after(
     """Draw the target depth under the session's and the proposed offsets, minus the target's own touch if known."""
     opened, frame = evaluator.compare_with_target(session, report)
     params = get_projection_params(session)
-    context = PreviewContext(outputs={}, source=opened.source, target=opened.target, mesh=None, display=session.display)
+    context = opened.make_preview_context({}, session.display)
 
     def draw_preview(offsets: Offsets) -> Preview:
         preview = target_depth.make_preview(frame.project_touch(offsets.apply_to(opened.alignment), params), context)
@@ -94,7 +93,7 @@ def preview_drag(evaluator: Evaluator, session: Session, report: JobReporter) ->
     opened, frame = evaluator.compare_with_target(session, report)
     report.step(0.5, "previewing the alignment")
     depth, score = frame.preview_alignment(session.offsets.apply_to(opened.alignment), get_projection_params(session))
-    context = PreviewContext(outputs={}, source=opened.source, target=opened.target, mesh=None, display=session.display)
+    context = opened.make_preview_context({}, session.display)
     small = target_depth.make_preview(depth, context)
     preview = enlarge_preview(small, opened.target.camera.shape)
     observed = (

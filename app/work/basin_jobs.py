@@ -13,7 +13,6 @@ from pipeline.previews.preview import Preview
 from pipeline.registration.basin_map import NO_MINIMUM, ShiftAxis, StartBasins
 from pipeline.stages.pose.basin_map import compute_basin_map
 from pipeline.stages.pose.signed_distances import PoseParams
-from pipeline.stages.stage import PreviewContext
 from pipeline.translation.translate import Translation
 from pipeline.values.results import DepthMap, ObjectPose
 
@@ -38,10 +37,8 @@ class BasinMapResult:
             pose, sensor_from_object=self.basins.poses[row, col], fitness=answer.fitness,
             rmse_mm=float(self.basins.rmse_mm[row, col]),
         )  # fmt: skip
-        context = PreviewContext(
-            outputs={name: result.output for name, result in self.results.items()}, source=self.translation.source,
-            target=self.translation.target, mesh=self.translation.mesh, display=self.display,
-        )  # fmt: skip
+        outputs = {name: result.output for name, result in self.results.items()}
+        context = self.translation.make_preview_context(outputs, self.display)
         return self.translation.catalogue.stage("pose").make_preview(end_pose, context)
 
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from pipeline.calibration.force_scale import ForceScale, load_force_scale
 from pipeline.engine.graph import Graph, Method, StageResult
 from pipeline.geometry.meshes import Mesh, load_mesh
 from pipeline.networks.weights import NoWeights
+from pipeline.previews.display_params import DisplayParams
 from pipeline.recordings import open_recording
 from pipeline.recordings.depth_arrays import DepthUnit
 from pipeline.sensors import alignment as alignments
@@ -27,7 +28,7 @@ from pipeline.sensors.alignment import Alignment, shift_alignment_along_z
 from pipeline.sensors.alignment_files import load_alignment
 from pipeline.sensors.offsets import Offsets
 from pipeline.sensors.spec import SensorSpec, load_sensor
-from pipeline.stages.stage import GroundTruth, Stage
+from pipeline.stages.stage import GroundTruth, PreviewContext, SensorRole, Stage
 from pipeline.stages.truth_method import TRUTH, get_input_name
 from pipeline.translation.catalogue import BUILT_IN, Catalogue
 from pipeline.translation.frame_selection import select_context_images
@@ -91,6 +92,20 @@ class Translation:
     def stages(self) -> tuple[str, ...]:
         """The stages of the route, in order."""
         return tuple(method.stage for method in self.methods)
+
+    def get_role(self, column: str) -> SensorRole:
+        """Return whose frame a column is in: "source" or the name of a stage."""
+        return "source" if column == "source" else self.catalogue.stage(column).sensor_role
+
+    def get_sensor(self, column: str) -> SensorSpec:
+        """Return the sensor whose frame a column is in."""
+        return self.source if self.get_role(column) == "source" else self.target
+
+    def make_preview_context(self, outputs: Mapping[str, Any], display: DisplayParams) -> PreviewContext:
+        """Return what previews are drawn from, with these values of the stages computed so far."""
+        return PreviewContext(
+            outputs=outputs, source=self.source, target=self.target, mesh=self.mesh, display=display
+        )  # fmt: skip
 
     def reload_frames(self) -> Translation:
         """Return the translation with the frames that a growing recording has gained."""

@@ -90,10 +90,10 @@ def test_a_crosshair_that_moves_draws_no_picture_anew(view, qtbot):
     view.canvas.repaint()
     before = view.canvas.n_renders
     for row in range(5):
-        view.show_crosshair((row, row), f"{row} mm")
+        view.canvas.show_crosshair((row, row), f"{row} mm")
         view.canvas.repaint()
     assert view.canvas.n_renders == before
-    view.set_dimmed(True)
+    view.canvas.set_dimmed(True)
     view.canvas.repaint()
     assert view.canvas.n_renders == before + 1
 
@@ -137,9 +137,9 @@ def test_a_stale_column_keeps_its_picture_and_says_updating(qtbot):
     qtbot.addWidget(column)
     column.view.show_preview(a_picture())
     column.show_state("computed", 12.0)
-    assert column.view.message == ""
+    assert column.view.message.text() == ""
     column.show_state("stale")
-    assert column.view.message == "updating"
+    assert column.view.message.text() == "updating"
     assert column.view.preview is not None
 
 
@@ -147,7 +147,7 @@ def test_a_skipped_column_shows_its_first_note(qtbot):
     column = StageColumn("pose", "Pose")
     qtbot.addWidget(column)
     column.show_state("skipped", 0.1, ("no mesh", "more"))
-    assert column.view.message == "no mesh"
+    assert column.view.message.text() == "no mesh"
 
 
 def test_a_column_reads_its_first_note_out_in_short(qtbot):

@@ -82,10 +82,10 @@ def test_the_pose_distance_has_its_own_limit(bubble_window):
 def test_a_pixel_outside_a_smaller_image_is_unpinned(bubble_window):
     controller = bubble_window
     controller.probe.toggle_pin("target_depth", 100, 400)
-    assert controller.window.columns["target_depth"].view.crosshair == (100, 400)
+    assert controller.window.columns["target_depth"].view.canvas.crosshair == (100, 400)
     controller.change("another target", target="digit")  # 240 pixels wide
     assert wait_until_shown(controller, 240)
-    assert controller.window.columns["target_depth"].view.crosshair is None
+    assert controller.window.columns["target_depth"].view.canvas.crosshair is None
     assert "pinned" not in controller.window.trace.text
 
 

@@ -94,7 +94,7 @@ def test_one_key_shows_the_difference_and_all_views_pan_together(compared):
     views[1].view.view_changed.emit()
     assert {(v.view.canvas.centre.x(), v.view.canvas.centre.y(), v.view.canvas.scale) for v in views} == {(100, 60, 2)}
     views[2].view.pixel_hovered.emit(60, 100)
-    assert all(v.view.crosshair == (60, 100) for v in views)
+    assert all(v.view.canvas.crosshair == (60, 100) for v in views)
     assert views[2].tile.title in instrument.window.readout.text()
 
 

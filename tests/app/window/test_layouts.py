@@ -47,7 +47,7 @@ def test_panes_have_room_with_any_drawer_open(bubble_window, qtbot):
             drawer.toggleViewAction().trigger()
 
             def roomy(size=size, wide=wide, high=high) -> bool:
-                shown = [min(v.canvas_size_px.width(), v.canvas_size_px.height() / v.height_over_width) for v in views]
+                shown = [min(v.canvas.size().width(), v.canvas.size().height() / v.height_over_width) for v in views]
                 return window.window.size() == QSize(*size) and all(
                     s >= wide and s * v.height_over_width >= min(high, wide * v.height_over_width)
                     for s, v in zip(shown, views, strict=True)

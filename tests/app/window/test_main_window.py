@@ -48,7 +48,7 @@ def test_every_column_shows_content(bubble_window):
 def test_a_skipped_column_shows_the_reason(bubble_window, qtbot):
     column = bubble_window.window.columns["pose"]
     assert column.state == "skipped"
-    assert "mesh" in column.view.message
+    assert "mesh" in column.view.message.text()
 
 
 def test_a_frame_without_contact_skips_and_a_repeated_frame_is_cached(bubble_window):
@@ -162,7 +162,7 @@ def test_a_damaged_frame_after_two_route_changes_fails_alone(open_window, tmp_pa
     held.set()
     wait_until_shown(window, LIMIT_S)
     assert window.session.frame == 15
-    assert "damaged" in window.window.columns["source"].view.message
+    assert "damaged" in window.window.columns["source"].view.message.text()
     waits = {column.state for name, column in window.window.columns.items() if name != "source"}
     assert waits == {"waiting"}
 
@@ -183,7 +183,7 @@ def test_a_late_part_leaves_its_column_pending(bubble_window, monkeypatch):
     window.handle_part(before, part)
     over.set()
     wait_until_shown(window, LIMIT_S)
-    assert "this frame is damaged" in window.window.columns["source"].view.message
+    assert "this frame is damaged" in window.window.columns["source"].view.message.text()
 
 
 def test_a_recording_that_fails_is_not_tried_again(bubble_window, tmp_path, qtbot, monkeypatch):
@@ -408,16 +408,16 @@ def test_hovering_a_pixel_marks_it_everywhere_and_reads_its_value(bubble_window)
     assert f"({col}, {row})" in bubble_window.window.readout.text()
     assert bubble_window.window.trace.text.startswith(f"({col}, {row})")
     assert " → " in bubble_window.window.trace.text
-    assert bubble_window.window.columns["source"].view.crosshair == (row, col)
-    assert bubble_window.window.columns["target_depth"].view.crosshair is not None
+    assert bubble_window.window.columns["source"].view.canvas.crosshair == (row, col)
+    assert bubble_window.window.columns["target_depth"].view.canvas.crosshair is not None
     bubble_window.probe.clear_trace()
-    assert bubble_window.window.columns["source"].view.crosshair is None
+    assert bubble_window.window.columns["source"].view.canvas.crosshair is None
 
 
 def test_a_pinned_pixel_stays_while_the_mouse_moves_on(bubble_window):
     bubble_window.probe.toggle_pin("depth", 70, 86)
     bubble_window.probe.probe_pixel("depth", 10, 10)
-    assert bubble_window.window.columns["depth"].view.crosshair == (70, 86)
+    assert bubble_window.window.columns["depth"].view.canvas.crosshair == (70, 86)
 
 
 def test_a_trace_belongs_to_the_frame_of_the_image(bubble_window, qtbot, monkeypatch):

@@ -35,7 +35,7 @@ def test_a_click_in_3d_pins_the_pixel_drawn_there(window, qtbot, name):
     window.probe.clear_trace()
     at = QPoint(round(dot.x() * view.width()), round(dot.y() * view.height()))
     qtbot.mouseClick(view, Qt.MouseButton.LeftButton, pos=at)
-    found = columns[name].view.crosshair
+    found = columns[name].view.canvas.crosshair
     assert found is not None
     rows = columns[name].view.preview.pixels.shape[0]
     assert np.abs(np.subtract(found, wanted)).max() < 0.06 * rows  # a few pixels of a view this small
@@ -45,8 +45,8 @@ def test_a_click_in_3d_pins_the_pixel_drawn_there(window, qtbot, name):
 def test_a_rotation_is_no_click_and_empty_space_traces_nothing(window, qtbot):
     view = window.window.view_panels["depth"].view
     qtbot.mouseClick(view, Qt.MouseButton.LeftButton, pos=QPoint(1, 1))
-    assert window.window.columns["depth"].view.crosshair is None
+    assert window.window.columns["depth"].view.canvas.crosshair is None
     qtbot.mousePress(view, Qt.MouseButton.LeftButton, pos=QPoint(80, 60))
     qtbot.mouseMove(view, QPoint(110, 70))
     qtbot.mouseRelease(view, Qt.MouseButton.LeftButton, pos=QPoint(110, 70))
-    assert window.window.columns["depth"].view.crosshair is None
+    assert window.window.columns["depth"].view.canvas.crosshair is None

@@ -57,7 +57,7 @@ def _on(controller, qtbot):
     views = [column.view for column in controller.window.columns.values()]
     rooms = None
     while rooms != (
-        rooms := [view.canvas_size_px for view in views]
+        rooms := [view.canvas.size() for view in views]
     ):  # the drawer that opens takes room from the pictures
         qtbot.wait(50)
     return controller.window.section_panel

@@ -16,7 +16,7 @@ ROOMS = {(1600, 950): (215, 160), (1366, 768): (180, 135)}
 
 
 def _shown_px(view) -> tuple[float, float]:
-    width = min(view.canvas_size_px.width(), view.canvas_size_px.height() / view.height_over_width)
+    width = min(view.canvas.size().width(), view.canvas.size().height() / view.height_over_width)
     return width, width * view.height_over_width
 
 
@@ -77,7 +77,7 @@ def test_the_row_is_as_high_as_its_highest_column(bubble_window, qtbot):
 
     def snug() -> bool:
         views = [column.view for column in bubble_window.window.columns.values()]
-        spare = [view.canvas_size_px.height() - view.height_over_width * view.canvas_size_px.width() for view in views]
+        spare = [view.canvas.size().height() - view.height_over_width * view.canvas.size().width() for view in views]
         return -3 < min(spare) < 3
 
     qtbot.waitUntil(snug, timeout=240_000)
