@@ -17,8 +17,9 @@ from PyQt6.QtWidgets import (
 )
 
 from widgets.choice_buttons import Choice, make_choice_button
+from widgets.event_listener import EventListener
 from widgets.icons import StateIcon
-from widgets.styling import EventListener, copy_text, make_single_shot_timer
+from widgets.styling import copy_text, make_single_shot_timer
 from widgets.theme import is_dark
 
 _READ_MS = 30_000  # until an error leaves; the log keeps it

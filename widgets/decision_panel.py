@@ -8,7 +8,7 @@ from PyQt6.QtWidgets import QHBoxLayout, QLabel, QVBoxLayout, QWidget
 
 from pipeline.tasks.task import Decision
 from widgets.error_attribution_panel import Waterfall, WaterfallBar, make_bars
-from widgets.run_bar import RunBar
+from widgets.run_bar import StartBar
 from widgets.styling import make_bold, set_spacing
 
 _SUCCEEDS = "\N{CHECK MARK} succeeds"
@@ -19,7 +19,7 @@ class DecisionPanel(QWidget):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self.sentence, self.waterfall, self.run_bar = QLabel(), Waterfall(), RunBar("attribute", "Attribute")
+        self.sentence, self.waterfall, self.run_bar = QLabel(), Waterfall(), StartBar("attribute", "Attribute")
         self.run_bar.start_button.setToolTip(
             "Run the rollout again with the truth in place of one stage after the other; nothing is written"
         )

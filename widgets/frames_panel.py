@@ -17,12 +17,13 @@ from PyQt6.QtWidgets import (
 )
 
 from widgets.choice_box import ChoiceBox
+from widgets.event_listener import EventListener
 from widgets.fonts import resize_font
 from widgets.frame_summary import THUMBNAIL_PX
 from widgets.frames_filter import FramesFilter, get_limits, replace_limits
 from widgets.frames_model import CAUSE, CONTACT, DEPTH, FRAME, METRIC, NOTE, SORT_ROLE, WARNINGS, FramesModel
 from widgets.metric_histogram import MetricHistogram
-from widgets.styling import EventListener, make_search_line, make_single_shot_timer, set_spacing
+from widgets.styling import make_search_line, make_single_shot_timer, set_spacing
 from widgets.table_copier import prepare_table
 
 _HINT = "filter: >0.3, <2, contact, warned, noted, a word"

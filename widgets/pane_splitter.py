@@ -7,8 +7,9 @@ from collections.abc import Sequence
 from PyQt6.QtCore import QEvent, QSize, Qt
 from PyQt6.QtWidgets import QSplitter, QWidget
 
+from widgets.event_listener import EventListener
 from widgets.stage_column import StageColumn
-from widgets.styling import EventListener, make_single_shot_timer
+from widgets.styling import make_single_shot_timer
 from widgets.view_3d_panel import View3DPanel
 
 _MOST_HIGH = 0.74  # largest share of a pane's height for the image when stacked

@@ -9,11 +9,12 @@ from typing import Any
 from PyQt6.QtCore import QEvent, QObject, QSize, pyqtSignal
 from PyQt6.QtWidgets import QFrame, QHBoxLayout, QLabel, QToolButton, QVBoxLayout, QWidget
 
+from widgets.event_listener import EventListener
 from widgets.filmstrip import Filmstrip
 from widgets.fonts import resize_font
 from widgets.pane_splitter import PaneSplitter
 from widgets.stage_column import StageColumn
-from widgets.styling import EventListener, set_spacing
+from widgets.styling import set_spacing
 from widgets.view_3d_panel import View3DPanel
 
 MAX_PANES = 3

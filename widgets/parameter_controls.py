@@ -189,13 +189,11 @@ def _with_slider(
     box.setKeyboardTracking(False)
     put(value)
     box.valueChanged.connect(edited)
+    if not bend:
+        return _quiet(box, put)
     both, slider = QWidget(), QSlider(Qt.Orientation.Horizontal)
     row = QHBoxLayout(both)
     row.setContentsMargins(0, 0, 0, 0)
-    if not bend:
-        row.addWidget(box, 1)
-        control = _quiet(box, put)
-        return ParameterControl(widget=both, show=control.show)
     low, span = setting.low, setting.high - setting.low
     slider.setRange(0, _SLIDER_STEPS)
     slider.setMinimumWidth(_SLIDER_PX)

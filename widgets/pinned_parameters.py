@@ -9,9 +9,10 @@ from PyQt6.QtCore import QEvent, pyqtSignal
 from PyQt6.QtWidgets import QBoxLayout, QHBoxLayout, QLabel, QVBoxLayout, QWidget
 
 from pipeline.base.params import Setting, Value, list_settings, replace_value
+from widgets.event_listener import EventListener
 from widgets.fonts import resize_font
 from widgets.parameter_controls import ParameterControl, describe_setting, make_control
-from widgets.styling import EventListener, set_spacing
+from widgets.styling import set_spacing
 
 _LABEL_PX, _ROW_PX, _COMPACT_ROW_PX = 54, 22, 19
 _SLIDERS_FROM_PX = 126  # width from which on a slider fits between label and number

@@ -12,9 +12,10 @@ from pipeline.previews.preview import Preview
 from widgets.canvas import Canvas
 from widgets.colour_bar import ColourBar
 from widgets.comparison_overlay import ComparisonOverlay
+from widgets.event_listener import EventListener
 from widgets.fixed_size_label import FixedSizeLabel
 from widgets.fonts import resize_font
-from widgets.styling import EventListener, set_spacing
+from widgets.styling import set_spacing
 
 SIDE_TEXT_PX = 170  # width of text next to an image
 _AROUND = 1.3  # margin around a fitted contact, as a factor

@@ -12,8 +12,9 @@ from PyQt6.QtWidgets import QHBoxLayout, QLabel, QVBoxLayout, QWidget
 from pipeline.alignment.refine import AlignmentFit, Refinement
 from pipeline.base.arrays import Doubles
 from pipeline.previews.colours import Rgb
-from widgets.run_bar import RunBar
-from widgets.styling import EventListener, make_button, set_spacing
+from widgets.event_listener import EventListener
+from widgets.run_bar import StartBar
+from widgets.styling import make_button, set_spacing
 from widgets.theme import ThemeColours, get_theme_colours, to_hex
 
 _IDLE = "least squares over all frames with contact on both sensors; a quarter is held out"
@@ -24,7 +25,7 @@ class RefineBox(QWidget):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self.run_bar, self.text = RunBar("refine", "Refine on all frames"), QLabel()
+        self.run_bar, self.text = StartBar("refine", "Refine on all frames"), QLabel()
         self.accept = make_button("Accept", "refine_accept", "Use the refined alignment (one undo step)")
         self.discard = make_button("Discard", "refine_discard", "Keep the alignment as it is")
         self.run_bar.start_button.setToolTip(_IDLE[0].upper() + _IDLE[1:])

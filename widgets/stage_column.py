@@ -12,12 +12,13 @@ from PyQt6.QtGui import QStandardItemModel
 from PyQt6.QtWidgets import QBoxLayout, QComboBox, QFrame, QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
 
 from widgets.choice_box import ChoiceBox
+from widgets.event_listener import EventListener
 from widgets.fixed_size_label import FixedSizeLabel
 from widgets.fonts import resize_font
 from widgets.icons import StateIcon
 from widgets.pinned_parameters import PinnedParameters
 from widgets.preview_view import PreviewView
-from widgets.styling import EventListener, make_bold, set_spacing
+from widgets.styling import make_bold, set_spacing
 
 _BETWEEN_PX = 40  # sign, text and time of a state, with margins
 _SIGN_PX = 10  # between a title and the state's sign

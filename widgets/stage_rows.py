@@ -7,8 +7,9 @@ from collections.abc import Sequence
 from PyQt6.QtCore import QEvent, QObject, Qt, pyqtSignal
 from PyQt6.QtWidgets import QHBoxLayout, QSplitter, QWidget
 
+from widgets.event_listener import EventListener
 from widgets.stage_column import StageColumn
-from widgets.styling import EventListener, make_single_shot_timer, set_spacing
+from widgets.styling import make_single_shot_timer, set_spacing
 from widgets.view_3d_panel import View3DPanel
 
 _SHORT_PX = 420  # a lower row gives a caption one line, and the state none

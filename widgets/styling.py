@@ -10,6 +10,7 @@ from PyQt6.QtGui import QAction, QGuiApplication, QPalette
 from PyQt6.QtWidgets import QLabel, QLayout, QLineEdit, QPushButton, QToolButton, QWidget
 
 from pipeline.previews.colours import Rgb
+from widgets.event_listener import EventListener
 from widgets.icons import make_command_icon
 from widgets.theme import ThemeColours, get_theme_colours, to_qcolor
 
@@ -37,22 +38,6 @@ def make_single_shot_timer(parent: QObject, after_ms: int, then: Callable[[], ob
     timer.setInterval(after_ms)
     timer.timeout.connect(then)
     return timer
-
-
-class EventListener(QObject):
-    """Calls `then` at events of these kinds of a widget, before the widget handles them; lives as long as it."""
-
-    def __init__(self, widget: QWidget, then: Callable[[], object], *kinds: QEvent.Type) -> None:
-        super().__init__(widget)
-        self._then, self._kinds = then, kinds
-        widget.installEventFilter(self)
-
-    def eventFilter(self, a0: QObject | None, a1: QEvent | None) -> bool:  # noqa: N802
-        """Call the function."""
-        del a0
-        if a1 is not None and a1.type() in self._kinds:
-            self._then()
-        return False
 
 
 def make_command_button(action: QAction) -> QToolButton:

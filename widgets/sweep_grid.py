@@ -4,21 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
 
-from PyQt6.QtCore import QEvent, QPointF, QRectF, QSize, Qt, pyqtSignal
+from PyQt6.QtCore import QEvent, QPointF, QRectF, Qt
 from PyQt6.QtGui import QFontMetrics, QPainter, QPalette, QPen, QPixmap, QPolygonF
-from PyQt6.QtWidgets import QSizePolicy, QToolTip, QWidget
 
 from pipeline.evaluation.parameter_sweep import SweepCell
 from pipeline.previews.preview import Preview
+from widgets.cell_grid import NO_CELL, CellGrid, CellIndex, CellView
+from widgets.event_listener import EventListener
 from widgets.preview_renderer import make_themed_qimage
-from widgets.styling import EventListener
-from widgets.theme import get_theme_colours, to_qcolor
+from widgets.theme import ThemeColours, to_qcolor
 
-CellIndex = tuple[int, int]  # row, col
-_GAP_PX, _EDGE_PX = 3, 6
-_LEFT_SHARE = 0.12  # of the width, for the values of the rows
 _DOT_PX, _NEAR_PX = 5.0, 14.0
 
 
@@ -42,122 +38,45 @@ def find_pareto_front(cells: Mapping[CellIndex, SweepCell]) -> list[CellIndex]:
     return front
 
 
-class _CellView(QWidget):
-    """Hovering and choosing of cells, common to grid and plot."""
-
-    cell_chosen = pyqtSignal(int, int)
-    cell_hovered = pyqtSignal(int, int)  # (-1, -1) = nothing
-
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
-        self.setMouseTracking(True)
-        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
-        self.cells: dict[CellIndex, SweepCell] = {}
-        self.hovered_cell: CellIndex = (-1, -1)  # under the mouse, here or in the other view
-        self.used_cell: CellIndex = (-1, -1)  # its values are in use
-        self.unit = ""
-
-    def mark_cell(self, row: int, col: int) -> None:
-        """Mark a hovered cell."""
-        if (row, col) != self.hovered_cell:
-            self.hovered_cell = (row, col)
-            self.update()
-
-    def cell_at(self, at: QPointF) -> CellIndex:
-        """The cell at a widget position; (-1, -1) = none."""
-        raise NotImplementedError
-
-    def mouseMoveEvent(self, a0: Any) -> None:  # noqa: N802
-        """Emit the hovered cell and show its result."""
-        index = self.cell_at(a0.position())
-        self.cell_hovered.emit(*index)
-        text = describe_cell(self.cells[index], self.unit) if index in self.cells else ""
-        QToolTip.showText(a0.globalPosition().toPoint(), text, self)
-
-    def leaveEvent(self, a0: Any) -> None:  # noqa: N802
-        """Emit that no cell is hovered."""
-        super().leaveEvent(a0)
-        self.cell_hovered.emit(-1, -1)
-
-    def mousePressEvent(self, a0: Any) -> None:  # noqa: N802
-        """Choose the cell under the mouse."""
-        index = self.cell_at(a0.position())
-        if index in self.cells and not self.cells[index].problem:
-            self.cell_chosen.emit(*index)
-
-
-class SweepGrid(_CellView):
+class SweepGrid(CellGrid):
     """Grid of cells with preview, error and time; a cell is empty until it is computed."""
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
-        self.setObjectName("sweep_grid")
-        self._across: tuple[str, Sequence[str]] = ("", ())
-        self._down: tuple[str, Sequence[str]] = ("", ())
+    gap_px, preferred_px = 3.0, (560, 420)
+
+    def __init__(self) -> None:
+        super().__init__("sweep_grid")
+        self.cells: dict[CellIndex, SweepCell] = {}
+        self.unit = ""
         self._thumbnails: dict[CellIndex, QPixmap] = {}
         EventListener(self, self._drop_thumbnails, QEvent.Type.Resize, QEvent.Type.PaletteChange)
 
-    def show_axes(self, across: tuple[str, Sequence[str]], down: tuple[str, Sequence[str]], unit: str) -> None:
+    def start_sweep(self, across: tuple[str, Sequence[str]], down: tuple[str, Sequence[str]], unit: str) -> None:
         """Show empty cells for (name, values) of columns and rows."""
-        self._across, self._down, self.unit = across, down, unit
-        self.cells, self._thumbnails = {}, {}
-        self.update()
+        self.cells, self.unit, self._thumbnails = {}, unit, {}
+        self.show_axes(across, down)
 
     def show_cell(self, cell: SweepCell) -> None:
         """Show one result."""
-        self.cells[cell.row, cell.col] = cell
-        self._thumbnails.pop((cell.row, cell.col), None)
-        self.update()
-
-    def sizeHint(self) -> QSize:  # noqa: N802
-        """Room for a few previews."""
-        return QSize(560, 420)
-
-    def cell_at(self, at: QPointF) -> CellIndex:
-        """The cell at a widget position; (-1, -1) = none."""
-        rows, cols = len(self._down[1]), len(self._across[1])
-        for row in range(rows):
-            for col in range(cols):
-                if self._cell(row, col).contains(at):
-                    return row, col
-        return -1, -1
+        index = cell.row, cell.col
+        self.cells[index] = cell
+        self._thumbnails.pop(index, None)
+        self.add_cell(index, describe_cell(cell, self.unit), can_choose=not cell.problem)
 
     def _drop_thumbnails(self) -> None:
         self._thumbnails = {}
 
-    def _cell(self, row: int, col: int) -> QRectF:
-        line = QFontMetrics(self.font()).height()
-        named = QFontMetrics(self.font()).horizontalAdvance(self._down[0]) + 8.0
-        left, top = max(70.0, named, _LEFT_SHARE * self.width()), 2.0 * line + _EDGE_PX
-        wide = (self.width() - left - _EDGE_PX) / max(1, len(self._across[1]))
-        high = (self.height() - top - _EDGE_PX) / max(1, len(self._down[1]))
-        return QRectF(left + col * wide, top + row * high, wide - _GAP_PX, high - _GAP_PX)
-
-    def paintEvent(self, a0: Any) -> None:  # noqa: N802
+    def paint(self, painter: QPainter, ink: ThemeColours) -> None:
         """Draw names and values around the cells."""
-        del a0
-        painter, palette = QPainter(self), self.palette()
+        del ink
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
-        if not self._across[1]:
-            return
-        line = QFontMetrics(self.font()).height()
-        middle = Qt.AlignmentFlag.AlignCenter
-        painter.setPen(palette.color(QPalette.ColorRole.WindowText))
-        first = self._cell(0, 0)
-        painter.drawText(QRectF(first.left(), 0, self.width() - first.left(), line), middle, self._across[0])
-        for col, value in enumerate(self._across[1]):
-            cell = self._cell(0, col)
-            painter.drawText(QRectF(cell.left(), line, cell.width(), line), middle, value)
-        painter.drawText(QRectF(2, line, first.left() - 4, line), Qt.AlignmentFlag.AlignRight, self._down[0])
-        for row, value in enumerate(self._down[1]):
-            cell = self._cell(row, 0)
-            label = QRectF(2, cell.top(), cell.left() - 8, cell.height())
-            painter.drawText(label, Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter, value)
-            for col in range(len(self._across[1])):
+        if self.columns:
+            self.draw_names(painter)
+        for row in range(len(self.rows)):
+            for col in range(len(self.columns)):
                 self._draw_cell(painter, row, col)
 
     def _draw_cell(self, painter: QPainter, row: int, col: int) -> None:
-        room, cell, palette = self._cell(row, col), self.cells.get((row, col)), self.palette()
+        room, cell, palette = self.get_room(row, col), self.cells.get((row, col)), self.palette()
         rim = palette.color(QPalette.ColorRole.Mid)
         wide = 1.0
         if (row, col) == self.used_cell:
@@ -192,27 +111,30 @@ class SweepGrid(_CellView):
         painter.drawPixmap(QPointF(left, room.top() + 0.5 * (room.height() - small.height())), small)
 
 
-class SweepPlot(_CellView):
+class SweepPlot(CellView):
     """Error against time, both from zero; the Pareto front is joined by a line."""
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
-        self.setObjectName("sweep_plot")
+    preferred_px = 320, 320  # about half the width of the grid
 
-    def show_cells(self, cells: Mapping[CellIndex, SweepCell], unit: str) -> None:
-        """Show these cells."""
-        self.cells, self.unit = dict(cells), unit
-        self.update()
+    def __init__(self) -> None:
+        super().__init__("sweep_plot")
+        self.cells: dict[CellIndex, SweepCell] = {}
+        self.unit = ""
 
-    def sizeHint(self) -> QSize:  # noqa: N802
-        """About half the width of the grid."""
-        return QSize(320, 320)
+    def show_unit(self, unit: str) -> None:
+        """Show no cells; errors are in this unit."""
+        self.cells, self.unit = {}, unit
+        self.clear_cells()
+
+    def show_cell(self, cell: SweepCell) -> None:
+        """Show one result."""
+        self.cells[cell.row, cell.col] = cell
+        self.add_cell((cell.row, cell.col), describe_cell(cell, self.unit), can_choose=not cell.problem)
 
     def cell_at(self, at: QPointF) -> CellIndex:
         """The cell of the nearest point; (-1, -1) = none nearby."""
         near = {index: (self._point(index) - at).manhattanLength() for index in self._computed_cells}
-        best = min(near, key=near.__getitem__, default=(-1, -1))
-        return best if best in near and near[best] < _NEAR_PX else (-1, -1)
+        return min((index for index in near if near[index] < _NEAR_PX), key=near.__getitem__, default=NO_CELL)
 
     @property
     def _computed_cells(self) -> list[CellIndex]:
@@ -230,10 +152,9 @@ class SweepPlot(_CellView):
         x, y = cell.ms / (1.06 * max_ms), cell.error / (1.06 * max_error)
         return QPointF(frame.left() + x * frame.width(), frame.bottom() - y * frame.height())
 
-    def paintEvent(self, a0: Any) -> None:  # noqa: N802
+    def paint(self, painter: QPainter, ink: ThemeColours) -> None:
         """Draw axes, points and the Pareto front."""
-        del a0
-        painter, palette, frame = QPainter(self), self.palette(), self._frame
+        palette, frame = self.palette(), self._frame
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         painter.setPen(QPen(palette.color(QPalette.ColorRole.Mid), 1))
         painter.drawLine(frame.bottomLeft(), frame.bottomRight())
@@ -253,15 +174,12 @@ class SweepPlot(_CellView):
         painter.drawText(low, Qt.AlignmentFlag.AlignRight, _format_time(1.06 * max_ms))
         painter.drawText(QRectF(0, frame.top() - 4, 48, line), Qt.AlignmentFlag.AlignRight, f"{1.06 * max_error:.3g}")
         front = find_pareto_front(self.cells)
-        painter.setPen(QPen(to_qcolor(get_theme_colours(palette).accent), 1.5))
+        painter.setPen(QPen(to_qcolor(ink.accent), 1.5))
         painter.drawPolyline(QPolygonF([self._point(index) for index in front]))
         for index in measured:
-            painter.setPen(
-                QPen(palette.color(QPalette.ColorRole.WindowText), 2.5 if index == self.hovered_cell else 0.6)
-            )
-            painter.setBrush(
-                to_qcolor(get_theme_colours(palette).accent if index in front else get_theme_colours(palette).worse)
-            )
+            rim_px = 2.5 if index == self.hovered_cell else 0.6
+            painter.setPen(QPen(palette.color(QPalette.ColorRole.WindowText), rim_px))
+            painter.setBrush(to_qcolor(ink.accent if index in front else ink.worse))
             radius = _DOT_PX + (3.0 if index == self.used_cell else 0.0)
             painter.drawEllipse(self._point(index), radius, radius)
 

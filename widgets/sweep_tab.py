@@ -62,21 +62,18 @@ class SweepTab(ComparisonTab):
 
     def start_sweep(self, across: tuple[str, Sequence[str]], down: tuple[str, Sequence[str]], unit: str) -> None:
         """Show an empty grid with (name, values) of columns and rows."""
-        for view in (self.grid, self.plot):
-            view.used_cell = (-1, -1)
-        self.grid.show_axes(across, down, unit)
-        self.plot.show_cells({}, unit)
+        self.grid.start_sweep(across, down, unit)
+        self.plot.show_unit(unit)
 
     def show_cell(self, cell: SweepCell) -> None:
         """Add one result."""
-        self.grid.show_cell(cell)
-        self.plot.show_cells(self.grid.cells, self.grid.unit)
+        for view in (self.grid, self.plot):
+            view.show_cell(cell)
 
     def mark_used_cell(self, row: int, col: int) -> None:
         """Mark the cell whose values are in use."""
         for view in (self.grid, self.plot):
-            view.used_cell = (row, col)
-            view.update()
+            view.mark_used_cell(row, col)
 
     def show_state(self, message: str, *, runs: bool) -> None:
         """Show a message, and whether another sweep can start."""

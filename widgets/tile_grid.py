@@ -10,9 +10,10 @@ from PyQt6.QtCore import QEvent, QPointF, QSize, Qt, pyqtSignal
 from PyQt6.QtWidgets import QBoxLayout, QFrame, QGridLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
 
 from pipeline.previews.tile import Tile
+from widgets.event_listener import EventListener
 from widgets.fonts import resize_font
 from widgets.preview_view import SIDE_TEXT_PX, PreviewView
-from widgets.styling import EventListener, make_bold, set_spacing
+from widgets.styling import make_bold, set_spacing
 
 _MOST_COLUMNS = 8
 _NARROW_PX = 360

@@ -10,7 +10,7 @@ from PyQt6.QtWidgets import QHBoxLayout, QLabel, QSplitter, QVBoxLayout, QWidget
 
 from pipeline.tracking.track_record import TrackRecord
 from widgets.choice_box import ChoiceBox
-from widgets.run_bar import RunBar
+from widgets.run_bar import StartBar
 from widgets.styling import make_bold, make_command_button, set_spacing
 from widgets.track_plot import TrackPlot
 from widgets.view_3d_panel import View3DPanel
@@ -23,7 +23,7 @@ class TrackPage(QWidget):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self.stage_box, self.run_bar = ChoiceBox("tracked_stage", "touch to follow"), RunBar("track", "Track")
+        self.stage_box, self.run_bar = ChoiceBox("tracked_stage", "touch to follow"), StartBar("track", "Track")
         self.plot, self.scene, self.sentence = TrackPlot(), View3DPanel(), QLabel()
         self.stage_box.setToolTip("Membrane to follow: the source's, or that of the generated touch")
         make_bold(self.sentence)

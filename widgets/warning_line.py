@@ -10,10 +10,11 @@ from PyQt6.QtCore import QEvent, Qt
 from PyQt6.QtWidgets import QHBoxLayout, QPushButton, QToolTip, QWidget
 
 from widgets.choice_buttons import Choice, make_choice_button
+from widgets.event_listener import EventListener
 from widgets.fixed_size_label import FixedSizeLabel
 from widgets.fonts import resize_font
 from widgets.icons import StateIcon
-from widgets.styling import EventListener, set_spacing
+from widgets.styling import set_spacing
 
 _BETWEEN = "   ·   "
 _SPARE_PX = 4  # what the last letter of a text may need beyond its measured width

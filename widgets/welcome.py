@@ -10,8 +10,9 @@ from PyQt6.QtGui import QAction, QPainter, QPaintEvent, QPen
 from PyQt6.QtWidgets import QHBoxLayout, QLabel, QListWidget, QListWidgetItem, QToolButton, QVBoxLayout, QWidget
 
 from pipeline.base.text import escape_text
+from widgets.event_listener import EventListener
 from widgets.fonts import resize_font
-from widgets.styling import EventListener, ThemedLabel, make_bold, set_spacing
+from widgets.styling import ThemedLabel, make_bold, set_spacing
 from widgets.theme import get_theme_colours, to_qcolor
 
 _WIDTH_PX, _ROW_PX = 620, 24

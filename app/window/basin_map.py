@@ -66,24 +66,21 @@ class BasinMapController(BackgroundController):
 
     def _clear(self, message: str) -> None:
         self._session = self.result = None
-        self._panel.map.show_map((), (), (), "")
+        self._panel.map.show_map({}, ("", ()), ("", ()))
         self._panel.message.setText(message)
 
     def show_result(self, result: object) -> None:
         """Show the map, or the pose of a start."""
         if isinstance(result, Preview) and self.result is not None:
-            self._controller.views.show_pose(self.result.basins.poses[self._panel.map.selected_cell], result)
+            self._controller.views.show_pose(self.result.basins.poses[self._panel.map.used_cell], result)
         if not isinstance(result, BasinMapResult):
             return
         self.result, basins = result, result.basins
         self._panel.message.setText(f"frame {result.frame}: {basins.summary}; click a cell to show its pose")
         n_rows, n_cols = len(basins.translations_mm), len(basins.rotations_deg)
-        cells = [[_make_cell(result, row, col) for col in range(n_cols)] for row in range(n_rows)]
-        rows, columns = (
-            [f"{mm:+.1f} mm" for mm in basins.translations_mm],
-            [f"{deg:+.0f}°" for deg in basins.rotations_deg],
-        )
-        self._panel.map.show_map(cells, rows, columns, f"{basins.shift_axis}, rotation")
+        cells = {(row, col): _make_cell(result, row, col) for row in range(n_rows) for col in range(n_cols)}
+        down = basins.shift_axis, [f"{mm:+.1f} mm" for mm in basins.translations_mm]
+        self._panel.map.show_map(cells, ("rotation", [f"{deg:+.0f}°" for deg in basins.rotations_deg]), down)
 
     def _show_pose(self, row: int, col: int) -> None:
         """Show the pose that a start converged to, until the next frame."""
@@ -91,7 +88,7 @@ class BasinMapController(BackgroundController):
         if result is not None:
             self._controller.views.show_pose(result.basins.poses[row, col], None)
             self.start(lambda _: result.make_preview(row, col), shows_progress=False)
-            self._panel.message.setText(f"{self._panel.map.cells[row][col].tooltip}; shown until the next frame")
+            self._panel.message.setText(f"{self._panel.map.cells[row, col].tooltip}; shown until the next frame")
 
     def show_failure(self, error: BaseException) -> None:
         """Show the error in the tab; an unexpected one also in the banner."""

@@ -10,7 +10,8 @@ from pipeline.stages.truth_method import TRUTH
 from pipeline.translation.error_attribution import DEFAULT_METRIC, ErrorAttribution, ErrorShare
 from pipeline.translation.translate import Translation
 from widgets.error_attribution_panel import make_bars
-from widgets.styling import EventListener, make_single_shot_timer
+from widgets.event_listener import EventListener
+from widgets.styling import make_single_shot_timer
 
 _DELAY_MS = 250  # attribution costs several frames of computation: not while playing or browsing
 _NO_TRUTH = "This frame has no known error: the recording has no touch of the target."

@@ -13,8 +13,9 @@ from pipeline.translation import cross_section
 from pipeline.translation.cross_section import HeightMap, SectionLine, SectionPlane
 from pipeline.translation.pixel_trace import SOURCE
 from pipeline.values.results import DepthMap
+from widgets.event_listener import EventListener
 from widgets.section_line_tool import SectionLineTool
-from widgets.styling import EventListener, make_single_shot_timer
+from widgets.styling import make_single_shot_timer
 
 _DELAY_MS = 15  # updates within it are drawn together
 _DEFAULT_SHARE = 0.9  # of the source's width, for the default line

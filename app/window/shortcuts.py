@@ -7,8 +7,8 @@ from functools import partial
 from PyQt6.QtCore import QEvent, QObject, Qt
 
 from app.window.session_controller import SessionController
+from widgets.event_listener import EventListener
 from widgets.preview_key_filter import PreviewKeyFilter
-from widgets.styling import EventListener
 
 _HINT = (
     "arrow keys move the pixel or the section line (Ctrl: end A, Alt: end B), Shift: 10 times as far; "

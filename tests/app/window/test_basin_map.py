@@ -39,10 +39,11 @@ def test_a_click_shows_the_pose_that_a_start_converged_to(window, qtbot):
     assert panel.isVisible()
     assert "12 starts" in panel.message.text()
     of, view = tab.result.basins, window.window.columns["pose"].view
-    assert [len(row) for row in panel.map.cells] == [4, 4, 4]
+    assert len(panel.map.cells) == 12
+    assert (len(panel.map.rows), len(panel.map.columns)) == (3, 4)
     own = view.preview
     row, col = next(zip(*np.nonzero(of.minimum_index > 0), strict=True))
-    at = panel.map._room(int(row), int(col)).center().toPoint()
+    at = panel.map.get_room(int(row), int(col)).center().toPoint()
     qtbot.mouseClick(panel.map, Qt.MouseButton.LeftButton, pos=at)
     qtbot.waitUntil(lambda: view.preview is not own, timeout=LIMIT_MS)
     assert f"rms {of.rmse_mm[row, col]:.2f} mm" in view.preview.caption
@@ -50,7 +51,7 @@ def test_a_click_shows_the_pose_that_a_start_converged_to(window, qtbot):
     assert placed == pytest.approx(of.poses[row, col])
     window.choose_frame(5)  # what was found is of another frame
     assert tab.result is None
-    assert panel.map.cells == ()
+    assert panel.map.cells == {}
     assert wait_until_shown(window, LIMIT_S)
 
 
