@@ -143,7 +143,7 @@ def _membrane(touch: _Touch) -> DepthMap:
 
 def _object(touch: _Touch) -> DepthMap:
     near = touch.object_mm - touch.depth_mm < _NEAR_MM
-    return replace(_membrane(touch), object_mm=np.where(near, touch.object_mm, np.nan).astype(np.float32))
+    return replace(_membrane(touch), object_depth_mm=np.where(near, touch.object_mm, np.nan).astype(np.float32))
 
 
 def _untouched(methods):

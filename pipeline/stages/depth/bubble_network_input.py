@@ -84,10 +84,18 @@ def _fit_dome(rest: Floats, measured: Floats) -> Floats:
     powers = [(i, j) for i in range(_DOME_DEGREE + 1) for j in range(_DOME_DEGREE + 1 - i)]
     y, x = (np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, n), _DOME_DEGREE) for n in rest.shape)
     sparse = slice(None, None, _DOME_STEP_PX)
-    used = measured[sparse, sparse] > 0
+    used = _select_largest_region(measured > 0)[sparse, sparse]
     if np.count_nonzero(used) < _DOME_PIXELS_MIN:
         return np.zeros_like(rest)
     terms = np.stack([(y[sparse, i][:, None] * x[sparse, j][None, :])[used] for i, j in powers], axis=-1)
-    shape = np.zeros((_DOME_DEGREE + 1, _DOME_DEGREE + 1))
-    shape[tuple(np.transpose(powers))] = np.linalg.lstsq(terms, rest[sparse, sparse][used], rcond=None)[0]
+    depth_mm, shape = rest[sparse, sparse][used], np.zeros((_DOME_DEGREE + 1, _DOME_DEGREE + 1))
+    shape[tuple(np.transpose(powers))] = np.linalg.lstsq(terms, depth_mm, rcond=None)[0]
     return (y @ shape @ x.T).astype(np.float32)
+
+
+def _select_largest_region(seen: Mask) -> Mask:
+    """The largest connected region (rows, cols): a few pixels far from the membrane would bend a polynomial."""
+    import cv2
+
+    n, labels, stats, _ = cv2.connectedComponentsWithStats(seen.astype(np.uint8), connectivity=4)
+    return seen if n <= 2 else np.asarray(labels == 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA])), np.bool_)

@@ -173,6 +173,33 @@ def test_shipped_weights_tell_untouched_from_touched_frames_of_a_real_bubble(shi
     assert touched[4].sum() > 100
 
 
+@pytest.mark.real_data
+def test_the_contact_of_a_steady_press_on_a_real_bubble_is_steady(shipped):
+    path = Path(os.environ.get("TACTILE_DATA", "../shared/data")) / "punyo_bubble" / "depth_sequence.npz"
+    if not path.exists():
+        pytest.skip(f"no {path}")
+    stereo = load_sensor("soft_bubble_stereo")
+    stream = open_recording(path, sensor=stereo.name).stream()
+    areas = [
+        network.estimate_depth(stream.frame(k), stereo, None, shipped, NetworkParams()).contact.sum()
+        for k in (13, 14, 15, 16, 19, 20)
+    ]
+    assert np.std(areas) < 0.05 * np.mean(areas)
+
+
+def test_pixels_measured_far_from_the_membrane_do_not_change_its_roughness():
+    seen, stray = np.zeros(REST.shape, np.bool_), np.array(REST)
+    seen[20:120, 80:160] = True
+    stray[100:108, 4:12] = 1.3 * REST[100:108, 4:12]
+    with_stray = np.array(seen)
+    with_stray[100:108, 4:12] = True
+    alone, found = (
+        make_network_input(0.0 * REST, np.where(mask, stray, 0.0).astype(np.float32), mask, SPEC.pixel_mm).channels[3]
+        for mask in (seen, with_stray)
+    )
+    assert np.abs(found - alone)[seen].max() < 0.01
+
+
 @pytest.mark.parametrize("read", [
     lambda frame: bubble_network.estimate_depth(frame, SPEC, Says(), least_mm=0.7),
     lambda frame: estimate_depth(frame, SPEC, None, DepthParams()),
