@@ -23,7 +23,6 @@ class DecisionPanel(QWidget):
         self.run_bar.start_button.setToolTip(
             "Run the rollout again with the truth in place of one stage after the other; nothing is written"
         )
-        self.waterfall.setAccessibleName("shares of the error")
         self.sentence.setWordWrap(True)
         make_bold(self.sentence)
         head = set_spacing(QHBoxLayout(), 6)

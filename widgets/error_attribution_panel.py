@@ -6,12 +6,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from PyQt6.QtCore import QRectF, QSize, Qt, pyqtSignal
-from PyQt6.QtGui import QMouseEvent, QPainter, QPaintEvent, QPalette
-from PyQt6.QtWidgets import QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
+from PyQt6.QtGui import QMouseEvent, QPainter, QPalette
+from PyQt6.QtWidgets import QHBoxLayout, QLabel, QVBoxLayout, QWidget
 
 from widgets.choice_box import ChoiceBox
+from widgets.painted_widget import PaintedWidget
 from widgets.styling import make_bold, set_spacing
-from widgets.theme import get_theme_colours, to_qcolor
+from widgets.theme import ThemeColours, to_qcolor
 
 _BAR_SHARE = 0.62  # of a row's height
 _TITLE_SHARE, _VALUE_SHARE = 0.26, 0.12  # of the width
@@ -46,16 +47,15 @@ def make_bars(
     return tuple(rows)
 
 
-class Waterfall(QWidget):
+class Waterfall(PaintedWidget):
     """Paints `bars` in rows of equal height; a click emits the row."""
 
     row_clicked = pyqtSignal(int)
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self) -> None:
+        super().__init__("waterfall", "shares of the error")
         self.bars: tuple[WaterfallBar, ...] = ()
         self._unit = ""
-        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
 
     def show_bars(self, shown: tuple[WaterfallBar, ...], unit: str) -> None:
         """Show these rows."""
@@ -71,18 +71,16 @@ class Waterfall(QWidget):
         """Return room for all rows."""
         return QSize(420, 18 * max(5, len(self.bars)))
 
-    def paintEvent(self, a0: QPaintEvent | None) -> None:  # noqa: N802
+    def paint(self, painter: QPainter, ink: ThemeColours) -> None:
         """Paint titles at the left, values at the right, bars between them on one axis."""
-        del a0
         if not self.bars:
             return
-        painter = QPainter(self)
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         low = min(0.0, *(min(bar.begin, bar.end) for bar in self.bars))
         high = max(1e-9, *(max(bar.begin, bar.end) for bar in self.bars))
         left, right = _TITLE_SHARE * self.width(), (1.0 - _VALUE_SHARE) * self.width()
         per_unit = (right - left) / (high - low)
-        tall, ink = self.height() / len(self.bars), get_theme_colours(self.palette())
+        tall = self.height() / len(self.bars)
         for row, bar in enumerate(self.bars):
             top = row * tall
             painter.setPen(self.palette().color(QPalette.ColorRole.WindowText))

@@ -8,10 +8,11 @@ from typing import Any
 
 from PyQt6.QtCore import QPointF, QRectF, QSize, Qt, pyqtSignal
 from PyQt6.QtGui import QHelpEvent, QPainter, QPalette, QPen, QPolygonF
-from PyQt6.QtWidgets import QSizePolicy, QToolTip, QWidget
+from PyQt6.QtWidgets import QSizePolicy, QToolTip
 
 from widgets.fonts import resize_font
-from widgets.theme import get_theme_colours, to_qcolor
+from widgets.painted_widget import YIELDS, PaintedWidget
+from widgets.theme import ThemeColours, get_theme_colours, to_qcolor
 
 _INSET_PX = 6  # half the slider's handle
 _MARK_PX = 7.0
@@ -22,16 +23,13 @@ _TOP_PX, _BASE_PX = _MARK_PX + 2.0, 2.0  # of the highest bar, from the top; of 
 _TICK_PX = 3.0  # length of a tick
 
 
-class ErrorStrip(QWidget):
+class ErrorStrip(PaintedWidget):
     """One bar per frame or a curve, a mark for warnings; `frame_chosen` by click and drag."""
 
     frame_chosen = pyqtSignal(int)
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
-        self.setObjectName("error_strip")
-        self.setAccessibleName("error of every frame")
-        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Maximum)
+    def __init__(self) -> None:
+        super().__init__("error_strip", "error of every frame", down=QSizePolicy.Policy.Maximum)
         self.values: tuple[float, ...] = ()  # NaN = unknown
         self.is_curve = False
         self.warnings: Mapping[int, Sequence[str]] = {}
@@ -98,14 +96,12 @@ class ErrorStrip(QWidget):
         share = (x - _INSET_PX) / max(1, self.width() - 2 * _INSET_PX)
         return min(max(round(share * (n - 1)), 0), n - 1)
 
-    def paintEvent(self, a0: Any) -> None:  # noqa: N802
+    def paint(self, painter: QPainter, ink: ThemeColours) -> None:
         """Paint bars on one line and marks above them."""
-        del a0
-        painter, n = QPainter(self), len(self.values)
+        n = len(self.values)
         if not n:
             return
         painter.setRenderHint(QPainter.RenderHint.Antialiasing, n < 200)
-        ink = get_theme_colours(self.palette())
         base, top = self.height() - _BASE_PX, _TOP_PX
         painter.setPen(QPen(self.palette().color(QPalette.ColorRole.Mid), 1))
         painter.drawLine(QPointF(_INSET_PX, base), QPointF(self.width() - _INSET_PX, base))
@@ -175,14 +171,13 @@ class ErrorStrip(QWidget):
             self.frame_chosen.emit(self.frame_at(event.position().x()))
 
 
-class ErrorScale(QWidget):
+class ErrorScale(PaintedWidget):
     """Scale of the bars: the largest value and 0, with the unit."""
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self) -> None:
+        super().__init__("error_scale", down=YIELDS)
         resize_font(self)
         self.setFixedWidth(self.fontMetrics().horizontalAdvance("0.0000") + round(_TICK_PX) + 2)
-        self.setSizePolicy(QSizePolicy.Policy.Fixed, QSizePolicy.Policy.Ignored)
         self.max_text = ""  # label at the upper end
 
     def show_max(self, most: float) -> None:
@@ -192,12 +187,12 @@ class ErrorScale(QWidget):
             self.max_text = text
             self.update()
 
-    def paintEvent(self, a0: Any) -> None:  # noqa: N802
+    def paint(self, painter: QPainter, ink: ThemeColours) -> None:
         """Paint two numbers at two ticks on a line."""
-        del a0
+        del ink
         if not self.max_text:
             return
-        painter, right, high = QPainter(self), self.width() - 1.0, float(self.height())
+        right, high = self.width() - 1.0, float(self.height())
         top, base, letters = _TOP_PX, high - _BASE_PX, painter.fontMetrics().ascent()
         painter.setPen(QPen(self.palette().color(QPalette.ColorRole.Mid), 1))
         painter.drawLine(QPointF(right, top), QPointF(right, base))

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from PyQt6.QtCore import QPointF, QRectF, QSize, Qt
-from PyQt6.QtGui import QPainter, QPaintEvent, QPen, QPolygonF
-from PyQt6.QtWidgets import QSizePolicy, QWidget
+from PyQt6.QtCore import QPointF, QRectF, Qt
+from PyQt6.QtGui import QColor, QPainter, QPen, QPolygonF
 
-from widgets.theme import get_theme_colours, to_qcolor
+from widgets.painted_widget import FIXED, PaintedWidget
+from widgets.theme import ThemeColours, to_qcolor
 
 _BAR_PX = 9
 
@@ -26,16 +26,15 @@ class GaugeScale:
     help: str
 
 
-class Gauge(QWidget):
+class Gauge(PaintedWidget):
     """Name, bar from 0 to the full value, number with unit, and ghost tick."""
 
-    def __init__(self, scale: GaugeScale, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self, scale: GaugeScale) -> None:
+        super().__init__("gauge", scale.name, down=FIXED)
         self._scale = scale
         self.value: float | None = None  # None = no value
         self.ghost: float | None = None  # position of the ghost tick
-        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
-        self.setAccessibleName(scale.name)
+        self.preferred_px = 180, self.fontMetrics().height() + 4  # one line
         better = "higher is better" if scale.higher_is_better else "lower is better"
         self.setToolTip(
             f"{scale.help}; {better}; the bar is full at {scale.full_value:g}{self._unit()}; "
@@ -67,40 +66,34 @@ class Gauge(QWidget):
             self.ghost = value
             self.update()
 
-    def sizeHint(self) -> QSize:  # noqa: N802
-        """Return the size of one line."""
-        return QSize(180, self.fontMetrics().height() + 4)
-
-    def paintEvent(self, a0: QPaintEvent | None) -> None:  # noqa: N802
+    def paint(self, painter: QPainter, ink: ThemeColours) -> None:
         """Paint name, bar, tick and number."""
-        del a0
-        painter, metrics = QPainter(self), self.fontMetrics()
+        metrics = self.fontMetrics()
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         left = metrics.horizontalAdvance("mask IoU") + 8
         right = metrics.horizontalAdvance("00.000 mm") + 6
         height = self.height()
-        ink = self.palette().text().color()
-        painter.setPen(ink)
+        painter.setPen(self.palette().text().color())
         middle = int(Qt.AlignmentFlag.AlignVCenter)
         painter.drawText(QRectF(0, 0, left, height), middle | int(Qt.AlignmentFlag.AlignLeft), self._scale.name)
         number = QRectF(self.width() - right, 0, right, height)
         painter.drawText(number, middle | int(Qt.AlignmentFlag.AlignRight), self.text)
         bar = QRectF(left, (height - _BAR_PX) / 2, max(10.0, self.width() - left - right), _BAR_PX)
         painter.setPen(Qt.PenStyle.NoPen)
-        painter.setBrush(to_qcolor(get_theme_colours(self.palette()).gauge_background))
+        painter.setBrush(to_qcolor(ink.gauge_background))
         painter.drawRoundedRect(bar, 2, 2)
         if self.value is not None and math.isfinite(self.value):
-            painter.setBrush(to_qcolor(get_theme_colours(self.palette()).gauge))
+            painter.setBrush(to_qcolor(ink.gauge))
             painter.drawRoundedRect(QRectF(bar.left(), bar.top(), bar.width() * self._share(self.value), _BAR_PX), 2, 2)
         if self.ghost is not None and math.isfinite(self.ghost):
-            self._draw_ghost(painter, bar)
+            self._draw_ghost(painter, bar, to_qcolor(ink.ghost))
 
-    def _draw_ghost(self, painter: QPainter, bar: QRectF) -> None:
+    def _draw_ghost(self, painter: QPainter, bar: QRectF, colour: QColor) -> None:
         x = bar.left() + bar.width() * self._share(self.ghost or 0.0)
-        painter.setPen(QPen(to_qcolor(get_theme_colours(self.palette()).ghost), 1.6))
+        painter.setPen(QPen(colour, 1.6))
         painter.drawLine(QPointF(x, bar.top() - 2), QPointF(x, bar.bottom() + 2))
         painter.setPen(Qt.PenStyle.NoPen)
-        painter.setBrush(to_qcolor(get_theme_colours(self.palette()).ghost))
+        painter.setBrush(colour)
         top = bar.top() - 1
         painter.drawPolygon(QPolygonF([QPointF(x - 3, top - 3), QPointF(x + 3, top - 3), QPointF(x, top + 1)]))
 

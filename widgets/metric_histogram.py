@@ -4,41 +4,35 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
-from PyQt6.QtCore import QRectF, QSize, Qt, pyqtSignal
+from PyQt6.QtCore import QRectF, Qt, pyqtSignal
 from PyQt6.QtGui import QMouseEvent, QPainter, QPalette
-from PyQt6.QtWidgets import QSizePolicy, QWidget
 
 from widgets.fonts import resize_font
-from widgets.theme import get_theme_colours, to_qcolor
+from widgets.painted_widget import FIXED, YIELDS, PaintedWidget
+from widgets.theme import ThemeColours, to_qcolor
 
 N_BARS = 24
 _BARS_PX, _DRAG_PX = 30, 4  # height of the bars; distance that makes a press a drag
 WHOLE = (-math.inf, math.inf)
 
 
-class MetricHistogram(QWidget):
+class MetricHistogram(PaintedWidget):
     """Numbers of frames by the value of a metric; `range_chosen` carries the ends of a range, infinite for all."""
 
     range_chosen = pyqtSignal(float, float)
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self) -> None:
+        super().__init__("metric_histogram", "histogram of the metric", YIELDS, FIXED)
         self.counts: tuple[int, ...] = ()
         self._low, self._high, self._range = 0.0, 1.0, WHOLE
         self._pressed_px: float | None = None
         resize_font(self)
-        self.setAccessibleName("histogram of the metric")
+        self.preferred_px = 120, _BARS_PX + self.fontMetrics().height() + 2  # bars, and one line of numbers
         self.setToolTip("Frames by the metric; drag over a range to list its frames, click to list all")
         self.setCursor(Qt.CursorShape.IBeamCursor)
-        self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
         self.hide()
-
-    def sizeHint(self) -> QSize:  # noqa: N802
-        """Room for the bars and one line of numbers."""
-        return QSize(120, _BARS_PX + self.fontMetrics().height() + 2)
 
     def show_values(self, values: Sequence[float], chosen: tuple[float, float] = WHOLE) -> None:
         """Show these values, NaN left out, and the chosen range; hidden while all are the same."""
@@ -75,11 +69,8 @@ class MetricHistogram(QWidget):
             self.range_chosen.emit(*WHOLE)
         self._pressed_px = None
 
-    def paintEvent(self, a0: Any) -> None:  # noqa: N802
+    def paint(self, painter: QPainter, ink: ThemeColours) -> None:
         """Draw the bars, those of the range in the accent, and both ends of the values."""
-        del a0
-        painter, palette = QPainter(self), self.palette()
-        ink = get_theme_colours(palette)
         most, width = max((*self.counts, 1)), self.width() / max(len(self.counts), 1)
         step = (self._high - self._low) / max(len(self.counts), 1)
         for k, count in enumerate(self.counts):
@@ -87,7 +78,7 @@ class MetricHistogram(QWidget):
             inside = self._range[0] < self._low + (k + 1) * step and self._low + k * step < self._range[1]
             bar = QRectF(k * width, _BARS_PX - tall, max(width - 1.0, 1.0), tall)
             painter.fillRect(bar, to_qcolor(ink.accent if inside else ink.neutral))
-        painter.setPen(palette.color(QPalette.ColorRole.Mid))
+        painter.setPen(self.palette().color(QPalette.ColorRole.Mid))
         painter.drawLine(0, _BARS_PX, self.width(), _BARS_PX)
         painter.setPen(to_qcolor(ink.secondary_text))
         words = QRectF(0, _BARS_PX + 1, self.width(), self.fontMetrics().height())

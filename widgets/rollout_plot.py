@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 from PyQt6.QtCore import QPointF, QRectF, Qt
 from PyQt6.QtGui import QPainter, QPalette, QPolygonF
-from PyQt6.QtWidgets import QWidget
 
 from pipeline.stages.stage import StepCurve
 from widgets.steps_panel import StepsPlot
-from widgets.theme import get_theme_colours, to_qcolor
+from widgets.theme import ThemeColours, to_qcolor
 
 _MARK_PX = 4.0
 _LAST_TIMES = 3  # times written under the plot: first, middle and last
@@ -20,10 +18,8 @@ _LAST_TIMES = 3  # times written under the plot: first, middle and last
 class RolloutPlot(StepsPlot):
     """Click, drag or arrow keys choose a tick; triangles at the top mark decisions, times stand at the bottom."""
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
-        self.setObjectName("rollout_plot")
-        self.setAccessibleName("force and motion against time")
+    def __init__(self) -> None:
+        super().__init__("rollout_plot", "force and motion against time")
         self._times_s: Sequence[float] = ()
         self.decision_ticks: tuple[int, ...] = ()
         self.setMinimumHeight(90)
@@ -33,20 +29,18 @@ class RolloutPlot(StepsPlot):
         self._times_s, self.decision_ticks = times_s, tuple(decisions)
         self.show_curves(curves, ())
 
-    def paintEvent(self, a0: Any) -> None:  # noqa: N802
+    def paint(self, painter: QPainter, ink: ThemeColours) -> None:
         """Paint strips, marks of decisions, and times."""
-        super().paintEvent(a0)
+        super().paint(painter, ink)
         if not self.n_steps:
             return
-        painter, palette = QPainter(self), self.palette()
-        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         painter.setPen(Qt.PenStyle.NoPen)
-        painter.setBrush(to_qcolor(get_theme_colours(palette).worse))
+        painter.setBrush(to_qcolor(ink.worse))
         for tick in self.decision_ticks:
             x = self.compute_step_x_px(tick)
             corners = (QPointF(x - _MARK_PX, 0), QPointF(x + _MARK_PX, 0), QPointF(x, 1.7 * _MARK_PX))
             painter.drawPolygon(QPolygonF(corners))
-        painter.setPen(palette.color(QPalette.ColorRole.PlaceholderText))
+        painter.setPen(self.palette().color(QPalette.ColorRole.PlaceholderText))
         height = self.fontMetrics().height()
         for k in range(_LAST_TIMES):
             tick = round(k * (self.n_steps - 1) / (_LAST_TIMES - 1))

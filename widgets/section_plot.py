@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from PyQt6 import sip
-from PyQt6.QtCore import QLineF, QPointF, QRectF, QSize, Qt
-from PyQt6.QtGui import QColor, QPainter, QPalette, QPen
-from PyQt6.QtWidgets import QSizePolicy, QWidget
+from PyQt6.QtCore import QLineF, QPointF, QRectF, Qt
+from PyQt6.QtGui import QPainter, QPalette, QPen
 
 from pipeline.previews.colours import Rgb
 from pipeline.translation.cross_section import CrossSection, HeightProfile
 from widgets.fonts import resize_font
-from widgets.theme import CATEGORY_COLOURS, get_theme_colours, to_qcolor
+from widgets.painted_widget import PaintedWidget
+from widgets.theme import CATEGORY_COLOURS, ThemeColours, get_theme_colours, to_qcolor
 
 _LEFT_PX, _BELOW_PX, _ROOM_PX, _LEGEND_PX, _KEY_PX, _EDGE_PX = 60.0, 32.0, 8.0, 150.0, 26.0, 9.0
 _STEPS = (1.0, 2.0, 5.0)
@@ -31,51 +30,35 @@ _LEAST_TICKS = 2  # one number is no scale
 class CurveStyle:
     """How a curve is drawn: colour, dash pattern and width, since colours alone do not separate overlapping curves."""
 
-    colour: Callable[[QPalette], QColor]
+    colour: Rgb | Literal["neutral", "accent", "text"]  # or one of the theme's
     pattern: str = _SOLID
     width_px: float = 1.8
 
 
-def _always(rgb: Rgb) -> Callable[[QPalette], QColor]:
-    return lambda _: to_qcolor(rgb)
-
-
-def _calm(palette: QPalette) -> QColor:
-    return to_qcolor(get_theme_colours(palette).neutral)
-
-
-def _blue(palette: QPalette) -> QColor:
-    return to_qcolor(get_theme_colours(palette).accent)
-
-
-def _words(palette: QPalette) -> QColor:
-    return palette.color(QPalette.ColorRole.WindowText)
-
-
 _STROKES = {
-    "source": CurveStyle(_calm),
-    "depth": CurveStyle(_blue),
-    "cloud": CurveStyle(_always(CATEGORY_COLOURS[1]), _DOT, 2.6),
-    "target_depth": CurveStyle(_always(CATEGORY_COLOURS[2]), _DASH),
-    "touch": CurveStyle(_always(CATEGORY_COLOURS[3]), width_px=3.0),
-    "touch_depth": CurveStyle(_always(CATEGORY_COLOURS[5]), _DASH_DOT),
-    "true_source": CurveStyle(_blue, _DOT),
-    "true_target": CurveStyle(_words, width_px=1.3),
+    "source": CurveStyle("neutral"),
+    "depth": CurveStyle("accent"),
+    "cloud": CurveStyle(CATEGORY_COLOURS[1], _DOT, 2.6),
+    "target_depth": CurveStyle(CATEGORY_COLOURS[2], _DASH),
+    "touch": CurveStyle(CATEGORY_COLOURS[3], width_px=3.0),
+    "touch_depth": CurveStyle(CATEGORY_COLOURS[5], _DASH_DOT),
+    "true_source": CurveStyle("accent", _DOT),
+    "true_target": CurveStyle("text", width_px=1.3),
 }
-_OTHER = CurveStyle(_calm, _DASH)
+_OTHER = CurveStyle("neutral", _DASH)
 
 
-class SectionPlot(QWidget):
+class SectionPlot(PaintedWidget):
     """Plots a `CrossSection`: mm along the line against mm of indentation, with gaps where nothing is known."""
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    preferred_px = 640, 180
+
+    def __init__(self) -> None:
+        super().__init__("section_plot", "indentation along the section line")
         resize_font(self)
         self.section: CrossSection | None = None
         self.sensor_role = ""  # sensor whose curves are drawn, "" = both
         self.setMinimumSize(280, 110)
-        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
-        self.setAccessibleName("indentation along the section line")
         self.setToolTip(
             "Indentation of every stage along the line, + toward the camera; marks at the bottom: start and "
             "end of its contact. Cloud points: perpendicular to the target's rest surface"
@@ -91,23 +74,18 @@ class SectionPlot(QWidget):
         self.sensor_role = place
         self.update()
 
-    def sizeHint(self) -> QSize:  # noqa: N802
-        """Return room for axes and legend."""
-        return QSize(640, 180)
-
     @property
     def visible_profiles(self) -> tuple[HeightProfile, ...]:
         """The curves that have a value anywhere."""
         profiles = () if self.section is None else self.section.profiles
         return tuple(p for p in profiles if self.sensor_role in ("", p.place) and np.isfinite(p.heights_mm).any())
 
-    def paintEvent(self, a0: Any) -> None:  # noqa: N802
+    def paint(self, painter: QPainter, ink: ThemeColours) -> None:
         """Paint axes, curves, contact edges and legend."""
-        del a0
+        del ink
         known, section = self.visible_profiles, self.section
         if section is None or not known or not section.line.length_mm > 0:
             return
-        painter = QPainter(self)
         room = QRectF(_LEFT_PX, _ROOM_PX, self.width() - _LEFT_PX - _LEGEND_PX - _ROOM_PX,
                       self.height() - _ROOM_PX - _BELOW_PX)  # fmt: skip
         low = min(0.0, *(float(np.nanmin(p.heights_mm)) for p in known))
@@ -130,7 +108,10 @@ class SectionPlot(QWidget):
 
     def _pen(self, name: str) -> QPen:
         stroke = _STROKES.get(name, _OTHER)
-        pen = QPen(stroke.colour(self.palette()), stroke.width_px)
+        ink, text = get_theme_colours(self.palette()), self.palette().color(QPalette.ColorRole.WindowText)
+        own = {"neutral": to_qcolor(ink.neutral), "accent": to_qcolor(ink.accent), "text": text}
+        colour = own[stroke.colour] if isinstance(stroke.colour, str) else to_qcolor(stroke.colour)
+        pen = QPen(colour, stroke.width_px)
         pen.setCapStyle(Qt.PenCapStyle.FlatCap)
         return pen
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from PyQt6.QtCore import QRectF, QSize, Qt
-from PyQt6.QtGui import QPainter, QPaintEvent
-from PyQt6.QtWidgets import QSizePolicy, QWidget
+from PyQt6.QtCore import QRectF, Qt
+from PyQt6.QtGui import QPainter
 
 from pipeline.alignment.sensitivity import UNIT_STEP, ScoreChange, Sensitivity
 from widgets.fonts import resize_font
-from widgets.theme import get_theme_colours, to_qcolor
+from widgets.painted_widget import FIXED, PaintedWidget
+from widgets.theme import ThemeColours, to_qcolor
 
 # title, unit, digits, whether larger is better
 _FIGURES = (("depth", "mm", 3, False), ("edge", "px", 2, False), ("IoU", "", 3, True))
@@ -23,15 +23,14 @@ _TIP = (
 )
 
 
-class SensitivityBars(QWidget):
+class SensitivityBars(PaintedWidget):
     """One row per axis, one column per metric: a bar, its number and the direction that improves it."""
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self) -> None:
+        super().__init__("sensitivity", "sensitivity of the axes", down=FIXED)
         self.axes: tuple[Sensitivity, ...] = ()  # the axes on display
-        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
         resize_font(self)
-        self.setAccessibleName("sensitivity of the axes")
+        self.preferred_px = 200, 7 * self._row_px()  # a header and six rows
         self._full = (UNIT_STEP, 1.0, _FULL_IOU)
         wide = self.fontMetrics().horizontalAdvance
         widest = max(wide(f"{_NEARER} 0.000"), wide("depth mm")) + _CELL_ROOM_PX
@@ -52,17 +51,11 @@ class SensitivityBars(QWidget):
         self.setAccessibleDescription("; ".join(rows))
         self.update()
 
-    def sizeHint(self) -> QSize:  # noqa: N802
-        """Return room for a header and six rows."""
-        return QSize(200, 7 * self._row_px())
-
-    def paintEvent(self, a0: QPaintEvent | None) -> None:  # noqa: N802
+    def paint(self, painter: QPainter, ink: ThemeColours) -> None:
         """Paint header and rows."""
-        del a0
-        painter, row = QPainter(self), self._row_px()
-        left = self._left_px()
+        row, left = self._row_px(), self._left_px()
         width = (self.width() - left) / len(_FIGURES)
-        soft, ink = self.palette().placeholderText().color(), self.palette().text().color()
+        soft, text = self.palette().placeholderText().color(), self.palette().text().color()
         painter.setPen(soft)
         middle = int(Qt.AlignmentFlag.AlignVCenter)
         painter.drawText(QRectF(0, 0, left, row), middle, "per")
@@ -71,26 +64,21 @@ class SensitivityBars(QWidget):
             painter.drawText(cell, middle | int(Qt.AlignmentFlag.AlignRight), f"{name} {unit}".strip())
         for n, axis in enumerate(self.axes):
             top = (n + 1) * row
-            painter.setPen(ink)
+            painter.setPen(text)
             painter.drawText(QRectF(0, top, left, row), middle, axis.axis)
             painter.setPen(soft)
             unit = "°" if axis.unit == "deg" else " mm"
             painter.drawText(QRectF(self.fontMetrics().horizontalAdvance("rx  "), top, left, row), middle,
                              f"{UNIT_STEP:g}{unit}")  # fmt: skip
             for i, change in enumerate(_changes(axis)):
-                painter.setPen(ink)
-                self._draw_cell(painter, QRectF(left + i * width, top + 1, width - 4, row - 2), change, i)
-
-    def _draw_cell(self, painter: QPainter, cell: QRectF, change: ScoreChange, figure: int) -> None:
-        painter.fillRect(cell, to_qcolor(get_theme_colours(self.palette()).gauge_background))
-        if change.magnitude is not None:
-            share = min(1.0, change.magnitude / self._full[figure])
-            painter.fillRect(
-                QRectF(cell.left(), cell.top(), share * cell.width(), cell.height()),
-                to_qcolor(get_theme_colours(self.palette()).sensitivity),
-            )
-        right = int(Qt.AlignmentFlag.AlignVCenter | Qt.AlignmentFlag.AlignRight)
-        painter.drawText(cell.adjusted(2, 0, -3, 0), right, _format_change(change, figure))
+                cell = QRectF(left + i * width, top + 1, width - 4, row - 2)
+                painter.fillRect(cell, to_qcolor(ink.gauge_background))
+                share = min(1.0, (change.magnitude or 0.0) / self._full[i])
+                bar = QRectF(cell.left(), cell.top(), share * cell.width(), cell.height())
+                painter.fillRect(bar, to_qcolor(ink.sensitivity))
+                painter.setPen(text)
+                right = middle | int(Qt.AlignmentFlag.AlignRight)
+                painter.drawText(cell.adjusted(2, 0, -3, 0), right, _format_change(change, i))
 
     def _left_px(self) -> int:
         """Return the width of an axis' name and step."""

@@ -4,27 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import Any
 
-from PyQt6.QtCore import QPointF, QRectF, QSize, Qt
+from PyQt6.QtCore import QPointF, QRectF, Qt
 from PyQt6.QtGui import QPainter, QPalette, QPen
-from PyQt6.QtWidgets import QSizePolicy, QWidget
 
 from widgets.fonts import resize_font
-from widgets.theme import get_theme_colours, to_qcolor
+from widgets.painted_widget import FIXED, PaintedWidget
+from widgets.theme import ThemeColours, to_qcolor
 
 _LEFT_PX, _BELOW_PX, _ROOM_PX, _DOT_PX = 46.0, 34.0, 14.0, 4.0
 
 
-class SpreadPlot(QWidget):
+class SpreadPlot(PaintedWidget):
     """Points (standard deviation, error) in mm, both axes from zero and of equal length, with the diagonal."""
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    preferred_px = 280, 280
+
+    def __init__(self) -> None:
+        super().__init__("spread_plot", "error against standard deviation", FIXED)
         resize_font(self)
         self.points: tuple[tuple[float, float], ...] = ()
         self.setMinimumWidth(240)
-        self.setSizePolicy(QSizePolicy.Policy.Fixed, QSizePolicy.Policy.Expanding)
         self.setToolTip(
             "Each point is a group of pixels with similar standard deviation: its mean, and the rms error of the mean"
         )
@@ -35,16 +35,11 @@ class SpreadPlot(QWidget):
         self.setVisible(bool(self.points))
         self.update()
 
-    def sizeHint(self) -> QSize:  # noqa: N802
-        """A square with room for labels."""
-        return QSize(280, 280)
-
-    def paintEvent(self, a0: Any) -> None:  # noqa: N802
+    def paint(self, painter: QPainter, ink: ThemeColours) -> None:
         """Draw axes, diagonal and points."""
-        del a0
         if not self.points:
             return
-        painter, palette = QPainter(self), self.palette()
+        palette = self.palette()
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         most = 1.05 * max(max(point) for point in self.points) or 1.0
         side = min(self.width() - _LEFT_PX - _ROOM_PX, self.height() - _BELOW_PX - 2 * _ROOM_PX)
@@ -68,9 +63,9 @@ class SpreadPlot(QWidget):
         painter.drawText(QRectF(0, 0, side, 16), centre, "rms error of the mean, mm")
         painter.restore()
         dots = [to_screen(*point) for point in self.points]
-        painter.setPen(QPen(to_qcolor(get_theme_colours(self.palette()).accent), 1.5))
+        painter.setPen(QPen(to_qcolor(ink.accent), 1.5))
         for one, other in pairwise(dots):
             painter.drawLine(one, other)
-        painter.setBrush(to_qcolor(get_theme_colours(self.palette()).accent))
+        painter.setBrush(to_qcolor(ink.accent))
         for dot in dots:
             painter.drawEllipse(dot, _DOT_PX, _DOT_PX)

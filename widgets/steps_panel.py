@@ -7,15 +7,16 @@ from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
-from PyQt6.QtCore import QPointF, QRectF, QSize, Qt, pyqtSignal
+from PyQt6.QtCore import QPointF, QRectF, Qt, pyqtSignal
 from PyQt6.QtGui import QPainter, QPalette, QPen
-from PyQt6.QtWidgets import QHBoxLayout, QLabel, QPushButton, QSizePolicy, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QHBoxLayout, QLabel, QPushButton, QVBoxLayout, QWidget
 
 from pipeline.stages.stage import StepCurve, StepHistory
 from widgets.choice_box import ChoiceBox
 from widgets.fonts import resize_font
+from widgets.painted_widget import PaintedWidget
 from widgets.styling import set_spacing
-from widgets.theme import get_theme_colours, to_qcolor
+from widgets.theme import ThemeColours, get_theme_colours, to_qcolor
 
 _RIGHT_PX, _GAP_PX, _DOT_PX = 14.0, 10.0, 2.5
 _WIDEST_LIMIT, _BETWEEN_PX = "0.0000 mm", 8.0  # number at the upper end of a curve; space around names and numbers
@@ -23,17 +24,16 @@ _NOTHING = "Step through keeps the steps and shows them one by one; the result s
 KEEP_STEPS, DISCARD_STEPS = "Step through", "Discard steps"
 
 
-class StepsPlot(QWidget):
+class StepsPlot(PaintedWidget):
     """One strip per curve over the same steps; click, drag or arrow keys choose a step."""
 
     step_chosen = pyqtSignal(int)
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
-        self.setObjectName("steps_plot")
-        self.setAccessibleName("metrics of every step")
+    preferred_px = 400, 130
+
+    def __init__(self, name: str = "steps_plot", description: str = "metrics of every step") -> None:
+        super().__init__(name, description)
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
-        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
         resize_font(self)
         self._curves: tuple[StepCurve, ...] = ()
         self._left_px = 0.0  # room of names and numbers, left of the curves
@@ -59,29 +59,22 @@ class StepsPlot(QWidget):
         """Number of steps."""
         return len(self._curves[0].values) if self._curves else 0
 
-    def sizeHint(self) -> QSize:  # noqa: N802
-        """Return room for three strips."""
-        return QSize(400, 130)
-
     def compute_step_x_px(self, at: int) -> float:
         """Return the horizontal position of a step."""
         wide = self.width() - self._left_px - _RIGHT_PX
         return self._left_px + wide * at / max(1, self.n_steps - 1)
 
-    def paintEvent(self, a0: Any) -> None:  # noqa: N802
+    def paint(self, painter: QPainter, ink: ThemeColours) -> None:
         """Paint strips, marks and the current step."""
-        del a0
         if not self.n_steps:
             return
-        painter, palette = QPainter(self), self.palette()
+        palette = self.palette()
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         tall = (self.height() - _GAP_PX * (len(self._curves) + 1)) / len(self._curves)
         if 0 <= self.current_step < self.n_steps:
-            painter.setPen(QPen(to_qcolor(get_theme_colours(palette).accent), 2))
-            painter.drawLine(
-                QPointF(self.compute_step_x_px(self.current_step), 0),
-                QPointF(self.compute_step_x_px(self.current_step), self.height()),
-            )
+            painter.setPen(QPen(to_qcolor(ink.accent), 2))
+            x = self.compute_step_x_px(self.current_step)
+            painter.drawLine(QPointF(x, 0), QPointF(x, self.height()))
         painter.setPen(QPen(palette.color(QPalette.ColorRole.Mid), 1, Qt.PenStyle.DashLine))
         for turn in self._turns:
             x = 0.5 * (self.compute_step_x_px(turn - 1) + self.compute_step_x_px(turn))

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from PyQt6.QtCore import QRectF, QSize, Qt
-from PyQt6.QtGui import QColor, QPainter, QPaintEvent, QPalette, QPen
-from PyQt6.QtWidgets import QSizePolicy, QWidget
+from PyQt6.QtCore import QRectF, Qt
+from PyQt6.QtGui import QColor, QPainter, QPalette, QPen
 
-from widgets.theme import CATEGORY_COLOURS, to_qcolor
+from widgets.painted_widget import FIXED, PaintedWidget
+from widgets.theme import CATEGORY_COLOURS, ThemeColours, to_qcolor
 
 _BAR_PX, _MARK_PX = 18, 3
 _LIGHT_LUMA = 140.0  # of 255: colours above it carry dark text
@@ -22,16 +22,15 @@ class BudgetPart:
     time_ms: float
 
 
-class TimeBudgetBar(QWidget):
+class TimeBudgetBar(PaintedWidget):
     """Paints the parts of a frame's time one after the other; the mark is where the target rate ends."""
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    preferred_px = 420, _BAR_PX + 2 * _MARK_PX
+
+    def __init__(self) -> None:
+        super().__init__("time_budget", "time budget of a frame", down=FIXED)
         self.parts: tuple[BudgetPart, ...] = ()
         self._target_ms = 0.0
-        self.setFixedHeight(_BAR_PX + 2 * _MARK_PX)
-        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
-        self.setAccessibleName("time budget of a frame")
 
     def show_parts(self, parts: tuple[BudgetPart, ...], target_ms: float) -> None:
         """Show these times, and the time that a frame has at the target rate."""
@@ -41,17 +40,13 @@ class TimeBudgetBar(QWidget):
         self.setAccessibleDescription(self.toolTip())
         self.update()
 
-    def sizeHint(self) -> QSize:  # noqa: N802
-        """Return room for the titles."""
-        return QSize(420, self.height())
-
-    def paintEvent(self, a0: QPaintEvent | None) -> None:  # noqa: N802
+    def paint(self, painter: QPainter, ink: ThemeColours) -> None:
         """Paint the segments with their titles where there is room, then the mark."""
-        del a0
+        del ink
         longest_ms = max(sum(part.time_ms for part in self.parts), self._target_ms)
         if not self.parts or longest_ms <= 0:
             return
-        painter, per_ms, left = QPainter(self), (self.width() - 2) / longest_ms, 0.0
+        per_ms, left = (self.width() - 2) / longest_ms, 0.0
         for number, part in enumerate(self.parts):
             colour = to_qcolor(CATEGORY_COLOURS[number % len(CATEGORY_COLOURS)])
             box = QRectF(left, _MARK_PX, part.time_ms * per_ms, _BAR_PX)

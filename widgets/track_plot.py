@@ -5,12 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from PyQt6.QtCore import QPointF, QRectF, QSize, Qt
+from PyQt6.QtCore import QPointF, QRectF, Qt
 from PyQt6.QtGui import QBrush, QColor, QPainter, QPalette, QPen, QPolygonF
-from PyQt6.QtWidgets import QWidget
 
 from pipeline.base.arrays import Doubles
 from pipeline.previews.colours import Rgb
@@ -18,7 +16,7 @@ from pipeline.stages.stage import StepCurve
 from pipeline.tracking.track_record import MOTION, TrackRow
 from widgets.section_plot import compute_segments, compute_ticks, draw_lines
 from widgets.steps_panel import StepsPlot
-from widgets.theme import get_theme_colours, to_qcolor
+from widgets.theme import ThemeColours, get_theme_colours, to_qcolor
 
 _GAP_PX, _MARK_PX = 6.0, 4.0
 _FINE_PX, _DOT_PX, _MOST_DOTS = 3.0, 5.0, 120  # step of a drawn curve; dots at the frames of a short track
@@ -46,10 +44,10 @@ _STRIPS = (
 class TrackPlot(StepsPlot):
     """One strip per quantity over the frames; click, drag or arrow keys choose a frame by its row."""
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
-        self.setObjectName("track_plot")
-        self.setAccessibleName("motion of the object over the frames")
+    preferred_px = 560, 380
+
+    def __init__(self) -> None:
+        super().__init__("track_plot", "motion of the object over the frames")
         self.setToolTip("Motion since the first frame; hatched: lost, grey: no contact, triangles: key frames")
         self.rows: tuple[TrackRow, ...] = ()
         self._keys = frozenset[int]()
@@ -64,16 +62,11 @@ class TrackPlot(StepsPlot):
             [StepCurve(name=_WIDEST_NAME, unit="", values=tuple(float(row.frame) for row in rows))] if rows else (), ()
         )
 
-    def sizeHint(self) -> QSize:  # noqa: N802
-        """Return room for four strips."""
-        return QSize(560, 380)
-
-    def paintEvent(self, a0: Any) -> None:  # noqa: N802
+    def paint(self, painter: QPainter, ink: ThemeColours) -> None:
         """Paint states, strips, key frames, frame numbers and the current frame."""
-        del a0
         if not self.rows:
             return
-        painter, palette = QPainter(self), self.palette()
+        palette = self.palette()
         left, line_px = self.compute_step_x_px(0), self.fontMetrics().height() + 2.0
         right = max(left + 1.0, self.compute_step_x_px(len(self.rows) - 1))
         room = QRectF(left, line_px, right - left, self.height() - 2 * line_px)
@@ -91,7 +84,7 @@ class TrackPlot(StepsPlot):
             corners = QPointF(x - _MARK_PX, 0), QPointF(x + _MARK_PX, 0), QPointF(x, 1.7 * _MARK_PX)
             painter.drawPolygon(QPolygonF(corners))
         if 0 <= self.current_step < len(self.rows):
-            painter.setPen(QPen(to_qcolor(get_theme_colours(palette).accent), 2))
+            painter.setPen(QPen(to_qcolor(ink.accent), 2))
             x = self.compute_step_x_px(self.current_step)
             painter.drawLine(QPointF(x, 0), QPointF(x, room.bottom()))
         painter.setPen(palette.color(QPalette.ColorRole.WindowText))

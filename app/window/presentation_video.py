@@ -10,8 +10,9 @@ from app.window.export import ExportController
 from app.window.session_controller import SessionController
 from app.work.evaluator import Evaluator
 from app.work.jobs import JobReporter
-from app.work.presentation_video import find_h264_encoder, write_presentation
+from app.work.presentation_video import write_presentation
 from pipeline.base.text import escape_text
+from pipeline.reporting.video import find_h264_encoder
 
 _SIZE = QSize(1920, 1080)
 _NO_H264 = "; H.264 needs an ffmpeg with libx264 on the PATH"

@@ -17,8 +17,8 @@ from app.window.live import LiveController
 from app.window.presentation import PresentationController
 from app.window.presentation_video import PresentationVideoController
 from app.window.tour import wait_until_shown
-from app.work import presentation_video
 from pipeline.live.simulated_source import SimulatedSource
+from pipeline.reporting import video
 from widgets.magnifier import MAX_RADIUS_PX
 from widgets.presentation_view import compose
 
@@ -142,8 +142,8 @@ def test_the_video_is_the_presentation(open_window, tmp_path, qtbot, monkeypatch
     controller = open_window(SAMPLE_RECORDING, target="soft_bubble", frame=3)
     assert wait_until_shown(controller, LIMIT_S)
     size, path = QSize(640, 360), tmp_path / "shown.avi"
-    video, export = controller.findChild(PresentationVideoController), controller.findChild(ExportController)
-    video.write(path, size)
+    writer, export = controller.findChild(PresentationVideoController), controller.findChild(ExportController)
+    writer.write(path, size)
     qtbot.waitUntil(lambda: "Written as MJPEG" in export.notification.text, timeout=100_000)
     assert "H.264 needs an ffmpeg" in export.notification.text
     film = cv2.VideoCapture(str(path))
@@ -170,9 +170,8 @@ def test_ffmpeg_encodes_what_it_is_given(tmp_path, monkeypatch):
     )
     program.chmod(0o755)
     monkeypatch.setenv("PATH", str(tmp_path), prepend=":")
-    assert presentation_video.find_h264_encoder() == str(program)
-    writer = presentation_video._PipeWriter(str(program), tmp_path / "video.mp4", QSize(4, 2))
-    for level in (1, 2):
-        writer.write(np.full((2, 4, 3), level, np.uint8))
-    writer.close()
+    monkeypatch.setattr(video, "count_frames", lambda _: 2)  # which the stand-in's file has not
+    assert video.find_h264_encoder() == str(program)
+    frames = (np.full((2, 4, 3), level, np.uint8) for level in (1, 2))
+    assert video.write_video(tmp_path / "video.mp4", frames, 10.0) == "H.264"
     assert (tmp_path / "video.mp4").read_bytes() == b"\x01" * 24 + b"\x02" * 24
