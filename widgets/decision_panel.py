@@ -4,33 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from PyQt6.QtWidgets import QHBoxLayout, QLabel, QVBoxLayout, QWidget
-
 from pipeline.tasks.task import Decision
-from widgets.error_attribution_panel import Waterfall, WaterfallBar, make_bars
+from widgets.error_attribution_panel import WaterfallBar, WaterfallPanel, make_bars
 from widgets.run_bar import StartBar
-from widgets.styling import make_bold, set_spacing
 
 _SUCCEEDS = "\N{CHECK MARK} succeeds"
 
 
-class DecisionPanel(QWidget):
+class DecisionPanel(WaterfallPanel):
     """Sentence and start of the run over the bars."""
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
-        self.sentence, self.waterfall, self.run_bar = QLabel(), Waterfall(), StartBar("attribute", "Attribute")
+    def __init__(self) -> None:
+        self.run_bar = StartBar("attribute", "Attribute")
+        super().__init__(self.run_bar)
         self.run_bar.start_button.setToolTip(
             "Run the rollout again with the truth in place of one stage after the other; nothing is written"
         )
-        self.sentence.setWordWrap(True)
-        make_bold(self.sentence)
-        head = set_spacing(QHBoxLayout(), 6)
-        head.addWidget(self.sentence, 1)
-        head.addWidget(self.run_bar)
-        layout = set_spacing(QVBoxLayout(self), 2, (6, 2, 6, 2))
-        layout.addLayout(head)
-        layout.addWidget(self.waterfall, 1)
 
     def show_decision(self, sentence: str, decision: Decision | None, *, can_attribute: bool) -> None:
         """Show the shares of a decision, if it has some."""

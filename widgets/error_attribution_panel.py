@@ -99,25 +99,32 @@ class Waterfall(PaintedWidget):
             )  # fmt: skip
 
 
-class ErrorAttributionPanel(QWidget):
+class WaterfallPanel(QWidget):
+    """Controls and a sentence over the bars."""
+
+    def __init__(self, control: QWidget, *, at_left: bool = False) -> None:
+        super().__init__()
+        self.sentence, self.waterfall = QLabel(), Waterfall()
+        self.sentence.setWordWrap(True)
+        make_bold(self.sentence)
+        head = set_spacing(QHBoxLayout(), 8)
+        head.addWidget(self.sentence, 1)
+        head.insertWidget(0 if at_left else 1, control)
+        layout = set_spacing(QVBoxLayout(self), 4, (6, 4, 6, 4))
+        layout.addLayout(head)
+        layout.addWidget(self.waterfall, 1)
+
+
+class ErrorAttributionPanel(WaterfallPanel):
     """Metric chooser, sentence and waterfall; `share_clicked` carries the number of the clicked share."""
 
     share_clicked = pyqtSignal(int)
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self) -> None:
         self.metric_box = ChoiceBox("attributed_metric", "metric to attribute")
-        self.sentence, self.waterfall = QLabel(), Waterfall()
+        super().__init__(self.metric_box, at_left=True)
         self.waterfall.setToolTip("A click on a share pins the truth of its stage in the column's head, or releases it")
         self.waterfall.row_clicked.connect(self._click_row)
-        self.sentence.setWordWrap(True)
-        make_bold(self.sentence)
-        head = set_spacing(QHBoxLayout(), 8)
-        head.addWidget(self.metric_box)
-        head.addWidget(self.sentence, 1)
-        layout = set_spacing(QVBoxLayout(self), 4, (6, 4, 6, 4))
-        layout.addLayout(head)
-        layout.addWidget(self.waterfall, 1)
         self.show_empty("")
 
     def _click_row(self, row: int) -> None:

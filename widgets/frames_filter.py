@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable
 
-from PyQt6.QtCore import QModelIndex, QSortFilterProxyModel
+from PyQt6.QtCore import QAbstractTableModel, QModelIndex, QSortFilterProxyModel
 
 from widgets.frames_model import METRIC, SORT_ROLE, FramesModel
 
@@ -34,35 +35,43 @@ def _format_limit(value: float) -> str:
     return f"{value:.{min(max(digits, 0), 9)}f}"
 
 
-class FramesFilter(QSortFilterProxyModel):
-    """Sorts by the table's sort role; lists what `set_filter` matches."""
+class RowFilter(QSortFilterProxyModel):
+    """Sorts by the table's sort role; lists the rows of the source for which all terms of a filter hold."""
 
-    def __init__(self, parent: object = None) -> None:
-        super().__init__(parent)  # type: ignore[arg-type]
-        self._words: tuple[str, ...] = ()
+    def __init__(self, model: QAbstractTableModel, matches: Callable[[int, str], bool]) -> None:
+        """`matches(row, term)` returns whether a term holds."""
+        super().__init__(model)
+        self._words, self._matches = tuple[str, ...](), matches
+        self.setSourceModel(model)
         self.setSortRole(SORT_ROLE)
 
     def set_filter(self, words: str) -> None:
-        """List the frames for which all terms hold; all frames for no term."""
+        """List the rows for which all terms hold; all rows for no term."""
         wanted = tuple(words.lower().split())
         if wanted != self._words:
             self._words = wanted
             self.invalidateFilter()
 
     def filterAcceptsRow(self, source_row: int, source_parent: QModelIndex) -> bool:  # noqa: N802
-        """Return whether a frame is listed."""
-        model = self.sourceModel()
-        assert isinstance(model, FramesModel)
-        return not source_parent.isValid() and all(matches_term(model, source_row, word) for word in self._words)
+        """Return whether a row is listed."""
+        return not source_parent.isValid() and all(self._matches(source_row, word) for word in self._words)
+
+
+def matches_limit(word: str, value: float) -> bool | None:
+    """Return whether a value is beyond the limit that a term is, never if it is unknown; None for another term."""
+    limit = _LIMIT.match(word)
+    if limit is None:
+        return None
+    bound = float(limit.group(2))
+    return value > bound if limit.group(1) == ">" else -math.inf < value < bound
 
 
 def matches_term(model: FramesModel, frame: int, word: str) -> bool:
     """Return whether a filter term holds for a frame; unknown values never match."""
-    summary, limit = model.get_summary(frame), _LIMIT.match(word)
-    if limit is not None:
-        value = float(str(model.data(model.index(frame, METRIC), SORT_ROLE)))
-        bound = float(limit.group(2))
-        return value > bound if limit.group(1) == ">" else -float("inf") < value < bound
+    summary = model.get_summary(frame)
+    is_within = matches_limit(word, float(str(model.data(model.index(frame, METRIC), SORT_ROLE))))
+    if is_within is not None:
+        return is_within
     own = {
         "contact": summary is not None and summary.contact_area_mm2 > 0,
         "no-contact": summary is not None and not summary.problem and summary.contact_area_mm2 <= 0,

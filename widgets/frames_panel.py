@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from functools import partial
 
 from PyQt6.QtCore import QEvent, QModelIndex, QSize, QSortFilterProxyModel, Qt, pyqtSignal
 from PyQt6.QtWidgets import (
@@ -20,7 +21,7 @@ from widgets.choice_box import ChoiceBox
 from widgets.event_listener import EventListener
 from widgets.fonts import resize_font
 from widgets.frame_summary import THUMBNAIL_PX
-from widgets.frames_filter import FramesFilter, get_limits, replace_limits
+from widgets.frames_filter import RowFilter, get_limits, matches_term, replace_limits
 from widgets.frames_model import CAUSE, CONTACT, DEPTH, FRAME, METRIC, NOTE, SORT_ROLE, WARNINGS, FramesModel
 from widgets.metric_histogram import MetricHistogram
 from widgets.styling import make_search_line, make_single_shot_timer, set_spacing
@@ -41,9 +42,7 @@ class FramesPanel(QWidget):
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.model = FramesModel(self)
-        self._sorted = FramesFilter(self)
-        self._sorted.setSourceModel(self.model)
-        self._sorted.setSortRole(SORT_ROLE)
+        self._sorted = RowFilter(self.model, partial(matches_term, self.model))
         self._frame = 0
         self.metric_box = ChoiceBox("frames_figure", "metric of the frames")
         self._told = QLabel()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from PyQt6.QtCore import QSize, Qt
-from PyQt6.QtWidgets import QFrame, QHBoxLayout, QLabel, QPushButton, QSizePolicy, QToolButton, QWidget
+from PyQt6.QtWidgets import QFrame, QHBoxLayout, QLabel, QPushButton, QSizePolicy, QToolButton, QVBoxLayout
 
 from widgets.choice_buttons import Choice, make_choice_button
 from widgets.run_bar import RunBar
@@ -17,11 +17,11 @@ _READ_MS, _ACT_MS = 10_000, 20_000  # until a notification leaves, without and w
 class NotificationBar(QFrame):
     """Hidden until `show_notification`; each button acts once and hides it. `run_bar` shows what the sentence is about.
 
-    It leaves by itself after a time to read it, unless the pointer is over it.
+    It leaves by itself after a time to read it, unless it is being read.
     """
 
-    def __init__(self, name: str, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self, name: str, *, choices_below: bool = False) -> None:
+        super().__init__()
         self.setObjectName(name)
         self.setFrameShape(QFrame.Shape.StyledPanel)
         self.setAutoFillBackground(True)
@@ -34,10 +34,13 @@ class NotificationBar(QFrame):
         self._away.setToolTip("Dismiss")
         self._away.setAccessibleName("Dismiss")
         self._away.clicked.connect(self.hide)
-        self._row = QHBoxLayout(self)
-        self._row.setContentsMargins(8, 3, 8, 3)
+        self._column, self._row, self._choices = QVBoxLayout(self), QHBoxLayout(), QHBoxLayout()
+        self._column.setContentsMargins(8, 3, 8, 3)
+        self._column.addLayout(self._row)
         self._row.addWidget(self._text, 1)
         self._row.addWidget(self.run_bar)
+        (self._column if choices_below else self._row).addLayout(self._choices)
+        self._choices.addStretch(int(choices_below))
         self._row.addWidget(self._away)
         self.buttons: list[QPushButton] = []
         self._read = make_single_shot_timer(self, _READ_MS, self._leave)
@@ -48,22 +51,28 @@ class NotificationBar(QFrame):
         """The sentence on display."""
         return self._text.text()
 
-    def show_notification(self, sentence: str, choices: Sequence[Choice] = (), *, stays: bool = False) -> None:
+    @property
+    def is_being_read(self) -> bool:
+        """Whether it does not leave now: the pointer is over it."""
+        return self.underMouse()
+
+    def show_notification(
+        self, sentence: str, choices: Sequence[Choice] = (), *, stays: bool = False, read_ms: int = _READ_MS
+    ) -> None:
         """Show one sentence and a button for each of `choices`; it does not leave while it `stays`."""
         for button in self.buttons:
-            self._row.removeWidget(button)
+            self._choices.removeWidget(button)
             button.deleteLater()
         self.buttons = [make_choice_button(choice, self.hide) for choice in choices]
-        for i, button in enumerate(self.buttons):
-            self._row.insertWidget(2 + i, button)
+        for button in self.buttons:
+            self._choices.addWidget(button)
         self._text.setText(sentence[:1].upper() + sentence[1:])
         self.show()
         self.updateGeometry()
-        self._read.stop() if stays else self._read.start(_ACT_MS if choices else _READ_MS)
+        self._read.stop() if stays else self._read.start(_ACT_MS if choices else read_ms)
 
     def _leave(self) -> None:
-        """Hide, but not under the pointer."""
-        self._read.start(_READ_MS) if self.underMouse() else self.hide()
+        self._read.start() if self.is_being_read else self.hide()
 
     def sizeHint(self) -> QSize:  # noqa: N802
         """Return a narrow width: the sentence wraps."""

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pyvista as pv
 import vtkmodules.vtkRenderingOpenGL2  # pyright: ignore[reportUnusedImport]  # noqa: F401 - registers what draws
+from numpy.typing import NDArray
 from vtkmodules.util.numpy_support import vtk_to_numpy
 from vtkmodules.vtkCommonCore import vtkUnsignedCharArray
 from vtkmodules.vtkRenderingCore import (
@@ -116,23 +117,23 @@ class OffscreenRenderer:
         self, column: int, place_mm: tuple[float, float, float], aspect: float
     ) -> tuple[float, float] | None:
         """Return a point's position as shares of width and height from the upper left; None if it is not visible."""
-        camera = self.renderers[column].GetActiveCamera()
-        camera.SetUseHorizontalViewAngle(aspect < 1.0)
-        matrix = pv.array_from_vtkmatrix(camera.GetCompositeProjectionTransformMatrix(aspect, -1.0, 1.0))
-        x, y, _, w = matrix @ (*place_mm, 1.0)
+        x, y, _, w = self._get_projection(column, aspect) @ (*place_mm, 1.0)
         if w <= 0 or max(abs(x), abs(y)) > w:
             return None
         return 0.5 + 0.5 * float(x / w), 0.5 - 0.5 * float(y / w)
 
     def project_points(self, column: int, points_mm: Doubles, aspect: float) -> tuple[Doubles, Doubles]:
         """Return the positions (n, 2) of points (n, 3) as shares, and their distances (n,) relative to the nearest."""
-        camera = self.renderers[column].GetActiveCamera()
-        camera.SetUseHorizontalViewAngle(aspect < 1.0)
-        matrix = pv.array_from_vtkmatrix(camera.GetCompositeProjectionTransformMatrix(aspect, -1.0, 1.0))
+        matrix = self._get_projection(column, aspect)
         seen = points_mm @ matrix[:, :3].T + matrix[:, 3]
         w = np.where(seen[:, 3] > 0, seen[:, 3], np.nan)
         shares = np.stack([0.5 + 0.5 * seen[:, 0] / w, 0.5 - 0.5 * seen[:, 1] / w], axis=-1)
         return np.nan_to_num(shares, nan=-9.0), np.nan_to_num(w / np.nanmin(w), nan=np.inf)
+
+    def _get_projection(self, column: int, aspect: float) -> Doubles:
+        camera = self.renderers[column].GetActiveCamera()
+        camera.SetUseHorizontalViewAngle(aspect < 1.0)
+        return pv.array_from_vtkmatrix(camera.GetCompositeProjectionTransformMatrix(aspect, -1.0, 1.0))
 
     def fit_cameras(self, bounds: Mapping[int, ViewBounds], linked: bool) -> None:
         """Set cameras on the sensor's side, so that indentation bulges toward the viewer."""
@@ -254,18 +255,15 @@ def _write(mesh: Any, layer: Layer, old: Layer | None, ink: ThemeColours) -> Non
 
 
 def _write_cells(mesh: Any, layer: Layer) -> None:
+    mesh.verts = np.zeros(0, dtype=np.int64)
     if layer.triangles is not None:
-        mesh.verts = np.zeros(0, dtype=np.int64)
-        faces = np.empty((len(layer.triangles), 4), dtype=np.int64)
-        faces[:, 0], faces[:, 1:] = 3, layer.triangles
-        mesh.faces = faces.ravel()
-        return
-    if layer.segments is not None:
-        mesh.verts = np.zeros(0, dtype=np.int64)
-        lines = np.empty((len(layer.segments), 3), dtype=np.int64)
-        lines[:, 0], lines[:, 1:] = 2, layer.segments
-        mesh.lines = lines.ravel()
-        return
-    verts = np.empty((len(layer.points_mm), 2), dtype=np.int64)
-    verts[:, 0], verts[:, 1] = 1, np.arange(len(layer.points_mm))
-    mesh.verts = verts.ravel()
+        mesh.faces = _join_cells(layer.triangles)
+    elif layer.segments is not None:
+        mesh.lines = _join_cells(layer.segments)
+    else:
+        mesh.verts = _join_cells(np.arange(len(layer.points_mm))[:, None])
+
+
+def _join_cells(corners: NDArray[np.integer]) -> NDArray[np.int64]:
+    """Return cells (n, k) as VTK's list of number of corners and corners."""
+    return np.insert(corners.astype(np.int64), 0, corners.shape[1], axis=1).ravel()

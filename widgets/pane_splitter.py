@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from PyQt6.QtCore import QSize, Qt
+from PyQt6.QtWidgets import QWidget
 
-from PyQt6.QtCore import QEvent, QSize, Qt
-from PyQt6.QtWidgets import QSplitter, QWidget
-
-from widgets.event_listener import EventListener
+from widgets.fitting_splitter import FittingSplitter
 from widgets.stage_column import StageColumn
-from widgets.styling import make_single_shot_timer
 from widgets.view_3d_panel import View3DPanel
 
 _MOST_HIGH = 0.74  # largest share of a pane's height for the image when stacked
@@ -19,17 +16,12 @@ _WORTH, _STILL = 1.15, 1.08  # gain in image size that switches to side by side,
 _WAY = Qt.Orientation
 
 
-class PaneSplitter(QSplitter):
-    """Fits the image until the user drags the handle."""
+class PaneSplitter(FittingSplitter):
+    """Fits the image."""
 
     def __init__(self) -> None:
-        super().__init__(_WAY.Vertical)
-        self.setChildrenCollapsible(False)
-        self.is_user_sized = False  # afterwards both keep their share
+        super().__init__()
         self._held: tuple[StageColumn, View3DPanel] | None = None
-        self._soon = make_single_shot_timer(self, 0, self.fit_sizes)
-        self.splitterMoved.connect(self._keep)
-        EventListener(self, self._soon.start, QEvent.Type.Resize)
 
     def set_contents(self, column: StageColumn, cell: View3DPanel) -> None:
         """Show these widgets; the previous ones must have been released."""
@@ -45,14 +37,6 @@ class PaneSplitter(QSplitter):
         if self._held is not None:
             self._held[0].view.shape_changed.disconnect(self._soon.start)
         self._held = None
-
-    def restore_sizes(self, sizes: Sequence[int]) -> None:
-        """Restore user sizes; without sizes, fit the image again."""
-        self.is_user_sized = len(sizes) == self.count()
-        if self.is_user_sized:
-            self.setSizes(list(sizes))
-        else:
-            self._soon.start()
 
     def fit_sizes(self) -> None:
         """Choose the sizes that make the image largest, unless the user set them."""
@@ -73,9 +57,6 @@ class PaneSplitter(QSplitter):
             whole, first = room.width(), round(max(_LEAST_WIDE * room.width(), around.width() + at_side))
         if abs(self.sizes()[0] - first) > 1:
             self.setSizes([first, whole - first])
-
-    def _keep(self) -> None:
-        self.is_user_sized = True
 
 
 def _is_shown_in(widget: QWidget, by: QWidget) -> bool:

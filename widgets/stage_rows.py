@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from PyQt6.QtCore import QEvent, QObject, Qt, pyqtSignal
-from PyQt6.QtWidgets import QHBoxLayout, QSplitter, QWidget
+from PyQt6.QtCore import QEvent, QObject, pyqtSignal
+from PyQt6.QtWidgets import QHBoxLayout, QWidget
 
 from widgets.event_listener import EventListener
+from widgets.fitting_splitter import FittingSplitter
 from widgets.stage_column import StageColumn
-from widgets.styling import make_single_shot_timer, set_spacing
+from widgets.styling import set_spacing
 from widgets.view_3d_panel import View3DPanel
 
 _SHORT_PX = 420  # a lower row gives a caption one line, and the state none
@@ -17,7 +18,7 @@ _LEAST_BELOW = 0.3  # minimum share of the remaining height for the lower row
 _TALL_BELOW = 1.15  # maximum height of a 3D view in widths: beyond it there is only background
 
 
-class StageRows(QSplitter):
+class StageRows(FittingSplitter):
     """A row of columns over a row of cells; fits the previews until the user drags the handle.
 
     `spare_height_changed` carries the height in pixels beyond what is needed; negative if there is too little.
@@ -26,22 +27,17 @@ class StageRows(QSplitter):
     spare_height_changed = pyqtSignal(int)
 
     def __init__(self) -> None:
-        super().__init__(Qt.Orientation.Vertical)
+        super().__init__()
         self._columns: tuple[StageColumn, ...] = ()
         self._cells: tuple[View3DPanel, ...] = ()
         self._watched: set[QObject] = set()
         self._told = False, False, True  # compact captions, states next to titles, room for scales
         self.setObjectName("split_rows")
-        self.is_user_sized = False  # afterwards the rows keep their share
         self._restored: tuple[int, ...] = ()  # of an arrangement; its docks are laid out later
         self._above, self.lower_row = QWidget(), QWidget()
         self._upper, self._lower = set_spacing(QHBoxLayout(self._above), 2), set_spacing(QHBoxLayout(self.lower_row), 2)
         self.addWidget(self._above)
         self.addWidget(self.lower_row)
-        self.setChildrenCollapsible(False)
-        self._soon = make_single_shot_timer(self, 0, self.fit_sizes)
-        self.splitterMoved.connect(self._keep)
-        EventListener(self, self._soon.start, QEvent.Type.Resize)
 
     def set_columns(self, pairs: Sequence[tuple[StageColumn, View3DPanel]], *, wide: bool = False) -> None:
         """Show these columns and cells in this order; their own visibility decides which are seen.
@@ -92,11 +88,10 @@ class StageRows(QSplitter):
 
     def restore_sizes(self, sizes: Sequence[int]) -> None:
         """Restore user sizes; without sizes, fit the previews again."""
-        self.is_user_sized = len(sizes) == self.count()
+        super().restore_sizes(sizes)
         self._restored = tuple(sizes) if self.is_user_sized else ()
-        if self.is_user_sized:
-            self.setSizes(self._restored)
-        self._soon.start()
 
-    def _keep(self) -> None:
-        self.is_user_sized, self._restored = True, ()
+    def keep_sizes(self) -> None:
+        """Keep the sizes that the user chose."""
+        super().keep_sizes()
+        self._restored = ()

@@ -1,18 +1,18 @@
-"""Table model of the rollouts of a task, sortable and filterable."""
+"""Table model of the rollouts of a task: texts of the cells, and values to sort and filter by."""
 
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Sequence
 
-from PyQt6.QtCore import QAbstractTableModel, QModelIndex, QSortFilterProxyModel, Qt
+from PyQt6.QtCore import QAbstractTableModel, QModelIndex, Qt
 from PyQt6.QtWidgets import QWidget
 
 from pipeline.tasks.trial_rows import TrialRow
+from widgets.frames_filter import matches_limit
+from widgets.frames_model import SORT_ROLE
 from widgets.icons import make_state_icon
 
-SORT_ROLE = Qt.ItemDataRole.UserRole  # a number or a text, so that 10 comes after 9; unknown numbers come last
 TRIAL, CASE, TOUCH, TOLERANCE, OUTCOME, ERROR_MM, ERROR_DEG, CAUSE, TASK = range(9)
 _TITLES = ("trial", "case", "touch", "clear\nmm", "outcome", "error\nmm", "error\n°", "cause", "task")
 _TIPS = (
@@ -22,7 +22,6 @@ _TIPS = (
 )  # fmt: skip
 _ICONS = {"succeeds": "computed", "fails": "failed", "damaged": "warning"}
 _RIGHT = int(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
-_LIMIT = re.compile(r"([<>])=?(\d+(?:\.\d*)?|\.\d+)$")
 
 
 class TrialsModel(QAbstractTableModel):
@@ -76,26 +75,6 @@ class TrialsModel(QAbstractTableModel):
         return texts[Qt.ItemDataRole(role)][section] if role in texts else None
 
 
-class TrialsFilter(QSortFilterProxyModel):
-    """Lists the rollouts for which every term holds: a limit of the error in mm, or a word of any cell."""
-
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
-        self._words: tuple[str, ...] = ()
-        self.setSortRole(SORT_ROLE)
-
-    def set_filter(self, words: str) -> None:
-        """List the rollouts for which all terms hold; all for no term."""
-        self._words = tuple(words.lower().split())
-        self.invalidateFilter()
-
-    def filterAcceptsRow(self, source_row: int, source_parent: QModelIndex) -> bool:  # noqa: N802
-        """Return whether a rollout is listed."""
-        model = self.sourceModel()
-        assert isinstance(model, TrialsModel)
-        return not source_parent.isValid() and all(_matches(model.trials[source_row], word) for word in self._words)
-
-
 def format_cell(trial: TrialRow, column: int) -> str:
     """Return the text of a cell."""
     if trial.problem:
@@ -116,9 +95,10 @@ def _get_number(trial: TrialRow, column: int) -> float | None:
     return numbers.get(column)
 
 
-def _matches(trial: TrialRow, word: str) -> bool:
-    limit = _LIMIT.match(word)
-    if limit is None:
-        return any(word in format_cell(trial, column).lower() for column in range(len(_TITLES)))
-    bound = float(limit.group(2))
-    return trial.error_mm > bound if limit.group(1) == ">" else trial.error_mm < bound
+def matches_term(model: TrialsModel, row: int, word: str) -> bool:
+    """Return whether a filter term holds for a rollout: a limit of the error in mm, or a word of any cell."""
+    trial = model.trials[row]
+    is_within = matches_limit(word, trial.error_mm)
+    if is_within is not None:
+        return is_within
+    return any(word in format_cell(trial, column).lower() for column in range(len(_TITLES)))

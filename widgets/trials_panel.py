@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 from PyQt6.QtCore import QModelIndex, Qt, pyqtSignal
@@ -16,9 +17,10 @@ from PyQt6.QtWidgets import (
 
 from pipeline.tasks.trial_rows import TrialRow
 from widgets.fonts import resize_font
+from widgets.frames_filter import RowFilter
 from widgets.styling import make_search_line, set_spacing
 from widgets.table_copier import copy_table, prepare_table
-from widgets.trials_model import CAUSE, TRIAL, TrialsFilter, TrialsModel
+from widgets.trials_model import CAUSE, TRIAL, TrialsModel, matches_term
 
 _HINT = "filter: fails, t2t, hex_key, >0.5, a word"
 _FILTER_TIP = "Trials that match all terms: a limit of the error in mm, or a word of any column"
@@ -32,8 +34,8 @@ class TrialsPanel(QWidget):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self.model, self._listed = TrialsModel(self), TrialsFilter(self)
-        self._listed.setSourceModel(self.model)
+        self.model = TrialsModel(self)
+        self._listed = RowFilter(self.model, partial(matches_term, self.model))
         self.filter_line = make_search_line("trials_filter", "filter of the trials", _HINT, _FILTER_TIP)
         self.table, self._count = QTableView(), QLabel()
         self.filter_line.textChanged.connect(self._filter)

@@ -15,8 +15,7 @@ from PyQt6.QtWidgets import QMainWindow, QSplitter
 
 from app.session.layout import Arrangement
 from app.session.preferences import Preferences
-from widgets.pane_splitter import PaneSplitter
-from widgets.stage_rows import StageRows
+from widgets.fitting_splitter import FittingSplitter
 
 
 def capture_arrangement(window: QMainWindow, name: str, only_stage: str) -> Arrangement:
@@ -33,7 +32,7 @@ def restore_arrangement(window: QMainWindow, arrangement: Arrangement) -> bool:
     restored = state is not None and window.restoreState(QByteArray(state))
     for key, split in _find_splitters(window).items():
         sizes = arrangement.splitter_sizes_px.get(key, ())
-        if isinstance(split, StageRows | PaneSplitter):
+        if isinstance(split, FittingSplitter):
             split.restore_sizes(sizes)
         elif len(sizes) == split.count():
             split.setSizes(list(sizes))
@@ -60,4 +59,4 @@ def _find_splitters(window: QMainWindow) -> Mapping[str, QSplitter]:
 
 
 def _is_dragged(split: QSplitter) -> bool:
-    return split.isVisible() and (not isinstance(split, StageRows | PaneSplitter) or split.is_user_sized)
+    return split.isVisible() and (not isinstance(split, FittingSplitter) or split.is_user_sized)

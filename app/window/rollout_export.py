@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 from PyQt6.QtCore import QObject
@@ -11,7 +12,6 @@ from app.window.autosave import AutosaveController
 from app.window.export import ExportController
 from app.window.rollouts import RolloutController
 from app.window.session_controller import SessionController
-from app.work.jobs import JobReporter
 
 _COMMANDS = ("export_rollout_video", "export_rollout_bundle", "copy_trials", "next_trial", "previous_trial",
              "next_decision")  # fmt: skip
@@ -36,34 +36,26 @@ class RolloutExportController(QObject):
 
     def write_video(self, path: Path) -> None:
         """Write the rollout on screen as a video."""
+        from pipeline.tasks.rollout_video import write_rollout_video
+
         opened = self._rollouts.shown
-        if opened is None:
-            return
-        source = opened.rollout.path
-
-        def write(report: JobReporter) -> None:
-            from pipeline.tasks.rollout_video import write_rollout_video
-
-            write_rollout_video(source, path, report)
-
-        command = f"tactoscope rollout video {dialogs.quote_path(source)} --out {dialogs.quote_path(path)}"
-        self._export.start_writing(f"writing {path.name}", write, path, command)
+        if opened is not None:
+            source = opened.rollout.path
+            command = f"tactoscope rollout video {dialogs.quote_path(source)} --out {dialogs.quote_path(path)}"
+            self._export.start_writing(
+                f"writing {path.name}", partial(write_rollout_video, source, path), path, command
+            )
 
     def write_bundle(self, folder: Path) -> None:
         """Write the rollout on screen as a repro bundle."""
+        from pipeline.tasks.rollout_bundle import write_rollout_bundle
+
         opened = self._rollouts.shown
-        if opened is None:
-            return
-        source = opened.rollout.path
-
-        def write(_: JobReporter) -> None:
-            from pipeline.tasks.rollout_bundle import write_rollout_bundle
-
-            write_rollout_bundle(source, folder)
-
-        self._export.start_writing(
-            "writing the rollout bundle", write, folder, f"tactoscope replay {dialogs.quote_path(folder)}"
-        )
+        if opened is not None:
+            source, command = opened.rollout.path, f"tactoscope replay {dialogs.quote_path(folder)}"
+            self._export.start_writing(
+                "writing the rollout bundle", lambda _: write_rollout_bundle(source, folder), folder, command
+            )
 
     def _enable(self) -> None:
         for name in _COMMANDS:
