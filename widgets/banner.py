@@ -7,10 +7,9 @@ from collections.abc import Sequence
 from PyQt6.QtCore import QEvent, Qt
 from PyQt6.QtWidgets import QPlainTextEdit, QPushButton
 
-from widgets.choice_buttons import Choice
 from widgets.event_listener import EventListener
 from widgets.icons import StateIcon
-from widgets.notification_bar import NotificationBar
+from widgets.notification_bar import Choice, NotificationBar
 from widgets.styling import copy_text
 from widgets.theme import is_dark
 

@@ -11,10 +11,9 @@ from PyQt6.QtWidgets import QHBoxLayout, QLabel, QPushButton, QSpinBox, QTabWidg
 
 from pipeline.evaluation.method_comparison import SortOrder
 from widgets.choice_box import ChoiceBox
-from widgets.comparison_tab import ComparisonTab
+from widgets.comparison_tab import ComparisonTab, SweepTab
 from widgets.spread_plot import SpreadPlot
 from widgets.styling import make_command_button, set_spacing
-from widgets.sweep_tab import SweepTab
 from widgets.tile_grid import TileGrid
 from widgets.view_3d_panel import View3DPanel
 

@@ -1,15 +1,44 @@
-"""Notification: a sentence and buttons; never modal."""
+"""Notification: a sentence and buttons of one action or a menu each; never modal."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from PyQt6.QtCore import QSize, Qt
-from PyQt6.QtWidgets import QFrame, QHBoxLayout, QLabel, QPushButton, QSizePolicy, QToolButton, QVBoxLayout
+from PyQt6.QtWidgets import QFrame, QHBoxLayout, QLabel, QMenu, QPushButton, QSizePolicy, QToolButton, QVBoxLayout
 
-from widgets.choice_buttons import Choice, make_choice_button
+from pipeline.base.text import escape_text
 from widgets.run_bar import RunBar
 from widgets.styling import make_single_shot_timer
+
+Act = Callable[[], object]
+Choice = tuple[str, Act | Sequence[tuple[str, Act]]]  # label, and what it does or the entries of its menu
+
+
+def make_choice_button(choice: Choice, then: Act) -> QPushButton:
+    """Return a button that calls `then`, then acts; one with a menu does so with the chosen entry."""
+    words, act = choice
+    button = QPushButton(escape_text(words))
+    button.setObjectName(f"offer_{words.split(maxsplit=1)[0].lower()}")
+
+    def follow(chosen: Act) -> Callable[[], None]:
+        def run() -> None:
+            then()
+            chosen()
+
+        return run
+
+    if callable(act):
+        button.clicked.connect(follow(act))
+        return button
+    menu = QMenu(button)
+    for text, chosen in act:
+        action = menu.addAction(escape_text(text).replace("&", "&&"))
+        assert action is not None
+        action.triggered.connect(follow(chosen))
+    button.setMenu(menu)
+    return button
+
 
 _READ_MS, _ACT_MS = 10_000, 20_000  # until a notification leaves, without and with buttons
 

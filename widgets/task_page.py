@@ -9,7 +9,7 @@ from PyQt6.QtWidgets import QHBoxLayout, QLabel, QSplitter, QVBoxLayout, QWidget
 
 from pipeline.previews.colours import Rgb
 from widgets.choice_box import ChoiceBox
-from widgets.decision_panel import DecisionPanel
+from widgets.error_attribution_panel import DecisionPanel
 from widgets.preview_view import PreviewView
 from widgets.rollout_plot import RolloutPlot
 from widgets.styling import make_bold, set_spacing

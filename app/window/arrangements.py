@@ -9,8 +9,7 @@ from PyQt6.QtCore import QObject
 from PyQt6.QtGui import QAction, QKeySequence
 from PyQt6.QtWidgets import QMenu
 
-from app.session import arrangement_file
-from app.session.layout import Arrangement, Layout
+from app.session.layout import ARRANGEMENTS_FILE, Arrangement, Layout, load_arrangements, save_arrangements
 from app.session.state import Session
 from app.window import dialogs
 from app.window.autosave import AutosaveController
@@ -26,13 +25,13 @@ class ArrangementController(QObject):
     def __init__(self, controller: SessionController, autosave: AutosaveController) -> None:
         super().__init__(controller)
         self._controller, self._window = controller, controller.window
-        self._path = autosave.preferences.settings_folder / arrangement_file.ARRANGEMENTS_FILE
+        self._path = autosave.preferences.settings_folder / ARRANGEMENTS_FILE
         self._menu = QMenu("Arrangements", self._window)
         self._window.menus["Layout"].addMenu(self._menu)
         self._actions: list[QAction] = []
         self.arrangements: tuple[Layout, ...] = ()
         try:
-            self.arrangements = arrangement_file.load_arrangements(self._path)
+            self.arrangements = load_arrangements(self._path)
         except TouchError as error:
             controller.show_problem(error)
         self._window.connect_command("save_arrangement", self._ask_and_save)
@@ -83,7 +82,7 @@ class ArrangementController(QObject):
 
     def _write(self, layouts: tuple[Layout, ...]) -> None:
         try:
-            arrangement_file.save_arrangements(self._path, layouts)
+            save_arrangements(self._path, layouts)
         except (TouchError, OSError) as error:
             self._controller.show_problem(error)
             return

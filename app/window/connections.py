@@ -31,8 +31,7 @@ from app.window.pan_zoom import PanZoomController
 from app.window.panels import add_panels
 from app.window.parameter_search import make_parameter_actions
 from app.window.pinned_probes import PinnedProbesController
-from app.window.presentation import PresentationController
-from app.window.presentation_video import PresentationVideoController
+from app.window.presentation import PresentationController, PresentationVideoController
 from app.window.probe_3d import Probe3DController
 from app.window.rollout_attribution import RolloutAttributionController
 from app.window.rollout_export import RolloutExportController

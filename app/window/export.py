@@ -23,9 +23,8 @@ from app.work.variants import format_compare_command
 from pipeline.base.errors import TouchError
 from pipeline.base.text import escape_text
 from pipeline.reporting.export_request import SHEET, SOURCE, ExportRequest, PaneContent, format_command, format_settings
-from widgets.choice_buttons import Choice
 from widgets.export_dialog import ExportDialog
-from widgets.notification_bar import NotificationBar
+from widgets.notification_bar import Choice, NotificationBar
 from widgets.styling import copy_text
 
 _NOT_OPEN = "Nothing to export. Open a recording first."

@@ -21,8 +21,7 @@ from pipeline.geometry.meshes import UnitProblem
 from pipeline.sensors.spec import list_sensor_titles, load_sensor
 from pipeline.translation.translate import Translation
 from pipeline.values.results import Cloud, DepthMap
-from widgets.choice_buttons import Choice
-from widgets.notification_bar import NotificationBar
+from widgets.notification_bar import Choice, NotificationBar
 
 
 class MendingController(QObject):

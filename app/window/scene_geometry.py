@@ -1,12 +1,15 @@
-"""View bounds and probe points of the 3D views."""
+"""What the 3D views show around their layers: bounds, probe points, captions and cameras by name."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
+from html import escape
 
 import numpy as np
+from PyQt6.QtGui import QGuiApplication
 
+from app.window.main_window import MainWindow
 from pipeline.geometry import rigid
 from pipeline.previews.display_params import DisplayParams
 from pipeline.previews.layers import ViewBounds, stretch_depth
@@ -15,6 +18,9 @@ from pipeline.stages.pixel_lookup import to_xyz
 from pipeline.stages.stage import ProbePoint
 from pipeline.translation.pixel_trace import SOURCE
 from pipeline.translation.translate import Translation
+from widgets.scene_renderer import CameraState, SceneRenderer
+from widgets.theme import get_theme_colours, to_hex
+from widgets.view_3d_panel import View3DPanel
 
 _MARGIN = 1.4  # radius of the target's view, in radii of the source's, if the source is a gel
 
@@ -63,3 +69,65 @@ def _stretch_point(
 def _radius_mm(sensor: SensorSpec) -> float:
     z, camera = float(np.median(sensor.rest_depth_mm)), sensor.camera
     return 0.5 * math.hypot(camera.cols * z / camera.fx_px, camera.rows * z / camera.fy_px)
+
+
+_TIMES = "\N{MULTIPLICATION SIGN}"
+_SOURCE_LEGEND = "image on the sensor surface"
+
+
+def show_captions(window: MainWindow, opened: Translation, display: DisplayParams) -> None:
+    """Update the captions, with the axes in the colours of the theme."""
+    window.truth_view_panel.caption.set_texts(*_format_captions(opened.target.name, 1.0))
+    _show_caption(window.view_panels["source"], _SOURCE_LEGEND, opened.source.name, 1.0)
+    for stage in opened.catalogue.stages:
+        stretch = get_depth_stretch(stage.name, opened, display)
+        _show_caption(window.view_panels[stage.name], stage.legend, opened.get_sensor(stage.name).name, stretch)
+
+
+def _show_caption(panel: View3DPanel, legend: str, frame: str, stretch: float) -> None:
+    panel.legend.setText(legend)
+    panel.legend.setToolTip(legend)
+    panel.caption.set_texts(*_format_captions(frame, stretch))
+
+
+def _format_captions(frame: str, stretch: float) -> tuple[str, str, str]:
+    """Return frame, axes and depth stretch at three lengths, from full to shortest."""
+    stretched = "" if stretch == 1.0 else f"{_TIMES}{stretch:g}"
+    end, frame = f", depth {stretched}" if stretched else "", escape(frame)
+    return (
+        f"{frame} frame {_format_axes()}{end}",
+        f"{frame} {_format_axes()} {stretched}".rstrip(),
+        f"{_format_axes()} {stretched}".rstrip(),
+    )
+
+
+def _format_axes() -> str:
+    colours = zip("xyz", get_theme_colours(QGuiApplication.palette()).axes, strict=True)
+    return " ".join(f"<b style='color:{to_hex(colour)}'>{name}</b>" for name, colour in colours)
+
+
+_OTHER_VIEWS = ("truth", "compare_a", "compare_b", "track", "task")  # after the views of the columns
+
+
+class ViewCameras:
+    """Translates view names to positions in the scene; keeps requested cameras until the views exist."""
+
+    def __init__(self, columns: Sequence[str]) -> None:
+        self._views = (*columns, *_OTHER_VIEWS)
+        self._requested: Mapping[str, CameraState] = {}
+
+    def get_cameras(self, scene: SceneRenderer) -> dict[str, CameraState]:
+        """Return view -> camera."""
+        return {self._views[column]: camera for column, camera in scene.get_cameras().items()}
+
+    def request_cameras(self, cameras: Mapping[str, CameraState], scene: SceneRenderer | None) -> None:
+        """Set cameras now, or at the next `apply_requested_cameras`."""
+        self._requested = cameras
+        self.apply_requested_cameras(scene)
+
+    def apply_requested_cameras(self, scene: SceneRenderer | None) -> None:
+        """Set the requested cameras if the scene has views; `scene` is None while nothing is open."""
+        if scene is not None and self._requested and scene.get_cameras():
+            places = {name: column for column, name in enumerate(self._views)}
+            scene.set_cameras({places[name]: camera for name, camera in self._requested.items() if name in places})
+            self._requested = {}

@@ -25,7 +25,7 @@ from pipeline.calibration.calibration_file import is_calibration_file
 from pipeline.tasks.trial_rows import is_rollout_folder
 from pipeline.tracking.track_record import is_track_folder
 from pipeline.translation.cross_section import SectionLine
-from widgets.choice_buttons import Choice
+from widgets.notification_bar import Choice
 
 _AS_RECORDED: Mapping[str, Any] = {
     "source": "", "stream": "", "reference": None, "calibration": None, "mesh": None, "mesh_unit": "auto",

@@ -6,11 +6,9 @@ from collections.abc import Mapping, Sequence
 from typing import Literal
 
 from app.session.state import Session
-from app.window.cameras import ViewCameras
-from app.window.captions import show_captions
 from app.window.main_window import MainWindow
 from app.window.pixel_trace import PixelProbe
-from app.window.scene_geometry import compute_view_bounds
+from app.window.scene_geometry import ViewCameras, compute_view_bounds, show_captions
 from app.work.evaluator import EvaluatedFrame
 from app.work.stage_previews import SourcePreview, StagePreview
 from pipeline.base.arrays import Doubles

@@ -9,8 +9,7 @@ from PyQt6.QtCore import QObject
 
 from app.window.session_controller import SessionController
 from pipeline.engine.time_budget import StageClock, TimeBudget
-from widgets.time_budget_bar import BudgetPart
-from widgets.timings_panel import TimingRow
+from widgets.timings_panel import BudgetPart, TimingRow
 
 _NAMED = 3  # stages that the sentence names, the slowest first
 _SKIPPED = "skipped by you"

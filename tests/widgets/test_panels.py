@@ -11,12 +11,12 @@ from PyQt6.QtWidgets import QApplication, QComboBox, QLabel, QPushButton
 
 from pipeline.values.results import PoseStep, TouchStep
 from widgets.banner import Banner
+from widgets.comparison_tab import SweepTab
 from widgets.frame_summary import FrameSummary
 from widgets.frames_model import CONTACT, DEPTH, FRAME, METRIC
 from widgets.frames_panel import FramesPanel
 from widgets.log_panel import LogPanel
 from widgets.steps_slider import StepsSlider
-from widgets.sweep_tab import SweepTab
 from widgets.theme import get_theme_colours, to_hex
 from widgets.timings_panel import TimingRow, TimingsPanel
 from widgets.trace_panel import TracePanel

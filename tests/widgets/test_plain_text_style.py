@@ -13,7 +13,7 @@ from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtGui import QTextDocument
 from PyQt6.QtWidgets import QApplication, QLabel, QMessageBox, QToolTip, QWidget
 
-from app.window.captions import _format_captions
+from app.window.scene_geometry import _format_captions
 from pipeline.alignment.refine import AlignmentFit, Refinement
 from pipeline.sensors.alignment import Alignment
 from widgets.plain_text_style import PlainTextStyle

@@ -7,8 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from app.session.arrangement_file import ARRANGEMENTS_FILE
-from app.session.layout import Arrangement, Layout
+from app.session.layout import ARRANGEMENTS_FILE, Arrangement, Layout
 from app.session.preferences import Preferences
 from app.session.state import Session, load_session, save_session
 from app.window import dialogs

@@ -14,8 +14,7 @@ from PyQt6.QtWidgets import QWidget
 from app.session.sample import SAMPLE_RECORDING
 from app.window.export import ExportController
 from app.window.live import LiveController
-from app.window.presentation import PresentationController
-from app.window.presentation_video import PresentationVideoController
+from app.window.presentation import PresentationController, PresentationVideoController
 from app.window.tour import wait_until_shown
 from pipeline.live.simulated_source import SimulatedSource
 from pipeline.reporting import video
