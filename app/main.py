@@ -138,7 +138,7 @@ def show_window(
     window.show()
     _wait_until_exposed(window)
     if with_scene:
-        QTimer.singleShot(0, lambda: _add_scene(controller))
+        QTimer.singleShot(0, controller.views.scene.open)
     if session.recording is not None and (is_rollout_folder(session.recording) or is_track_folder(session.recording)):
         controller.open_path(session.recording)
     elif session.recording is not None:
@@ -161,9 +161,3 @@ def _wait_until_exposed(window: MainWindow) -> None:
         time.sleep(0.002)
     window.repaint()
     QApplication.processEvents()
-
-
-def _add_scene(controller: SessionController) -> None:
-    from widgets.vtk_scene_renderer import create_scene_renderer
-
-    controller.views.set_scene(create_scene_renderer(controller.window.views_3d), controller.session)

@@ -21,7 +21,7 @@ class Banner(NotificationBar):
     """Hidden until `show_problem`; leaves by itself unless something mends it or its details are open."""
 
     def __init__(self) -> None:
-        super().__init__("banner", choices_below=True)
+        super().__init__("banner", read_ms=_READ_MS, choices_below=True)
         self._take_colours()
         EventListener(self, self._take_colours, QEvent.Type.PaletteChange)
         sign, self._copy = StateIcon(20), QPushButton("Copy report")
@@ -61,7 +61,7 @@ class Banner(NotificationBar):
         self._details.setPlainText(details)
         self._more.setVisible(bool(details))
         self._more.setChecked(False)
-        self.show_notification(sentence, choices, stays=bool(choices), read_ms=_READ_MS)
+        self.show_notification(sentence, choices, stays=bool(choices))
 
     def copy_report(self) -> None:
         """Copy sentence and details to the clipboard."""

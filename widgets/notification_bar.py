@@ -49,7 +49,7 @@ class NotificationBar(QFrame):
     It leaves by itself after a time to read it, unless it is being read.
     """
 
-    def __init__(self, name: str, *, choices_below: bool = False) -> None:
+    def __init__(self, name: str, *, read_ms: int = _READ_MS, choices_below: bool = False) -> None:
         super().__init__()
         self.setObjectName(name)
         self.setFrameShape(QFrame.Shape.StyledPanel)
@@ -72,7 +72,7 @@ class NotificationBar(QFrame):
         self._choices.addStretch(int(choices_below))
         self._row.addWidget(self._away)
         self.buttons: list[QPushButton] = []
-        self._read = make_single_shot_timer(self, _READ_MS, self._leave)
+        self._read, self._read_ms = make_single_shot_timer(self, read_ms, self._leave), read_ms
         self.hide()
 
     @property
@@ -85,9 +85,7 @@ class NotificationBar(QFrame):
         """Whether it does not leave now: the pointer is over it."""
         return self.underMouse()
 
-    def show_notification(
-        self, sentence: str, choices: Sequence[Choice] = (), *, stays: bool = False, read_ms: int = _READ_MS
-    ) -> None:
+    def show_notification(self, sentence: str, choices: Sequence[Choice] = (), *, stays: bool = False) -> None:
         """Show one sentence and a button for each of `choices`; it does not leave while it `stays`."""
         for button in self.buttons:
             self._choices.removeWidget(button)
@@ -98,7 +96,7 @@ class NotificationBar(QFrame):
         self._text.setText(sentence[:1].upper() + sentence[1:])
         self.show()
         self.updateGeometry()
-        self._read.stop() if stays else self._read.start(_ACT_MS if choices else read_ms)
+        self._read.stop() if stays else self._read.start(_ACT_MS if choices else self._read_ms)
 
     def _leave(self) -> None:
         self._read.start() if self.is_being_read else self.hide()

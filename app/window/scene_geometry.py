@@ -126,8 +126,8 @@ class ViewCameras:
         self.apply_requested_cameras(scene)
 
     def apply_requested_cameras(self, scene: SceneRenderer | None) -> None:
-        """Set the requested cameras if the scene has views; `scene` is None while nothing is open."""
-        if scene is not None and self._requested and scene.get_cameras():
+        """Set the requested cameras; `scene` is None while nothing is open."""
+        if scene is not None and self._requested:
             places = {name: column for column, name in enumerate(self._views)}
             scene.set_cameras({places[name]: camera for name, camera in self._requested.items() if name in places})
             self._requested = {}

@@ -33,7 +33,7 @@ class StageViews:
 
     def __init__(self, window: MainWindow, probe: PixelProbe) -> None:
         self._window, self._probe = window, probe
-        self.scene = SceneRenderer(window.views_3d)
+        self.scene = SceneRenderer(window.views_3d)  # opened once the window is on screen
         self.cameras = ViewCameras(tuple(window.columns))
         self.translation: Translation | None = None  # the recording on screen
         self.comparison_mode: ComparisonMode = ""  # how columns show the truth
@@ -50,16 +50,6 @@ class StageViews:
         self._page_views: Mapping[PageScene, int] = {"track": last - 1, "task": last}
         self._page_layers: dict[PageScene, tuple[Layer, ...]] = {}
         self._page_bounds: dict[PageScene, ViewBounds] = {}
-
-    def set_scene(self, scene: SceneRenderer, session: Session) -> None:
-        """Set the 3D views, which are created after the window is on screen."""
-        self.scene = scene
-        self.reset_cameras(session)
-        self.cameras.apply_requested_cameras(scene if self.translation is not None else None)
-        for column, layers in self._layers.items():
-            scene.show_layers(column, layers)
-        for page, shown in self._page_layers.items():
-            scene.show_layers(self._page_views[page], shown)
 
     def close(self) -> None:
         """Release OpenGL."""

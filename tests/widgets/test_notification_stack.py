@@ -52,9 +52,8 @@ def test_notifications_move_nothing_and_stack(stacked, qtbot, width):
 
 def test_notifications_leave_by_themselves(stacked, qtbot, monkeypatch):
     _, stack, (problem, one, two) = stacked
-    monkeypatch.setattr(notification_bar, "_READ_MS", 20)
     monkeypatch.setattr(notification_bar, "_ACT_MS", 40)
-    problem._leave_later.setInterval(20)
+    problem._read_ms = one._read_ms = 20
     one.show_notification("copied")
     two.show_notification("written: sheet.png", (("Show folder", lambda: None),))
     problem.show_problem("sensor not known")
@@ -64,7 +63,7 @@ def test_notifications_leave_by_themselves(stacked, qtbot, monkeypatch):
 def test_work_in_progress_and_open_details_stay(stacked, qtbot, monkeypatch):
     _, _, (problem, one, _) = stacked
     monkeypatch.setattr(notification_bar, "_ACT_MS", 10)
-    problem._leave_later.setInterval(10)
+    problem._read_ms = 10
     one.show_notification("writing…", (("Cancel", lambda: None),), stays=True)
     problem.show_problem("out of memory", "Traceback")
     problem._more.setChecked(True)

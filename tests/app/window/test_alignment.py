@@ -17,7 +17,6 @@ from app.window.session_controller import SessionController
 from app.window.tour import wait_until_shown
 from pipeline.geometry import rigid
 from pipeline.sensors.alignment_files import load_alignment
-from widgets.scene_renderer import SceneRenderer
 
 PAIRED = SAMPLE_RECORDING.with_name("digit_gelslim.h5")
 TOUCHED = 3  # a frame that both sensors feel
@@ -327,7 +326,7 @@ def test_offsets_go_with_the_sensors_they_were_made_for(aligned, settled):
 @pytest.mark.gl
 def test_3d_views_follow_a_drag(open_window, qtbot):
     controller = _window_with_dock(open_window, qtbot, PAIRED, gl=True, source="digit", target="gelslim", frame=TOUCHED)
-    qtbot.waitUntil(lambda: type(controller.views.scene) is not SceneRenderer, timeout=WAIT_MS)
+    qtbot.waitUntil(lambda: controller.views.scene.is_open, timeout=WAIT_MS)
     shown: list[tuple[int, str]] = []
     scene = controller.views.scene
     show = scene.show_layers

@@ -27,7 +27,6 @@ from pipeline.stages.cloud.back_projection import BackProjectionParams
 from pipeline.stages.depth.photometric import DepthParams
 from tests.app.conftest import bubble_frames
 from widgets.frames_model import CONTACT, DEPTH, METRIC
-from widgets.scene_renderer import SceneRenderer
 from widgets.theme import get_theme_colours
 
 LIMIT_S = 240
@@ -523,7 +522,7 @@ def test_the_window_is_not_rebuilt_when_3d_views_arrive(open_window, qtbot):
     """A window that takes up an OpenGL widget while it is shown goes black for that time."""
     controller = open_window(gl=True)
     handle, number = controller.window.windowHandle(), int(controller.window.winId())
-    qtbot.waitUntil(lambda: type(controller.views.scene) is not SceneRenderer, timeout=LIMIT_S * 1000)
+    qtbot.waitUntil(lambda: controller.views.scene.is_open, timeout=LIMIT_S * 1000)
     view = controller.window.views_3d[0]
     assert handle.surfaceType() == QSurface.SurfaceType.RasterSurface
     assert int(controller.window.winId()) == number

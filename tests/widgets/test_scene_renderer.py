@@ -14,7 +14,6 @@ from pipeline.previews.layers import Layer, ViewBounds
 from widgets.scene_renderer import SceneRenderer
 from widgets.theme import is_dark, use_palette
 from widgets.view_3d import View3D
-from widgets.vtk_scene_renderer import VtkSceneRenderer, create_scene_renderer
 
 pytestmark = pytest.mark.gl
 
@@ -47,7 +46,8 @@ def scene(qtbot):
         view.resize(150, 150)
         view.show()
         qtbot.waitExposed(view)
-    live = VtkSceneRenderer(made)
+    live = SceneRenderer(made)
+    live.open()
     yield live
     live.close()
 
@@ -201,11 +201,13 @@ def test_a_driver_that_fails_leaves_a_window_that_works(qtbot, monkeypatch):
     def fails(*args, **kwargs):
         raise RuntimeError("no OpenGL here")
 
-    monkeypatch.setattr("widgets.vtk_scene_renderer.VtkSceneRenderer", fails)
+    monkeypatch.setattr("widgets.offscreen_renderer.OffscreenRenderer", fails)
     view = View3D()
     qtbot.addWidget(view)
-    scene = create_scene_renderer([view])
-    assert type(scene) is SceneRenderer
+    scene = SceneRenderer([view])
+    scene.show_layers(0, [points(5)])
+    scene.open()
+    assert not scene.is_open
     assert "no OpenGL here" in view.notice
     scene.close()
 
