@@ -21,27 +21,22 @@ class ComparisonOverlay(QObject):
         self.share = 0.5  # share of the width that shows the lower image
         self.is_visible = False  # whether any part of the overlay is visible
         self._held = False  # the handle is being dragged
-        self._blink = QTimer(self)
-        self._blink.setInterval(_BLINK_MS)
-        self._blink.timeout.connect(self._turn)
+        self.blink_timer = QTimer(self)
+        self.blink_timer.setInterval(_BLINK_MS)
+        self.blink_timer.timeout.connect(self._turn)
         canvas.installEventFilter(self)
-
-    @property
-    def is_blinking(self) -> bool:
-        """Whether the two images alternate."""
-        return self._blink.isActive()
 
     def clear(self) -> None:
         """Remove the overlay."""
         if self._picture is None:
             return
         self._picture, self._canvas.handle_share, self.is_visible = None, None, False
-        self._blink.stop()
+        self.blink_timer.stop()
         self._canvas.show_overlay(None)
 
     def show_wipe(self, picture: Preview) -> None:
         """Show the overlay right of the handle, which keeps its position."""
-        self._blink.stop()
+        self.blink_timer.stop()
         if picture is not self._picture or not self.is_visible:
             self._picture = picture
             self._canvas.show_overlay(picture.pixels, self.share)
@@ -51,8 +46,8 @@ class ComparisonOverlay(QObject):
         """Alternate the overlay with the image below."""
         self._picture, self._canvas.handle_share = picture, None
         self._place(shown=True)
-        if not self._blink.isActive():
-            self._blink.start()
+        if not self.blink_timer.isActive():
+            self.blink_timer.start()
 
     def move_handle(self, share: float) -> None:
         """Move the handle to a share of the width, clipped to the image."""

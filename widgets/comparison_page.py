@@ -57,14 +57,14 @@ class ComparisonPage(QWidget):
         self.plot = SpreadPlot()
         self.plot.hide()
         self.seeds.body.addWidget(self.plot)
-        self.views_3d, self._row_3d = (View3DPanel(), View3DPanel()), QWidget()
-        row = set_spacing(QHBoxLayout(self._row_3d), 4)
+        self.views_3d, self.row_3d = (View3DPanel(), View3DPanel()), QWidget()
+        row = set_spacing(QHBoxLayout(self.row_3d), 4)
         for cell in self.views_3d:
             row.addWidget(cell, 1)
         row.addStretch(1)  # under the difference, which has no 3D view
         row.setStretch(2, 1)
-        self.variants.stack.addWidget(self._row_3d, 2)
-        self._row_3d.hide()
+        self.variants.stack.addWidget(self.row_3d, 2)
+        self.row_3d.hide()
         self.tabs: Mapping[str, TileTab] = {"methods": self.methods, "two": self.variants, "seeds": self.seeds}
         self._pages: Mapping[str, ComparisonTab] = {**self.tabs, "sweep": self.sweep}
         self._tab_bar, self._n_commands = QTabWidget(), 0
@@ -97,10 +97,6 @@ class ComparisonPage(QWidget):
         self.variants.head.insertWidget(2 + self._n_commands, button)
         self._n_commands += 1
 
-    def offer_stages(self, stages: Mapping[str, str]) -> None:
-        """Offer stages (name -> title) after "all stages"; emits no signal."""
-        self.stage_box.offer({"": ALL_STAGES, **stages})
-
     def show_choices(self, tab: str, order: str, stage: str, seeds: int) -> None:
         """Show the current choices, the last stage for one that is not offered; emits no signal."""
         index = self.stage_box.findData(stage)
@@ -109,10 +105,6 @@ class ComparisonPage(QWidget):
         with QSignalBlocker(self._tab_bar), QSignalBlocker(self.seed_count_box):
             self.show_tab(tab)
             self.seed_count_box.setValue(seeds)
-
-    def show_3d_views(self, shown: bool) -> None:
-        """Show or hide the 3D views of the two settings."""
-        self._row_3d.setVisible(shown)
 
     def show_tab(self, name: str) -> None:
         """Bring a tab to the front."""

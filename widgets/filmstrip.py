@@ -136,10 +136,10 @@ class Filmstrip(QWidget):
         super().__init__(parent)
         self.setObjectName("filmstrip")
         self.thumbnails = {name: Thumbnail(title) for name, title in titles.items()}
-        self._row = set_spacing(QHBoxLayout(self), 3, (2, 2, 2, 2))
+        self.row = set_spacing(QHBoxLayout(self), 3, (2, 2, 2, 2))
         for name, thumbnail in self.thumbnails.items():
             thumbnail.clicked.connect(partial(self.stage_chosen.emit, name))
-            self._row.addWidget(thumbnail, 1)
+            self.row.addWidget(thumbnail, 1)
 
     def set_collapsed(self, folded: bool) -> None:
         """Hide or show the thumbnails."""
@@ -151,10 +151,6 @@ class Filmstrip(QWidget):
     def collapsible_px(self) -> int:
         """Height that collapsing the thumbnails would free."""
         return 0 if all(each.is_collapsed for each in self.thumbnails.values()) else _PICTURE_PX.height()
-
-    def add_control(self, widget: QWidget) -> None:
-        """Add a control at the end."""
-        self._row.addWidget(widget)
 
     def hide_stages(self, names: Collection[str]) -> None:
         """Hide the stages that the route does not have."""

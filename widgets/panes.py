@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -115,7 +115,7 @@ class PanesPage(QWidget):
         self._count.setAccessibleName("third pane")
         self._count.setAutoRaise(True)
         self._count.clicked.connect(lambda: self.count_chosen.emit(2 if len(self._stages) == MAX_PANES else MAX_PANES))
-        self.filmstrip.add_control(self._count)
+        self.filmstrip.row.addWidget(self._count)
         row = set_spacing(QHBoxLayout(), 3)
         layout = set_spacing(QVBoxLayout(self), 2)
         layout.addWidget(self.filmstrip)
@@ -167,10 +167,6 @@ class PanesPage(QWidget):
         """Release the columns before they move to another parent."""
         for pane in self.panes:
             pane.release_contents()
-
-    def hide_stages(self, names: Collection[str]) -> None:
-        """Hide the stages that the route does not have."""
-        self.filmstrip.hide_stages(names)
 
 
 def _watch(widget: QWidget, by: QObject) -> None:

@@ -197,17 +197,9 @@ class Timeline(QWidget):
         self.loop_range = (first, last)
         self.errors.show_loop_range(None if self.loop_range == (0, most) else self.loop_range)
 
-    def step_by(self, by: int) -> None:
-        """Advance by `by` frames, clipped to the ends."""
-        self.step_to(self.frame + by)
-
     def step_to(self, frame: int) -> None:
         """Go to a frame, clipped to the ends."""
         self._choose(min(max(frame, 0), max(0, self._n_frames - 1)))
-
-    def step_to_last(self) -> None:
-        """Go to the last frame."""
-        self.step_to(self._n_frames - 1)
 
     def _choose(self, frame: int) -> None:
         if frame == self.frame or self._n_frames == 0:

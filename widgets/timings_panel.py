@@ -111,8 +111,8 @@ class TimingsPanel(QWidget):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self._sentence, self.bar, self.table = FixedSizeLabel(), TimeBudgetBar(), QTableWidget(0, len(_HEADER))
-        make_bold(self._sentence)
+        self.sentence, self.bar, self.table = FixedSizeLabel(), TimeBudgetBar(), QTableWidget(0, len(_HEADER))
+        make_bold(self.sentence)
         self._target = QSpinBox()
         self._target.setObjectName("target_rate")
         self._target.setRange(1, _MOST_HZ)
@@ -127,7 +127,7 @@ class TimingsPanel(QWidget):
         self.skip_button.clicked.connect(self.skip_requested)
         self.skip_button.hide()
         head = set_spacing(QHBoxLayout(), 8)
-        head.addWidget(self._sentence, 1)
+        head.addWidget(self.sentence, 1)
         for widget in (self.skip_button, QLabel("target"), self._target):
             head.addWidget(widget)
         layout = set_spacing(QVBoxLayout(self), 3, (6, 3, 6, 2))
@@ -153,15 +153,10 @@ class TimingsPanel(QWidget):
         """The rate that the user wants to play at."""
         return float(self._target.value())
 
-    @property
-    def sentence(self) -> str:
-        """The sentence about the budget."""
-        return self._sentence.text()
-
     def show_budget(self, sentence: str, parts: tuple[BudgetPart, ...], offer: str) -> None:
         """Show a sentence, the bar, and what the button offers to skip ("" = nothing)."""
-        self._sentence.setText(sentence)
-        self._sentence.setToolTip(sentence)
+        self.sentence.setText(sentence)
+        self.sentence.setToolTip(sentence)
         self.bar.show_parts(parts, 1e3 / self.target_hz)
         self.skip_button.setText(offer)
         self.skip_button.setVisible(bool(offer))

@@ -29,17 +29,12 @@ class WarningLine(QWidget):
         self.setObjectName("warning_line")
         self.text = ""  # all of it, whatever fits
         self._sentences: tuple[str, ...] = ()
-        self._sign, self._label = StateIcon(), FixedSizeLabel()
+        self._sign, self.label = StateIcon(), FixedSizeLabel()
         layout = set_spacing(QHBoxLayout(self), 5, (6, 0, 6, 0))
         layout.addWidget(self._sign)
-        layout.addWidget(self._label, 1)
+        layout.addWidget(self.label, 1)
         self.buttons: list[QPushButton] = []  # that mend what is warned of
         EventListener(self, self._fit, QEvent.Type.Resize)
-
-    @property
-    def visible_text(self) -> str:
-        """The part that fits."""
-        return self._label.text()
 
     def show_warnings(self, warnings: Sequence[tuple[str, str]]) -> None:
         """Show (stage title, warning) pairs, the most important first."""
@@ -62,7 +57,7 @@ class WarningLine(QWidget):
         self.buttons = [make_choice_button(choice, lambda: None) for choice in choices]
         for button in self.buttons:
             resize_font(button)
-            button.setFixedHeight(self._label.sizeHint().height())
+            button.setFixedHeight(self.label.sizeHint().height())
             layout.addWidget(button)
         self._fit()
 
@@ -71,13 +66,13 @@ class WarningLine(QWidget):
         QToolTip.showText(a0.globalPosition().toPoint(), self.toolTip(), self)
 
     def _fit(self) -> None:
-        metrics, layout = self._label.fontMetrics(), self.layout()
+        metrics, layout = self.label.fontMetrics(), self.layout()
         assert layout is not None
         around = layout.contentsMargins()
         taken = sum(button.sizeHint().width() + layout.spacing() for button in self.buttons)
         room = max(60, self.width() - self._sign.width() - layout.spacing() - around.left() - around.right() - taken)
         text = fit_sentences(self._sentences, lambda words: metrics.horizontalAdvance(words) <= room - _SPARE_PX)
-        self._label.setText(metrics.elidedText(text, Qt.TextElideMode.ElideRight, room))
+        self.label.setText(metrics.elidedText(text, Qt.TextElideMode.ElideRight, room))
 
 
 def fit_sentences(sentences: Sequence[str], fits: Callable[[str], bool]) -> str:

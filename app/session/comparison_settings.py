@@ -8,7 +8,7 @@ from typing import Literal
 from pipeline.base.typed_data import Name
 
 ComparisonTabName = Literal["methods", "two", "seeds"]
-LAST_STAGE, ALL_STAGES = "last", ""
+LAST_STAGE = "last"
 DEFAULT_STAGE = "touch_depth"  # of two settings: what both methods of touch have, and can be subtracted
 
 

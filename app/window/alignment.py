@@ -37,7 +37,7 @@ class AlignmentController(QObject):
         super().__init__(controller)
         self._controller, self._panel = controller, controller.window.alignment
         self.refinement = RefinementController(controller)
-        self._offsets = Offsets()  # of the handles
+        self.offsets = Offsets()  # of the handles, also during a drag
         self._axis = ""
         self._assessment: AlignmentAssessment | None = None
         self._score: AlignmentScore | None = None
@@ -71,19 +71,14 @@ class AlignmentController(QObject):
         )
 
     @property
-    def offsets(self) -> Offsets:
-        """The offsets of the handles, also during a drag."""
-        return self._offsets
-
-    @property
     def contact_centre_mm(self) -> Doubles | None:
         """Centre of contact (3,) mm in the target frame under the offsets; None if not assessed."""
-        return None if self._assessment is None else rigid.apply(self._offsets.to_matrix(), self._assessment.pivot_mm)
+        return None if self._assessment is None else rigid.apply(self.offsets.to_matrix(), self._assessment.pivot_mm)
 
     def show_session(self, session: Session) -> None:
         """Show a session's offsets, unless a drag is running."""
         if not self._panel.dragging:
-            self._offsets = session.offsets
+            self.offsets = session.offsets
             self._panel.show_values(session.offsets.values)
             self._show_pivot()
         self.refinement.show_session(session)
@@ -150,7 +145,7 @@ class AlignmentController(QObject):
         if self._assessment is not None and not any(offsets.rotation_deg):
             x, y, z = (float(v) for v in self._assessment.pivot_mm)
             offsets = replace(offsets, pivot_mm=(x, y, z))  # a translation does not depend on the pivot
-        self._offsets = offsets
+        self.offsets = offsets
         self._axis = ""
         self._show_pivot()
 
@@ -158,18 +153,18 @@ class AlignmentController(QObject):
         controller = self._controller
         name: Axis = next(a for a in AXES if a == axis)
         self._axis = name if self._axis in ("", name) else "axes"
-        self._offsets = self._offsets.with_axis_value(name, value)
+        self.offsets = self.offsets.with_axis_value(name, value)
         self._show_pivot()
-        session, evaluator = replace(controller.session, offsets=self._offsets), controller.evaluator
+        session, evaluator = replace(controller.session, offsets=self.offsets), controller.evaluator
         controller.submit_priority(lambda report: alignment_jobs.preview_drag(evaluator, session, report))
 
     def _end_drag(self) -> None:
         """Make the whole drag one undo step; without a change the stages are computed again."""
         controller = self._controller
-        if self._offsets.values == controller.session.offsets.values:
+        if self.offsets.values == controller.session.offsets.values:
             controller.refresh()
             return
-        controller.change(f"move alignment ({self._axis})", offsets=self._offsets)
+        controller.change(f"move alignment ({self._axis})", offsets=self.offsets)
 
     def _set_pivot_to_contact(self) -> None:
         if self._assessment is not None:
@@ -215,7 +210,7 @@ class AlignmentController(QObject):
 
     def _show_pivot(self) -> None:
         """Show the origin of the alignment and the pivot of its rotations."""
-        opened, assessment, offsets = self._controller.views.translation, self._assessment, self._offsets
+        opened, assessment, offsets = self._controller.views.translation, self._assessment, self.offsets
         self.contact_moved.emit()
         if opened is None or assessment is None:
             return

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Callable
 from dataclasses import replace
+from typing import TypeVar
 
 from PyQt6.QtCore import QByteArray, QObject
 from PyQt6.QtGui import QAction
-from PyQt6.QtWidgets import QMenu, QMessageBox
+from PyQt6.QtWidgets import QMenu, QMessageBox, QWidget
 
 from app.session import recovery
 from app.session.preferences import Preferences
@@ -27,6 +29,7 @@ from widgets.styling import make_single_shot_timer
 AUTOSAVE_DELAY_MS = 15_000  # from the first unsaved change: the most that a crash loses
 _Answer = QMessageBox.StandardButton
 _MINUTE_S = 60.0
+T = TypeVar("T")
 
 
 class AutosaveController(QObject):
@@ -44,7 +47,7 @@ class AutosaveController(QObject):
         self.window.notifications.add_bar(self.notification)
         self.recent_menu = QMenu("Open recent", self.window)
         self.recent_menu.aboutToShow.connect(self._fill_recent_menu)
-        self.window.add_menu("File", self.recent_menu, before="open_mesh")
+        self.window.menus["File"].insertMenu(self.window.actions_by_name["open_mesh"], self.recent_menu)
         self._saves_geometry = False
         self.window.may_close = self.may_close
         controller.job.delivered.connect(self._add_recent)
@@ -56,6 +59,18 @@ class AutosaveController(QObject):
     def dialog_folder(self) -> str:
         """Folder that file dialogs start in."""
         return str(self.preferences.last_folder or "")
+
+    def connect_dialog(
+        self, command: str, ask: Callable[[QWidget, str, str], T | None], then: Callable[[T], object]
+    ) -> None:
+        """Let a command ask for a file or folder, and call `then` with the answer, if any."""
+
+        def ask_and_apply() -> None:
+            answer = ask(self.window, command, self.dialog_folder)
+            if answer is not None:
+                then(answer)
+
+        self.window.connect_command(command, ask_and_apply)
 
     @property
     def has_unsaved_changes(self) -> bool:

@@ -25,6 +25,7 @@ from pipeline.evaluation.seed_comparison import compare_seeds
 from pipeline.evaluation.variant_comparison import compare_pair
 from pipeline.evaluation.variants import Variant, VariantRunner
 from pipeline.networks import network_factory
+from widgets.comparison_page import ALL_STAGES
 from widgets.styling import make_single_shot_timer
 
 ComparisonSteps = Callable[[JobReporter], Iterator[Comparison]]
@@ -207,7 +208,8 @@ class ComparisonController(BackgroundController):
         session, opened = controller.session, controller.views.translation
         if session.layout.name != "compare" or opened is None or controller.is_closed:
             return
-        page.offer_stages({name: opened.catalogue.stage(name).title for name in opened.stages})
+        stages = {name: opened.catalogue.stage(name).title for name in opened.stages}
+        page.stage_box.offer({"": ALL_STAGES, **stages})
         self._show_choices(session)
         for tab in page.tabs.values():
             tab.grid.set_comparison_mode(controller.views.comparison_mode)
@@ -247,7 +249,7 @@ class ComparisonController(BackgroundController):
         if page.current_name == "seeds":
             page.plot.show_points(comparison.reliability_curve)
         if page.current_name == "two":
-            page.show_3d_views(bool(comparison.views_3d))
+            page.row_3d.setVisible(bool(comparison.views_3d))
             for letter, cell in zip("AB", page.views_3d if comparison.views_3d else (), strict=False):
                 cell.legend.setText(f"{letter} · {self._controller.catalogue.stage(comparison.stage).legend}")
             self._controller.views.show_variants(comparison.stage, comparison.views_3d, self._controller.session)

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import TypeVar, get_args
+from typing import get_args
 
 from PyQt6.QtGui import QAction, QKeySequence
-from PyQt6.QtWidgets import QWidget
 
 from app.session.preferences import Theme
 from app.session.state import DISPLAY_KEY
@@ -55,8 +54,6 @@ from widgets.keyboard_focus_filter import KeyboardFocusFilter
 from widgets.shortcuts_page import ShortcutsPage
 from widgets.table_copier import TableCopier
 from widgets.timeline import Timeline
-
-T = TypeVar("T")
 
 
 def connect(controller: SessionController, theme: Theme = "light") -> AutosaveController:
@@ -128,7 +125,7 @@ def connect(controller: SessionController, theme: Theme = "light") -> AutosaveCo
     ):
         controller.session_shown.connect(follow)
 
-    _connect_files(controller, alignment, autosave, comparison)
+    _connect_files(controller, alignment, autosave, comparison, track)
     _connect_playback(controller)
     _connect_view(controller, layouts)
     _connect_undo(controller)
@@ -177,20 +174,12 @@ def _connect_files(
     alignment: AlignmentController,
     autosave: AutosaveController,
     comparison: ComparisonController,
+    track: TrackController,
 ) -> None:
-    window = controller.window
-
-    def connect_dialog(command: str, ask: Callable[[QWidget, str, str], T | None], then: Callable[[T], object]) -> None:
-        def ask_and_apply() -> None:
-            answer = ask(window, command, autosave.dialog_folder)
-            if answer is not None:
-                then(answer)
-
-        window.connect_command(command, ask_and_apply)
-
+    window, connect_dialog = controller.window, autosave.connect_dialog
     openers = {
         "open_reference": controller.open_reference, "open_weights": controller.open_weights,
-        "set_variant_recording": comparison.set_variant_recording,
+        "set_variant_recording": comparison.set_variant_recording, "open_track": track.open_track,
     }  # fmt: skip
     for command in dialogs.OPEN_DIALOGS:
         connect_dialog(command, dialogs.ask_open_path, openers.get(command, controller.open_path))
@@ -226,9 +215,9 @@ def _connect_playback(controller: SessionController) -> None:
         loop.toggled.connect(line.set_looping)
     connect("play", lambda line: line.play(on=not line.is_playing))
     connect("first", lambda line: line.step_to(0))
-    connect("last", lambda line: line.step_to_last())
+    connect("last", lambda line: line.step_to(line.slider.maximum()))
     for command, by in (("previous", -1), ("next", 1), ("back_10", -10), ("forward_10", 10)):
-        connect(command, lambda line, by=by: line.step_by(by))
+        connect(command, lambda line, by=by: line.step_to(line.frame + by))
     connect("loop_from", lambda line: set_loop_range(line, line.frame, max(line.frame, line.loop_range[1])))
     connect("loop_to", lambda line: set_loop_range(line, min(line.frame, line.loop_range[0]), line.frame))
     connect("loop_all", lambda line: set_loop_range(line, 0, line.slider.maximum()))
@@ -242,7 +231,7 @@ def _connect_view(controller: SessionController, layouts: LayoutController) -> N
     link = window.actions_by_name["link_cameras"]
     link.setChecked(controller.session.cameras_linked)
     window.connect_command("link_cameras", lambda: controller.change("link cameras", cameras_linked=link.isChecked()))
-    window.connect_command("reset_view", controller.reset_view)
+    window.connect_command("reset_view", lambda: controller.views.reset_cameras(controller.session))
     for mode in get_args(ComparisonMode)[1:]:
         window.connect_command(f"show_{mode}", lambda mode=mode: _toggle_comparison_mode(controller, mode))
     window.connect_command("cancel", controller.cancel)

@@ -34,7 +34,7 @@ class LiveController(QObject):
         super().__init__(controller)
         self._controller, self._autosave, self._window = controller, autosave, controller.window
         self.live_bar, self.dialog = LiveBar(), LiveDialog(self._window)
-        self._window.add_strip(self.live_bar)
+        self._window.strips.addWidget(self.live_bar)
         self.dialog.show_choices(list_sensor_titles(), shapes.list_shapes())
         self.reader: LiveReader | None = None
         self.recorder: LiveRecorder | None = None

@@ -13,7 +13,6 @@ from PyQt6.QtWidgets import (
     QDockWidget,
     QLabel,
     QMainWindow,
-    QMenu,
     QStackedWidget,
     QTabWidget,
     QVBoxLayout,
@@ -142,18 +141,14 @@ class MainWindow(QMainWindow):
         self.show_drawer(self.drawers.diagnostics)
         self.tabs.setCurrentWidget(tab)
 
-    def add_strip(self, strip: QWidget) -> None:
-        """Add a strip of controls above the stages."""
-        self._strips.addWidget(strip)
-
     def _build_centre(self) -> None:
         for page in (self.rows, self.panes, self.comparison, self.track, self.task):
             self.pages.addWidget(page)
         self.rows.spare_height_changed.connect(self._use_spare_height)
         centre = QWidget()
         layout = set_spacing(QVBoxLayout(centre), 2, (2, 2, 2, 0))
-        self._strips = set_spacing(QVBoxLayout(), 2)
-        layout.addLayout(self._strips)
+        self.strips = set_spacing(QVBoxLayout(), 2)  # of controls, above the stages
+        layout.addLayout(self.strips)
         layout.addWidget(self.pages, 1)
         layout.addWidget(self.warning_line)
         layout.addWidget(self.timeline)
@@ -194,10 +189,6 @@ class MainWindow(QMainWindow):
         self.drawers = Drawers(
             self, frames=self.frames, parameters=self.parameters, alignment=self.alignment, diagnostics=self.tabs
         )
-
-    def add_menu(self, menu: str, submenu: QMenu, *, before: str) -> None:
-        """Insert a submenu into a menu of the menu bar, before a command."""
-        self.menus[menu].insertMenu(self.actions_by_name[before], submenu)
 
     def _make_sensor_box(self, role: str) -> ChoiceBox:
         box = ChoiceBox(f"choose_{role}", f"{role} sensor")
@@ -256,7 +247,7 @@ class MainWindow(QMainWindow):
         """Arrange the columns; a user's arrangement is restored if it is another one or if `force`."""
         restores = layout.arrangement is not None and (force or layout.arrangement != self.current_layout.arrangement)
         self.current_layout = layout
-        self.panes.hide_stages(self._hidden_stages | layout.skips)
+        self.panes.filmstrip.hide_stages(self._hidden_stages | layout.skips)
         if restores and layout.arrangement is not None:
             self._only_stage = (
                 layout.arrangement.only_stage if layout.arrangement.only_stage in self.route_columns else ""

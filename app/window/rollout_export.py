@@ -28,9 +28,9 @@ class RolloutExportController(QObject):
         autosave: AutosaveController,
     ) -> None:
         super().__init__(controller)
-        self._window, self._rollouts, self._export, self._autosave = controller.window, rollouts, export, autosave
+        self._window, self._rollouts, self._export = controller.window, rollouts, export
         self._window.connect_command("export_rollout_video", self._ask_video)
-        self._window.connect_command("export_rollout_bundle", self._ask_bundle)
+        autosave.connect_dialog("export_rollout_bundle", dialogs.ask_save_path, self.write_bundle)
         rollouts.rollout_shown.connect(self._enable)
         self._enable()
 
@@ -65,8 +65,3 @@ class RolloutExportController(QObject):
         path = self._export.ask_path("Export rollout video", ".mp4")
         if path is not None:
             self.write_video(path)
-
-    def _ask_bundle(self) -> None:
-        folder = dialogs.ask_save_path(self._window, "export_rollout_bundle", self._autosave.dialog_folder)
-        if folder is not None:
-            self.write_bundle(folder)

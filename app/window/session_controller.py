@@ -53,7 +53,7 @@ class SessionController(SessionDocument):
         self.probe = PixelProbe(window)
         self.views = StageViews(window, self.probe)
         self._ticket = self._oldest_shown = self._opening_ticket = self._background_ticket = 0
-        self._closed = self._is_pending = self._with_observation = self._with_probe_errors = self._must_refresh = (
+        self.is_closed = self._is_pending = self._with_observation = self._with_probe_errors = self._must_refresh = (
             False  # must_refresh: stages were dropped
         )
         self._open_requests: set[Request | None] = {None}  # that are open: as requested, and with names resolved
@@ -159,7 +159,7 @@ class SessionController(SessionDocument):
 
     def refresh(self) -> None:
         """Compute the session's frame again."""
-        if self.session.recording is not None and not self._closed:
+        if self.session.recording is not None and not self.is_closed:
             self._request_stages(other_request=False)
 
     def submit_priority(self, work: JobFunction) -> int:
@@ -167,7 +167,7 @@ class SessionController(SessionDocument):
 
         Running stages are dropped; `refresh` requests them again, and until then the controller is not idle.
         """
-        if self._opening_ticket or self._closed or self.views.translation is None:
+        if self._opening_ticket or self.is_closed or self.views.translation is None:
             return 0
         dropped = self._is_pending or self._must_refresh
         interrupt = self._is_pending or self.job.newest_ticket == self._background_ticket
@@ -189,10 +189,6 @@ class SessionController(SessionDocument):
         self.window.show_only(None if is_alone else name)
         self.refresh()
 
-    def reset_view(self) -> None:
-        """Reset the cameras of the 3D views."""
-        self.views.reset_cameras(self.session)
-
     def cancel(self) -> None:
         """Cancel the computation, and clear the probe."""
         self.job.cancel()
@@ -200,22 +196,17 @@ class SessionController(SessionDocument):
 
     def close(self) -> None:
         """End the background threads, then release OpenGL."""
-        if self._closed:
+        if self.is_closed:
             return
-        self._closed = True
+        self.is_closed = True
         self.undo_stack.blockSignals(True)  # it outlives the actions connected to it
         self.window.timeline.play(on=False)
         self._stale_timer.stop()
         self.closing.emit()
         self.job.close()
         self.evaluator.close()
-        self.views.close()
+        self.views.scene.close()
         self.relay.close()
-
-    @property
-    def is_closed(self) -> bool:
-        """Whether the window was closed."""
-        return self._closed
 
     @property
     def is_idle(self) -> bool:
@@ -225,7 +216,7 @@ class SessionController(SessionDocument):
 
     def handle_part(self, ticket: int, part: object) -> None:
         """Show a part of the result; parts of an older recording are dropped."""
-        if ticket < self._oldest_shown or self._closed:
+        if ticket < self._oldest_shown or self.is_closed:
             return
         self._opening_ticket = 0
         if isinstance(part, InitialFrame):
@@ -252,7 +243,7 @@ class SessionController(SessionDocument):
 
     def handle_frame(self, ticket: int, shown: object) -> None:
         """Show the summary of a finished frame."""
-        if ticket < self._oldest_shown or self._closed or not isinstance(shown, EvaluatedFrame):
+        if ticket < self._oldest_shown or self.is_closed or not isinstance(shown, EvaluatedFrame):
             return
         self.latest_frame = shown
         self.views.show_frame_summary(shown, is_comparable=shown.settings == self.session.settings)
@@ -262,7 +253,7 @@ class SessionController(SessionDocument):
 
     def handle_failure(self, ticket: int, error: object) -> None:
         """Show an error with what mends it; if an open recording does not open with another file, undo that."""
-        if ticket < self._oldest_shown or self._closed or not isinstance(error, BaseException):
+        if ticket < self._oldest_shown or self.is_closed or not isinstance(error, BaseException):
             return
         if ticket == self._ticket:
             cannot_open = self._opening_ticket == ticket and not self._is_open()  # else one frame is damaged
@@ -275,7 +266,7 @@ class SessionController(SessionDocument):
 
     def handle_cancellation(self, ticket: int) -> None:
         """Show that the request was cancelled."""
-        if ticket == self._ticket and not self._closed:
+        if ticket == self._ticket and not self.is_closed:
             self.views.mark_cancelled()
             self._end_request()
             if self.views.translation is None:

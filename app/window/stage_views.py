@@ -20,7 +20,7 @@ from pipeline.stages.truth_method import TRUTH
 from pipeline.translation.translate import Request, Translation
 from pipeline.translation.truth_view import ComparisonMode, TruthView
 from widgets.preview_view import PreviewView
-from widgets.scene_renderer import Point3, SceneRenderer
+from widgets.scene_renderer import SceneRenderer
 from widgets.steps_slider import AnyStep
 
 PageScene = Literal["track", "task"]  # pages with a 3D scene of their own
@@ -47,13 +47,9 @@ class StageViews:
         ] = ()  # stage and translation in the 3D views of the comparison
         self._shown: dict[str, SourcePreview | StagePreview] = {}
         last = len(window.views_3d) - 1
-        self._page_views: Mapping[PageScene, int] = {"track": last - 1, "task": last}
+        self.page_views: Mapping[PageScene, int] = {"track": last - 1, "task": last}
         self._page_layers: dict[PageScene, tuple[Layer, ...]] = {}
         self._page_bounds: dict[PageScene, ViewBounds] = {}
-
-    def close(self) -> None:
-        """Release OpenGL."""
-        self.scene.close()
 
     def show_translation(self, t: Translation, session: Session) -> None:
         """Show another recording, or the same one between other sensors."""
@@ -249,7 +245,7 @@ class StageViews:
         for k, (stage, other) in enumerate(self._variants):
             if stage in bounds and other is not None:
                 places[len(self._order) + 1 + k] = compute_view_bounds(other)[stage]
-        places |= {self._page_views[page]: bound for page, bound in self._page_bounds.items()}
+        places |= {self.page_views[page]: bound for page, bound in self._page_bounds.items()}
         self.scene.fit_cameras(places, linked=session.cameras_linked)
         self._probe.set_scene(self.scene, display, t)
         self.update_captions(session)
@@ -280,18 +276,14 @@ class StageViews:
         if bounds is not None:
             self._page_bounds[page] = bounds
             if bounds != old:
-                self.scene.fit_cameras({self._page_views[page]: bounds}, linked=session.cameras_linked)
-        self.scene.show_layers(self._page_views[page], self._page_layers[page])
-
-    def mark_page_point(self, page: PageScene, position_mm: Point3 | None) -> None:
-        """Mark a point in the scene of a page; None removes the mark."""
-        self.scene.mark_point(self._page_views[page], position_mm)
+                self.scene.fit_cameras({self.page_views[page]: bounds}, linked=session.cameras_linked)
+        self.scene.show_layers(self.page_views[page], self._page_layers[page])
 
     def move_task_bodies(self, poses: Mapping[str, Doubles]) -> None:
         """Move the bodies of the rollout to these poses."""
         for layer in self._page_layers.get("task", ()):
             if layer.name in poses:
-                self.scene.move_layer(self._page_views["task"], layer.name, poses[layer.name])
+                self.scene.move_layer(self.page_views["task"], layer.name, poses[layer.name])
 
     def show_step(self, stage: str, _step: AnyStep, at: int) -> None:
         """Show the preview and layers of a kept step."""

@@ -33,7 +33,6 @@ class TrackController(BackgroundController):
     def __init__(self, controller: SessionController, export: ExportController, autosave: AutosaveController) -> None:
         super().__init__("track", controller, controller.window.track.run_bar)
         self._window, self._page, self._export = controller.window, controller.window.track, export
-        self._autosave = autosave
         self.view: TrackView | None = None
         self._tracked: Session | None = None  # what the track on screen was computed from; None = read from a folder
         self._of: Path | None = None  # recording, or the folder that is read
@@ -43,8 +42,7 @@ class TrackController(BackgroundController):
         controller.tracks_requested.connect(self.open_track)
         controller.frame_shown.connect(self._frame_shown)
         window.connect_command("cancel", self.cancel)
-        window.connect_command("open_track", self._ask_open)
-        window.connect_command("export_track", self._ask_export)
+        autosave.connect_dialog("export_track", dialogs.ask_save_path, self.write_track)
         self._show_none(_NO_RECORDING)
 
     def start_track(self, stage: str) -> None:
@@ -152,17 +150,8 @@ class TrackController(BackgroundController):
         self._page.plot.show_step(row)
         path = np.zeros((0, 3)) if self.view is None else self.view.path_mm
         place = path[row] if 0 <= row < len(path) and np.isfinite(path[row]).all() else None
-        self._controller.views.mark_page_point("track", None if place is None else (place[0], place[1], place[2]))
-
-    def _ask_open(self) -> None:
-        folder = dialogs.ask_open_path(self._window, "open_track", self._autosave.dialog_folder)
-        if folder is not None:
-            self.open_track(folder)
-
-    def _ask_export(self) -> None:
-        folder = dialogs.ask_save_path(self._window, "export_track", self._autosave.dialog_folder)
-        if folder is not None:
-            self.write_track(folder)
+        views = self._controller.views
+        views.scene.mark_point(views.page_views["track"], None if place is None else (place[0], place[1], place[2]))
 
 
 def _find_row(record: TrackRecord, frame: int) -> int:

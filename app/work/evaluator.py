@@ -82,7 +82,7 @@ class Evaluator:
     def __init__(self, catalogue: Catalogue = BUILT_IN, like: Evaluator | None = None) -> None:
         """Create an evaluator; it shares the result cache of `like`."""
         self._catalogue = catalogue
-        self._graph = Graph((), cache=Cache(_CACHE_BYTES)) if like is None else like.graph
+        self.graph = Graph((), cache=Cache(_CACHE_BYTES)) if like is None else like.graph  # of the frames on screen
         self._background_graph = Graph((), cache=Cache(_BACKGROUND_BYTES))
         self._request: Request | None = None
         self._translation: Translation | None = None
@@ -140,8 +140,8 @@ class Evaluator:
             known = truths if result.name in stages else None
             report.deliver(self._previews.draw_stage(result, results, translation, session, other, known))
 
-        self._graph = translation.build_graph(like=self._graph)
-        self._graph.evaluate(stages, inputs, session.collect_params(translation.methods), report, on_stage)
+        self.graph = translation.build_graph(like=self.graph)
+        self.graph.evaluate(stages, inputs, session.collect_params(translation.methods), report, on_stage)
         metrics = self._previews.compute_metrics(translation, results, index, truth)
         self._release_memory(results)
         return EvaluatedFrame(
@@ -165,11 +165,6 @@ class Evaluator:
         translation = replace(opened, alignment=session.offsets.apply_to(opened.alignment))
         return translation, self._resolve_index(session, translation)
 
-    @property
-    def graph(self) -> Graph:
-        """The graph with the result cache of the frames on screen."""
-        return self._graph
-
     def _resolve_index(self, session: Session, translation: Translation) -> int:
         """Return the session's frame number; for AUTO_FRAME the one detected on opening."""
         return min(self._first_frame if session.frame < 0 else session.frame, translation.n_frames - 1)
@@ -186,9 +181,9 @@ class Evaluator:
             return opened, cached
         if "depth" not in opened.stages:
             raise SettingProblem(f"the route {opened.request.route!r} has no depth to align; choose another route")
-        self._graph = opened.build_graph(like=self._graph)
+        self.graph = opened.build_graph(like=self.graph)
         params = session.collect_params(opened.methods)
-        depth = self._graph.evaluate(("depth",), opened.read_inputs(index), params, report)["depth"]
+        depth = self.graph.evaluate(("depth",), opened.read_inputs(index), params, report)["depth"]
         return opened, self._get_comparison(opened, index, depth.output, session)
 
     def evaluate_in_background(
@@ -257,9 +252,9 @@ class Evaluator:
     def attribute_frame_error(self, session: Session, metric: str, report: JobReporter) -> ErrorAttribution | None:
         """Attribute the error `metric` of the session's frame to its stages; None if the metric is unknown."""
         translation, index = self.open_frame(session, report)
-        self._graph = translation.build_graph(like=self._graph)
+        self.graph = translation.build_graph(like=self.graph)
         return attribute_error(
-            translation, self._graph, session.collect_params(translation.methods), index, metric, report
+            translation, self.graph, session.collect_params(translation.methods), index, metric, report
         )
 
     def _get_comparison(

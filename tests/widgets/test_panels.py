@@ -90,7 +90,7 @@ def test_a_long_sentence_of_the_budget_does_not_widen_the_window(qtbot):
     before_px = panel.minimumSizeHint().width()
     panel.show_budget("depth 60 %, " * 20, (), "Skip pose")
     assert panel.minimumSizeHint().width() == before_px
-    assert panel.sentence.startswith("depth 60 %, ")
+    assert panel.sentence.text().startswith("depth 60 %, ")
 
 
 def test_the_trace_reads_like_a_sentence(qtbot):

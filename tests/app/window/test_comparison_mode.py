@@ -97,7 +97,7 @@ def test_blink_alternates_until_it_is_switched_off(window, qtbot):
     )
     _choose(window, "blink")
     assert not overlay.is_visible
-    assert not overlay.is_blinking
+    assert not overlay.blink_timer.isActive()
 
 
 def test_truth_is_not_computed_unless_requested(window, monkeypatch):

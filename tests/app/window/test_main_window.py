@@ -12,11 +12,12 @@ import h5py
 import pytest
 from PyQt6.QtCore import QMimeData, QPoint, QPointF, Qt, QUrl
 from PyQt6.QtGui import QDropEvent, QSurface
-from PyQt6.QtWidgets import QLabel
+from PyQt6.QtWidgets import QFileDialog, QLabel
 
 from app.session.sample import SAMPLE_RECORDING
 from app.session.state import load_session
 from app.window import frame_ranking
+from app.window.dialogs import OPEN_DIALOGS
 from app.window.frame_ranking import FrameRankingController
 from app.window.tour import run_tour, save_window_screenshot, wait_until_shown
 from pipeline.base.errors import FileProblem
@@ -581,3 +582,12 @@ def test_a_recording_of_an_unfit_sensor_is_shown_with_the_reason(open_window, to
     assert "choose the right sensor" in controller.window.banner.text
     assert controller.window.columns["source"].view.preview is not None
     assert controller.window.columns["depth"].state == "failed"
+
+
+def test_every_command_that_opens_a_file_asks_once(open_window, monkeypatch):
+    window, asked = open_window().window, []
+    monkeypatch.setattr(QFileDialog, "getOpenFileName", lambda *_: asked.append("file") or ("", ""))
+    monkeypatch.setattr(QFileDialog, "getExistingDirectory", lambda *_: asked.append("folder") or "")
+    for n_asked, command in enumerate(OPEN_DIALOGS, start=1):
+        window.actions_by_name[command].trigger()
+        assert len(asked) == n_asked, command

@@ -107,7 +107,7 @@ def test_cameras_of_the_3d_views_are_stored_in_the_session(held, qtbot, tmp_path
     turned = (10.0, 20.0, -90.0, 0.0, 1.0, 20.0, 0.0, -1.0, 0.0, 30.0)
     scene.set_cameras({1: turned})
     instrument.save_session(tmp_path / "a.touch.json")
-    instrument.reset_view()
+    instrument.window.actions_by_name["reset_view"].trigger()
     assert scene.get_cameras()[1] != pytest.approx(turned)
     instrument.open_session(tmp_path / "a.touch.json")
     _settle(qtbot, instrument, comparing)  # the comparison comes last
