@@ -6,14 +6,14 @@ from collections.abc import Sequence
 
 from PyQt6.QtCore import QSignalBlocker, Qt
 from PyQt6.QtGui import QAction
-from PyQt6.QtWidgets import QTabBar, QWidget
+from PyQt6.QtWidgets import QTabBar
 
 
 class ActionTabs(QTabBar):
     """One tab per checkable command: a tab runs its command, and a checked command selects its tab."""
 
-    def __init__(self, actions: Sequence[QAction], name: str, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self, actions: Sequence[QAction], name: str) -> None:
+        super().__init__()
         self._actions = tuple(actions)
         self.setObjectName(f"{name}_tabs")
         self.setAccessibleName(name)

@@ -59,8 +59,8 @@ class AlignmentPanel(VerticalScrollArea):
     offset_changed = pyqtSignal(str, float)  # axis, offset in mm or degrees
     drag_ended = pyqtSignal()
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self) -> None:
+        super().__init__()
         self.setObjectName("alignment")
         self.setAccessibleName("alignment")
         self.rows = {axis: AxisRow(axis, self) for axis in AXES}

@@ -98,8 +98,8 @@ def get_pose_colour(answer: int) -> QColor:
 class BasinPanel(QWidget):
     """Start, axis of the starts and message over the map."""
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self) -> None:
+        super().__init__()
         self.run_bar, self.message, self.map = StartBar("basins", "Map basins"), QLabel(), BasinMap()
         self.axis_box = ChoiceBox("basins_along", "translation axis of the starts", {"x": "x", "y": "y"})
         self.run_bar.start_button.setToolTip("Register this touch from 216 starts around the pose and map the results")

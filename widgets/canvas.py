@@ -41,8 +41,8 @@ class Canvas(QWidget):
     clicked = pyqtSignal(QPointF)
     view_changed = pyqtSignal()  # by the user
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self) -> None:
+        super().__init__()
         self.setMinimumSize(60, 60)
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Expanding)
         self.setMouseTracking(True)

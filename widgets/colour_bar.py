@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 from PyQt6.QtCore import QPointF, QRectF, QSize, Qt, pyqtSignal
-from PyQt6.QtGui import QImage, QPainter, QPaintEvent
-from PyQt6.QtWidgets import QSizePolicy, QWidget
+from PyQt6.QtGui import QImage, QPainter
 
 from pipeline.base.arrays import Doubles, Floats
 from pipeline.previews.colours import ColourMapName, ColourScale, get_colour_table
 from widgets.fonts import resize_font
+from widgets.painted_widget import FIXED, YIELDS, PaintedWidget
 from widgets.styling import make_single_shot_timer
-from widgets.theme import get_colour_map, get_theme_colours, to_qcolor
+from widgets.theme import ThemeColours, get_colour_map, to_qcolor
 
 _STRIP_PX, _BARS_PX, _EDGE_PX = 8, 22, 2
 _N_BARS = 64
@@ -62,7 +62,7 @@ def fit_limits(values: Floats, scale: ColourScale) -> dict[str, float]:
     return {name: value for name, value in limits.items() if name} if high > low else {}
 
 
-class ColourBar(QWidget):
+class ColourBar(PaintedWidget):
     """Histogram over a colour strip over its numbers; empty for images in true colour.
 
     An end with a setting can be dragged: `limit_dragged` carries setting and value, at most thirty times a second. A
@@ -72,9 +72,8 @@ class ColourBar(QWidget):
     limit_dragged = pyqtSignal(str, float)
     limits_fitted = pyqtSignal(object)
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
-        self.setObjectName("levels")
+    def __init__(self) -> None:
+        super().__init__("levels", across=YIELDS, down=FIXED)
         self._scale: ColourScale | None = None
         self._values: Floats | None = None
         self._spread: ValueHistogram | None = None
@@ -84,7 +83,6 @@ class ColourBar(QWidget):
         self._soon = make_single_shot_timer(self, _THROTTLE_MS, self._tell)
         resize_font(self)
         self.setMouseTracking(True)
-        self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
 
     def sizeHint(self) -> QSize:  # noqa: N802
         """Return room for the bars, the strip and one line of numbers."""
@@ -125,16 +123,14 @@ class ColourBar(QWidget):
         lines.append(can if scale.high_setting else "these limits follow another scale")
         return "\n".join(lines)
 
-    def paintEvent(self, a0: QPaintEvent | None) -> None:  # noqa: N802
+    def paint(self, painter: QPainter, ink: ThemeColours) -> None:
         """Paint bars, strip and numbers."""
-        del a0
         if self._scale is None:
             return
-        scale, painter, palette = self._scale, QPainter(self), self.palette()
-        strip = self._room
+        scale, palette, strip = self._scale, self.palette(), self._room
         if self.histogram is not None and self._bars_px:
-            self._draw_bars(painter, strip, self.histogram)
-        painter.drawImage(strip, _make_strip(get_colour_map(get_theme_colours(palette), scale)))
+            self._draw_bars(painter, ink, strip, self.histogram)
+        painter.drawImage(strip, _make_strip(get_colour_map(ink, scale)))
         painter.setPen(palette.mid().color())
         painter.drawRect(strip)
         painter.setPen(palette.text().color())
@@ -150,9 +146,8 @@ class ColourBar(QWidget):
     def _room(self) -> QRectF:
         return QRectF(_EDGE_PX, self._bars_px, self.width() - 2 * _EDGE_PX, _STRIP_PX)
 
-    def _draw_bars(self, painter: QPainter, strip: QRectF, spread: ValueHistogram) -> None:
+    def _draw_bars(self, painter: QPainter, ink: ThemeColours, strip: QRectF, spread: ValueHistogram) -> None:
         """Paint bars with logarithmic heights: the contact is a small part of an image."""
-        ink = get_theme_colours(self.palette())
         tall = np.log1p(spread.counts) * (
             (self._bars_px - 2) / max(1e-9, float(np.log1p(spread.counts).max(initial=0.0)))
         )
@@ -164,13 +159,8 @@ class ColourBar(QWidget):
         painter.setPen(to_qcolor(ink.warning_mark))
         line = QRectF(strip.left() + 4, 0, strip.width() - 8, self.fontMetrics().height())
         for share, x, text, place in (
-            (spread.share_below, strip.left(), "\N{BLACK LEFT-POINTING SMALL TRIANGLE} {}", Qt.AlignmentFlag.AlignLeft),
-            (
-                spread.share_above,
-                strip.right() - 3,
-                "{} \N{BLACK RIGHT-POINTING SMALL TRIANGLE}",
-                Qt.AlignmentFlag.AlignRight,
-            ),
+            (spread.share_below, strip.left(), _BELOW, Qt.AlignmentFlag.AlignLeft),
+            (spread.share_above, strip.right() - 3, _ABOVE, Qt.AlignmentFlag.AlignRight),
         ):
             if share >= _MIN_SHARE:
                 painter.fillRect(QRectF(x, 0, 3, strip.top()), to_qcolor(ink.warning_mark))

@@ -34,8 +34,8 @@ class ComparisonPage(QWidget):
 
     choice_changed = pyqtSignal()
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self) -> None:
+        super().__init__()
         orders = {order: order for order in get_args(SortOrder)}
         self.order_box = ChoiceBox("compare_order", "order of the methods", orders)
         self.stage_box = ChoiceBox("compare_stage", "compared stage")

@@ -28,8 +28,8 @@ from widgets.sweep_grid import SweepGrid, SweepPlot
 class ComparisonTab(QWidget):
     """Controls above a message above the widget with the results."""
 
-    def __init__(self, controls: Sequence[QWidget] | QLayout, results: QWidget, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self, controls: Sequence[QWidget] | QLayout, results: QWidget) -> None:
+        super().__init__()
         self.message, self.run_bar = QLabel(), RunBar("compare", keeps_room=True)
         self.message.setWordWrap(True)
         self.message.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Minimum)
@@ -58,7 +58,7 @@ _HINT = "choose two parameters and their values, then press Sweep; click a cell 
 class SweepTab(ComparisonTab):
     """Parameters, values and metric of a sweep, and its cells."""
 
-    def __init__(self, parent: QWidget | None = None) -> None:
+    def __init__(self) -> None:
         self.axes = tuple(ChoiceBox(f"sweep_{word}", f"parameter of the {word}") for word in _AXES)  # across, down
         self.values = QLineEdit(), QLineEdit()
         self.metric_box, self.start_button = ChoiceBox("sweep_metric", "metric"), QPushButton("Sweep")
@@ -68,7 +68,7 @@ class SweepTab(ComparisonTab):
         for widget, share in ((self.grid, 3), (self.plot, 2)):
             results.addWidget(widget)
             results.setStretchFactor(results.count() - 1, share)
-        super().__init__(controls, results, parent)
+        super().__init__(controls, results)
         for which, (word, box, line) in enumerate(zip(_AXES, self.axes, self.values, strict=True)):
             line.setObjectName(f"sweep_{word}_values")
             line.setAccessibleName(f"values of the {word}")

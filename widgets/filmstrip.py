@@ -29,8 +29,8 @@ _FEW, _AROUND = 0.3, 1.25  # below this share of pixels with a value, only those
 class Thumbnail(QAbstractButton):
     """One stage: its preview, title, state and warning sign."""
 
-    def __init__(self, title: str, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self, title: str) -> None:
+        super().__init__()
         self.setText(title)
         self.setAccessibleName(title)
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
@@ -132,8 +132,8 @@ class Filmstrip(QWidget):
 
     stage_chosen = pyqtSignal(str)
 
-    def __init__(self, titles: Mapping[str, str], parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self, titles: Mapping[str, str]) -> None:
+        super().__init__()
         self.setObjectName("filmstrip")
         self.thumbnails = {name: Thumbnail(title) for name, title in titles.items()}
         self.row = set_spacing(QHBoxLayout(self), 3, (2, 2, 2, 2))

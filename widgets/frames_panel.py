@@ -39,8 +39,8 @@ class FramesPanel(QWidget):
 
     frame_chosen = pyqtSignal(int)
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self) -> None:
+        super().__init__()
         self.model = FramesModel(self)
         self._sorted = RowFilter(self.model, partial(matches_term, self.model))
         self._frame = 0

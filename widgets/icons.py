@@ -35,8 +35,8 @@ def paint_state(painter: QPainter, room: QRectF, state: str, palette: QPalette) 
 class StateIcon(QWidget):
     """The sign of a state; keeps its room while there is none."""
 
-    def __init__(self, size_px: int = 16, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self, size_px: int = 16) -> None:
+        super().__init__()
         self.state = ""
         self.setFixedSize(size_px, size_px)
 

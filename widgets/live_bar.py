@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from PyQt6.QtWidgets import QFrame, QHBoxLayout, QLabel, QSizePolicy, QWidget
+from PyQt6.QtWidgets import QFrame, QHBoxLayout, QLabel, QSizePolicy
 
 from widgets.styling import make_bold, make_button
 
@@ -10,8 +10,8 @@ from widgets.styling import make_bold, make_button
 class LiveBar(QFrame):
     """Hidden while no sensor is live."""
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self) -> None:
+        super().__init__()
         self.setObjectName("live_bar")
         self.setFrameShape(QFrame.Shape.StyledPanel)
         self._title, self._rates, self._wrong = QLabel(), QLabel(), QLabel()

@@ -16,8 +16,8 @@ _LEVELS = {"everything": logging.DEBUG, "info": logging.INFO, "warnings": loggin
 class LogPanel(QWidget):
     """Keeps the newest lines and shows those at or above the selected level."""
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self) -> None:
+        super().__init__()
         self._lines: deque[tuple[int, str]] = deque(maxlen=_KEPT)
         self._level = QComboBox()
         self._level.setObjectName("log_level")

@@ -28,8 +28,8 @@ class Pane(QFrame):
     activated = pyqtSignal()
     dims_chosen = pyqtSignal(str)
 
-    def __init__(self, number: int, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self, number: int) -> None:
+        super().__init__()
         self.setObjectName(f"pane_{number}")
         self.setFrameShape(QFrame.Shape.NoFrame)
         self._rim = QFrame()
@@ -104,8 +104,8 @@ class PanesPage(QWidget):
     dims_chosen = pyqtSignal(int, str)
     count_chosen = pyqtSignal(int)
 
-    def __init__(self, titles: Mapping[str, str], parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self, titles: Mapping[str, str]) -> None:
+        super().__init__()
         self.filmstrip = Filmstrip(titles)
         self.panes = tuple(Pane(number + 1) for number in range(MAX_PANES))
         self.active_pane = 0

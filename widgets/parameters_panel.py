@@ -23,8 +23,8 @@ class ParametersPanel(VerticalScrollArea):
     params_edited = pyqtSignal(str, object)
     slider_held = pyqtSignal(str)  # key of the slider that is held: its values are drafts; "" = let go
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self) -> None:
+        super().__init__()
         self.setAccessibleName("parameters")
         self._body = QWidget()
         self._layout = QVBoxLayout(self._body)

@@ -27,8 +27,8 @@ class PinnedParameters(QWidget):
     params_edited = pyqtSignal(str, object)  # key of the method, its complete new parameters
     slider_held = pyqtSignal(str)  # key of the method; "" = let go
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self) -> None:
+        super().__init__()
         self._key, self._params, self._height_px = "", object(), 0
         self._controls: dict[str, dict[Setting, ParameterControl]] = {}  # one per range; the shown one is in `_shown`
         self._shown: dict[str, tuple[Setting, ParameterControl]] = {}

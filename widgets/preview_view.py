@@ -31,8 +31,8 @@ class PreviewView(QWidget):
     scale_changed = pyqtSignal()  # a colour scale appeared or disappeared
     view_changed = pyqtSignal()  # panned or zoomed by the user
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self) -> None:
+        super().__init__()
         self.preview: Preview | None = None  # what is shown
         self._shape: tuple[int, int] | None = None
         self.canvas = Canvas()

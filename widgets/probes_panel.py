@@ -40,8 +40,8 @@ class ProbesPanel(QWidget):
 
     probe_chosen = pyqtSignal(int)
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self) -> None:
+        super().__init__()
         self.table, self.clear_button = QTableWidget(0, 0), QPushButton("Release all")
         columns = prepare_table(self.table, "probes", "pinned pixels")
         columns.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)

@@ -23,8 +23,8 @@ _IDLE = "least squares over all frames with contact on both sensors; a quarter i
 class RefineBox(QWidget):
     """Start over message or result over the choice to accept or discard it."""
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self) -> None:
+        super().__init__()
         self.run_bar, self.text = StartBar("refine", "Refine on all frames"), QLabel()
         self.accept = make_button("Accept", "refine_accept", "Use the refined alignment (one undo step)")
         self.discard = make_button("Discard", "refine_discard", "Keep the alignment as it is")

@@ -31,8 +31,8 @@ class SectionPanel(QWidget):
 
     line_typed = pyqtSignal(object)  # Line
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self) -> None:
+        super().__init__()
         self.plot, self.message = SectionPlot(), FixedSizeLabel(_OFF)
         self.line: SectionLine | None = None
         tip = "Copy the curves as a table: mm along the line, and mm of indentation for every stage"

@@ -36,8 +36,8 @@ class StageColumn(QFrame):
     pixel_clicked = pyqtSignal(str, int, int)
     method_chosen = pyqtSignal(str, str)  # stage, method
 
-    def __init__(self, name: str, title: str, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self, name: str, title: str) -> None:
+        super().__init__()
         self.setObjectName(f"column_{name}")
         self.setFrameShape(QFrame.Shape.StyledPanel)
         self._title = FixedSizeLabel(title)

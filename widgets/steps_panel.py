@@ -136,8 +136,8 @@ class StepsPanel(QWidget):
 
     keep_steps_requested = pyqtSignal(str, bool)
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self) -> None:
+        super().__init__()
         self.stage_box = ChoiceBox("steps_slot", "stage to step through")
         self.keep_button, self.plot = QPushButton(KEEP_STEPS), StepsPlot()
         self.message, self.step_text = QLabel(_NOTHING), QLabel()  # why it stopped, or what can be done

@@ -18,8 +18,8 @@ class StepsSlider(QWidget):
     step_chosen = pyqtSignal(str, object, int)
     keep_steps_requested = pyqtSignal(str)
 
-    def __init__(self, stage: str = "pose", parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self, stage: str = "pose") -> None:
+        super().__init__()
         self._slot = stage
         self._steps: tuple[AnyStep, ...] = ()
         self.slider = QSlider(Qt.Orientation.Horizontal)

@@ -88,8 +88,8 @@ def make_icon_button(icon: str, name: str, tip: str) -> QToolButton:
 class ThemedLabel(QLabel):
     """Label in one of the theme's text colours."""
 
-    def __init__(self, ink: Callable[[ThemeColours], Rgb], text: str = "", parent: QWidget | None = None) -> None:
-        super().__init__(text, parent)
+    def __init__(self, ink: Callable[[ThemeColours], Rgb], text: str = "") -> None:
+        super().__init__(text)
         self._ink = ink
         self._take_ink()
         EventListener(self, self._take_ink, QEvent.Type.PaletteChange)

@@ -25,8 +25,8 @@ TOUCHES = {"source": "Source", "touch": "Generated touch", "truth": "True touch"
 class TaskPage(QWidget):
     """Trials at the left; scene and touches over the plot, the ticks and the decision at the right."""
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self) -> None:
+        super().__init__()
         self.trials, self.scene, self.plot = TrialsPanel(), View3DPanel(), RolloutPlot()
         self.decision, self.ticks, self.message = DecisionPanel(), Timeline(unit="tick"), QLabel()
         self.scene.view.setAccessibleName("scene of the rollout")

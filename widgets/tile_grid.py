@@ -30,8 +30,8 @@ _LINES = 6  # metric lines at the side where there is room, more if a tile has m
 class TileView(QFrame):
     """One tile."""
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self) -> None:
+        super().__init__()
         self.setFrameShape(QFrame.Shape.StyledPanel)
         self.tile = Tile(title="")
         self._title, self._subtitle, self.view = QLabel(), QLabel(), PreviewView()
@@ -103,8 +103,8 @@ class TileGrid(QWidget):
     limit_dragged = pyqtSignal(str, float)  # as of `widgets.colour_bar.ColourBar`
     limits_fitted = pyqtSignal(object)
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self) -> None:
+        super().__init__()
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
         self._grid = set_spacing(QGridLayout(self), 4)
         self._views: list[TileView] = []

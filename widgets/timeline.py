@@ -32,8 +32,8 @@ class Timeline(QWidget):
     frame_chosen = pyqtSignal(int)
     play_toggled = pyqtSignal(bool)
 
-    def __init__(self, parent: QWidget | None = None, *, unit: str = "frame") -> None:
-        super().__init__(parent)
+    def __init__(self, *, unit: str = "frame") -> None:
+        super().__init__()
         self._unit = unit
         self._n_frames, self._ready = 0, True
         self.frame = 0  # the current frame

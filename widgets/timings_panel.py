@@ -109,8 +109,8 @@ class TimingsPanel(QWidget):
     skip_requested = pyqtSignal()
     target_changed = pyqtSignal()
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self) -> None:
+        super().__init__()
         self.sentence, self.bar, self.table = FixedSizeLabel(), TimeBudgetBar(), QTableWidget(0, len(_HEADER))
         make_bold(self.sentence)
         self._target = QSpinBox()

@@ -22,8 +22,8 @@ _LINES = 2  # more lines scroll
 class TracePanel(QScrollArea):
     """Shows a pixel trace, one titled step after the other."""
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self) -> None:
+        super().__init__()
         self.setObjectName("trace")
         self.setAccessibleName("trace of the pixel")
         self.setWidgetResizable(True)

@@ -21,8 +21,8 @@ _PLOT_SIZE = 620  # of 1000
 class TrackPage(QWidget):
     """Stage and start over a sentence over plot and surface."""
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self) -> None:
+        super().__init__()
         self.stage_box, self.run_bar = ChoiceBox("tracked_stage", "touch to follow"), StartBar("track", "Track")
         self.plot, self.scene, self.sentence = TrackPlot(), View3DPanel(), QLabel()
         self.stage_box.setToolTip("Membrane to follow: the source's, or that of the generated touch")

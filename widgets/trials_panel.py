@@ -32,8 +32,8 @@ class TrialsPanel(QWidget):
 
     trial_chosen = pyqtSignal(Path)
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self) -> None:
+        super().__init__()
         self.model = TrialsModel(self)
         self._listed = RowFilter(self.model, partial(matches_term, self.model))
         self.filter_line = make_search_line("trials_filter", "filter of the trials", _HINT, _FILTER_TIP)

@@ -24,8 +24,8 @@ class View3D(QWidget):
     hovered = pyqtSignal(QPointF)  # mouse position, no button down
     clicked = pyqtSignal(QPointF)  # a click, not the end of a rotation
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self) -> None:
+        super().__init__()
         self.setMinimumSize(60, 60)
         self.setSizePolicy(
             QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Ignored

@@ -16,8 +16,8 @@ from widgets.view_3d import View3D
 class View3DPanel(QWidget):
     """`view` over `legend`, or over `under` in its place, over `caption`."""
 
-    def __init__(self, under: QWidget | None = None, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self, under: QWidget | None = None) -> None:
+        super().__init__()
         self.view, self.legend, self.caption = View3D(), FixedSizeLabel(), FittingLabel()
         resize_font(self.legend)
         self.legend.setAlignment(Qt.AlignmentFlag.AlignHCenter)
@@ -34,8 +34,8 @@ class View3DPanel(QWidget):
 class FittingLabel(QLabel):
     """One line of rich text: the longest of several versions that fits."""
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self) -> None:
+        super().__init__()
         self.setTextFormat(Qt.TextFormat.RichText)
         resize_font(self)
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)

@@ -24,8 +24,8 @@ _A_REASON = re.compile("[:;]")  # what follows is the reason or the remedy
 class WarningLine(QWidget):
     """The warnings of all stages in one line, with their remedies; the tooltip, also shown by a click, has all text."""
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self) -> None:
+        super().__init__()
         self.setObjectName("warning_line")
         self.text = ""  # all of it, whatever fits
         self._sentences: tuple[str, ...] = ()

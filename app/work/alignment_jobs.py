@@ -73,7 +73,7 @@ def draw_before_and_after(
     context = opened.make_preview_context({}, session.display)
 
     def draw_preview(offsets: Offsets) -> Preview:
-        preview = target_depth.make_preview(frame.project_touch(offsets.apply_to(opened.alignment), params), context)
+        preview = target_depth.make_preview(frame.project_touch(offsets.apply_to(opened.alignment), params)[0], context)
         if frame.paired_touch is not None:
             view = build_observation_view(preview, frame.paired_touch.target, opened.target, session.display)
             preview = view.difference_to_truth or preview
@@ -92,7 +92,9 @@ def preview_drag(evaluator: Evaluator, session: Session, report: JobReporter) ->
     """Draw the session's frame under its offsets, coarse; raises TouchError."""
     opened, frame = evaluator.compare_with_target(session, report)
     report.step(0.5, "previewing the alignment")
-    depth, score = frame.preview_alignment(session.offsets.apply_to(opened.alignment), get_projection_params(session))
+    alignment, params = session.offsets.apply_to(opened.alignment), get_projection_params(session)
+    depth, _ = frame.project_touch(alignment, params, frame.preview_downsampling)
+    score = frame.compute_score(alignment, params)
     context = opened.make_preview_context({}, session.display)
     small = target_depth.make_preview(depth, context)
     preview = enlarge_preview(small, opened.target.camera.shape)

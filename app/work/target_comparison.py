@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -46,64 +47,41 @@ class TargetComparison:
         return choose_preview_factor(self.target)
 
     @cached_property
-    def coarse_observation(self) -> TargetObservation | None:
-        """The target's own touch at preview resolution."""
-        return (
-            None
-            if self.paired_touch is None
-            else observe_target(self.paired_touch.target, self.target, factor=self.preview_downsampling)
-        )
-
-    @cached_property
-    def full_observation(self) -> TargetObservation | None:
-        """The target's own touch at full resolution."""
-        return None if self.paired_touch is None else observe_target(self.paired_touch.target, self.target)
+    def _observations(self) -> Mapping[int, TargetObservation]:
+        """The target's own touch by downsampling factor; {} without a paired touch."""
+        if self.paired_touch is None:
+            return {}
+        touch = self.paired_touch.target
+        return {n: observe_target(touch, self.target, factor=n) for n in (1, self.preview_downsampling)}
 
     @cached_property
     def observed_outline_px(self) -> Floats | None:
         """Contact border (n, 2) x, y in pixels of the target's own touch."""
         return None if self.paired_touch is None else trace_outline(self.paired_touch.target.contact)
 
-    def preview_alignment(
-        self, alignment: Alignment, params: ProjectionParams
+    def project_touch(
+        self, alignment: Alignment, params: ProjectionParams, downsampling: int = 1
     ) -> tuple[TargetDepth, AlignmentScore | None]:
-        """Project the touch at preview resolution, and score it at full resolution."""
-        if self.paired_touch is not None and self.coarse_observation is not None:
-            return score_preview(self.paired_touch, alignment, self.coarse_observation, params)[0], self.compute_score(
-                alignment, params
-            )
+        """Project the touch into the target at full or preview resolution, and score it against a paired touch."""
+        if self.paired_touch is not None:
+            return score_preview(self.paired_touch, alignment, self._observations[downsampling], params)
         shifted = shift_alignment_along_z(alignment, source_shift_mm=self.source_shift_mm, target_shift_mm=0.0)
-        small = self.target.with_camera(self.target.camera.scale(1.0 / self.preview_downsampling))
-        return project_cloud(
-            back_project_depth(self.source, shifted, BackProjectionParams(stride=min(2, self.preview_downsampling))),
-            small,
-            params,
-        ), None
-
-    def project_touch(self, alignment: Alignment, params: ProjectionParams) -> TargetDepth:
-        """Project the touch into the target at full resolution."""
-        if self.paired_touch is not None and self.full_observation is not None:
-            return score_preview(self.paired_touch, alignment, self.full_observation, params)[0]
-        shifted = shift_alignment_along_z(alignment, source_shift_mm=self.source_shift_mm, target_shift_mm=0.0)
-        return project_cloud(back_project_depth(self.source, shifted, BackProjectionParams()), self.target, params)
+        target = self.target.with_camera(self.target.camera.scale(1.0 / downsampling))
+        cloud = back_project_depth(self.source, shifted, BackProjectionParams(stride=min(2, downsampling)))
+        return project_cloud(cloud, target, params), None
 
     def compute_score(self, alignment: Alignment, params: ProjectionParams) -> AlignmentScore | None:
         """Score the agreement at full resolution; None without a paired touch."""
-        return (
-            None
-            if self.paired_touch is None or self.full_observation is None
-            else score_preview(self.paired_touch, alignment, self.full_observation, params)[1]
-        )
+        return None if self.paired_touch is None else self.project_touch(alignment, params)[1]
 
     def compute_sensitivities(
         self, alignment: Alignment, params: ProjectionParams, pivot: Doubles, progress: Progress
     ) -> tuple[Sensitivity, ...]:
         """Compute the sensitivity of each axis; () without a paired touch."""
-        if self.paired_touch is None or self.coarse_observation is None:
+        if self.paired_touch is None:
             return ()
-        return compute_sensitivities(
-            self.paired_touch, alignment, self.coarse_observation, params, pivot=pivot, progress=progress
-        )
+        coarse = self._observations[self.preview_downsampling]
+        return compute_sensitivities(self.paired_touch, alignment, coarse, params, pivot=pivot, progress=progress)
 
 
 def build_target_comparison(
@@ -118,13 +96,9 @@ def build_target_comparison(
     except TouchError as error:
         reason = f"the recorded {translation.target.name} touch cannot be used: {error}"
     return TargetComparison(
-        index=index,
-        target=translation.target,
-        source=source,
-        source_shift_mm=shift_mm,
-        paired_touch=touch,
+        index=index, target=translation.target, source=source, source_shift_mm=shift_mm, paired_touch=touch,
         unavailable_reason=reason,
-    )
+    )  # fmt: skip
 
 
 def _pair_touches(
