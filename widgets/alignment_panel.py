@@ -24,6 +24,7 @@ from widgets.refine_box import RefineBox
 from widgets.sensitivity_bars import SensitivityBars
 from widgets.styling import (
     ThemedLabel,
+    fill,
     make_bold,
     make_command_button,
     make_icon_button,
@@ -77,26 +78,18 @@ class AlignmentPanel(VerticalScrollArea):
 
     def _lay_out(self) -> None:
         body = QWidget()
-        layout = set_spacing(QVBoxLayout(body), 5, (8, 6, 8, 6))
-        layout.addLayout(self._head())
         self._handles = QWidget()
         grid = set_spacing(QGridLayout(self._handles), 4)
         grid.setColumnStretch(1, 1)
         for n, row in enumerate(self.rows.values()):
             for column, widget in enumerate((row.label, row.slider, row.box)):
                 grid.addWidget(widget, n, column)
-        layout.addWidget(self._handles)
-        layout.addLayout(self._foot())
-        layout.addWidget(_title("Agreement"))
         self.no_score_reason.setWordWrap(True)
-        layout.addWidget(self.no_score_reason)
-        for gauge in self.gauges.values():
-            layout.addWidget(gauge)
-        layout.addWidget(_title("Sensitivity"))
-        layout.addWidget(self.bars)
-        layout.addWidget(_title("Refine"))
-        layout.addWidget(self.refine)
-        layout.addStretch(1)
+        fill(
+            set_spacing(QVBoxLayout(body), 5, (8, 6, 8, 6)), self._head(), self._handles, self._foot(),
+            _title("Agreement"), self.no_score_reason, *self.gauges.values(),
+            _title("Sensitivity"), self.bars, _title("Refine"), self.refine, 1,
+        )  # fmt: skip
         self.setWidget(body)
         self.show_empty()
 
@@ -104,12 +97,7 @@ class AlignmentPanel(VerticalScrollArea):
         self.origin.setWordWrap(True)
         self.original = make_icon_button("reset", "alignment_original", "Return to the alignment of the recording")
         self._files = set_spacing(QHBoxLayout(), 1)
-        head, first = set_spacing(QVBoxLayout(), 2), QHBoxLayout()
-        first.addWidget(self.origin, 1)
-        first.addWidget(self.original)
-        head.addLayout(first)
-        head.addLayout(self._files)
-        return head
+        return fill(set_spacing(QVBoxLayout(), 2), fill(QHBoxLayout(), (self.origin, 1), self.original), self._files)
 
     def _foot(self) -> QHBoxLayout:
         self._pivot.setWordWrap(True)
@@ -118,11 +106,7 @@ class AlignmentPanel(VerticalScrollArea):
             "target", "alignment_pivot", "Express the same motion about the centre of this frame's contact"
         )
         self.reset = make_icon_button("reset", "alignment_reset", "Reset all six offsets to zero")
-        foot = QHBoxLayout()
-        foot.addWidget(self._pivot, 1)
-        foot.addWidget(self.here)
-        foot.addWidget(self.reset)
-        return foot
+        return fill(QHBoxLayout(), (self._pivot, 1), self.here, self.reset)
 
     def add_command(self, action: QAction) -> None:
         """Add a button for a command at the top."""

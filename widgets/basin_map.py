@@ -14,7 +14,7 @@ from widgets.cell_grid import NO_CELL, CellGrid, CellIndex
 from widgets.choice_box import ChoiceBox
 from widgets.fonts import resize_font
 from widgets.run_bar import StartBar
-from widgets.styling import set_spacing
+from widgets.styling import fill, set_spacing
 from widgets.theme import CATEGORY_COLOURS, ThemeColours, to_qcolor
 
 _OTHER = (170, 174, 182)  # colour of poses without a colour of their own
@@ -105,9 +105,5 @@ class BasinPanel(QWidget):
         self.run_bar.start_button.setToolTip("Register this touch from 216 starts around the pose and map the results")
         self.message.setWordWrap(True)
         head = set_spacing(QHBoxLayout(), 8)
-        for widget in (self.run_bar, QLabel("translated along"), self.axis_box):
-            head.addWidget(widget)
-        head.addWidget(self.message, 1)
-        layout = set_spacing(QVBoxLayout(self), 4, (6, 4, 6, 4))
-        layout.addLayout(head)
-        layout.addWidget(self.map, 1)
+        fill(head, self.run_bar, QLabel("translated along"), self.axis_box, (self.message, 1))
+        fill(set_spacing(QVBoxLayout(self), 4, (6, 4, 6, 4)), head, (self.map, 1))

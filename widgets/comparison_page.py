@@ -13,7 +13,7 @@ from pipeline.evaluation.method_comparison import SortOrder
 from widgets.choice_box import ChoiceBox
 from widgets.comparison_tab import ComparisonTab, SweepTab
 from widgets.spread_plot import SpreadPlot
-from widgets.styling import make_command_button, set_spacing
+from widgets.styling import fill, make_command_button, set_spacing
 from widgets.tile_grid import TileGrid
 from widgets.view_3d_panel import View3DPanel
 
@@ -59,10 +59,7 @@ class ComparisonPage(QWidget):
         self.seeds.body.addWidget(self.plot)
         self.views_3d, self.row_3d = (View3DPanel(), View3DPanel()), QWidget()
         row = set_spacing(QHBoxLayout(self.row_3d), 4)
-        for cell in self.views_3d:
-            row.addWidget(cell, 1)
-        row.addStretch(1)  # under the difference, which has no 3D view
-        row.setStretch(2, 1)
+        fill(row, *((cell, 1) for cell in self.views_3d), 1)  # empty under the difference, which has no 3D view
         self.variants.stack.addWidget(self.row_3d, 2)
         self.row_3d.hide()
         self.tabs: Mapping[str, TileTab] = {"methods": self.methods, "two": self.variants, "seeds": self.seeds}

@@ -13,7 +13,6 @@ from PyQt6.QtWidgets import (
     QLineEdit,
     QPushButton,
     QSizePolicy,
-    QSplitter,
     QVBoxLayout,
     QWidget,
 )
@@ -21,7 +20,7 @@ from PyQt6.QtWidgets import (
 from pipeline.evaluation.parameter_sweep import SweepCell, format_value
 from widgets.choice_box import ChoiceBox
 from widgets.run_bar import RunBar
-from widgets.styling import set_spacing
+from widgets.styling import fill, make_splitter, set_spacing
 from widgets.sweep_grid import SweepGrid, SweepPlot
 
 
@@ -34,21 +33,12 @@ class ComparisonTab(QWidget):
         self.message.setWordWrap(True)
         self.message.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Minimum)
         self.head = set_spacing(QHBoxLayout(), 6)
-        if isinstance(controls, QLayout):
-            self.head.addLayout(controls, 1)
-        else:
-            for widget in controls:
-                self.head.addWidget(widget)
-            self.head.addStretch(1)
-        status = set_spacing(QHBoxLayout(), 6)
-        status.addWidget(self.message, 1)
-        status.addWidget(self.run_bar)
-        self.body = set_spacing(QHBoxLayout(), 6)
-        self.body.addWidget(results, 1)
-        self.stack = set_spacing(QVBoxLayout(self), 4, (4, 4, 4, 2))
-        self.stack.addLayout(self.head)
-        self.stack.addLayout(status)
-        self.stack.addLayout(self.body, 3)
+        fill(self.head, *([(controls, 1)] if isinstance(controls, QLayout) else [*controls, 1]))
+        self.body = fill(set_spacing(QHBoxLayout(), 6), (results, 1))
+        self.stack = fill(
+            set_spacing(QVBoxLayout(self), 4, (4, 4, 4, 2)), self.head,
+            fill(set_spacing(QHBoxLayout(), 6), (self.message, 1), self.run_bar), (self.body, 3),
+        )  # fmt: skip
 
 
 _AXES = "columns", "rows"
@@ -64,10 +54,7 @@ class SweepTab(ComparisonTab):
         self.metric_box, self.start_button = ChoiceBox("sweep_metric", "metric"), QPushButton("Sweep")
         self.grid, self.plot = SweepGrid(), SweepPlot()
         controls = set_spacing(QGridLayout(), 6)
-        results = QSplitter(Qt.Orientation.Horizontal)
-        for widget, share in ((self.grid, 3), (self.plot, 2)):
-            results.addWidget(widget)
-            results.setStretchFactor(results.count() - 1, share)
+        results = make_splitter(Qt.Orientation.Horizontal, (self.grid, 3), (self.plot, 2))
         super().__init__(controls, results)
         for which, (word, box, line) in enumerate(zip(_AXES, self.axes, self.values, strict=True)):
             line.setObjectName(f"sweep_{word}_values")

@@ -13,7 +13,7 @@ from pipeline.tasks.task import Decision
 from widgets.choice_box import ChoiceBox
 from widgets.painted_widget import PaintedWidget
 from widgets.run_bar import StartBar
-from widgets.styling import make_bold, set_spacing
+from widgets.styling import fill, make_bold, set_spacing
 from widgets.theme import ThemeColours, to_qcolor
 
 _BAR_SHARE = 0.62  # of a row's height
@@ -109,12 +109,9 @@ class WaterfallPanel(QWidget):
         self.sentence, self.waterfall = QLabel(), Waterfall()
         self.sentence.setWordWrap(True)
         make_bold(self.sentence)
-        head = set_spacing(QHBoxLayout(), 8)
-        head.addWidget(self.sentence, 1)
+        head = fill(set_spacing(QHBoxLayout(), 8), (self.sentence, 1))
         head.insertWidget(0 if at_left else 1, control)
-        layout = set_spacing(QVBoxLayout(self), 4, (6, 4, 6, 4))
-        layout.addLayout(head)
-        layout.addWidget(self.waterfall, 1)
+        fill(set_spacing(QVBoxLayout(self), 4, (6, 4, 6, 4)), head, (self.waterfall, 1))
 
 
 class ErrorAttributionPanel(WaterfallPanel):

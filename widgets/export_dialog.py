@@ -8,6 +8,7 @@ from PyQt6.QtCore import pyqtSignal
 from PyQt6.QtWidgets import QDialog, QFormLayout, QHBoxLayout, QLabel, QLineEdit, QPushButton, QWidget
 
 from widgets.choice_box import ChoiceBox
+from widgets.styling import fill
 
 FORMATS = (  # suffix, title, content it can hold
     (".png", "image, PNG", "every"),
@@ -52,11 +53,7 @@ class ExportDialog(QDialog):
         form.addRow(self._told)
         self.copy, self.write = QPushButton("Copy as command"), QPushButton("Export…")
         self.write.setDefault(True)
-        row = QHBoxLayout()
-        row.addStretch(1)
-        row.addWidget(self.copy)
-        row.addWidget(self.write)
-        form.addRow(row)
+        form.addRow(fill(QHBoxLayout(), 1, self.copy, self.write))
         self.copy.clicked.connect(lambda: self.command_requested.emit(*self.selection))
         self.write.clicked.connect(self._export)
         for box in (self.pane_box, self.format_box):

@@ -24,7 +24,7 @@ from widgets.frame_summary import THUMBNAIL_PX
 from widgets.frames_filter import RowFilter, get_limits, matches_term, replace_limits
 from widgets.frames_model import CAUSE, CONTACT, DEPTH, FRAME, METRIC, NOTE, SORT_ROLE, WARNINGS, FramesModel
 from widgets.metric_histogram import MetricHistogram
-from widgets.styling import make_search_line, make_single_shot_timer, set_spacing
+from widgets.styling import fill, make_search_line, make_single_shot_timer, set_spacing
 from widgets.table_copier import prepare_table
 
 _HINT = "filter: >0.3, <2, contact, warned, noted, a word"
@@ -54,8 +54,7 @@ class FramesPanel(QWidget):
         self.histogram.range_chosen.connect(self._choose_range)
         self.table = _table(self._sorted)
         layout = set_spacing(QVBoxLayout(self), 3, (2, 2, 2, 2))
-        for widget in (self.metric_box, self.histogram, self.filter_line, self.table, self._told):
-            layout.addWidget(widget)
+        fill(layout, self.metric_box, self.histogram, self.filter_line, self.table, self._told)
         self.table.clicked.connect(self._choose_picked)  # a double click edits the note
         self.table.activated.connect(self._choose_picked)
         self._histogram_timer = make_single_shot_timer(self, _HISTOGRAM_DELAY_MS, self._show_histogram)

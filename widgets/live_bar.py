@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from PyQt6.QtWidgets import QFrame, QHBoxLayout, QLabel, QSizePolicy
 
-from widgets.styling import make_bold, make_button
+from widgets.styling import fill, make_bold, make_button, set_spacing
 
 
 class LiveBar(QFrame):
@@ -28,13 +28,8 @@ class LiveBar(QFrame):
         self.stop = make_button("Stop", "live_stop", "Disconnect the sensor; the frames stay on screen")
         self.follow.setCheckable(True)
         self.record.setCheckable(True)
-        row = QHBoxLayout(self)
-        row.setContentsMargins(8, 3, 8, 3)
-        row.addWidget(self._title)
-        row.addWidget(self._rates)
-        row.addWidget(self._wrong, 1)
-        for button in (self.follow, self.zero, self.record, self.stop):
-            row.addWidget(button)
+        row = set_spacing(QHBoxLayout(self), 6, (8, 3, 8, 3))
+        fill(row, self._title, self._rates, (self._wrong, 1), self.follow, self.zero, self.record, self.stop)
         self.hide()
 
     @property

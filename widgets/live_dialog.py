@@ -8,6 +8,7 @@ from PyQt6.QtCore import pyqtSignal
 from PyQt6.QtWidgets import QDialog, QDoubleSpinBox, QFormLayout, QHBoxLayout, QLabel, QLineEdit, QPushButton, QWidget
 
 from widgets.choice_box import ChoiceBox
+from widgets.styling import fill
 
 _SIMULATED, _FOLDER = "simulated", "folder"  # sources that are not the name of a camera
 
@@ -32,13 +33,8 @@ class LiveDialog(QDialog):
         self.rate.setToolTip("frame rate of a simulated sensor, Hz")
         self.folder.setToolTip("a folder that another program writes images into")
         form = QFormLayout(self)
-        first, second = QHBoxLayout(), QHBoxLayout()
-        first.addWidget(self.source, 1)
-        first.addWidget(self.search_button)
-        second.addWidget(self.folder, 1)
-        second.addWidget(self.browse_button)
-        form.addRow("source", first)
-        form.addRow("folder", second)
+        form.addRow("source", fill(QHBoxLayout(), (self.source, 1), self.search_button))
+        form.addRow("folder", fill(QHBoxLayout(), (self.folder, 1), self.browse_button))
         for label, widget in (("sensor", self.sensor), ("object", self.object_box), ("rate", self.rate)):
             form.addRow(label, widget)
         for label, widget in (("rate", self.rate), ("folder", self.folder)):

@@ -7,7 +7,7 @@ from collections import deque
 
 from PyQt6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QPlainTextEdit, QPushButton, QVBoxLayout, QWidget
 
-from widgets.styling import set_spacing
+from widgets.styling import fill, set_spacing
 
 _KEPT = 5000
 _LEVELS = {"everything": logging.DEBUG, "info": logging.INFO, "warnings": logging.WARNING, "errors": logging.ERROR}
@@ -32,14 +32,8 @@ class LogPanel(QWidget):
         self._text.setReadOnly(True)
         self._text.setMaximumBlockCount(_KEPT)
         self._text.setLineWrapMode(QPlainTextEdit.LineWrapMode.NoWrap)
-        row = QHBoxLayout()
-        row.addWidget(QLabel("show"))
-        row.addWidget(self._level)
-        row.addStretch(1)
-        row.addWidget(clear)
-        layout = set_spacing(QVBoxLayout(self), 2, (4, 2, 4, 2))
-        layout.addLayout(row)
-        layout.addWidget(self._text)
+        row = fill(QHBoxLayout(), QLabel("show"), self._level, 1, clear)
+        fill(set_spacing(QVBoxLayout(self), 2, (4, 2, 4, 2)), row, self._text)
 
     @property
     def text(self) -> str:

@@ -9,7 +9,7 @@ from PyQt6.QtWidgets import QFrame, QHBoxLayout, QLabel, QMenu, QPushButton, QSi
 
 from pipeline.base.text import escape_text
 from widgets.run_bar import RunBar
-from widgets.styling import make_single_shot_timer
+from widgets.styling import fill, make_single_shot_timer
 
 Act = Callable[[], object]
 Choice = tuple[str, Act | Sequence[tuple[str, Act]]]  # label, and what it does or the entries of its menu
@@ -65,12 +65,10 @@ class NotificationBar(QFrame):
         self._away.clicked.connect(self.hide)
         self._column, self._row, self._choices = QVBoxLayout(self), QHBoxLayout(), QHBoxLayout()
         self._column.setContentsMargins(8, 3, 8, 3)
-        self._column.addLayout(self._row)
-        self._row.addWidget(self._text, 1)
-        self._row.addWidget(self.run_bar)
-        (self._column if choices_below else self._row).addLayout(self._choices)
-        self._choices.addStretch(int(choices_below))
-        self._row.addWidget(self._away)
+        fill(self._column, self._row)
+        fill(self._row, (self._text, 1), self.run_bar)
+        fill(self._column if choices_below else self._row, fill(self._choices, int(choices_below)))
+        fill(self._row, self._away)
         self.buttons: list[QPushButton] = []
         self._read, self._read_ms = make_single_shot_timer(self, read_ms, self._leave), read_ms
         self.hide()
@@ -91,8 +89,7 @@ class NotificationBar(QFrame):
             self._choices.removeWidget(button)
             button.deleteLater()
         self.buttons = [make_choice_button(choice, self.hide) for choice in choices]
-        for button in self.buttons:
-            self._choices.addWidget(button)
+        fill(self._choices, *self.buttons)
         self._text.setText(sentence[:1].upper() + sentence[1:])
         self.show()
         self.updateGeometry()

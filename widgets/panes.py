@@ -14,7 +14,7 @@ from widgets.filmstrip import Filmstrip
 from widgets.fonts import resize_font
 from widgets.pane_splitter import PaneSplitter
 from widgets.stage_column import StageColumn
-from widgets.styling import set_spacing
+from widgets.styling import fill, set_spacing
 from widgets.view_3d_panel import View3DPanel
 
 MAX_PANES = 3
@@ -36,11 +36,8 @@ class Pane(QFrame):
         self._rim.setFixedHeight(3)
         self._rim.setAutoFillBackground(True)
         self._buttons = {dims: QToolButton() for dims in DIMS}
-        head = set_spacing(QHBoxLayout(), 1)
         word = QLabel(f"pane {number}")
         resize_font(word)
-        head.addWidget(word)
-        head.addStretch(1)
         for dims, button in self._buttons.items():
             button.setText(dims)
             button.setCheckable(True)
@@ -49,13 +46,10 @@ class Pane(QFrame):
             button.setObjectName(f"pane_{number}_{dims.lower()}")
             button.setToolTip(f"Show {'the image and the 3D view' if dims == 'both' else dims} in this pane")
             button.clicked.connect(partial(self.dims_chosen.emit, dims))
-            head.addWidget(button)
         self._both = PaneSplitter()
         self._both.setObjectName(f"split_pane_{number}")
-        layout = set_spacing(QVBoxLayout(self), 0)
-        layout.addWidget(self._rim)
-        layout.addLayout(head)
-        layout.addWidget(self._both, 1)
+        head = fill(set_spacing(QHBoxLayout(), 1), word, 1, *self._buttons.values())
+        fill(set_spacing(QVBoxLayout(self), 0), self._rim, head, (self._both, 1))
         self._held: tuple[QWidget, ...] = ()
 
     def set_contents(self, column: StageColumn, cell: View3DPanel, dims: str) -> None:
@@ -116,12 +110,9 @@ class PanesPage(QWidget):
         self._count.setAutoRaise(True)
         self._count.clicked.connect(lambda: self.count_chosen.emit(2 if len(self._stages) == MAX_PANES else MAX_PANES))
         self.filmstrip.row.addWidget(self._count)
-        row = set_spacing(QHBoxLayout(), 3)
-        layout = set_spacing(QVBoxLayout(self), 2)
-        layout.addWidget(self.filmstrip)
-        layout.addLayout(row, 1)
+        row = fill(set_spacing(QHBoxLayout(), 3), *((pane, 1) for pane in self.panes))
+        fill(set_spacing(QVBoxLayout(self), 2), self.filmstrip, (row, 1))
         for number, pane in enumerate(self.panes):
-            row.addWidget(pane, 1)
             pane.activated.connect(partial(self.activate_pane, number))
             pane.dims_chosen.connect(partial(self.dims_chosen.emit, number))
         self.filmstrip.stage_chosen.connect(self._choose)

@@ -11,7 +11,7 @@ from PyQt6.QtWidgets import QFormLayout, QHBoxLayout, QLabel, QVBoxLayout, QWidg
 from pipeline.base.params import Setting, Value, list_settings, replace_value
 from widgets.fixed_size_label import FixedSizeLabel
 from widgets.parameter_controls import ParameterControl, describe_setting, format_label, make_control
-from widgets.styling import make_bold, make_icon_button, set_spacing
+from widgets.styling import fill, make_bold, make_icon_button, set_spacing
 from widgets.vertical_scroll_area import VerticalScrollArea
 
 _LABEL_PX = 112  # width of all labels, which wrap: a form takes the room of wider ones from the values
@@ -113,15 +113,12 @@ class ParametersPanel(VerticalScrollArea):
         button = make_icon_button("reset", f"reset_{key}", f"Reset {title.lower()} to its defaults")
         button.setAccessibleName(f"reset {key}")
         button.clicked.connect(lambda: self.reset(key))
-        head.addWidget(name, 1)
-        head.addWidget(button)
-        outer.addLayout(head)
         form = QFormLayout()
+        fill(outer, fill(head, (name, 1), button), form)
         form.setRowWrapPolicy(QFormLayout.RowWrapPolicy.DontWrapRows)
         form.setFieldGrowthPolicy(QFormLayout.FieldGrowthPolicy.AllNonFixedFieldsGrow)
         form.setContentsMargins(4, 0, 0, 0)
         form.setSpacing(3)
-        outer.addLayout(form)
         return group, form
 
     def _emit_edited(self, key: str, name: str, value: Value) -> None:

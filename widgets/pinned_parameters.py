@@ -12,7 +12,7 @@ from pipeline.base.params import Setting, Value, list_settings, replace_value
 from widgets.event_listener import EventListener
 from widgets.fonts import resize_font
 from widgets.parameter_controls import ParameterControl, describe_setting, make_control
-from widgets.styling import set_spacing
+from widgets.styling import fill, set_spacing
 
 _LABEL_PX, _ROW_PX, _COMPACT_ROW_PX = 54, 22, 19
 _SLIDERS_FROM_PX = 126  # width from which on a slider fits between label and number
@@ -35,10 +35,8 @@ class PinnedParameters(QWidget):
         self._rows: dict[str, QHBoxLayout] = {}
         self._labels: dict[str, QLabel] = {}
         self._is_wide = self._is_compact = self._is_narrow = False
-        self._outer = set_spacing(QVBoxLayout(self), 0)
         self._lines = set_spacing(QBoxLayout(QBoxLayout.Direction.TopToBottom), 1)
-        self._outer.addLayout(self._lines)
-        self._outer.addStretch(1)
+        fill(set_spacing(QVBoxLayout(self), 0), self._lines, 1)
         EventListener(self, self._leave_room_to_numbers, QEvent.Type.Resize)
 
     def offer_methods(self, methods: Iterable[tuple[str, object]]) -> None:

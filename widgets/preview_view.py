@@ -15,7 +15,7 @@ from widgets.comparison_overlay import ComparisonOverlay
 from widgets.event_listener import EventListener
 from widgets.fixed_size_label import FixedSizeLabel
 from widgets.fonts import resize_font
-from widgets.styling import set_spacing
+from widgets.styling import fill, set_spacing
 
 SIDE_TEXT_PX = 170  # width of text next to an image
 _AROUND = 1.3  # margin around a fitted contact, as a factor
@@ -47,13 +47,9 @@ class PreviewView(QWidget):
         self.message.setAutoFillBackground(True)
         self.message.hide()
         self.text_area = QWidget()  # all text about the image
-        column = set_spacing(QVBoxLayout(self.text_area), 2)
-        column.addWidget(self.colour_bar)
-        column.addWidget(self.caption)
-        column.addStretch(1)
+        fill(set_spacing(QVBoxLayout(self.text_area), 2), self.colour_bar, self.caption, 1)
         self._both = set_spacing(QBoxLayout(QBoxLayout.Direction.TopToBottom, self), 2)
-        self._both.addWidget(self.canvas, 1)
-        self._both.addWidget(self.text_area)
+        fill(self._both, (self.canvas, 1), self.text_area)
         resize_font(self.caption)
         self.caption.set_lines(2)
         self.canvas.mouse_moved.connect(self._report_hover)

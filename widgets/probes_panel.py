@@ -18,7 +18,7 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
-from widgets.styling import set_spacing
+from widgets.styling import fill, set_spacing
 from widgets.table_copier import prepare_table
 from widgets.theme import get_probe_colour, to_qcolor
 
@@ -48,12 +48,8 @@ class ProbesPanel(QWidget):
         self.table.cellClicked.connect(self._choose)
         self._numbers: tuple[int, ...] = ()
         self.clear_button.setEnabled(False)
-        head = set_spacing(QHBoxLayout(), 8)
-        head.addWidget(QLabel(_HINT), 1)
-        head.addWidget(self.clear_button)
-        layout = set_spacing(QVBoxLayout(self), 3, (6, 3, 6, 2))
-        layout.addLayout(head)
-        layout.addWidget(self.table, 1)
+        head = fill(set_spacing(QHBoxLayout(), 8), (QLabel(_HINT), 1), self.clear_button)
+        fill(set_spacing(QVBoxLayout(self), 3, (6, 3, 6, 2)), head, (self.table, 1))
 
     def _choose(self, row: int, _: int) -> None:
         self.probe_chosen.emit(self._numbers[row])

@@ -14,7 +14,7 @@ from pipeline.base.arrays import Doubles
 from pipeline.previews.colours import Rgb
 from widgets.event_listener import EventListener
 from widgets.run_bar import StartBar
-from widgets.styling import make_button, set_spacing
+from widgets.styling import fill, make_button, set_spacing
 from widgets.theme import ThemeColours, get_theme_colours, to_hex
 
 _IDLE = "least squares over all frames with contact on both sensors; a quarter is held out"
@@ -32,13 +32,8 @@ class RefineBox(QWidget):
         self.text.setWordWrap(True)
         self.text.setTextFormat(Qt.TextFormat.RichText)
         self.text.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
-        layout = set_spacing(QVBoxLayout(self), 4)
-        choice = QHBoxLayout()
-        for button in (self.accept, self.discard):
-            choice.addWidget(button)
-        for widget in (self.run_bar, self.text):
-            layout.addWidget(widget)
-        layout.addLayout(choice)
+        choice = fill(QHBoxLayout(), self.accept, self.discard)
+        fill(set_spacing(QVBoxLayout(self), 4), self.run_bar, self.text, choice)
         EventListener(self, lambda: self._say(self._format_mm), QEvent.Type.PaletteChange)
         self.show_message()
 

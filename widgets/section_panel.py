@@ -16,7 +16,7 @@ from pipeline.translation.cross_section import CrossSection, SectionLine, format
 from widgets.choice_box import ChoiceBox
 from widgets.fixed_size_label import FixedSizeLabel
 from widgets.section_plot import SectionPlot
-from widgets.styling import copy_text, make_button, make_command_button, set_spacing
+from widgets.styling import copy_text, fill, make_button, make_command_button, set_spacing
 
 _NAMES = ("A, mm", "", "B, mm", "")
 _TIPS = ("across", "down", "across", "down")
@@ -51,20 +51,13 @@ class SectionPanel(QWidget):
             box.setToolTip(f"How far {tip} from the source camera's axis the line's end {end} lies, on the gel")
             box.setKeyboardTracking(False)
             box.valueChanged.connect(self._emit_typed)
-            if name:
-                self._head.addWidget(QLabel(name))
-            self._head.addWidget(box)
+            fill(self._head, *([QLabel(name)] if name else []), box)
             self.ends.append(box)
         self.sensor_box = ChoiceBox("section_place", "sensor of the curves", _PLACES)
         self.sensor_box.setToolTip("Sensor of the curves; a gel is indented less than a bubble")
         self.sensor_box.chosen.connect(self.plot.show_sensor_role)
-        self._head.addWidget(self.sensor_box)
-        self._head.addWidget(self.message, 1)
-        self._head.addWidget(self.copy)
-        self._head.addWidget(self.command)
-        layout = set_spacing(QVBoxLayout(self), 2, (6, 4, 6, 2))
-        layout.addLayout(self._head)
-        layout.addWidget(self.plot, 1)
+        fill(self._head, self.sensor_box, (self.message, 1), self.copy, self.command)
+        fill(set_spacing(QVBoxLayout(self), 2, (6, 4, 6, 2)), self._head, (self.plot, 1))
         self.copy.clicked.connect(self._copy)
         self.show_line(None)
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from PyQt6.QtGui import QAction, QKeySequence
 from PyQt6.QtWidgets import QDialog, QHeaderView, QTableWidget, QTableWidgetItem, QVBoxLayout, QWidget
 
-from widgets.styling import make_search_line, set_spacing
+from widgets.styling import fill, make_search_line, set_spacing
 from widgets.table_copier import TableCopier, prepare_table
 
 _SIZE_PX = 760, 560
@@ -31,9 +31,7 @@ class ShortcutsPage(QDialog):
         self.table.setAlternatingRowColors(True)
         columns.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
         columns.setStretchLastSection(True)
-        layout = set_spacing(QVBoxLayout(self), 6, (8, 8, 8, 8))
-        layout.addWidget(self.line)
-        layout.addWidget(self.table)
+        fill(set_spacing(QVBoxLayout(self), 6, (8, 8, 8, 8)), self.line, self.table)
         TableCopier(self)
 
     def show_commands(self, menus: Mapping[str, Sequence[QAction]]) -> None:

@@ -18,7 +18,7 @@ from widgets.fonts import resize_font
 from widgets.icons import StateIcon
 from widgets.pinned_parameters import PinnedParameters
 from widgets.preview_view import PreviewView
-from widgets.styling import make_bold, set_spacing
+from widgets.styling import fill, make_bold, set_spacing
 
 _BETWEEN_PX = 40  # sign, text and time of a state, with margins
 _SIGN_PX = 10  # between a title and the state's sign
@@ -48,11 +48,7 @@ class StageColumn(QFrame):
         self._ms.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
         self.view = PreviewView()
         self._first, self._status = set_spacing(QHBoxLayout(), 4), QWidget()
-        status = set_spacing(QHBoxLayout(self._status), 4)
-        status.addWidget(self._sign)
-        status.addWidget(self._word)
-        status.addWidget(self._ms, 1)
-        layout = set_spacing(QVBoxLayout(self), 1, (1, 2, 1, 1))
+        fill(set_spacing(QHBoxLayout(self._status), 4), self._sign, self._word, (self._ms, 1))
         self._method = ChoiceBox(f"method_{name}", f"method of {title}")
         self._method.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
         self._method.chosen.connect(partial(self.method_chosen.emit, name))
@@ -64,21 +60,17 @@ class StageColumn(QFrame):
         self._method.hide()
         self._head = QBoxLayout(QBoxLayout.Direction.TopToBottom)
         self._head.setSpacing(2)
-        self._first.addWidget(self._title, 1)
-        self._head.addLayout(self._first)
-        for widget in (self._only, self._method, self._status):
-            self._head.addWidget(widget)
-        layout.addLayout(self._head)
-        layout.addWidget(self.view, 1)
+        fill(self._first, (self._title, 1))
+        fill(self._head, self._first, self._only, self._method, self._status)
         self._note = FixedSizeLabel()
         self._note.setObjectName(f"note_{name}")
         resize_font(self._note)
         self._note.setAlignment(Qt.AlignmentFlag.AlignTop | Qt.AlignmentFlag.AlignLeft)
         self._wide = self._joined = False
         self._show_lines(2)
-        layout.addWidget(self._note)
         self.pinned = PinnedParameters()
-        layout.addWidget(self.pinned)
+        layout = set_spacing(QVBoxLayout(self), 1, (1, 2, 1, 1))
+        fill(layout, self._head, (self.view, 1), self._note, self.pinned)
         self.setMinimumWidth(90)
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Expanding)
         self.state, self.warnings, self._notes = "", tuple[str, ...](), tuple[str, ...]()

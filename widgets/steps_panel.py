@@ -15,7 +15,7 @@ from pipeline.stages.stage import StepCurve, StepHistory
 from widgets.choice_box import ChoiceBox
 from widgets.fonts import resize_font
 from widgets.painted_widget import PaintedWidget
-from widgets.styling import set_spacing
+from widgets.styling import fill, set_spacing
 from widgets.theme import ThemeColours, get_theme_colours, to_qcolor
 
 _RIGHT_PX, _GAP_PX, _DOT_PX = 14.0, 10.0, 2.5
@@ -145,14 +145,8 @@ class StepsPanel(QWidget):
         self._kept = False
         self.keep_button.setObjectName("steps_keep")
         self.message.setWordWrap(True)
-        head = set_spacing(QHBoxLayout(), 8)
-        for widget in (self.stage_box, self.keep_button):
-            head.addWidget(widget)
-        head.addWidget(self.message, 1)
-        layout = set_spacing(QVBoxLayout(self), 2, (6, 4, 6, 4))
-        layout.addLayout(head)
-        layout.addWidget(self.plot, 1)
-        layout.addWidget(self.step_text)
+        head = fill(set_spacing(QHBoxLayout(), 8), self.stage_box, self.keep_button, (self.message, 1))
+        fill(set_spacing(QVBoxLayout(self), 2, (6, 4, 6, 4)), head, (self.plot, 1), self.step_text)
         self.keep_button.clicked.connect(lambda: self.keep_steps_requested.emit(self.stage_box.choice, not self._kept))
 
     def offer_stages(self, stages: Mapping[str, str]) -> None:

@@ -7,7 +7,7 @@ from PyQt6.QtWidgets import QHBoxLayout, QLabel, QSizePolicy, QSlider, QToolButt
 
 from pipeline.values.results import PoseStep, TouchStep
 from widgets.fonts import resize_font
-from widgets.styling import set_spacing
+from widgets.styling import fill, set_spacing
 
 AnyStep = PoseStep | TouchStep
 
@@ -37,10 +37,7 @@ class StepsSlider(QWidget):
         for widget in (self._text, self.keep_button):
             resize_font(widget)
             widget.setFixedHeight(widget.fontMetrics().height() + 1)  # the height of the legends next to it
-        layout = set_spacing(QHBoxLayout(self), 4)
-        layout.addWidget(self.slider, 1)
-        layout.addWidget(self._text, 0)
-        layout.addWidget(self.keep_button, 0)
+        fill(set_spacing(QHBoxLayout(self), 4), (self.slider, 1), self._text, self.keep_button)
         self.slider.valueChanged.connect(self._choose_step)
         self.show_steps(())
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TypeVar
 
-from PyQt6.QtCore import QEvent, QObject, QTimer
+from PyQt6.QtCore import QEvent, QObject, Qt, QTimer
 from PyQt6.QtGui import QAction, QGuiApplication, QPalette
-from PyQt6.QtWidgets import QLabel, QLayout, QLineEdit, QPushButton, QToolButton, QWidget
+from PyQt6.QtWidgets import QBoxLayout, QLabel, QLayout, QLineEdit, QPushButton, QSplitter, QToolButton, QWidget
 
 from pipeline.previews.colours import Rgb
 from widgets.event_listener import EventListener
@@ -15,6 +15,7 @@ from widgets.icons import make_command_icon
 from widgets.theme import ThemeColours, get_theme_colours, to_qcolor
 
 _Layout = TypeVar("_Layout", bound=QLayout)
+_Box = TypeVar("_Box", bound=QBoxLayout)
 
 
 def set_spacing(layout: _Layout, between_px: int, around_px: tuple[int, int, int, int] = (0, 0, 0, 0)) -> _Layout:
@@ -22,6 +23,28 @@ def set_spacing(layout: _Layout, between_px: int, around_px: tuple[int, int, int
     layout.setSpacing(between_px)
     layout.setContentsMargins(*around_px)
     return layout
+
+
+def fill(layout: _Box, *items: QWidget | QLayout | int | tuple[QWidget | QLayout, int]) -> _Box:
+    """Add widgets and layouts in order; (item, n) takes n shares of the spare room, a bare n leaves n shares empty."""
+    for item in items:
+        part, share = item if isinstance(item, tuple) else (item, 0)
+        if isinstance(part, int):
+            layout.addStretch(part)
+        elif isinstance(part, QWidget):
+            layout.addWidget(part, share)
+        else:
+            layout.addLayout(part, share)
+    return layout
+
+
+def make_splitter(way: Qt.Orientation, *items: tuple[QWidget, int]) -> QSplitter:
+    """Return a splitter with widgets and the shares of the room that they gain or lose."""
+    splitter = QSplitter(way)
+    for place, (widget, share) in enumerate(items):
+        splitter.addWidget(widget)
+        splitter.setStretchFactor(place, share)
+    return splitter
 
 
 def make_bold(widget: QWidget) -> None:

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from PyQt6.QtCore import Qt
-from PyQt6.QtWidgets import QHBoxLayout, QLabel, QSplitter, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QHBoxLayout, QLabel, QVBoxLayout, QWidget
 
 from pipeline.previews.colours import Rgb
 from widgets.choice_box import ChoiceBox
 from widgets.error_attribution_panel import DecisionPanel
 from widgets.preview_view import PreviewView
 from widgets.rollout_plot import RolloutPlot
-from widgets.styling import make_bold, set_spacing
+from widgets.styling import fill, make_bold, make_splitter, set_spacing
 from widgets.theme import to_hex
 from widgets.timeline import Timeline
 from widgets.trials_panel import TrialsPanel
@@ -34,51 +34,33 @@ class TaskPage(QWidget):
         self.message.setWordWrap(True)
         self.place_box = ChoiceBox("task_place", "finger of the touches")  # by stream
         self.views = {name: PreviewView() for name in TOUCHES}
-        upper, lower = QSplitter(Qt.Orientation.Horizontal), QSplitter(Qt.Orientation.Vertical)
-        for widget, share in ((self.scene, 4), (self._build_touches(), 5)):
-            upper.addWidget(widget)
-            upper.setStretchFactor(upper.count() - 1, share)
-        for widget, share in ((upper, 5), (self._build_ticks(), 3), (self.decision, 2)):
-            lower.addWidget(widget)
-            lower.setStretchFactor(lower.count() - 1, share)
-        self.split = QSplitter(Qt.Orientation.Horizontal)
+        across, down = Qt.Orientation.Horizontal, Qt.Orientation.Vertical
+        upper = make_splitter(across, (self.scene, 4), (self._build_touches(), 5))
+        lower = make_splitter(down, (upper, 5), (self._build_ticks(), 3), (self.decision, 2))
+        self.split = make_splitter(across, (self.trials, 3), (lower, 7))
         self.split.setObjectName("task_split")
-        for widget, share in ((self.trials, 3), (lower, 7)):
-            self.split.addWidget(widget)
-            self.split.setStretchFactor(self.split.count() - 1, share)
         upper.setSizes([_SCENE_SIZE, 1000 - _SCENE_SIZE])
         self.split.setSizes([_TABLE_SIZE, 1000 - _TABLE_SIZE])
-        layout = set_spacing(QVBoxLayout(self), 2, (2, 2, 2, 2))
-        layout.addWidget(self.message)
-        layout.addWidget(self.split, 1)
+        fill(set_spacing(QVBoxLayout(self), 2, (2, 2, 2, 2)), self.message, (self.split, 1))
         self.show_message("")
         self.clear()
 
     def _build_touches(self) -> QWidget:
         panel = QWidget()
-        layout = set_spacing(QVBoxLayout(panel), 2)
-        head = set_spacing(QHBoxLayout(), 6)
-        head.addWidget(self.place_box)
-        head.addStretch(1)
         row = set_spacing(QHBoxLayout(), 4)
         for name, title in TOUCHES.items():
-            column, label = set_spacing(QVBoxLayout(), 1), QLabel(title)
+            label = QLabel(title)
             make_bold(label)
             view = self.views[name]
             view.setObjectName(f"task_{name}")
             view.setAccessibleName(title)
-            column.addWidget(label)
-            column.addWidget(view, 1)
-            row.addLayout(column, 1)
-        layout.addLayout(head)
-        layout.addLayout(row, 1)
+            fill(row, (fill(set_spacing(QVBoxLayout(), 1), label, (view, 1)), 1))
+        fill(set_spacing(QVBoxLayout(panel), 2), fill(QHBoxLayout(), self.place_box, 1), (row, 1))
         return panel
 
     def _build_ticks(self) -> QWidget:
         panel = QWidget()
-        layout = set_spacing(QVBoxLayout(panel), 0)
-        layout.addWidget(self.plot, 1)
-        layout.addWidget(self.ticks)
+        fill(set_spacing(QVBoxLayout(panel), 0), (self.plot, 1), self.ticks)
         return panel
 
     def show_message(self, text: str) -> None:

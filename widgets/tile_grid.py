@@ -13,7 +13,7 @@ from pipeline.previews.tile import Tile
 from widgets.event_listener import EventListener
 from widgets.fonts import resize_font
 from widgets.preview_view import SIDE_TEXT_PX, PreviewView
-from widgets.styling import make_bold, set_spacing
+from widgets.styling import fill, make_bold, set_spacing
 
 _MOST_COLUMNS = 8
 _NARROW_PX = 360
@@ -46,9 +46,7 @@ class TileView(QFrame):
         self._text_at_side, self._lines = False, _LINES
         EventListener(self, self._fit_words, QEvent.Type.Resize)  # a narrow tile wraps its metrics
         self._around = set_spacing(QVBoxLayout(self), 2, (3, 3, 3, 2))
-        self._around.addWidget(self._title)
-        self._around.addWidget(self._subtitle)
-        self._around.addWidget(self.view, 1)
+        fill(self._around, self._title, self._subtitle, (self.view, 1))
 
     def place_text(self, *, at_side: bool) -> None:
         """Place all text to the right of the image, or over and under it."""

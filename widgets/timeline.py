@@ -13,7 +13,7 @@ from PyQt6.QtWidgets import QComboBox, QGridLayout, QHBoxLayout, QLabel, QSlider
 
 from widgets.error_strip import ErrorScale, ErrorStrip
 from widgets.fonts import resize_font
-from widgets.styling import make_command_button, set_spacing
+from widgets.styling import fill, make_command_button, set_spacing
 
 SPEEDS = (0.25, 0.5, 1.0, 2.0, 4.0)
 FRAMES_PER_SECOND = 10.0  # at speed 1, when the recording has no timestamps
@@ -78,23 +78,10 @@ class Timeline(QWidget):
         self._buttons.setSpacing(1)
         layout.addLayout(self._buttons, 0, 0)
         layout.addWidget(self.slider, 0, 1)
-        right = QHBoxLayout()
-        right.setSpacing(6)
-        for widget in (
-            QLabel(self._unit),
-            self.number,
-            self._of,
-            self._time,
-            self._left_out,
-            QLabel("speed"),
-            self.speed,
-        ):
-            right.addWidget(widget)
-        layout.addLayout(right, 0, 2)
-        left = set_spacing(QHBoxLayout(), 4)
-        left.addWidget(self._figure, 1)
-        left.addWidget(self.scale)
-        layout.addLayout(left, 1, 0)
+        words, speed = QLabel(self._unit), QLabel("speed")
+        right = (words, self.number, self._of, self._time, self._left_out, speed, self.speed)
+        layout.addLayout(fill(set_spacing(QHBoxLayout(), 6), *right), 0, 2)
+        layout.addLayout(fill(set_spacing(QHBoxLayout(), 4), (self._figure, 1), self.scale), 1, 0)
         for column, widget in ((1, self.errors), (2, self._worst)):
             layout.addWidget(widget, 1, column)
         for widget in (self.errors, self._worst, self._figure, self.scale):

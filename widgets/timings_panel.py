@@ -21,7 +21,7 @@ from PyQt6.QtWidgets import (
 from widgets.fixed_size_label import FixedSizeLabel
 from widgets.icons import make_state_icon
 from widgets.painted_widget import FIXED, PaintedWidget
-from widgets.styling import make_bold, set_spacing
+from widgets.styling import fill, make_bold, set_spacing
 from widgets.table_copier import prepare_table
 from widgets.theme import CATEGORY_COLOURS, ThemeColours, to_qcolor
 
@@ -127,13 +127,8 @@ class TimingsPanel(QWidget):
         self.skip_button.clicked.connect(self.skip_requested)
         self.skip_button.hide()
         head = set_spacing(QHBoxLayout(), 8)
-        head.addWidget(self.sentence, 1)
-        for widget in (self.skip_button, QLabel("target"), self._target):
-            head.addWidget(widget)
-        layout = set_spacing(QVBoxLayout(self), 3, (6, 3, 6, 2))
-        layout.addLayout(head)
-        layout.addWidget(self.bar)
-        layout.addWidget(self.table, 1)
+        fill(head, (self.sentence, 1), self.skip_button, QLabel("target"), self._target)
+        fill(set_spacing(QVBoxLayout(self), 3, (6, 3, 6, 2)), head, self.bar, (self.table, 1))
         self._prepare_table()
 
     def _prepare_table(self) -> None:

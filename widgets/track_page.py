@@ -6,12 +6,12 @@ from collections.abc import Mapping
 
 from PyQt6.QtCore import Qt
 from PyQt6.QtGui import QAction
-from PyQt6.QtWidgets import QHBoxLayout, QLabel, QSplitter, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QHBoxLayout, QLabel, QVBoxLayout, QWidget
 
 from pipeline.tracking.track_record import TrackRecord
 from widgets.choice_box import ChoiceBox
 from widgets.run_bar import StartBar
-from widgets.styling import make_bold, make_command_button, set_spacing
+from widgets.styling import fill, make_bold, make_command_button, make_splitter, set_spacing
 from widgets.track_plot import TrackPlot
 from widgets.view_3d_panel import View3DPanel
 
@@ -32,19 +32,11 @@ class TrackPage(QWidget):
         self.scene.view.setAccessibleName("touched surface")
         self.scene.view.setMinimumSize(220, 160)
         self.scene.caption.set_texts("sensor frame of the first frame, mm")
-        self._head = set_spacing(QHBoxLayout(), 6)
-        for widget in (QLabel("follow"), self.stage_box, self.run_bar):
-            self._head.addWidget(widget)
-        self._head.addStretch(1)
-        self._split = QSplitter(Qt.Orientation.Horizontal)
-        self._split.setObjectName("track_split")
-        for widget in (self.plot, self.scene):
-            self._split.addWidget(widget)
-        self._split.setSizes([_PLOT_SIZE, 1000 - _PLOT_SIZE])
-        layout = set_spacing(QVBoxLayout(self), 4, (6, 4, 6, 2))
-        layout.addLayout(self._head)
-        layout.addWidget(self.sentence)
-        layout.addWidget(self._split, 1)
+        self._head = fill(set_spacing(QHBoxLayout(), 6), QLabel("follow"), self.stage_box, self.run_bar, 1)
+        split = make_splitter(Qt.Orientation.Horizontal, (self.plot, 1), (self.scene, 1))
+        split.setObjectName("track_split")
+        split.setSizes([_PLOT_SIZE, 1000 - _PLOT_SIZE])
+        fill(set_spacing(QVBoxLayout(self), 4, (6, 4, 6, 2)), self._head, self.sentence, (split, 1))
         self.clear("")
 
     def add_command(self, action: QAction) -> None:

@@ -18,7 +18,7 @@ from PyQt6.QtWidgets import (
 from pipeline.tasks.trial_rows import TrialRow
 from widgets.fonts import resize_font
 from widgets.frames_filter import RowFilter
-from widgets.styling import make_search_line, set_spacing
+from widgets.styling import fill, make_search_line, set_spacing
 from widgets.table_copier import copy_table, prepare_table
 from widgets.trials_model import CAUSE, TRIAL, TrialsModel, matches_term
 
@@ -42,9 +42,7 @@ class TrialsPanel(QWidget):
         resize_font(self._count)
         resize_font(self.table)
         self._prepare_table()
-        layout = set_spacing(QVBoxLayout(self), 3, (2, 2, 2, 2))
-        for widget in (self.filter_line, self.table, self._count):
-            layout.addWidget(widget)
+        fill(set_spacing(QVBoxLayout(self), 3, (2, 2, 2, 2)), self.filter_line, self.table, self._count)
 
     def _prepare_table(self) -> None:
         table = self.table

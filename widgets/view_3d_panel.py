@@ -9,7 +9,7 @@ from PyQt6.QtWidgets import QLabel, QSizePolicy, QVBoxLayout, QWidget
 from widgets.event_listener import EventListener
 from widgets.fixed_size_label import FixedSizeLabel
 from widgets.fonts import resize_font
-from widgets.styling import set_spacing
+from widgets.styling import fill, set_spacing
 from widgets.view_3d import View3D
 
 
@@ -21,10 +21,7 @@ class View3DPanel(QWidget):
         self.view, self.legend, self.caption = View3D(), FixedSizeLabel(), FittingLabel()
         resize_font(self.legend)
         self.legend.setAlignment(Qt.AlignmentFlag.AlignHCenter)
-        layout = set_spacing(QVBoxLayout(self), 0)
-        layout.addWidget(self.view, 1)
-        for widget in (self.legend if under is None else under, self.caption):
-            layout.addWidget(widget)
+        fill(set_spacing(QVBoxLayout(self), 0), (self.view, 1), under or self.legend, self.caption)
 
     def compute_height_px(self, tall: float) -> int:
         """Return the height with a view of `tall` widths."""

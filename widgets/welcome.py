@@ -12,7 +12,7 @@ from PyQt6.QtWidgets import QHBoxLayout, QLabel, QListWidget, QListWidgetItem, Q
 from pipeline.base.text import escape_text
 from widgets.event_listener import EventListener
 from widgets.fonts import resize_font
-from widgets.styling import ThemedLabel, make_bold, set_spacing
+from widgets.styling import ThemedLabel, fill, make_bold, set_spacing
 from widgets.theme import get_theme_colours, to_qcolor
 
 _WIDTH_PX, _ROW_PX = 620, 24
@@ -54,11 +54,7 @@ class WelcomePage(QWidget):
         drop.setAlignment(Qt.AlignmentFlag.AlignCenter)
         drop.setMinimumHeight(72)
         drop.setMargin(10)
-        row = set_spacing(QHBoxLayout(), 8)
         self.buttons = [_button(command) for command in commands]
-        for button in self.buttons:
-            row.addWidget(button)
-        row.addStretch(1)
         self._told = QLabel("Recent")
         make_bold(self._told)
         self.recent = QListWidget()
@@ -68,20 +64,10 @@ class WelcomePage(QWidget):
         self.recent.itemClicked.connect(self._open_recent)
         self._sheet = QWidget()
         self._sheet.setMaximumWidth(_WIDTH_PX)
+        row = fill(set_spacing(QHBoxLayout(), 8), *self.buttons, 1)
         column = set_spacing(QVBoxLayout(self._sheet), 12)
-        for widget in (title, purpose):
-            column.addWidget(widget)
-        column.addLayout(row)
-        for widget in (drop, known, self._told, self.recent):
-            column.addWidget(widget)
-        outer = QHBoxLayout(self)
-        outer.addStretch(1)
-        middle = QVBoxLayout()
-        middle.addStretch(1)
-        middle.addWidget(self._sheet)
-        middle.addStretch(2)
-        outer.addLayout(middle, 10)
-        outer.addStretch(1)
+        fill(column, title, purpose, row, drop, known, self._told, self.recent)
+        fill(QHBoxLayout(self), 1, (fill(QVBoxLayout(), 1, self._sheet, 2), 10), 1)
         for widget in (over, first):
             EventListener(widget, self._cover, QEvent.Type.Resize, QEvent.Type.Move)
         self._cover()

@@ -43,7 +43,7 @@ from widgets.stage_column import StageColumn
 from widgets.stage_rows import StageRows
 from widgets.steps_panel import StepsPanel
 from widgets.steps_slider import StepsSlider
-from widgets.styling import set_spacing
+from widgets.styling import fill, set_spacing
 from widgets.task_page import TaskPage
 from widgets.timeline import Timeline
 from widgets.timings_panel import TimingsPanel
@@ -148,11 +148,7 @@ class MainWindow(QMainWindow):
         centre = QWidget()
         layout = set_spacing(QVBoxLayout(centre), 2, (2, 2, 2, 0))
         self.strips = set_spacing(QVBoxLayout(), 2)  # of controls, above the stages
-        layout.addLayout(self.strips)
-        layout.addWidget(self.pages, 1)
-        layout.addWidget(self.warning_line)
-        layout.addWidget(self.timeline)
-        layout.addWidget(self.trace)
+        fill(layout, self.strips, (self.pages, 1), self.warning_line, self.timeline, self.trace)
         self.setCentralWidget(centre)
         self.notifications = NotificationStack(centre, self.pages)
         self.notifications.add_bar(self.banner)
