@@ -68,7 +68,9 @@ class SceneRenderer(QObject):
             view.mouse_handler = partial(self._tell, column)
 
     def open(self) -> None:
-        """Load OpenGL and render; where that fails, the views say why."""
+        """Load OpenGL and render, unless it was closed; where that fails, the views say why."""
+        if self._finished:
+            return
         try:
             from vtkmodules.vtkInteractionStyle import vtkInteractorStyleTrackballCamera
             from vtkmodules.vtkRenderingUI import vtkGenericRenderWindowInteractor
