@@ -36,7 +36,9 @@ def test_a_click_skips_stages_to_reach_the_target_and_a_tick_brings_them_back(ti
     assert panel.skip_button.isHidden()
     assert [part.time_ms for part in panel.bar.parts] == list(TIMES_MS.values())
     panel._target.setValue(14)
-    assert panel.sentence.text().startswith("generated touch 57 %, depth 34 %, target depth 5 %: 5.7 frames/s; without ")
+    assert panel.sentence.text().startswith(
+        "generated touch 57 %, depth 34 %, target depth 5 %: 5.7 frames/s; without "
+    )
     assert panel.sentence.text().endswith(" 14")
     qtbot.mouseClick(panel.skip_button, Qt.MouseButton.LeftButton)
     assert wait_until_shown(timed_window, LIMIT_S)
