@@ -137,19 +137,21 @@ def fit_drift(image: Image, reference: Image) -> tuple[Drift | None, bool]:
     now, still = compute_block_means(image, block), _references.get_or_make(
         (compute_cached_digest(reference), block), lambda: _make_blocks(reference.astype(np.float32), block)
     )  # fmt: skip
-    agrees = max(_AGREEMENT_GREY, _AGREEMENT_SIGMAS * _estimate_noise(now - still.mean.reshape(now.shape)))
-    change = np.abs(now - still.mean.reshape(now.shape)).max(axis=2)
-    alike = float((change < agrees).mean())
+    residual = now - still.mean.reshape(now.shape)
+    change, agrees = np.abs(residual).max(axis=2), _compute_agreement_grey(residual)
     foreign = float(np.percentile(change, 25)) > _FOREIGN_GREY
-    if alike > 1.0 - _AGREEMENT_GAIN:
+    if agrees <= _AGREEMENT_GREY and float((change < agrees).mean()) > 1.0 - _AGREEMENT_GAIN:
         return None, foreign
-    place, shift, solution, agree = _make_positions(*now.shape[:2]), np.zeros(2), np.zeros(14), 0.0
+    place, shift, solution = _make_positions(*now.shape[:2]), np.zeros(2), np.zeros(14)
     for _ in range(_ITERATIONS):
-        solution, agree = _solve(now.reshape(-1, 3), still, place, shift, agrees)
+        solution, left = _solve(now.reshape(-1, 3), still, place, shift, agrees)
+        residual = left.reshape(now.shape)
         shift = shift + solution[12:]
         if float(np.abs(solution[12:]).max()) < _SHIFT_TOLERANCE_PX or math.hypot(*shift) > _SHIFT_MAX_PX:
             break
         still = _make_blocks(_shift_image(reference, shift), block)
+    agrees = _compute_agreement_grey(residual)  # texture that has moved looks like noise before
+    alike, agree = (float((a < agrees).mean()) for a in (change, np.abs(residual).max(axis=2)))
     own = solution[:12].reshape(3, 4)
     small = float(np.abs(own[:, 0]).max()) < _GAIN_MAX and float(np.abs(own[:, 1:]).max()) < _GREY_MAX
     if not small or math.hypot(*shift) > _SHIFT_MAX_PX or agree < max(_AGREEMENT_MIN, alike + _AGREEMENT_GAIN):
@@ -158,7 +160,12 @@ def fit_drift(image: Image, reference: Image) -> tuple[Drift | None, bool]:
                  shift_px=(float(shift[0]), float(shift[1]))), False  # fmt: skip
 
 
-def _estimate_noise(change: Floats) -> float:
+def _compute_agreement_grey(residual: Floats | Doubles) -> float:
+    """The residual (grey) up to which a block (rows, cols, 3) agrees."""
+    return max(_AGREEMENT_GREY, _AGREEMENT_SIGMAS * _estimate_noise(residual))
+
+
+def _estimate_noise(change: Floats | Doubles) -> float:
     """1.05 times the quarter quantile of the differences of neighbouring blocks: 4/3 of a block's standard deviation.
 
     Most of an image changes smoothly; with moved markers, a quarter of it does.
@@ -228,8 +235,8 @@ def _make_positions(rows: int, cols: int) -> Floats:
     return np.stack([x.ravel(), y.ravel()], axis=1).astype(np.float32)
 
 
-def _solve(now: Floats, still: _Blocks, place: Floats, shift: Doubles, agrees: float) -> tuple[Doubles, float]:
-    """(gain - 1, offset, ramp of each colour, then a further shift: (14,); share of blocks that agree)."""
+def _solve(now: Floats, still: _Blocks, place: Floats, shift: Doubles, agrees: float) -> tuple[Doubles, Doubles]:
+    """(gain - 1, offset, ramp of each colour, then a further shift: (14,); what is left of each block (n, 3))."""
     target = (now - still.mean).astype(np.float64)  # (n, 3)
     ones = np.ones(len(now))
     columns = np.stack(
@@ -240,7 +247,7 @@ def _solve(now: Floats, still: _Blocks, place: Floats, shift: Doubles, agrees: f
     prior = np.concatenate([np.tile(own_prior, 3), np.full(2, _PRIOR_STD[3] / _BLOCK_NOISE_GREY)]) ** -2.0
     weight = ones
     solution: Doubles = np.zeros(14)
-    off = np.abs(target).max(axis=1)
+    left = target.T
     for scale in (*_SCALES_GREY, agrees, agrees):
         normal, right = np.diag(prior), np.zeros(14)
         right[12:] = -prior[12:] * shift
@@ -250,6 +257,6 @@ def _solve(now: Floats, still: _Blocks, place: Floats, shift: Doubles, agrees: f
             normal[np.ix_(where, where)] += blocks[c]
             right[where] += to[c, :, 0]
         solution = np.asarray(np.linalg.solve(normal, right), np.float64)
-        off = np.abs(target.T - (solution[numbers][:, None] @ columns)[:, 0]).max(axis=0)
-        weight = 1.0 / (1.0 + (off / scale) ** 2) ** 2
-    return solution, float((off < agrees).mean())
+        left = target.T - (solution[numbers][:, None] @ columns)[:, 0]
+        weight = 1.0 / (1.0 + (np.abs(left).max(axis=0) / scale) ** 2) ** 2
+    return solution, left.T

@@ -108,8 +108,8 @@ def _estimate(
     params: NetworkParams, progress: Progress, illumination: Illumination | None = None,
 ) -> DepthMap:  # fmt: skip
     """The photometric depth, corrected where the network applies."""
-    physical, measured, inputs = estimate_physical_depth(
-        frame, source, SubProgress(progress, 0.0, 0.9), calibration, params, illumination
+    physical, measured = photometric.estimate_gel_depth(
+        frame, source, calibration, params, SubProgress(progress, 0.0, 0.9), illumination
     )
     if measured is None or not physical.contact.any():
         return physical
@@ -118,6 +118,7 @@ def _estimate(
     reason = illumination_channels.explain_exclusion(seen_by, measured.illumination)
     if reason:
         return replace(physical, notes=(*physical.notes, reason))
+    inputs = prepare_input(frame, seen_by, physical)
     return correct_depth(
         physical, measured, inputs, seen_by, network, params, has_context_frames=bool(frame.context_frames)
     )
@@ -172,29 +173,24 @@ def correct_depth(
 
 
 def estimate_physical_depth(
-    frame: TactileFrame,
-    source: SensorSpec,
-    progress: Progress = SILENT,
-    calibration: Calibration | None = None,
-    params: photometric.DepthParams | None = None,
-    illumination: Illumination | None = None,
+    frame: TactileFrame, source: SensorSpec
 ) -> tuple[DepthMap, MeasuredSurface | None, gel_network_input.NetworkInput]:
-    """The photometric depth of a frame, the surface it was made of, and the network's input from both.
+    """The photometric depth of a frame without calibration, the surface it was made of, and the network's input."""
+    physical, measured = photometric.estimate_gel_depth(frame, source, None, photometric.DepthParams())
+    seen_by = source if frame.camera is None else source.with_camera(frame.camera)
+    return physical, measured, prepare_input(frame, seen_by, physical)
 
-    `illumination` None: the one estimated from the frame itself.
-    """
-    params = params or photometric.DepthParams()
-    physical, measured = photometric.estimate_gel_depth(frame, source, calibration, params, progress, illumination)
-    seen_by = match_pixel_size(source if frame.camera is None else source.with_camera(frame.camera), calibration)
+
+def prepare_input(frame: TactileFrame, source: SensorSpec, physical: DepthMap) -> gel_network_input.NetworkInput:
+    """The network's input from a frame and its photometric depth; `source` with the frame's own camera."""
     image, reference = cast("Image", frame.image), cast("Image", frame.reference)
     reference = drift.apply_estimated_drift(image, reference).image
     described = _described_lights.get_or_make(
-        compute_cached_digest(seen_by), lambda: gel_network_input.describe_light(seen_by)
+        compute_cached_digest(source), lambda: gel_network_input.describe_light(source)
     )
-    inputs = gel_network_input.prepare_input(
-        image, reference, physical.indentation_mm, physical.contact, seen_by, described
+    return gel_network_input.prepare_input(
+        image, reference, physical.indentation_mm, physical.contact, source, described
     )
-    return physical, measured, inputs
 
 
 _described_lights: Memo[str, gel_network_input.DescribedLight] = Memo(16)

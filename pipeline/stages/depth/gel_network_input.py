@@ -229,8 +229,7 @@ def _estimate_slopes(change: Floats, light: DescribedLight) -> Floats:
     residual = change
     for iteration in range(_SLOPE_ITERATIONS):
         if iteration:
-            right, down = (np.ascontiguousarray(slope) for slope in slopes)
-            residual = change - optics.compute_colour_change(light.sensor, right, down).transpose(2, 0, 1)
+            residual = change - _render_described_change(light.sensor, *slopes)
         step = [_sum_colours(by, residual) for by in light.inverse]
         slopes = np.clip(slopes + step, -_SLOPE_MAX, _SLOPE_MAX).astype(np.float32)
     return slopes
@@ -239,3 +238,20 @@ def _estimate_slopes(change: Floats, light: DescribedLight) -> Floats:
 def _sum_colours(a: Floats, b: Floats) -> Floats:
     """The sum over three colours of a product (3, rows, cols)."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def _render_described_change(sensor: SensorSpec, right: Floats, down: Floats) -> Floats:
+    """`optics.compute_colour_change` of slopes (rows, cols), compiled and channels first."""
+    from pipeline.stages.depth.illumination.illumination_kernels import N_LINES, TILE_PX, render_led_light
+
+    described, (rows, cols) = optics.require_optics(sensor), right.shape
+    x, y, size = (
+        np.arange(cols, dtype=np.float32),
+        np.arange(rows, dtype=np.float32),
+        np.array([cols, rows], np.float32),
+    )
+    place = (x, y, size, *optics.pack_leds(described, sensor.camera), np.float32(described.vignette))
+    one, scratch = np.ones((rows, cols, 3), np.float32), np.empty(N_LINES * TILE_PX, np.float32)
+    change, *rates = (np.empty_like(one) for _ in range(3))
+    render_led_light(right, down, place, (one, one, one), scratch, change, *rates)
+    return _split_colours(change)

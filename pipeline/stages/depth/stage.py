@@ -17,7 +17,7 @@ PHYSICS = Method(
     run=skip_if_exact(photometric.skip_without_contact, photometric.estimate_depth_with_notes),
     params=photometric.DepthParams,
     reads=("frame", "source", "calibration"),
-    version=13,
+    version=14,
     draft=photometric.make_draft_params,
 )
 NETWORK = Method(
@@ -30,7 +30,7 @@ NETWORK = Method(
     ),
     params=network.NetworkParams,
     reads=(*PHYSICS.reads, "depth_weights"),
-    version=5,
+    version=6,
     draft=photometric.make_draft_params,
     weights=network.select_weights,
 )

@@ -112,3 +112,14 @@ def test_a_face_that_fills_the_view_is_not_taken_for_drift_nor_drift_for_a_face(
     found = skip_without_contact(alone, source, None, PARAMS) or estimate_depth(alone, source, None, PARAMS)
     assert not found.contact.any()
     assert any("larger than the view" in note for note in found.notes)  # which shows no rim
+
+
+@pytest.mark.real_data
+def test_a_real_reference_that_has_moved_far_is_put_back(real_data):
+    import cv2
+
+    still = np.ascontiguousarray(cv2.imread(str(real_data / "digit_balls" / "background.png"))[..., ::-1])
+    for seed in range(3):
+        found, _ = drift.fit_drift(drifted(still, shift_px=(3.0, -4.0), seed=seed), still)
+        assert found is not None
+        assert found.shift_px == pytest.approx((3.0, -4.0), abs=0.1)

@@ -22,7 +22,7 @@ from pipeline.sensors.parts import Led, Optics
 from pipeline.sensors.reference_light import compute_reference_light
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth.illumination.constants import DESCRIBED_STEP, TRUSTED_STEP
-from pipeline.stages.depth.illumination.image_patch import ImagePatch
+from pipeline.stages.depth.illumination.image_patch import ImagePatch, compute_cell_means
 from pipeline.stages.depth.illumination.light import Light, RenderedChange
 
 # Standard deviations between sensor instances, as `simulation.variation` draws them.
@@ -115,12 +115,21 @@ def _compute_near_gain(source: SensorSpec, patch: ImagePatch) -> Floats:
     """
     import cv2
 
-    width = _REFERENCE_BLUR_PX / patch.downsampling
-    here = np.asarray(cv2.GaussianBlur(patch.reference, (0, 0), width), np.float32)
+    rows, cols = patch.changed.shape
+    by = max(1, round(_REFERENCE_BLUR_PX / patch.downsampling))  # cells as wide as the blur
+    cells = cv2.GaussianBlur(
+        compute_cell_means(patch.reference, by), (0, 0), _REFERENCE_BLUR_PX / patch.downsampling / by
+    )
+    here = cv2.resize(cells, (cells.shape[1] * by, cells.shape[0] * by), interpolation=cv2.INTER_LINEAR)[:rows, :cols]
     offset = np.float32(slope_model.OFFSET_GREY)
     usual = compute_reference_light(source.camera, require_optics(source)).reshape(-1, 3).mean(axis=0)
     table, camera = near_led_prior.compute_gains(source), source.camera
-    x = patch.x_px * np.float32((table.shape[1] - 1) / (camera.cols - 1))
-    y = patch.y_px * np.float32((table.shape[0] - 1) / (camera.rows - 1))
-    gains = cv2.remap(table, *np.meshgrid(x, y), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    down = _make_interpolation(patch.y_px / np.float32(camera.rows - 1), table.shape[0])
+    across = _make_interpolation(patch.x_px / np.float32(camera.cols - 1), table.shape[1])
+    gains = np.tensordot(down, np.tensordot(across, table, (1, 1)), (1, 1))
     return np.asarray((here + offset) / (usual + offset) * gains, np.float32)
+
+
+def _make_interpolation(share: Floats, n: int) -> Floats:
+    """The matrix (m, n) that interpolates `n` values linearly at shares (m,) of the way from the first to the last."""
+    return np.maximum(0.0, 1.0 - np.abs(np.clip(share, 0.0, 1.0)[:, None] * (n - 1) - np.arange(n))).astype(np.float32)
