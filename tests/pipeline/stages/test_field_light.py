@@ -11,7 +11,7 @@ from pipeline.sensors.spec import load_sensor
 from pipeline.stages.depth.illumination import field_light
 
 SHAPE, PIXEL_MM = (240, 320), 0.0634
-DEPTHS = (0.5, 1.0, 2.0)
+WRONG_DEPTHS = (0.5, 0.7, 1.5, 2.0)
 PRECISION = 1e-4  # of q: single precision
 
 
@@ -39,22 +39,26 @@ def prior():
     return near_led_prior.compute_prior(load_sensor("gelsight_mini"), PIXEL_MM, SHAPE)
 
 
-def test_the_true_depth_is_the_likeliest_in_usual_light(prior):
-    samples = [render_samples(prior.mean, depth) for depth in DEPTHS]
-    best, coefficients = field_light.choose_likeliest_surface(prior, samples)
-    assert DEPTHS[best] == 1.0
-    true = render_samples(prior.mean, 1.0)
-    at = shading_field.compute_position_terms(true.u, true.v)
-    rendered = shading_field.predict_colours(coefficients, at, true.shading_terms)
-    assert np.sqrt(np.mean((rendered - true.change) ** 2)) < 0.02
+def estimate_from(prior, coefficients, depth):
+    """What is estimated from a dent `depth` times as deep as the colours are of."""
+    return field_light.estimate_likeliest_depth(prior, lambda factor: render_samples(coefficients, depth * factor))
 
 
-def test_the_true_depth_is_the_likeliest_for_most_instances(prior):
-    best = [
-        field_light.choose_likeliest_surface(prior, [render_samples(draw_field(k), d, k) for d in DEPTHS])[0]
-        for k in range(6)
-    ]
-    assert sum(DEPTHS[b] == 1.0 for b in best) >= 4
+@pytest.mark.parametrize("depth", WRONG_DEPTHS)
+def test_a_wrong_depth_comes_nearer_to_the_true_one(prior, depth):
+    for field in (prior.mean, *(draw_field(k) for k in range(6))):
+        factor, coefficients = estimate_from(prior, field, depth)
+        assert abs(np.log(depth * factor)) < abs(np.log(depth)) - 0.1
+        dent = render_samples(field, depth * factor)
+        at = shading_field.compute_position_terms(dent.u, dent.v)
+        rendered = shading_field.predict_colours(coefficients, at, dent.shading_terms)
+        assert np.sqrt(np.mean((rendered - dent.change) ** 2)) < 0.02
+
+
+def test_the_depth_moves_with_the_colours_without_a_jump(prior):
+    coefficients = draw_field(2)
+    factors = [estimate_from(prior, coefficients, depth)[0] for depth in np.linspace(0.9, 1.1, 21)]
+    assert np.abs(np.diff(np.log(factors))).max() < 0.02
 
 
 def test_an_expanded_field_equals_its_polynomials():

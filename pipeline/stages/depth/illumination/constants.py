@@ -42,8 +42,7 @@ class IlluminationConstants:
     field_iterations: int = 3
     field_refinements: int = 2
     first_field_refinements: int = 3
-    field_depth_factors: tuple[float, ...] = (0.8, 1.0, 1.25)  # depths of the surface compared in each iteration
-    field_samples: int = 1500  # pixels that the posterior uses
+    field_depth_factors: tuple[float, ...] = (0.8, 1.0, 1.25)  # depths of the surface that the parabola goes through
     min_field_samples: int = 60  # fewer determine no field
     min_relative_change: float = 0.1  # of the relative change q: slopes, not noise
     field_noise: float = 0.05  # of q: what no smooth field explains

@@ -6,8 +6,8 @@ the indentation z, q_k(p) = a_k(p) . (n - e_z) + b_k(p) z, with smooth fields a,
 
 A touch that is at rest all around determines how the changes of its colours relate to each other, for its slopes have
 to be those of one surface; but a deeper surface in weaker light looks the same. How deep it is then follows from how
-likely such light is (`near_led_prior`). Of surfaces of one shape at several depths, the one with the likeliest colours
-is taken,
+likely such light is (`near_led_prior`). Of surfaces of one shape, that of the depth with the likeliest colours is taken
+(the vertex of a parabola through three depths): it moves with the colours, without a jump,
 
     -2 ln p(q) = sum w q^2 + m' P m - b' P'^-1 b + ln det P',     P' = P + sum w f f',   b = P m + sum w f q
 
@@ -16,8 +16,9 @@ with m and P the mean and precision of the prior, f what a pixel's light depends
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -83,35 +84,38 @@ def fit_field(
     if len(where) < CONSTANTS.min_field_samples:
         return None
     prior = near_led_prior.compute_prior(source, source.pixel_mm, source.camera.shape)
-    where = np.random.default_rng(0).choice(where, min(CONSTANTS.field_samples, len(where)), replace=False)
     light, iterations = make_field_light(prior.mean, patch, source), CONSTANTS.first_field_refinements
     surface_mm, misfit = refine_surface(surface_mm, patch, light, integrate, iterations)
     coefficients = prior.mean
     for _ in range(CONSTANTS.field_iterations):
-        depths = [np.float32(factor) for factor in CONSTANTS.field_depth_factors]
-        samples = [_sample_surface(surface_mm * depth, light, q, where) for depth in depths]
-        best, coefficients = choose_likeliest_surface(prior, samples)
+        touch = functools.partial(_sample_surface, surface_mm, light, q, where)
+        factor, coefficients = estimate_likeliest_depth(prior, touch)
         light = make_field_light(coefficients, patch, source)
         surface_mm, misfit = refine_surface(
-            surface_mm * depths[best], patch, light, integrate, CONSTANTS.field_refinements
+            surface_mm * np.float32(factor), patch, light, integrate, CONSTANTS.field_refinements
         )
         if described_misfit <= CONSTANTS.hopeless_field_gain * misfit:
             return None
     return coefficients, misfit
 
 
-def choose_likeliest_surface(prior: ShadingFieldPrior, surfaces: Sequence[SurfaceSamples]) -> tuple[int, Doubles]:
-    """Index of the surface under which the colours are likeliest, and the field's coefficients (m,) under it.
+def estimate_likeliest_depth(
+    prior: ShadingFieldPrior, sample: Callable[[float], SurfaceSamples]
+) -> tuple[float, Doubles]:
+    """The factor of a surface's depth under which its colours are likeliest, and the field's coefficients (m,) there.
 
-    The surfaces have the same pixels and colours, at different depths.
+    `sample` returns the same pixels and colours with the depth times a factor.
     """
     from threadpoolctl import threadpool_limits
 
+    logs = np.log(CONSTANTS.field_depth_factors)
     # Several threads add up in another order, and wait for each other longer than so small a system takes.
     with threadpool_limits(limits=1, user_api="blas"):
-        posteriors = [_compute_posterior(prior, surface) for surface in surfaces]
-    best = int(np.argmin([unlikeliness for unlikeliness, _ in posteriors]))
-    return best, posteriors[best][1]
+        unlikeliness = [_compute_posterior(prior, sample(factor))[0] for factor in CONSTANTS.field_depth_factors]
+        bend, slope, _ = np.polyfit(logs, unlikeliness, 2)
+        at = -0.5 * slope / bend if bend > 0.0 else logs[int(np.argmin(unlikeliness))]
+        factor = math.exp(min(max(float(at), float(logs[0])), float(logs[-1])))
+        return factor, _compute_posterior(prior, sample(factor))[1]
 
 
 def expand_field(coefficients: Doubles, u: Floats, v: Floats) -> Floats:
@@ -145,13 +149,17 @@ def _compute_posterior(prior: ShadingFieldPrior, surface: SurfaceSamples) -> tup
     return unlikeliness - float(right @ coefficients) + float(np.linalg.slogdet(precision).logabsdet), coefficients
 
 
-def _sample_surface(surface_mm: Floats, light: FieldLight, q: Floats, where: NDArray[np.intp]) -> SurfaceSamples:
-    """The pixels `where` of a surface, blurred as the recorded change is."""
+def _sample_surface(
+    surface_mm: Floats, light: FieldLight, q: Floats, where: NDArray[np.intp], factor: float
+) -> SurfaceSamples:
+    """The pixels `where` of a surface whose depth is scaled by a factor, blurred as the recorded change is."""
     import cv2
 
     patch = light.patch
     width = max(_MIN_BLUR_PX, math.hypot(light.blur_px, patch.smoothing_px) / patch.downsampling)
-    z = np.asarray(cv2.GaussianBlur(clip_surface(surface_mm, patch, light), (0, 0), width), np.float32)
+    z = np.asarray(
+        cv2.GaussianBlur(clip_surface(surface_mm * np.float32(factor), patch, light), (0, 0), width), np.float32
+    )
     u, v = _compute_positions(patch, light.source)
     row, col = np.divmod(where, z.shape[1])
     slopes = np.stack([g.ravel()[where] for g in compute_slopes(z, patch.pixel_mm)], axis=1).astype(np.float64)
