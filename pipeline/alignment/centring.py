@@ -1,7 +1,5 @@
 """An offset that brings a touch into the target's view, where the described alignment misses it."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from pipeline.base.arrays import Doubles

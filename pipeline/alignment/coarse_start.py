@@ -1,7 +1,5 @@
 """Initial alignments: a grid search over in-plane translation and rotation, since outlines have many local minima."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 import numpy as np

@@ -4,8 +4,6 @@ Unknowns are six: a rotation about a pivot and a translation, in units of the to
 directions compare. Loss: Geman-McClure, s^2 r^2 / (s^2 + r^2), with a scale s for each kind.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ A rotation about the camera's origin would move a touch tens of millimetres away
 centroid it is a pure rotation.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from pipeline.base.arrays import Doubles, freeze

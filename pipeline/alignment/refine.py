@@ -1,7 +1,5 @@
 """Refine an alignment to many touches at once; report undetermined directions and the fit on held-out touches."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

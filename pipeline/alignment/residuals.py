@@ -9,8 +9,6 @@ own growth, with a weak prior at 0, and the residual is the signed distance beyo
 size.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

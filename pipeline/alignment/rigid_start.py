@@ -1,7 +1,5 @@
 """Convert a transfer model in millimetres to a rigid alignment, to be refined in all six directions."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Score how well a touch transferred by an alignment agrees with the target's observation of it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Estimate how much the agreement changes when an alignment moves a little along each axis."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Prepare the target's side of a touch once: while a handle is dragged only the source's side is computed."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

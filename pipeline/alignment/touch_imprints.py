@@ -1,7 +1,5 @@
 """Imprint pairs of the moments that both sensors recorded, to fit an alignment to."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """One touch as both sensors observed it: what an alignment is scored on and refined with."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 

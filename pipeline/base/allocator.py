@@ -1,7 +1,5 @@
 """Control how much free memory glibc's allocator keeps; without glibc nothing is done."""
 
-from __future__ import annotations
-
 import ctypes
 import sys
 from functools import lru_cache

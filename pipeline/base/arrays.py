@@ -1,7 +1,5 @@
 """Array types; arrays that leave a function are read-only."""
 
-from __future__ import annotations
-
 from typing import Any, TypeVar
 
 import numpy as np

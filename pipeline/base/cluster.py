@@ -4,8 +4,6 @@ A task is a module's function and plain values, so a worker needs the project in
 If a worker dies, its unfinished tasks go to another one.
 """
 
-from __future__ import annotations
-
 import logging
 import time
 from collections.abc import Callable, Generator, Sequence

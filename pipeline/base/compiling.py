@@ -4,8 +4,6 @@ Numba alone would load a cached kernel that calls a kernel of another module as 
 The cache folder is therefore named by a digest of all kernel sources and of the versions that compile them.
 """
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import importlib.metadata

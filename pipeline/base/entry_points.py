@@ -1,7 +1,5 @@
 """Values that other installed packages add to this program through Python entry points."""
 
-from __future__ import annotations
-
 import importlib
 import importlib.metadata
 import logging

@@ -1,7 +1,5 @@
 """Log unexpected errors: one sentence for the user, the traceback in a file."""
 
-from __future__ import annotations
-
 import contextlib
 import tempfile
 import time

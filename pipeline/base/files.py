@@ -3,8 +3,6 @@
 Files are written under a temporary name in the same folder, flushed to disk and then renamed.
 """
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import fcntl

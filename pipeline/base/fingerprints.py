@@ -1,7 +1,5 @@
 """Fingerprint of a file or folder, to recognise changes."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Parse lists of frame numbers."""
 
-from __future__ import annotations
-
 import re
 
 from pipeline.base.errors import SettingProblem

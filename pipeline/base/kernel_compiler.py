@@ -3,8 +3,6 @@
 A process that compiles keeps about 150 MB of the compiler for as long as it runs, and its other threads wait meanwhile.
 """
 
-from __future__ import annotations
-
 import atexit
 import contextlib
 import importlib

@@ -1,7 +1,5 @@
 """Defer imports that libraries make but rarely use."""
 
-from __future__ import annotations
-
 import importlib.util
 import sys
 

@@ -1,7 +1,5 @@
 """Describe the machine, versions and threads that a measurement was made with."""
 
-from __future__ import annotations
-
 import importlib.metadata
 import os
 import platform

@@ -3,8 +3,6 @@
 Keys are plain values, or digests of values with arrays (`pipeline.engine.digests.compute_cached_digest`).
 """
 
-from __future__ import annotations
-
 import functools
 import math
 import threading

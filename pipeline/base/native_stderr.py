@@ -1,7 +1,5 @@
 """Keep C libraries quiet: libpng, OpenCV's AVI reader and ffmpeg write a damaged file's own bytes to the terminal."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import sys

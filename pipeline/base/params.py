@@ -3,8 +3,6 @@
 The command line's `--set stage.field=value` and the app's controls are derived from them.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace

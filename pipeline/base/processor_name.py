@@ -1,7 +1,5 @@
 """Name of the processor, for measurements."""
 
-from __future__ import annotations
-
 import platform
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Progress of long stages, and their cancellation."""
 
-from __future__ import annotations
-
 from collections.abc import Generator
 from contextlib import contextmanager
 from contextvars import ContextVar

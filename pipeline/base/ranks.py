@@ -1,7 +1,5 @@
 """Medians and percentiles of the pixels of a mask: the values of numpy's, without its overhead for a call."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from pipeline.base.arrays import Floats, Mask

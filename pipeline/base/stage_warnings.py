@@ -1,7 +1,5 @@
 """Notes on a stage's result: plain ones, and warnings."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 

@@ -1,7 +1,5 @@
 """Make foreign text safe to show: control characters in names and attributes are escaped."""
 
-from __future__ import annotations
-
 import re
 import unicodedata
 

@@ -3,8 +3,6 @@
 The types are dataclasses and `msgspec.Struct`s; the annotations below limit what a stranger's file may say.
 """
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Annotated, Any, TypeVar

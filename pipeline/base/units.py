@@ -1,7 +1,5 @@
 """Length units of mesh files, which do not state theirs."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Literal
 

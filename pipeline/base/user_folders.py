@@ -1,7 +1,5 @@
 """Folders of this program for the current user: cache, log and state."""
 
-from __future__ import annotations
-
 import tempfile
 from functools import cache
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Pixels with known slopes from presses of a ball, for calibration tables and the shading field."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

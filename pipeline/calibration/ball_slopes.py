@@ -1,7 +1,5 @@
 """The slopes around one press of a ball, and the circle that fits measured slopes."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

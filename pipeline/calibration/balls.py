@@ -9,8 +9,6 @@ drifting together with the table around it. The presses correct the sensor's des
 must hold on validation presses and be significantly better than depth without calibration.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

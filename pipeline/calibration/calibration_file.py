@@ -1,7 +1,5 @@
 """The .npz file of a calibration table."""
 
-from __future__ import annotations
-
 import dataclasses
 import zipfile
 from pathlib import Path

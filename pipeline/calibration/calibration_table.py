@@ -1,7 +1,5 @@
 """Calibration table of a sensor (photometric stereo look-up from colour to slope), its origin and quality."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any
 

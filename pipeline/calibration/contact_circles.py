@@ -1,7 +1,5 @@
 """Detects the contact circle of a ball from the colour change alone."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import pairwise
 

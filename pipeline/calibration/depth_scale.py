@@ -6,8 +6,6 @@ image: an error that all places share, and a smooth one. Its mean is shrunk by h
 they are: to the shared error away from them, and to none where they are few.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

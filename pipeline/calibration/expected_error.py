@@ -5,8 +5,6 @@ virtual presses of the ball on a grid are rendered under sampled fields and meas
 measure the error where presses are, with everything that the field does not model: inexact circles, other reflectance.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -9,8 +9,6 @@ Least squares with a normal prior on the exponent: two weighings of similar forc
 very different forces the exponent as well.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

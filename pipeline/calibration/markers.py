@@ -1,7 +1,5 @@
 """Printed markers of a gel: their detection in an image, and the colour change without them."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -9,8 +9,6 @@ misfit is the one that does best on simulated instances of distant LEDs, with li
 pressed.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

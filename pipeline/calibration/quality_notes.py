@@ -1,7 +1,5 @@
 """Notes on the quality of a calibration, for the terminal, the window and frames."""
 
-from __future__ import annotations
-
 from pipeline.base.stage_warnings import CalibrationWarning, StageWarning
 from pipeline.calibration.calibration_table import Calibration
 

@@ -1,7 +1,5 @@
 """Thumbnail of the reference image that a calibration identifies its sensor instance by."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from pipeline.base.arrays import Image, freeze

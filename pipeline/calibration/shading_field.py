@@ -11,8 +11,6 @@ instances as prior (`near_led_prior`), and determined where indentations are. Th
 of slopes on the colours that fields still possible would show, so that it relies on the colours that are known.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

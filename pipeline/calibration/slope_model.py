@@ -10,8 +10,6 @@ u and v run over the image from -1 to 1 along its longer axis. The magnitude of 
 range of the samples.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The sphere nearest to a measured surface in its contact."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from pipeline.base.arrays import Doubles, Floats, Mask

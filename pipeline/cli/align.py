@@ -1,7 +1,5 @@
 """`tactoscope align score` and `align refine`: score and refine the alignment of two sensors."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from contextlib import closing

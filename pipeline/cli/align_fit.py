@@ -1,7 +1,5 @@
 """`tactoscope align fit`: the alignment of two sensors from a few paired touches, without an initial one."""
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Sequence

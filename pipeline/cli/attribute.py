@@ -1,7 +1,5 @@
 """`tactoscope attribute`: which stage the error of each frame comes from."""
 
-from __future__ import annotations
-
 import statistics
 from collections.abc import Sequence
 from contextlib import closing

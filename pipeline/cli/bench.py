@@ -1,7 +1,5 @@
 """`tactoscope bench`: run the benchmarks, which are part of the source tree and not of the installed package."""
 
-from __future__ import annotations
-
 import importlib
 import sys
 from pathlib import Path

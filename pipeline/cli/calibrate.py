@@ -1,7 +1,5 @@
 """`tactoscope calibrate balls`: a calibration table from presses of a ball, with its residuals."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import cast
 

@@ -1,7 +1,5 @@
 """`tactoscope calibrate force`: the scale of a sensor's force from weighed presses."""
 
-from __future__ import annotations
-
 import math
 from contextlib import closing
 from pathlib import Path

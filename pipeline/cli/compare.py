@@ -1,7 +1,5 @@
 """`tactoscope compare`: variants of one frame, as the window's Compare shows them."""
 
-from __future__ import annotations
-
 import os
 import shlex
 from collections.abc import Iterator, Mapping, Sequence

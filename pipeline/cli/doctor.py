@@ -1,7 +1,5 @@
 """`tactoscope doctor`: checks of Python, packages, system libraries, display, sensors and sample recordings."""
 
-from __future__ import annotations
-
 import importlib.metadata
 import os
 import platform

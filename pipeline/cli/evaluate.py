@@ -1,7 +1,5 @@
 """`tactoscope evaluate`: the paper's tables, its results next to ours, and run time against error."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack

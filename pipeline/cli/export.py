@@ -1,7 +1,5 @@
 """`tactoscope export`, `bundle` and `replay`."""
 
-from __future__ import annotations
-
 import os
 import shlex
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`tactoscope inspect`: checks of a recording, or the expected error of a calibration."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from pipeline.calibration import calibration_file, force_scale, quality_notes

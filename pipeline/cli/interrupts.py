@@ -3,8 +3,6 @@
 An exception raised at an arbitrary point could be swallowed while a kernel compiles, or leave a file half written.
 """
 
-from __future__ import annotations
-
 import signal
 import threading
 from collections.abc import Callable, Generator

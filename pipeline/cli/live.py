@@ -1,7 +1,5 @@
 """`tactoscope live`: a sensor on the terminal."""
 
-from __future__ import annotations
-
 import math
 import os
 import threading

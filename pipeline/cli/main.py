@@ -4,8 +4,6 @@ Commands are registered by import path: a command's module is imported only when
 loads neither numpy nor torch.
 """
 
-from __future__ import annotations
-
 import errno
 import io
 import logging

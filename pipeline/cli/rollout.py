@@ -1,7 +1,5 @@
 """`tactoscope rollout`: list, attribute, film and bundle recorded rollouts."""
 
-from __future__ import annotations
-
 import math
 import os
 import shlex

@@ -1,7 +1,5 @@
 """`tactoscope simulate`: simulated recordings, one per object; an interrupted run can be continued."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Generator
 from contextlib import ExitStack, contextmanager

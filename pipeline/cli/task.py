@@ -1,7 +1,5 @@
 """`tactoscope task`: closed-loop tasks through every touch, as success rates with intervals."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from contextlib import ExitStack

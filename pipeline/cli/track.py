@@ -1,7 +1,5 @@
 """`tactoscope track`: the motion of a touched object and a map of its surface, without its mesh."""
 
-from __future__ import annotations
-
 from contextlib import closing
 from pathlib import Path
 from typing import Annotated, Literal

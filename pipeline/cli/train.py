@@ -1,7 +1,5 @@
 """`tactoscope train`: train a network with progress on the terminal, and write its weights."""
 
-from __future__ import annotations
-
 import logging
 import os
 import shlex

@@ -1,7 +1,5 @@
 """`tactoscope translate`: frame by frame, each complete on disk before the next begins."""
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """Stage results in memory, bounded in bytes; the least recently used goes first."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from pipeline.base.memo import Memo

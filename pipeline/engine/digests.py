@@ -3,8 +3,6 @@
 Arrays use XXH3-128, microseconds per frame.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from functools import lru_cache

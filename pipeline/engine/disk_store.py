@@ -4,8 +4,6 @@ A file is named by the digest of its inputs and of the code that made it. Damage
 readable or writable folder everything works uncached.
 """
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Callable
 from dataclasses import fields

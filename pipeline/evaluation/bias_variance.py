@@ -3,8 +3,6 @@
 The standard deviation of a calibrated sampler equals its error. If the error is larger, more samples do not help.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

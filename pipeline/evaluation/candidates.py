@@ -1,7 +1,5 @@
 """Candidates of the evaluation: every touch method with weights of the direction, and the baselines."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache

@@ -1,7 +1,5 @@
 """A comparison of variants as tiles, and the same as a folder of images and metrics."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass

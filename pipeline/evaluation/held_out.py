@@ -1,7 +1,5 @@
 """Held-out touches that methods are scored on: presses that no method was trained on, simulated once and cached."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal

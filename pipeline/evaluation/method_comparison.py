@@ -1,7 +1,5 @@
 """One frame's touch by every method that can generate it, compared with the target's recorded touch."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Literal

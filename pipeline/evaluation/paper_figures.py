@@ -3,8 +3,6 @@
 Figure 4 shows both directions between GelSlim and Soft Bubble, figure 5 the target depth of T2D2 for every direction.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The paper's tables: every direction and candidate on one split of held-out touches."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path

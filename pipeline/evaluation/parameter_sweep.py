@@ -1,7 +1,5 @@
 """Pairs of values of two parameters on one frame: the error and the time of each pair."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The paper's two result tables, row for row, measured on real recordings of its own sensors."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal

@@ -1,7 +1,5 @@
 """Recorded pairs as touches to score: one selection of frames per tool and finger, held out as a training was."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path

@@ -5,8 +5,6 @@ and illumination differ between sensor instances, and a generated touch is of th
 is therefore computed on the change added to the recorded instance's reference image.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal

@@ -1,7 +1,5 @@
 """One frame's touch sampled with several seeds: their mean, standard deviation and error."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Table rows from scored touches: one per direction and candidate, with the paper's row."""
 
-from __future__ import annotations
-
 import math
 import statistics
 from collections.abc import Mapping, Sequence

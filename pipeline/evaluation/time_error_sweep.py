@@ -1,7 +1,5 @@
 """Run time against error of the touch methods over denoising steps and guidance."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

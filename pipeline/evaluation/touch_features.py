@@ -5,8 +5,6 @@ touch depend on. It is shipped with the project; reports state the digest of its
 change when pose networks are trained further, so that distances of different days are comparable.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

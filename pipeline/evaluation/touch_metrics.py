@@ -1,7 +1,5 @@
 """Metrics of one generated touch per region, and of many touches together."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Two variants on one frame: each stage of both, and the difference of one stage."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """Cache of distance grids: in memory for the process, on disk for the next one."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -4,8 +4,6 @@ A height field over the sensor's x-y plane, z_mm = h(x_mm, y_mm), covers flat pa
 SDF(p, M_target) <= 0 exact in sign: a point nearer to the camera than the surface has pushed it in.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

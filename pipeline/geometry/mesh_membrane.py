@@ -5,8 +5,6 @@ sampled exactly at grid nodes; the error of the bilinear grid between them is ch
 has no height field.
 """
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Load object meshes, check their unit, and convert them to millimetres."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Surface normals and areas of images of points."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

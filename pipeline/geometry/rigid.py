@@ -4,8 +4,6 @@
 target_from_alignment @ alignment_from_source`.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

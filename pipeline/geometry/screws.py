@@ -1,7 +1,5 @@
 """Describe unobservable motions one by one: translations, rotations about an axis, and screws."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 
 import numpy as np

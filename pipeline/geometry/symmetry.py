@@ -1,7 +1,5 @@
 """Rotations that map an object onto itself, which pose errors do not count."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

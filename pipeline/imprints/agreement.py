@@ -1,7 +1,5 @@
 """Correlation of expected and recorded imprints, beyond what all imprints of the set have in common."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Extrapolate contact beyond a gel's view: ridges that reach the image border continue straight."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -5,8 +5,6 @@ of a surface have no curl, and an indentation is sharper at its top than at its 
 orientation.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Fit a transfer model to a few imprint pairs: initial guesses, least squares, and standard deviations."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """The eight orientations of a square image: four quarter turns, and the same mirrored."""
 
-from __future__ import annotations
-
 from typing import TypeVar
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Load imprint pairs from a folder of tiles, as training sets store them."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

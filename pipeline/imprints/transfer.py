@@ -6,8 +6,6 @@ support is a plane that may tilt, less the curvature of the target's rest surfac
 images are metric, else widths of a tile.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, fields
 from functools import cached_property

@@ -1,7 +1,5 @@
 """Checks of a recording's object: size and closedness of its mesh, and distance from the contact."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from pipeline.geometry import rigid

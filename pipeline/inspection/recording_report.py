@@ -1,7 +1,5 @@
 """Report on a recording: its content, and checks of units, frames and colours."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import closing

@@ -1,7 +1,5 @@
 """Checks of a recording's streams: each gives pass, fail or unknown, and a sentence that names file and field."""
 
-from __future__ import annotations
-
 import math
 from collections import defaultdict
 from collections.abc import Sequence

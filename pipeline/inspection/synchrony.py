@@ -12,8 +12,6 @@ from 20 moments on, 3 % with 12. In a random order 19 of 20 have one, and the la
 are three frames late.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

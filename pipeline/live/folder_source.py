@@ -1,7 +1,5 @@
 """Live source: the newest complete image of a folder that another program writes into."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import time

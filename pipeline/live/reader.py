@@ -1,7 +1,5 @@
 """The thread that reads a live sensor and buffers its last frames."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections import deque

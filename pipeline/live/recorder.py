@@ -1,7 +1,5 @@
 """Record a live sensor on a thread of its own, so that a slow disk delays nothing else."""
 
-from __future__ import annotations
-
 import queue
 import threading
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Capture the reference image: the median of the last frames, compared with those that follow."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """Live source: a simulated sensor in which an object is pressed, dragged and turned."""
 
-from __future__ import annotations
-
 import time
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Live sources: sensors that are opened, read, lost and opened again."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Protocol
 

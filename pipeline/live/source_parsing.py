@@ -1,7 +1,5 @@
 """Live sources by name."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Live source: USB cameras such as DIGIT and GelSight Mini, read as their own drivers read them."""
 
-from __future__ import annotations
-
 import re
 import time
 from collections.abc import Callable

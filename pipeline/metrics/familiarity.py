@@ -6,8 +6,6 @@ training, divided by the distance that 95 % of the training touches are within o
 a touch is unlike what the network has learned from.
 """
 
-from __future__ import annotations
-
 import math
 from functools import lru_cache
 

@@ -1,7 +1,5 @@
 """Structural similarity of two images (Wang et al. 2004): scikit-image's numbers, per pixel."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

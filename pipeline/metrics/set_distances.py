@@ -4,8 +4,6 @@ With few touches a Frechet distance is mostly its own bias, so it is only meanin
 the true set. The kernel distance of paired touches is unbiased and 0 for equal sets; it may be slightly negative.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

@@ -3,8 +3,6 @@
 It encodes three-channel images to a few channels at 1/8 of the side length, and decodes them.
 """
 
-from __future__ import annotations
-
 from itertools import pairwise
 from typing import cast
 

@@ -5,8 +5,6 @@ no convolution runs at full resolution, where most of the time would go. Encoder
 every level; a level halves the image (rounded up) and widens the channels. 0.3 to 1 million parameters.
 """
 
-from __future__ import annotations
-
 from itertools import pairwise
 from typing import cast
 

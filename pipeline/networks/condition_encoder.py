@@ -1,7 +1,5 @@
 """The paper's source encoder with published tensor names: a ResNet-18 and two transposed convolutions."""
 
-from __future__ import annotations
-
 from typing import cast
 
 from torch import Tensor, nn

@@ -4,8 +4,6 @@ Yang et al. 2024: a DINOv2 encoder (`pretrained.*`) and a DPT decoder (`depth_he
 predicts contact from the decoder's finest features.
 """
 
-from __future__ import annotations
-
 from typing import Literal, get_args
 
 import torch

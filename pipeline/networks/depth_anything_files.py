@@ -8,8 +8,6 @@ distance from the camera in metres, as a share of a largest distance that its ch
 sensor it sees the depth itself. Such files have the optimiser's state, or the fork's contact head.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from pipeline.base.errors import FileProblem

@@ -3,8 +3,6 @@
 Loads no torch, since it is also used to make training examples.
 """
 
-from __future__ import annotations
-
 from typing import Any, Literal
 
 import numpy as np

@@ -3,8 +3,6 @@
 Oquab et al. 2023, patches of 14 pixels, no register tokens; small, base and large.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

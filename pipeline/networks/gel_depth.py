@@ -15,8 +15,6 @@ show, so the network also predicts one factor for it: the mean of a per-pixel ou
 initialised to zero: an untrained network corrects nothing.
 """
 
-from __future__ import annotations
-
 import math
 from functools import lru_cache
 

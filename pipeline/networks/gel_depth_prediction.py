@@ -1,7 +1,5 @@
 """What the network of `networks.gel_depth` predicts, as tensors in training and as arrays when OpenCV runs it."""
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 PHYSICS_CONTACT_LOGIT = 2.0  # logit of a pixel that physics holds for contact; minus that of any other

@@ -9,8 +9,6 @@ The unconditional output exists only where the condition was left out of some tr
 as the released checkpoints of touch to touch, are sampled with their condition alone, whatever the weight.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, TypeVar, cast

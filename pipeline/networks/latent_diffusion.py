@@ -5,8 +5,6 @@ Parts and tensors have the names of the published checkpoint: `first_stage_model
 standard deviation.
 """
 
-from __future__ import annotations
-
 from typing import Literal, NamedTuple
 
 import numpy as np

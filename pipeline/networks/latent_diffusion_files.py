@@ -1,7 +1,5 @@
 """Reads weights of the latent diffusion: released checkpoints and Tactoscope files, distinguished by tensor names."""
 
-from __future__ import annotations
-
 from collections.abc import Collection
 from pathlib import Path
 

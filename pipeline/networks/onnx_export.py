@@ -1,7 +1,5 @@
 """Export of a torch network to an ONNX file, from which OpenCV answers without torch (`onnx_predictor`)."""
 
-from __future__ import annotations
-
 import io
 import warnings
 from typing import Any

@@ -3,8 +3,6 @@
 Torch takes 200 MB and two seconds before its first answer; OpenCV is loaded anyway.
 """
 
-from __future__ import annotations
-
 import threading
 
 import numpy as np

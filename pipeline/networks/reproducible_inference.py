@@ -1,7 +1,5 @@
 """Run networks by torch so that the same inputs give the same bytes."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Generator
 

@@ -16,8 +16,6 @@ The linear part is solved exactly; the rest is an integral of D, approximated by
 The last step goes to sigma 0, where all of them return D. Arrays may be of numpy or torch.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -6,8 +6,6 @@ would be equal. Noise with the spectrum of the fields hides large and small stru
 theory holds for any noise covariance, so the samplers are unchanged.
 """
 
-from __future__ import annotations
-
 import math
 from functools import lru_cache
 

@@ -4,8 +4,6 @@ The change is that of `SensorKind.compute_relative_change`: of a gel's image in 
 displacement of a bubble's membrane toward the camera. It is normalised by the published mean and standard deviation.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from pipeline.base.arrays import Floats, freeze

@@ -1,7 +1,5 @@
 """Reads tensors of foreign files, safetensors or torch's, without executing code."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Units, statistics and grids that networks of touches were trained with, one `TouchFormat` per kind of sensor."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import wraps

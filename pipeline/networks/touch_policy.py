@@ -1,7 +1,5 @@
 """A controller's command from a tactile image: a small strided CNN, trained to copy an expert (behaviour cloning)."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 from torch import Tensor, nn

@@ -5,8 +5,6 @@ the angle for every fold k of rotational symmetry: for a hexagon 29 and -31 degr
 represents that. The embedding of the classifier is also the encoder that sets of touches are compared by.
 """
 
-from __future__ import annotations
-
 from itertools import pairwise
 from typing import NamedTuple
 

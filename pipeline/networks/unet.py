@@ -4,8 +4,6 @@ Tensors have the names of the gelslim_depth package. `predict_depth_mm` follows 
 image, reduced to the training size by area means, gives shares of the training data's depth range.
 """
 
-from __future__ import annotations
-
 from itertools import pairwise
 from typing import cast
 

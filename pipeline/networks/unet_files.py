@@ -3,8 +3,6 @@
 Both have the same tensors, under names that differ in `down1`, `up1` and so on against `down.0`, `up.0`.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Collection
 from pathlib import Path

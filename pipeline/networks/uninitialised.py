@@ -1,7 +1,5 @@
 """Build networks without random parameters, whose memory and time are wasted where weights follow."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -9,8 +9,6 @@ whose pixels do not correspond, it learns nothing and its codebook collapses. `r
 `has_position_bias` fix that; they are off unless the weights were trained with them.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import torch

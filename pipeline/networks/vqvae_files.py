@@ -1,7 +1,5 @@
 """Reads weights of the VQ-VAE, published or written by Tactoscope; distinguished by tensor names and shapes."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from pipeline.base.errors import FileProblem

@@ -3,8 +3,6 @@
 Loads no torch: what a method reads is known, and its cache key computed, before a network is built.
 """
 
-from __future__ import annotations
-
 import json
 import zlib
 from collections.abc import Iterator, Mapping

@@ -1,7 +1,5 @@
 """What a foreign weights file does not say of itself: a TOML of the same name next to it."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 

@@ -3,8 +3,6 @@
 Nothing is raised: a method without weights uses its fallback and reports it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

@@ -6,8 +6,6 @@ the rest dome, which solves the equation at rest exactly. The air follows Boyle:
 it was untouched.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

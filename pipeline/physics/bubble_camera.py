@@ -4,8 +4,6 @@ A frame is the exact depth along each ray with the errors of depth cameras: nois
 incidence, flying pixels where the depth jumps, gaps (NaN) where a surface is too steep, and a coarse step.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -5,8 +5,6 @@ The surface in contact has the object's shape, so pressing that shape gives the 
 sensor instance, the force is known up to a scale, which weighings determine (`calibration.force_scale`).
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

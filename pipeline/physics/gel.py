@@ -5,8 +5,6 @@ by the constrained conjugate gradients of Polonsky and Keer (1999), precondition
 layer: a few steps of two or three FFT convolutions, instead of about twenty.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

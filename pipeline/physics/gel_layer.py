@@ -7,8 +7,6 @@ A layer bonded to a rigid back responds to a pressure of wavenumber q with (K. L
 An infinite thickness is a half-space, whose response to a pixel is Love's.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any

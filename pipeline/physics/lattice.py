@@ -4,8 +4,6 @@ Contact is solved on a lattice in millimetres, where the membrane is a height fi
 rounded to a pixel: triangles are sampled at the lattice's nodes, and rays meet the bilinear surface to a nanometre.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

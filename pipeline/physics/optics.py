@@ -6,8 +6,6 @@ the LED's side to the far side of the image, and toward the corners (vignette). 
 point, that LED's light is missing there (cast shadow).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from functools import lru_cache

@@ -1,7 +1,5 @@
 """Markers of a gel: their motion, and how they darken the image."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Comparison of a reference image's colours with those of its sensor's description, as it is and after corrections."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal, TypeVar, get_args

@@ -12,8 +12,6 @@ incompressible half-space. The traction moves the contact with the object and is
 (Coulomb): the contact slips from its rim inward.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Slopes of height images."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

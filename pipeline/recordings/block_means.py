@@ -1,7 +1,5 @@
 """Images reduced to means over blocks, in which noise averages out and a touch does not."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

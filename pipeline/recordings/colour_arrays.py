@@ -1,7 +1,5 @@
 """Images of a gel as `.npy` or `.npz` arrays: bytes, floats of 0 to 1 or 0 to 255, or signed differences."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

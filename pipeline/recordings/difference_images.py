@@ -4,8 +4,6 @@ Some training sets keep differences only, with mid-grey (or zero, in floats) for
 change relative to the reference brightness, so that a described reference is good enough.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Images that are stored inside other files, as PNG or JPEG or as plain pixels."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

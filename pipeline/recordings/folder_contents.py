@@ -5,8 +5,6 @@ Known trees: frames in a folder of their own (YCB-Slide, next to films and drawi
 unpickled.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Open a recording of any format: the content of a file decides, then its suffix."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What all readers of gel images share: sensor, size and reference."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

@@ -5,8 +5,6 @@ finger's RGB before the right one's, `depth_image` (n, 2, 320, 427) in mm: 0 wit
 Images of another size, as the package's own networks take them, are resampled to the sensor's.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

@@ -5,8 +5,6 @@ Layouts of the published sets: `<split>/{bubbles,gelslims}/data/..._<tool>/data_
 `<folder>_depth`, and `split.json`, which lists (tool, number) by split. A split is the folder of both sensors' folders.
 """
 
-from __future__ import annotations
-
 import os
 import re
 from collections import Counter

@@ -1,7 +1,5 @@
 """Read tactoscope recordings frame by frame; a damaged frame does not affect the others."""
 
-from __future__ import annotations
-
 import io
 import mmap
 import os

@@ -24,8 +24,6 @@ each row but the first is its difference from the row above, modulo the integer'
 the same type restores it. This lossless coding makes noisy images a third smaller.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Mapping
 from pathlib import Path

@@ -4,8 +4,6 @@ HDF5's single-writer-multiple-readers mode keeps the file consistent on disk. Al
 so that the first frame decides what the others may hold.
 """
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 from types import TracebackType

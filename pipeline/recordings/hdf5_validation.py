@@ -3,8 +3,6 @@
 The checks use what the file declares; no array is read or allocated before they pass.
 """
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any, NoReturn

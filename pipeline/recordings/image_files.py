@@ -1,7 +1,5 @@
 """Read single image files as RGB arrays; EXIF rotation is ignored, truncated files are refused."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import cast

@@ -1,7 +1,5 @@
 """Read gel images with a reference image among them: a folder, one image, or the tree of a data set."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path

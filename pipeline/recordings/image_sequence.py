@@ -1,7 +1,5 @@
 """A stream of images that are read one by one: what videos, MCAP topics and LeRobot cameras share."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Iterator
 from pathlib import Path

@@ -5,8 +5,6 @@ and a gel's camera records colour. Images of one name pattern (`touch_007`, `07_
 image of each is read.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from pathlib import Path

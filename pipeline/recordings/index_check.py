@@ -1,7 +1,5 @@
 """Check of frame numbers before a reader is called."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar

@@ -1,7 +1,5 @@
 """Cameras of a LeRobot data set (v3, and v2 of the same file kinds) as streams: videos, or images in parquet tables."""
 
-from __future__ import annotations
-
 import re
 from bisect import bisect_right
 from dataclasses import dataclass

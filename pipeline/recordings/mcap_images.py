@@ -1,7 +1,5 @@
 """Image topics of an MCAP file as streams: Foxglove's schemas (protobuf, JSON) and those of ROS 2."""
 
-from __future__ import annotations
-
 import base64
 import json
 from pathlib import Path

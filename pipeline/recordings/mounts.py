@@ -1,7 +1,5 @@
 """Recordings without a file: a live stream is opened by a name, as a file is."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable
 from pathlib import Path

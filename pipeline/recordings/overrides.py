@@ -1,7 +1,5 @@
 """Sensor and reference that the user states in place of what the file says."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

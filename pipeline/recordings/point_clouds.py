@@ -3,8 +3,6 @@
 Each cloud (rows * cols, 3) is in row order, so that z is the depth and the rays give the camera.
 """
 
-from __future__ import annotations
-
 import re
 from functools import lru_cache
 from pathlib import Path

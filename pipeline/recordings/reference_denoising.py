@@ -3,8 +3,6 @@
 The noise of one reference image enters every comparison; the median of a dozen has a third of it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A reference image where a recording has none or a bad one: the median of images with touches at different places."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -4,8 +4,6 @@ A touch adds light and shade in one place, so that the image is less smooth ther
 one has less contact. Drift and exposure change the smoothness of both alike.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np

@@ -4,8 +4,6 @@ Gel images are resampled to the described size. Depth images are not, since inte
 jumps and gaps; their camera is fitted to the image instead.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The sensor of an image, guessed from its size or the names of the files where these do not state it."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 

@@ -5,8 +5,6 @@ numbers for GelSight Mini, DIGIT and DuraGel. The sensors touched one after the 
 paired by their share of the contact.
 """
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Callable
 from dataclasses import replace

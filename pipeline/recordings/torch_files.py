@@ -1,7 +1,5 @@
 """Load PyTorch files without running code that they contain."""
 
-from __future__ import annotations
-
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Read a video file of one sensor frame by frame."""
 
-from __future__ import annotations
-
 import os
 import threading
 from pathlib import Path

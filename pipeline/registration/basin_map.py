@@ -5,8 +5,6 @@ the minimum is reached from nearly anywhere. Minima that fit equally well are a 
 in contact.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

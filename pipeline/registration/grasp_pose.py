@@ -6,8 +6,6 @@ runs for 200 iterations. The rotation about x is compared as the first Euler ang
 compares with the angle that was commanded, and scores no translation; here the tool's recorded pose is compared.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

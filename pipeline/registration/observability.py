@@ -9,8 +9,6 @@ e^2 of every motion along the surface. So a direction counts as determined only 
 places it within a tolerance.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

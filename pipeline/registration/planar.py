@@ -5,8 +5,6 @@ iterations is fixed; the side of the object and unobservable motions are not con
 the one of least rmse is used.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The paper's released planar evaluation as a method of the pose stage, for comparison."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from pipeline.base.arrays import freeze

@@ -1,7 +1,5 @@
 """Match contact points to a posed object: which points lie on it, what they determine, with what error."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

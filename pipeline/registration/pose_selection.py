@@ -1,7 +1,5 @@
 """Select the pose among the minima, and those that fit equally well; describe what is not observable."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

@@ -6,8 +6,6 @@ face, and notches that a membrane bridges; an object is placed by it along direc
 determine.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Extract what a touch gives a registration: the contact surface, and the space that is free."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ Many initial poses are ranked, the best registered, distinct minima kept. Rankin
 is more exact on fewer poses.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

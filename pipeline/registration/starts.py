@@ -1,7 +1,5 @@
 """Initial poses of a registration: faces, edges or corners of the object's box toward the sensor, at several angles."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import product

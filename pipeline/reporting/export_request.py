@@ -1,7 +1,5 @@
 """Export request: everything that one exported file depends on, so that it can be written as a command too."""
 
-from __future__ import annotations
-
 import os
 import shlex
 from collections.abc import Iterable, Mapping, Sequence

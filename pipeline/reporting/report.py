@@ -1,7 +1,5 @@
 """Files of a translated frame: arrays, a sheet, and its lines in the report."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, fields
 from pathlib import Path

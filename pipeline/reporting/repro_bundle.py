@@ -10,8 +10,6 @@ truth.npz, difference.npz, truth.png, attribution.json   what is known of the tr
 mesh.*, calibration.npz, weights_*, source.toml, target.toml   where they were given as files
 """
 
-from __future__ import annotations
-
 import shlex
 import shutil
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """Frames that an earlier run completed, recognised by a key of everything they depend on."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """Track the membrane of one stage through a recording, for the command line and the window alike."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 
 from pipeline.base.arrays import Doubles

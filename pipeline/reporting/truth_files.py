@@ -6,8 +6,6 @@ truth.png          truth over difference of each stage
 attribution.json   shares of the error in contact of the touch's depth
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path

@@ -3,8 +3,6 @@
 An .mp4 is H.264 where an ffmpeg with libx264 is on the PATH, else OpenCV's MPEG-4; an .avi is MJPEG.
 """
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 import tempfile

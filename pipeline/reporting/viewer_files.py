@@ -3,8 +3,6 @@
 Lengths are in metres and positions in the target's frame, as both viewers expect; times are the recording's.
 """
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The alignment of two sensors that record the same touch, through the alignment frame A."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

@@ -4,8 +4,6 @@ Two tables, [alignment_from_source] and [target_from_alignment], hold a translat
 degrees each. The names of the two sensors above them prevent use of the file for other sensors.
 """
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass
 from pathlib import Path

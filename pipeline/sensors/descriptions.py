@@ -5,8 +5,6 @@ starts from another sensor's file. Descriptions come with the project, from the 
 of other packages, whose values are paths of a TOML or of a folder of them, or by `register_sensors`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, cast

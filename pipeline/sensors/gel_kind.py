@@ -1,7 +1,5 @@
 """The kind "gel": a camera watches the coloured light on an elastic layer."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -5,8 +5,6 @@ Another package adds a kind by the entry point group `tactoscope.sensor_kinds`, 
 layers.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path

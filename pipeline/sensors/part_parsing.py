@@ -1,7 +1,5 @@
 """Parse the parts of a sensor description from sections of its TOML."""
 
-from __future__ import annotations
-
 from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import Annotated, Any, TypeVar

@@ -1,7 +1,5 @@
 """Parts of a sensor description: mechanics, optics, markers and limits."""
 
-from __future__ import annotations
-
 from dataclasses import MISSING, dataclass, field
 from typing import Annotated, Any, NamedTuple
 

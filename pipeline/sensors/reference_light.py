@@ -1,7 +1,5 @@
 """The light of a gel without contact, computed from its description."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from pipeline.base.arrays import Floats, freeze

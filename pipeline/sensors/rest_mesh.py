@@ -7,8 +7,6 @@ unit = "mm"            # of the file: mm, cm, m or in
 step = 0.5             # mm, lattice step; optional
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal

@@ -4,8 +4,6 @@ A plan is one recording: one object, pressed by several sensors at once. Every f
 object, the sensor and the moment alone, whatever else is simulated and in whatever order.
 """
 
-from __future__ import annotations
-
 import zlib
 from dataclasses import dataclass, replace
 from functools import lru_cache

@@ -1,7 +1,5 @@
 """The lowest point of an object over the sensors, ignoring parts outside their view."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from pipeline.base.arrays import Doubles, Indices

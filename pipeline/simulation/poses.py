@@ -5,8 +5,6 @@ sensors, so a face at -0.5 mm is pressed in by 0.5 mm. Depth is that of the obje
 every gel sees: a long tool's far end, tilted below it, presses on nothing.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -6,8 +6,6 @@ does every `target_from_source`. A gel rests in the plane z = 0, the bubble's ap
 gives the distance and the reason.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from typing import cast

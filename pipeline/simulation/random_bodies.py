@@ -4,8 +4,6 @@ Each is a height field, its tactile side at z = 0 facing -z: a pattern of stroke
 chamfered or rounded edge, proud of a body or without one.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Writing simulated recordings: several processes, finished moments saved, interrupted work continued."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections import deque

@@ -5,8 +5,6 @@ woven or rough textures, alone, tilted, in unions and several at once. A relief 
 underside above its lowest point. All lengths are in lattice steps.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

@@ -4,8 +4,6 @@ Instances differ: LEDs are displaced and age, gels vary in stiffness and thickne
 the lens. Strength 1 spans the differences between the instances of a lab.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

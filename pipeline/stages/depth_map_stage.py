@@ -1,7 +1,5 @@
 """Stages whose value is a `DepthMap`: source depth and touch depth share preview, layers, trace and metrics."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

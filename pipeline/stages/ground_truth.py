@@ -3,8 +3,6 @@
 Used for truth views, and put in place of computed values to attribute errors (`translation.error_attribution`).
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from pipeline.base.arrays import freeze

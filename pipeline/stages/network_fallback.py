@@ -1,7 +1,5 @@
 """Fallback of methods by network: another method computes the value where weights are missing, with the reason."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any, TypeVar, TypeVarTuple, Unpack
 

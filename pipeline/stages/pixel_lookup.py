@@ -1,7 +1,5 @@
 """Finds a traced pixel in the next stage."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -4,8 +4,6 @@ Columns, 3D views, sheets, metrics, traces, options and cache keys are derived f
 module and one line in the table of its stage; a new stage is one folder and one line in the catalogue.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal

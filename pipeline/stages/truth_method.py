@@ -3,8 +3,6 @@
 It pins a cause: with the truth in one stage, only the errors of those after it remain.
 """
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any
 

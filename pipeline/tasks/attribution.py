@@ -1,7 +1,5 @@
 """Why a decision was wrong: ground truth replaces one stage after the other, and the rollout runs again from there."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """The tasks by name. A task is one module with `TASK` and one line here, or an entry point in `tactoscope.tasks`."""
 
-from __future__ import annotations
-
 from pipeline.base.entry_points import load_entry_points, load_reference
 from pipeline.base.errors import SettingProblem
 from pipeline.tasks.task import ManipulationTask

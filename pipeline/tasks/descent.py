@@ -1,7 +1,5 @@
 """The compliant descent of a held peg into its hole."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from pipeline.base.arrays import Doubles

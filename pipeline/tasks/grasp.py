@@ -1,7 +1,5 @@
 """A grasp between two fingers: the frames of all sensors, and the held pose as each touch shows it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache, partial

@@ -5,8 +5,6 @@ touch is registered on the object's signed distances from starts over the range 
 explains better counts more.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -4,8 +4,6 @@ The controller is made for soft bubbles and reads GelSlims through a translation
 lead-in, force limit and compliance are not in the paper and are chosen here.
 """
 
-from __future__ import annotations
-
 import math
 import zlib
 from dataclasses import dataclass

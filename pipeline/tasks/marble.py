@@ -4,8 +4,6 @@ The controller is cloned on a GelSlim's images and reads a DIGIT through a trans
 load, speeds, the expert and the network are not in the paper and are chosen here.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import cast

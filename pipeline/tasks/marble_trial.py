@@ -1,7 +1,5 @@
 """One trial of marble rolling: its start, its load, and what the sensors under the ball record."""
 
-from __future__ import annotations
-
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass

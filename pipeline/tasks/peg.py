@@ -1,7 +1,5 @@
 """A peg and its hole as convex pieces: the tip of a tool, and walls around the tip's outline with a clearance."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The cloned controller of a task: a small network that commands from the image of the sensor it was trained on."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

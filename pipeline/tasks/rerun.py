@@ -1,7 +1,5 @@
 """Run a recorded rollout again from its plan: to attribute the error of its decisions, and to replay it."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

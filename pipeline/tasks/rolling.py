@@ -4,8 +4,6 @@ The plate's top is z = 0 of the world; the plate's frame has its axes and the ce
 the ball follows the plate by half, so that it rolls by half the plate's motion backwards over the gel.
 """
 
-from __future__ import annotations
-
 import math
 from functools import lru_cache
 

@@ -5,8 +5,6 @@ rollout.h5       the recording with the plan
 NAME.toml, mesh  a case of one's own
 """
 
-from __future__ import annotations
-
 import shlex
 import shutil
 from dataclasses import dataclass

@@ -11,8 +11,6 @@
 Frame `i` of the streams is the moment of decision `i`. A plan names a TOML case by its file name, without its folder.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 from collections.abc import Generator, Mapping

@@ -1,7 +1,5 @@
 """The touches of a recorded rollout: its fingers, and the translation that gives what its controller read."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from contextlib import closing
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A recorded rollout as a video: the scene, its touches and the force, one image per tick."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path

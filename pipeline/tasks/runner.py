@@ -1,7 +1,5 @@
 """Run trials in worker processes or on a cluster; rollouts on disk are not run again."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, wait
 from concurrent.futures.process import BrokenProcessPool

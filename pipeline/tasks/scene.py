@@ -4,8 +4,6 @@ MuJoCo computes in SI units; everything here is converted at its border. `<world
 own MJCF text with lengths in metres, made by the functions below.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

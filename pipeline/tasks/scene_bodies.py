@@ -1,7 +1,5 @@
 """Meshes that surround the object in the 3D scene of a task: boxes, rings, and the fingers of a hand."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """The scene of a rollout as an image, without a 3D library: a depth buffer in numpy, for videos."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

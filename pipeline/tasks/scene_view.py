@@ -1,7 +1,5 @@
 """The bodies of a recorded rollout and their poses at every tick, for 3D views."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -4,8 +4,6 @@ The fingers touch a piece of the rim from inside and outside. Size, taper, weigh
 the paper and are chosen here. Cups are tapered rings of flat walls with a bottom.
 """
 
-from __future__ import annotations
-
 import math
 import zlib
 from functools import lru_cache, partial

@@ -1,7 +1,5 @@
 """Success rates with their intervals."""
 
-from __future__ import annotations
-
 import math
 
 Z_95 = 1.959963984540054  # standard normal quantile of 0.975

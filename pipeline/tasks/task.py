@@ -1,7 +1,5 @@
 """What a task is: trials of cases, each a rollout with decisions and an outcome. All values can be pickled."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path

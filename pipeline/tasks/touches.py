@@ -4,8 +4,6 @@ A finger is a place for a sensor: the source records there, and for truth the ta
 is a recording of one frame in memory, so that translation, ground truth and error attribution work as on files.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

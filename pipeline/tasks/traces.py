@@ -1,7 +1,5 @@
 """A recorded rollout against time: contact force, commands and motion, and each tick in words."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from pipeline.stages.stage import StepCurve

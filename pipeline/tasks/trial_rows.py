@@ -1,7 +1,5 @@
 """One rollout as a row of a table, and the gaps of its decisions."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Recorded rollouts of a folder as rows: what was tried, how it ended, and what was wrong at the decision."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from pipeline.base.errors import FileProblem, TouchError

@@ -4,8 +4,6 @@ Instances with more or less noise, a fixed pattern (the membrane's texture), blo
 not return to rest, borders and holes without a value.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import lru_cache
 

@@ -3,8 +3,6 @@
 The contact depends on a number alone and is cached; the depth camera's noise is sampled on every use (`bubble_noise`).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import lru_cache
 

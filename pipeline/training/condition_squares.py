@@ -4,8 +4,6 @@ Touch to touch needs pairs of a gel and a bubble (`touch_pairs`), touch to depth
 (`target_touches`). The target is as described and without noise; the source is any sensor instance, with noise.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, TypeVar, cast

@@ -3,8 +3,6 @@
 The target's touch is the recording's truth, or the depth estimated from its frame.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any

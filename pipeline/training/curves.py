@@ -1,7 +1,5 @@
 """Learning curves as tables and as a figure."""
 
-from __future__ import annotations
-
 import csv
 import io
 from collections.abc import Sequence

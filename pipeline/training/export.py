@@ -1,7 +1,5 @@
 """Export of a training run as weights with their model card."""
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Mapping

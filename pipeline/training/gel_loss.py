@@ -1,8 +1,6 @@
 """Loss of the network that corrects the physical depth of gels (`networks.gel_depth`)."""
 
 # ruff: noqa: TID253 (imported where a loss is computed)
-from __future__ import annotations
-
 from typing import Any
 
 import torch

@@ -3,8 +3,6 @@
 Both validation splits are disjoint, and neither holds a grasp that is trained on.
 """
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence

@@ -5,8 +5,6 @@ gives three samples: the same surface, scaled in depth (exact: a linear layer un
 answers in proportion), under the light of three instances.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from functools import lru_cache

@@ -1,7 +1,5 @@
 """The objects of simulated touches: which ones a data split holds, and how one is sampled."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Literal
 

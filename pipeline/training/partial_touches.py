@@ -5,8 +5,6 @@ smaller object elsewhere. No source is simulated and no generated touch is used:
 (`source_observation`) and the bubble's physics renders it.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 

@@ -1,7 +1,5 @@
 """Recipes: everything that decides the result of a training, as a TOML file that is kept with the weights."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path

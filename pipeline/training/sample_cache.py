@@ -4,8 +4,6 @@ A simulation takes a tenth of a second and training draws each sample many times
 arrays and texts. float32 fields are rounded to float16 when a sample is made, so that it equals the stored one.
 """
 
-from __future__ import annotations
-
 import io
 from collections.abc import Callable
 from dataclasses import fields, replace

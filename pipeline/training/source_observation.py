@@ -5,8 +5,6 @@ observes far more, through a membrane that bridges dents and a camera that blurs
 serves sources of which it has seen no pair.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

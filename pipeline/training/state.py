@@ -1,7 +1,5 @@
 """The state of a training run as one file, replaced in one step so that a kill leaves a complete one."""
 
-from __future__ import annotations
-
 import io
 import json
 from dataclasses import dataclass, field, fields

@@ -4,8 +4,6 @@ The target is pressed onto an object. What a source could observe of that object
 the physical render of that observation is the answer that a network has to improve on.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 

@@ -5,8 +5,6 @@ the mirrored object gives. The gel's image is rendered anew then, by another sen
 symmetric.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any

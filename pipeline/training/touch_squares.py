@@ -4,8 +4,6 @@ Sensor instances differ from press to press as those of a lab do, and frames hav
 surface is also rendered by the nominal sensor, for which touches are generated.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Literal

@@ -4,8 +4,6 @@ The line lies on the source's rest surface, taken as flat. It is transferred to 
 sees a straight line as a straight line.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass

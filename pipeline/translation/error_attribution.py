@@ -5,8 +5,6 @@ replaced twice, first only where it is visible to the source: the rest was outsi
 knows only the touch can recover it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """Normal force of a frame as a quantity that needs no truth, in newtons once two presses of the unit were weighed."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 from pipeline.engine.graph import Graph, StageResult

@@ -1,7 +1,5 @@
 """Frames of a recording to look at first: one with contact, and those that determine its illumination."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import cast
 

@@ -1,7 +1,5 @@
 """Trace of one pixel through all stages, forward and back, by the index maps of the methods."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 from pipeline.engine.graph import StageResult

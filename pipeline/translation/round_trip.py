@@ -4,8 +4,6 @@ It needs no ground truth, so that it ranks the frames of real recordings and of 
 directions keep the shape of the contact; it cannot see an error that the way back undoes, as of the alignment.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Ground truth of a stage, and the difference to it, as a column shows them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Literal

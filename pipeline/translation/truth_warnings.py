@@ -1,7 +1,5 @@
 """Warnings that need ground truth."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

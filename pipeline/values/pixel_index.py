@@ -1,7 +1,5 @@
 """The identity map from pixels of a result to pixels of its frame."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from pipeline.base.arrays import Indices, freeze

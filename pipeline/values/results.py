@@ -3,8 +3,6 @@
 `source_index` points to the stage before (flat, C order; -1 = none), so that a pixel can be traced in both directions.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 

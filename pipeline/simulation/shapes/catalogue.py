@@ -1,7 +1,5 @@
 """The catalogue of objects by name."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 from pipeline.base.errors import SettingProblem

@@ -1,7 +1,5 @@
 """A user's mesh file as an object to press."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

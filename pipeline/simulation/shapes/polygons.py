@@ -1,7 +1,5 @@
 """Plane outlines: area, inset and triangulation, and arcs of a given accuracy."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """Prisms over a plane outline, the tactile face at z = 0 with a chamfered or rounded edge."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

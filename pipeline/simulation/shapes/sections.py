@@ -5,8 +5,6 @@ radius: arms of 30 mm length and 15 mm width, 37 mm from one finger to the other
 shoulders, gels do not.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """An object to press."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from pipeline.geometry.meshes import Mesh

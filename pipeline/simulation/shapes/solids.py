@@ -3,8 +3,6 @@
 Triangles run counter-clockwise seen from outside.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """The objects of the downstream tasks: three tools, a pencil, a cup's rim and a marble; and the sample's elbow."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -4,8 +4,6 @@ Like the lab's tools, they are ridges proud of bodies with rounded shoulders: a 
 body too. Ball and peg end a shaft.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Six shapes that training never sees: each differs from the twelve in geometry, not only in size."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

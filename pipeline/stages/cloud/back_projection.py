@@ -1,7 +1,5 @@
 """Back-projection of contact pixels to points in the target frame (paper, depth adaptation stage, eq. P_T)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The stage *cloud*: contact points in the target's frame."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from pipeline.base.arrays import Indices, freeze

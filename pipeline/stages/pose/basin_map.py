@@ -1,7 +1,5 @@
 """Basin map of a touch: the starts from which the registration reaches the given pose."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from pipeline.base.arrays import Doubles

@@ -1,7 +1,5 @@
 """Open3D's point-to-plane ICP on sampled points, as in the paper, as a method of the pose stage."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any

@@ -5,8 +5,6 @@ starts are scored by contact and by free space, the best are registered on the o
 ambiguity is reported: unobservable directions, and other poses that fit equally well.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

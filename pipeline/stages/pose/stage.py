@@ -1,7 +1,5 @@
 """The stage *pose*: the object's pose in the target's frame."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 

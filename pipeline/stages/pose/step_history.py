@@ -1,7 +1,5 @@
 """The iterations of a registration: object poses, point correspondences, and why it stopped."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from itertools import pairwise
 

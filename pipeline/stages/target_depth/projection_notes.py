@@ -1,7 +1,5 @@
 """Notes and warnings of the target depth stage."""
 
-from __future__ import annotations
-
 from pipeline.base.arrays import Floats
 from pipeline.base.stage_warnings import AlignmentWarning, StageWarning
 from pipeline.geometry.camera import MIN_DEPTH_MM

@@ -1,7 +1,5 @@
 """Rasterisation of a cloud in a camera image, as points or as the surface of its pixel grid."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from typing import Any

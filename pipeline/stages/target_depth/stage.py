@@ -1,7 +1,5 @@
 """The stage *target_depth*: the cloud as depth and contact in the target's image."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from pipeline.base.arrays import freeze

@@ -5,8 +5,6 @@ as triangles, with 1/Z interpolated linearly in screen space: no holes, and hund
 (benchmarks/reprojection.py).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

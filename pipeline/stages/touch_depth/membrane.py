@@ -4,8 +4,6 @@ A method that computes the membrane (physics) passes it on. Any generated image 
 method, which shows how much of a touch the image preserves.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from pipeline.base.params import NoParams

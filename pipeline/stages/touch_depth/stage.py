@@ -1,7 +1,5 @@
 """The stage *touch_depth*: depth of the generated touch in the target's frame."""
 
-from __future__ import annotations
-
 from pipeline.base.params import NoParams
 from pipeline.engine.graph import Method, skip_if_exact
 from pipeline.stages.depth.photometric import DepthParams
