@@ -16,7 +16,7 @@ from pipeline.geometry.camera import Camera
 from pipeline.values.results import DepthErrorModel, DepthMap
 
 COMPUTED = DepthErrorModel(rms_mm=0.01, correlation_mm=0.5)  # where a depth map does not state its error
-N_POINTS = 1500  # of a surface: twice as many change a pose by less than its uncertainty
+N_POINTS = 800  # of a surface: twice as many change a pose by a fifth of its uncertainty
 MIN_POINTS = 60  # fewer moved pixels are no touch that could be followed
 _MOVED_SHARE, _MOVED_MM = 0.15, 0.03  # moved: indented by this share of the touch, and at least by that much
 _RIM_MM = 0.8  # moved part around the contact that takes part
@@ -74,11 +74,7 @@ class MembraneSurface:
     depth_mm: Floats  # (rows, cols) as measured; NaN = no value
     pixels: Doubles  # (n, 2) x, y of chosen moved pixels
     error: DepthErrorModel
-
-    @property
-    def pixel_mm(self) -> float:
-        """Width of a pixel on the membrane."""
-        return float(np.median(self.levels[-1].depth_mm)) / self.camera.fx_px
+    pixel_mm: float  # width of a pixel on the membrane
 
     @property
     def is_touched(self) -> bool:
@@ -92,10 +88,9 @@ def make_surface(depth: DepthMap) -> MembraneSurface:
 
     known = np.isfinite(depth.depth_mm) & np.isfinite(depth.indentation_mm)
     indentation = np.where(known, depth.indentation_mm, np.float32(0.0))
-    filled: Floats = np.where(known, depth.depth_mm, np.nanmedian(depth.depth_mm) if known.any() else 0.0).astype(
-        np.float32
-    )
-    pixel_mm = float(np.median(filled)) / depth.camera.fx_px
+    typical_mm = float(np.median(depth.depth_mm[known])) if known.any() else 0.0
+    filled: Floats = np.where(known, depth.depth_mm, np.float32(typical_mm))
+    pixel_mm = typical_mm / depth.camera.fx_px
     moved = _find_moved(indentation, depth.contact, _RIM_MM / max(pixel_mm, 1e-9))
     fine_px = min(max(1.0, _SMOOTHING_MM / max(pixel_mm, 1e-9)), _MAX_SMOOTHING_PX)
     unknown_px = cv2.distanceTransform(known.astype(np.uint8), cv2.DIST_L2, 3) if not known.all() else None
@@ -112,6 +107,7 @@ def make_surface(depth: DepthMap) -> MembraneSurface:
         moved=moved.astype(np.float32), contact=depth.contact,
         outline_mm=_measure_outline(depth.contact, pixel_mm), depth_mm=depth.depth_mm,
         pixels=freeze(np.column_stack([cols, rows]).astype(np.float64)), error=depth.error or COMPUTED,
+        pixel_mm=pixel_mm,
     )  # fmt: skip
 
 

@@ -29,7 +29,7 @@ from pipeline.tracking.membrane_surface import (
 )
 
 _DISTANCE_MM, _NORMAL_RAD, _OUTLINE_MM = 0.02, 0.05, 0.1  # least expected errors, which weigh the residuals
-_OUTLINE_PX = 0.5  # an outline is known to half a pixel
+_OUTLINE_PX = 1.0  # an outline is known to a pixel
 _DISTINCT = 0.3  # change of the distance to the outline per mm: 1 where it is straight, less where it is confused
 
 

@@ -12,6 +12,7 @@ from pipeline.base.progress import SILENT, Progress
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh
 from pipeline.tracking.membrane_surface import make_surface
+from pipeline.tracking.motion_smoothing import smooth_frames
 from pipeline.tracking.patch_map import ContactView, close_loops, fuse_views, make_view, move_to_keys
 from pipeline.tracking.track_record import MOTION, TrackError, TrackRecord, TrackRow
 from pipeline.tracking.tracker import KeyFrame, TrackedFrame, Tracker
@@ -48,7 +49,7 @@ def track_frames(
 ) -> Track:
     """Follow the object through the frames `indices`; `read_depth` gives the membrane of a frame.
 
-    `on_frame` receives every frame, with the key frames so far, before loops are closed.
+    `on_frame` receives every frame, with the key frames so far, before loops are closed and the motion is smoothed.
     """
     tracker, frames, views = Tracker(), list[TrackedFrame](), list[ContactView]()
     seen_at: Doubles | None = None
@@ -65,8 +66,9 @@ def track_frames(
             seen_at = frame.sensor_from_start
     keys, n_loops = close_loops(tracker.keys)
     return Track(
-        frames=move_to_keys(frames, tracker.keys, keys), keys=keys, n_loops=n_loops, patch=fuse_views(views, keys)
-    )
+        frames=smooth_frames(move_to_keys(frames, tracker.keys, keys)), keys=keys, n_loops=n_loops,
+        patch=fuse_views(views, keys),
+    )  # fmt: skip
 
 
 def _is_elsewhere(pose: Doubles, before: Doubles | None) -> bool:

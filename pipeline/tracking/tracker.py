@@ -1,6 +1,6 @@
 """Follow a touched object through a recording without its mesh.
 
-Each frame is registered to the key frame that overlaps it most, from the motion that the last two frames predict. A
+Each frame is registered to the key frame that overlaps it most, from the motion that the frames before predict. A
 frame that overlaps its key frame too little becomes a key frame itself. A return to an earlier place is measured
 against the key frame of that place, so that drift does not add up. A frame that agrees with no key frame is lost, and
 says so; it is looked for again in the frames after it.
@@ -23,6 +23,7 @@ NEW_KEY_OVERLAP = 0.7  # less overlap with its key frame makes a frame a key fra
 MIN_OVERLAP = 0.35  # less is no evidence of the same place
 MIN_AGREEMENT = 0.5  # share of points whose residuals are as small as expected; unrelated touches reach a third
 GIVE_UP_AFTER = 10  # lost frames, after which the next touch starts a part of its own
+_SMOOTHING = 0.3  # weight of the newest step in the velocity: a bubble's steps are smaller than their errors
 _PREDICTED_OVERLAP = 0.5  # key frames that overlap less are not tried
 
 
@@ -142,7 +143,10 @@ class Tracker:
         now = freeze(orthonormalise(fit.current_from_key @ key.sensor_from_start))
         # Nothing measures a motion along a weak direction: extrapolated, noise would become a drift.
         is_known = not (self._n_lost or fit.weak_directions)
-        self._velocity = now @ rigid.invert(self._last) if is_known else np.eye(4)
+        step = now @ rigid.invert(self._last)
+        self._velocity = (
+            orthonormalise(self._velocity + _SMOOTHING * (step - self._velocity)) if is_known else np.eye(4)
+        )
         self._last, self._n_lost = now, 0
         covariance = freeze(key.covariance + fit.covariance)
         frame = TrackedFrame(
