@@ -113,15 +113,11 @@ def refine_alignment(
     tolerance
         Directions with a predicted standard deviation above this times 0.2 mm or 1 degree stay unchanged.
     """
-    if out.suffix != ALIGNMENT_SUFFIX:
-        raise FileProblem("an alignment is written as TOML; give --out a name that ends in .toml", out)
-    if out.exists():
-        raise FileProblem("this alignment exists already and is kept; choose another --out", out)
+    prepare_alignment_file(out)
     if not 0.0 <= hold_out < 1.0:
         raise SettingProblem(f"--hold-out is a share of the frames, at least 0 and below 1, got {hold_out:g}")
     if not tolerance > 0:
         raise SettingProblem(f"--tolerance must be above 0, got {tolerance:g}")
-    prepare_folder_for(out)
     with (
         closing(open_translation(touches.build_request(recording, alignment))) as translation,
         create_progress_bar() as bar,
@@ -136,9 +132,23 @@ def refine_alignment(
         alignment=fit.alignment, source=translation.source.name, target=translation.target.name,
         origin=f"refined on {len(used)} touches of {recording.name}, change stored in {into}",
     )  # fmt: skip
-    save_alignment(out, file)
-    print_line(f"alignment written to {os.fspath(out)}")
+    write_alignment(out, file)
     return 0
+
+
+def prepare_alignment_file(out: Path) -> None:
+    """Make sure that an alignment can be written to `out`; raises FileProblem if it exists or is not named .toml."""
+    if out.suffix != ALIGNMENT_SUFFIX:
+        raise FileProblem("an alignment is written as TOML; give --out a name that ends in .toml", out)
+    if out.exists():
+        raise FileProblem("this alignment exists already and is kept; choose another --out", out)
+    prepare_folder_for(out)
+
+
+def write_alignment(out: Path, file: AlignmentFile) -> None:
+    """Write an alignment and print where; raises FileProblem."""
+    save_alignment(out, file)
+    print_line(f"alignment written to {os.fspath(out)}; use it with --alignment")
 
 
 def split_held_out(

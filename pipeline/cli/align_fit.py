@@ -1,7 +1,6 @@
 """`tactoscope align fit`: the alignment of two sensors from a few paired touches, without an initial one."""
 
 import math
-import os
 from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
@@ -14,17 +13,16 @@ from pipeline.alignment.refine import refine_alignment
 from pipeline.alignment.rigid_start import align_rigidly, align_tiles, compute_described_scale
 from pipeline.alignment.touch_imprints import make_touch_pairs
 from pipeline.alignment.touches import load_paired_touches
-from pipeline.base.errors import FileProblem, SettingProblem
-from pipeline.base.files import prepare_folder_for
+from pipeline.base.errors import SettingProblem
 from pipeline.base.frame_lists import parse_frames
 from pipeline.base.stage_warnings import StageWarning
-from pipeline.cli.align import PairedTouchOptions, print_refinement
+from pipeline.cli.align import PairedTouchOptions, prepare_alignment_file, print_refinement, write_alignment
 from pipeline.cli.terminal import ProgressBar, create_progress_bar, print_line
 from pipeline.imprints.fitting import PairsFit, fit_pairs, score_fit
 from pipeline.imprints.tiles import SOURCE_TILES, TARGET_TILES, ImprintPairs, load_tile_pairs
 from pipeline.imprints.transfer import FREE_PARAMETERS, ImprintPair
 from pipeline.sensors.alignment import resolve_alignment
-from pipeline.sensors.alignment_files import ALIGNMENT_SUFFIX, AlignmentFile, save_alignment
+from pipeline.sensors.alignment_files import AlignmentFile
 from pipeline.sensors.spec import load_sensor
 from pipeline.translation.translate import open_translation
 
@@ -80,7 +78,7 @@ def _fit_tiles(
 ) -> int:
     source, target = load_sensor(touches.sensor or "gelslim"), load_sensor(touches.target)
     if out is not None:
-        _check_new_file(out)
+        prepare_alignment_file(out)
     loaded = load_tile_pairs(folder, source, *names)
     used, held_out = _split_pairs(loaded.pairs, use, seed)
     with create_progress_bar() as bar:
@@ -96,7 +94,7 @@ def _fit_tiles(
     if out is not None:
         origin = f"in-plane motion fitted to {len(used)} pairs of tiles of {folder.name}"
         alignment = align_tiles(answer.transfer, source, target, described)
-        _save(out, AlignmentFile(alignment=alignment, source=source.name, target=target.name, origin=origin))
+        write_alignment(out, AlignmentFile(alignment=alignment, source=source.name, target=target.name, origin=origin))
     return 0
 
 
@@ -104,7 +102,7 @@ def _fit_recording(recording: Path, options: PairedTouchOptions, out: Path | Non
     """Fit to touches of both sensors, refine in all six directions, and write the alignment."""
     if out is None:
         raise SettingProblem("a recording gives a metric alignment; name the .toml for it with --out")
-    _check_new_file(out)
+    prepare_alignment_file(out)
     with closing(open_translation(options.build_request(recording))) as translation, create_progress_bar() as bar:
         frames = parse_frames(options.frames, translation.n_frames)
         loaded = load_paired_touches(translation, frames, exact=options.truth, progress=ProgressBar(bar))
@@ -124,20 +122,9 @@ def _fit_recording(recording: Path, options: PairedTouchOptions, out: Path | Non
     print_line(f"indentation of the touches used: {_format_depths(used)} mm (median of the deepest points; range)")
     print_refinement(refined)
     origin = f"fitted to {len(used)} touches of {recording.name}, without an initial alignment"
-    _save(out, AlignmentFile(alignment=refined.alignment, source=translation.source.name,
+    write_alignment(out, AlignmentFile(alignment=refined.alignment, source=translation.source.name,
                              target=translation.target.name, origin=origin))  # fmt: skip
     return 0
-
-
-def _check_new_file(out: Path) -> None:
-    if out.suffix != ALIGNMENT_SUFFIX or out.exists():
-        raise FileProblem("--out must be a new file whose name ends in .toml", out)
-    prepare_folder_for(out)
-
-
-def _save(out: Path, file: AlignmentFile) -> None:
-    save_alignment(out, file)
-    print_line(f"alignment written to {os.fspath(out)}; use it with --alignment")
 
 
 def _split_pairs(pairs: Sequence[ImprintPair], use: int, seed: int) -> tuple[list[ImprintPair], list[ImprintPair]]:

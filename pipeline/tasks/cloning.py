@@ -18,7 +18,7 @@ from pipeline.base.params import setting
 from pipeline.tasks.marble import command_as_expert
 from pipeline.tasks.marble_trial import TARGET, draw_trial
 from pipeline.tasks.policy import shrink_image
-from pipeline.training.task import VALIDATION_SEED, seed_setting
+from pipeline.training.task import VALIDATION_SEED
 
 if TYPE_CHECKING:
     from torch import Tensor, nn
@@ -37,7 +37,7 @@ class ClonedPolicyTask:
     )
     n_ticks: int = setting(25, "Ticks", low=1, high=1000, help="of each demonstration")
     noise_mm: float = setting(0.5, "Motion noise", unit="mm", low=0.0, high=10.0, help="deviation of the plate's steps")
-    demonstration_seed: int = seed_setting()
+    demonstration_seed: int = setting(1, "Seed of presses", low=0, high=2**31 - 1)
 
     def sample(self, rng: np.random.Generator) -> Example:
         """An image of the target and the expert's step."""

@@ -16,7 +16,7 @@ from pipeline.stages.depth.bubble_network_input import make_network_input
 from pipeline.stages.depth.bubble_network_output import decode_tensors
 from pipeline.training import bubble_noise, bubble_presses
 from pipeline.training.bubble_presses import BubblePress
-from pipeline.training.task import VALIDATION_SEED, folder_setting, presses_setting, seed_setting
+from pipeline.training.task import VALIDATION_SEED, SimulatedPresses
 
 if TYPE_CHECKING:
     from torch import Tensor, nn
@@ -30,12 +30,9 @@ _SMALL_CONTACT_PX = 50.0  # contacts of fewer pixels weigh less
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class BubbleDepthTask:
+class BubbleDepthTask(SimulatedPresses):
     """Settings of the examples and weights of the loss."""
 
-    n_presses: int = presses_setting()
-    press_seed: int = seed_setting()
-    folder: str = folder_setting()
     side: int = setting(140, "Crop side", unit="px", low=32, high=1024, step=2, help="of the square cut from a frame")
     membrane_weight: float = setting(0.5, "Membrane weight", low=0.0, high=100.0)
     mask_weight: float = setting(0.15, "Mask weight", low=0.0, high=100.0)

@@ -4,27 +4,23 @@ Touch to touch needs pairs of a gel and a bubble (`touch_pairs`), touch to depth
 (`target_touches`). The target is as described and without noise; the source is any sensor instance, with noise.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, TypeVar, cast
+from typing import Any, cast
 
 import numpy as np
 
 from pipeline.base.arrays import Floats
-from pipeline.base.errors import SettingProblem
 from pipeline.networks.square_images import resize_to_square
 from pipeline.sensors.alignment import resolve_alignment
 from pipeline.sensors.spec import SensorSpec, load_sensor
 from pipeline.simulation.press import render_sensor_image
 from pipeline.stages.touch.depth_condition import build_depth_square, make_working_sensor
 from pipeline.stages.touch.latent_diffusion import build_image_square
-from pipeline.training.object_sampling import DataSplit
+from pipeline.training.object_sampling import DataSplit, find_next_contact
 from pipeline.training.target_touches import simulate_target_touch
 from pipeline.training.touch_pairs import BUBBLE, TouchPair, mirror_pair, place_nominal_sensors, simulate_touch_pair
 
-_MAX_EMPTY = 100  # touches in a row without contact
 _NOISE_MM, _GRAIN_PX = 0.4, 0.8  # of one depth frame of a bubble
-T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,7 +47,7 @@ class SquareRequest:
     def _make_depth_example(
         self, split: DataSplit, seed: int, index: int, rng: np.random.Generator, augmented: bool
     ) -> tuple[Floats, Floats]:
-        touch = _find_next(lambda k: simulate_target_touch(self.target, split, seed, k, self.folder), index)
+        touch = find_next_contact(lambda k: simulate_target_touch(self.target, split, seed, k, self.folder), index)
         sensor = make_working_sensor(load_sensor(self.target))
         fields = touch.observed_mm, touch.observed, touch.in_view, touch.target_mm
         observed_mm, observed, in_view, target_mm = _flip(fields, rng) if augmented else fields
@@ -66,7 +62,7 @@ class SquareRequest:
         def find(k: int) -> TouchPair | None:
             return simulate_touch_pair(split, seed, k, self.folder, bubble_alone=not onto_bubble)
 
-        pair = _find_next(find, index)
+        pair = find_next_contact(find, index)
         pair = mirror_pair(pair, rng) if augmented else pair
         gel, bubble = place_nominal_sensors(float(pair.deeper_mm[0]))
         if onto_bubble:
@@ -92,13 +88,6 @@ def sample_depth_noise(rng: np.random.Generator, shape: tuple[int, ...]) -> Floa
     white = rng.standard_normal(shape).astype(np.float32)
     grains = np.asarray(cv2.GaussianBlur(white, (0, 0), _GRAIN_PX), np.float32)
     return grains * np.float32(np.sqrt(2.0) * _NOISE_MM * rng.uniform(0.7, 1.2) / grains.std())
-
-
-def _find_next(get: Callable[[int], T | None], index: int) -> T:
-    touch = next((found for k in range(index, index + _MAX_EMPTY) if (found := get(k)) is not None), None)
-    if touch is None:
-        raise SettingProblem(f"no contact in {_MAX_EMPTY} touches from {index} on; choose another press_seed")
-    return touch
 
 
 def _flip(fields: tuple[Any, ...], rng: np.random.Generator) -> tuple[Any, ...]:

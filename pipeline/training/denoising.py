@@ -22,6 +22,7 @@ from pipeline.sensors.spec import load_sensor
 from pipeline.stages.touch.confidence_weighting import compute_wiener_gain
 from pipeline.stages.touch.residual_diffusion import LOG_ERROR_RANGE
 from pipeline.training.distributed import unwrap_network
+from pipeline.training.task import SimulatedPresses
 
 if TYPE_CHECKING:
     from torch import Tensor, nn
@@ -38,7 +39,7 @@ TargetSensor = Literal["soft_bubble", "gelslim"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class DenoisingTask:
+class DenoisingTask(SimulatedPresses):
     """Settings of every task whose network denoises a residual of the target's touch."""
 
     target: TargetSensor = setting("soft_bubble", "Target", choices=TargetSensor)

@@ -12,7 +12,7 @@ from pipeline.base.params import setting
 from pipeline.stages.depth import gel_network_input
 from pipeline.training import instance_samples
 from pipeline.training.instance_samples import InstanceSample
-from pipeline.training.task import VALIDATION_SEED, folder_setting, seed_setting
+from pipeline.training.task import VALIDATION_SEED, StoredPresses
 
 if TYPE_CHECKING:
     from torch import Tensor, nn
@@ -23,12 +23,10 @@ _UM_PER_MM = 1e3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class GelInstancesTask:
+class GelInstancesTask(StoredPresses):
     """Settings of the examples."""
 
     n_frames: int = setting(18_000, "Frames", low=1, high=10_000_000, help="that all examples are drawn from")
-    press_seed: int = seed_setting()
-    folder: str = folder_setting()
 
     def sample(self, rng: np.random.Generator) -> Example:
         """One frame, mirrored or not."""

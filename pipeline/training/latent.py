@@ -27,13 +27,7 @@ from pipeline.training.condition_squares import SquareRequest
 from pipeline.training.denoising import TargetSensor
 from pipeline.training.distributed import unwrap_network
 from pipeline.training.recorded_pairs import RecordedPair
-from pipeline.training.task import (
-    VALIDATION_SEED,
-    augmentation_setting,
-    folder_setting,
-    presses_setting,
-    seed_setting,
-)
+from pipeline.training.task import VALIDATION_SEED, SimulatedPresses, augmentation_setting
 from pipeline.training.touch_squares import list_pair_sensors, read_square_pair
 
 if TYPE_CHECKING:
@@ -47,16 +41,13 @@ _LATENT_CHANNELS, _LATENT_DOWNSAMPLING, _N_TIMES = 4, 8, 1000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class LatentTask:
+class LatentTask(SimulatedPresses):
     """Settings of the examples and weights of the loss."""
 
     target: TargetSensor = setting("soft_bubble", "Target", choices=TargetSensor)
     condition: Condition = setting(
         "image", "Condition", choices=Condition, help="must equal `condition` of the network; image in the paper's T2T"
     )
-    n_presses: int = presses_setting()
-    press_seed: int = seed_setting()
-    folder: str = folder_setting()
     augmentation_share: float = augmentation_setting()
     side: int = setting(SIDE, "Image side", unit="px", low=32, high=512, step=32, help="256 in the paper")
     trained_part: TrainedPart = setting(

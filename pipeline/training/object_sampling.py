@@ -1,11 +1,13 @@
 """The objects of simulated touches: which ones a data split holds, and how one is sampled."""
 
+from collections.abc import Callable
 from dataclasses import replace
-from typing import Literal
+from typing import Literal, TypeVar
 
 import numpy as np
 
 from pipeline.base.arrays import freeze
+from pipeline.base.errors import SettingProblem
 from pipeline.geometry.meshes import Mesh
 from pipeline.simulation import shapes
 from pipeline.simulation.random_bodies import make_random_body
@@ -16,6 +18,8 @@ DATA_SPLITS: tuple[DataSplit, ...] = ("training", "unseen_grasps", "unseen_tools
 networks that see one sensor alone. The position of a split is part of its random seeds.
 """
 _SMALL_MM = 6.0, 17.0  # extent of small bodies
+_MAX_EMPTY = 100  # touches in a row without contact
+T = TypeVar("T")
 
 
 def sample_object(
@@ -34,6 +38,15 @@ def sample_object(
     }[split]  # fmt: skip
     name = names[int(rng.integers(len(names))) if split == "training" else index % len(names)]
     return name, shapes.make_shape(name).mesh
+
+
+def find_next_contact(simulate: Callable[[int], T | None], index: int) -> T:
+    """Touch `index`, or the next one that `simulate` returns; raises SettingProblem after a hundred without contact."""
+    for k in range(index, index + _MAX_EMPTY):
+        touch = simulate(k)
+        if touch is not None:
+            return touch
+    raise SettingProblem(f"no contact in {_MAX_EMPTY} touches from {index} on; choose another press_seed")
 
 
 def _make_small_body(rng: np.random.Generator) -> Mesh:

@@ -102,24 +102,23 @@ def import_task_class(name: str) -> type[Any]:
     return getattr(importlib.import_module(module), class_name)
 
 
-# Settings that several tasks share.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StoredPresses:
+    """Settings of the simulated presses that a task's examples are made of."""
+
+    press_seed: int = setting(1, "Seed of presses", low=0, high=2**31 - 1)
+    folder: str = setting("", "Folder", help="stores simulated presses for other runs; empty = simulated in every run")
 
 
-def presses_setting() -> Any:
-    """Number of simulated presses."""
-    return setting(2000, "Presses", low=1, high=10_000_000, help="simulated presses that all examples are drawn from")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SimulatedPresses(StoredPresses):
+    """Settings of a task whose examples are drawn from a number of presses."""
+
+    n_presses: int = setting(
+        2000, "Presses", low=1, high=10_000_000, help="simulated presses that all examples are drawn from"
+    )
 
 
-def seed_setting() -> Any:
-    """Seed of the simulated presses."""
-    return setting(1, "Seed of presses", low=0, high=2**31 - 1)
-
-
-def folder_setting() -> Any:
-    """Folder that stores simulated presses."""
-    return setting("", "Folder", help="stores simulated presses for other runs; empty = simulated in every run")
-
-
-def augmentation_setting(label: str = "Augmentation share", help: str = "rotated or mirrored examples") -> Any:  # noqa: A002 - as `setting` has it
+def augmentation_setting(help: str = "rotated or mirrored examples") -> Any:  # noqa: A002 - as `setting` has it
     """Share of augmented examples."""
-    return setting(0.5, label, low=0.0, high=1.0, help=help)
+    return setting(0.5, "Augmentation share", low=0.0, high=1.0, help=help)

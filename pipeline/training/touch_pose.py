@@ -22,13 +22,7 @@ from pipeline.networks.square_images import normalise
 from pipeline.simulation import poses, shapes
 from pipeline.training.object_sampling import DataSplit
 from pipeline.training.partial_touches import simulate_partial_touch
-from pipeline.training.task import (
-    VALIDATION_SEED,
-    augmentation_setting,
-    folder_setting,
-    presses_setting,
-    seed_setting,
-)
+from pipeline.training.task import VALIDATION_SEED, SimulatedPresses, augmentation_setting
 from pipeline.training.touch_squares import load_nominal_sensors, simulate_touch_squares
 
 if TYPE_CHECKING:
@@ -43,16 +37,13 @@ _CHIRAL = ("letters", "cross", "wave")  # y -> -y maps all other objects of the 
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TouchPoseTask:
+class TouchPoseTask(SimulatedPresses):
     """Settings of the examples and weights of the loss."""
 
     sensor: TouchSensor = setting("soft_bubble", "Sensor", choices=TouchSensor)
-    n_presses: int = presses_setting()
     n_paired_presses: int = setting(
         0, "Paired presses", low=0, high=10_000_000, help="further presses, of the training objects of pairs"
     )
-    press_seed: int = seed_setting()
-    folder: str = folder_setting()
     name_weight: float = setting(0.3, "Class weight", low=0.0, high=100.0, help="of the object's class")
     partial_share: float = setting(
         0.7, "Partial share", low=0.0, high=1.0, help="partial touches; half of them are mixed with the whole touch"

@@ -14,13 +14,7 @@ from pipeline.stages.touch.depth_condition import build_depth_condition
 from pipeline.training.denoising import DenoisingTask
 from pipeline.training.object_sampling import DataSplit
 from pipeline.training.target_touches import TargetTouchSample, simulate_target_touch
-from pipeline.training.task import (
-    VALIDATION_SEED,
-    augmentation_setting,
-    folder_setting,
-    presses_setting,
-    seed_setting,
-)
+from pipeline.training.task import VALIDATION_SEED, augmentation_setting
 
 if TYPE_CHECKING:
     from pipeline.training.task import Example, Split
@@ -32,9 +26,6 @@ MAX_EMPTY = 100  # touches in a row without a contact
 class TouchResidualTask(DenoisingTask):
     """Settings of the examples and weights of the loss."""
 
-    n_presses: int = presses_setting()
-    press_seed: int = seed_setting()
-    folder: str = folder_setting()
     augmentation_share: float = augmentation_setting()
 
     def sample(self, rng: np.random.Generator) -> Example:

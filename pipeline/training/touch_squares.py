@@ -11,13 +11,12 @@ from typing import Literal
 import numpy as np
 
 from pipeline.base.arrays import Doubles, Floats, freeze
-from pipeline.base.errors import SettingProblem
 from pipeline.networks.square_images import SIDE, resize_to_square
 from pipeline.sensors.spec import SensorSpec, load_sensor
 from pipeline.simulation import poses, variation
 from pipeline.simulation.datasets import BUBBLE_DEEPER_MM
 from pipeline.simulation.press import move_bubble_closer, render_sensor_image, simulate_press
-from pipeline.training.object_sampling import DATA_SPLITS, DataSplit, sample_object
+from pipeline.training.object_sampling import DATA_SPLITS, DataSplit, find_next_contact, sample_object
 from pipeline.training.recorded_pairs import RecordedPair
 from pipeline.training.sample_cache import SampleCache
 from pipeline.training.touch_pairs import BUBBLE, GEL
@@ -26,7 +25,6 @@ Direction = Literal["gel_to_bubble", "bubble_to_gel"]
 VERSION = 3  # part of the seeds: incremented when the same number gives another touch
 _CATALOGUE_SHARE = 0.6  # training objects in training; the others are random bodies
 _GEL_DOWNSAMPLING = 3  # of the gel's contact, which is still finer than a square
-_MAX_EMPTY = 100  # presses in a row without a contact on both sensors
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,13 +63,12 @@ def simulate_touch_squares(split: DataSplit, seed: int, index: int, folder: str 
 
     Raises SettingProblem where none of the next hundred has one.
     """
-    for number in range(index, index + _MAX_EMPTY):
-        touch = _touches.get(
-            f"squares_{split}_{seed}_{number}", folder, lambda k=number: _simulate_squares(split, seed, k)
-        )
-        if touch.exact_imprint_mm.any() and touch.gel_change.any():
-            return touch
-    raise SettingProblem(f"no contact in {_MAX_EMPTY} presses from {index} on; choose another press_seed")
+
+    def simulate(k: int) -> TouchSquares | None:
+        touch = _touches.get(f"squares_{split}_{seed}_{k}", folder, lambda: _simulate_squares(split, seed, k))
+        return touch if touch.exact_imprint_mm.any() and touch.gel_change.any() else None
+
+    return find_next_contact(simulate, index)
 
 
 def read_square_pair(pair: RecordedPair, side: int = SIDE) -> SquarePair:

@@ -15,13 +15,7 @@ from pipeline.training.conditioned_touch import ConditionedTouch, condition_reco
 from pipeline.training.denoising import DenoisingTask
 from pipeline.training.object_sampling import DataSplit
 from pipeline.training.recorded_pairs import RecordedPair
-from pipeline.training.task import (
-    VALIDATION_SEED,
-    augmentation_setting,
-    folder_setting,
-    presses_setting,
-    seed_setting,
-)
+from pipeline.training.task import VALIDATION_SEED, augmentation_setting
 from pipeline.training.touch_pairs import (
     BUBBLE,
     GEL,
@@ -41,9 +35,6 @@ if TYPE_CHECKING:
 class TouchToTouchTask(DenoisingTask):
     """Settings of the examples and weights of the loss; the sensor that is not the target is the source."""
 
-    n_presses: int = presses_setting()
-    press_seed: int = seed_setting()
-    folder: str = folder_setting()
     augmentation_share: float = augmentation_setting(
         help="rotated or mirrored examples; three in four of them, for a gel source, with a new image"
     )

@@ -17,7 +17,7 @@ from pipeline.sensors.spec import load_sensor
 from pipeline.stages.touch.image_condition import reproject_square
 from pipeline.training.distributed import unwrap_network
 from pipeline.training.recorded_pairs import RecordedPair
-from pipeline.training.task import VALIDATION_SEED, folder_setting, presses_setting, seed_setting
+from pipeline.training.task import VALIDATION_SEED, SimulatedPresses
 from pipeline.training.touch_pairs import BUBBLE, GEL
 from pipeline.training.touch_squares import (
     Direction,
@@ -37,13 +37,10 @@ _TOUCHED_SHARE = 0.05  # of the largest change: larger changes count as touched
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class VqVaeTask:
+class VqVaeTask(SimulatedPresses):
     """Settings of the examples and weights of the loss."""
 
     direction: Direction = setting("gel_to_bubble", "Direction", choices=Direction)
-    n_presses: int = presses_setting()
-    press_seed: int = seed_setting()
-    folder: str = folder_setting()
     mirror_share: float = setting(
         0.0, "Mirrored share", low=0.0, high=1.0, help="as in the paper; a mirrored gel has mirrored LEDs"
     )
