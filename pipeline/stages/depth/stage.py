@@ -17,7 +17,7 @@ PHYSICS = Method(
     run=skip_if_exact(photometric.skip_without_contact, photometric.estimate_depth_with_notes),
     params=photometric.DepthParams,
     reads=("frame", "source", "calibration"),
-    version=15,
+    version=16,
     draft=photometric.make_draft_params,
 )
 NETWORK = Method(
@@ -30,7 +30,7 @@ NETWORK = Method(
     ),
     params=network.NetworkParams,
     reads=(*PHYSICS.reads, "depth_weights"),
-    version=7,
+    version=8,
     draft=photometric.make_draft_params,
     weights=network.select_weights,
 )
