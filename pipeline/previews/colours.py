@@ -3,8 +3,6 @@
 Depth is viridis, signed differences use a diverging map with a neutral centre, categories are Okabe-Ito. No rainbow.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Literal

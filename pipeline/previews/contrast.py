@@ -1,7 +1,5 @@
 """Colour limits fitted to a touch, for a presentation: they only widen, so that colours do not flicker."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

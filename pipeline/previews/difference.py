@@ -1,7 +1,5 @@
 """Preview of the difference between a computed value and the truth, on a scale of its own."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Display parameters; no method reads them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

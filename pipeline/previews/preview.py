@@ -1,7 +1,5 @@
 """Preview of a value: pixels with values, positions and outlines as plain arrays, headless."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple

@@ -1,7 +1,5 @@
 """Tile of a comparison: a preview with its text."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 

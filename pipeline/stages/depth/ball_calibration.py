@@ -5,8 +5,6 @@ are what a calibration table has to beat; its depth of the presses as well, as s
 Where it does not, as with few presses, the presses scale the depth of the uncalibrated stage by places (`depth_scale`).
 """
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Sequence

@@ -4,8 +4,6 @@ Constants without a source have no better neighbour in a sweep (docs/experiments
 half as much again changes the error by 1.3 % at most.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

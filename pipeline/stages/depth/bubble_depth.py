@@ -1,7 +1,5 @@
 """Depth of a bubble: its depth image, filled and denoised, against the reference."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

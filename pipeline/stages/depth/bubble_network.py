@@ -4,8 +4,6 @@ The photometric counterpart (`bubble_contact`) finds the load behind a noisy mem
 objects and noises. It works on pixels of about `WORKING_PIXEL_MM`; other depth images are resampled there and back.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

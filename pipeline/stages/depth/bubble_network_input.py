@@ -5,8 +5,6 @@ subtracted, which the network corrects. Its curvature shows what air and contact
 reference is a channel as well: its noise is in the displacement a second time, with the opposite sign.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Where a gel's image differs from its reference, and the window in which the surface is estimated."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -19,8 +19,6 @@ contact, and these two end it near their visible rim in the recordings of `bench
 instances alone the first would be 0.24 or less and the second unnecessary.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Literal
 

@@ -3,8 +3,6 @@
 Not a column: a quantity of the stage *depth*, computed where a report, a table or the timeline asks for it.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Depth by Depth Anything V2, the paper's depth network, with weights that the user gives."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -12,8 +12,6 @@ be wrong by a factor as well: by as much as the calibration expects, or as balls
 add as variances.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Drafts of a gel's depth: measured on a downsampled image in a quarter of the time, returned at full resolution."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any, cast

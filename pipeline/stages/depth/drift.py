@@ -9,8 +9,6 @@ fit (Geman and McClure 1985), from a wide scale to a narrow one, so no initial g
 the drift is unknown.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Removal of false contacts: broad, shallow regions that drift of the light leaves next to a touch."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from pipeline.base.arrays import Floats, Mask

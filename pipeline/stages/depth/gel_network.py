@@ -10,8 +10,6 @@ of the whole touch as well. Physics underestimates steep walls, so the network's
 larger than that of physics and in part where it is smaller.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace

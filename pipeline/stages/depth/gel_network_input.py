@@ -13,8 +13,6 @@ A touch twice as deep under LEDs half as bright looks the same except for satura
 shading, and so it does in these channels. The reference is the one that physics compares with, drift removed.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from typing import Any

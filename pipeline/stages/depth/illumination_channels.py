@@ -11,8 +11,6 @@ A bright LED and a steep surface look alike but for the light's curvature, for s
 sensor: instances differ by a tenth or so (`simulation.variation`).
 """
 
-from __future__ import annotations
-
 import functools
 import math
 

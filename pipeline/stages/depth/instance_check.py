@@ -4,8 +4,6 @@ LEDs, paint and glue differ between instances, and with them the image of a gel 
 the lens of one instance drift. The check measures what drift (`drift`) cannot explain of the one image by the other.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from pipeline.base.arrays import Image

@@ -6,8 +6,6 @@ rendered in the light that it was measured by, looks like the recorded change; w
 grains of a dithered film) leaves most of the change unexplained.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from pipeline.base.arrays import Doubles, Floats, Indices, Mask

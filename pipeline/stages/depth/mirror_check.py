@@ -5,8 +5,6 @@ those of a surface, d(gx)/dy = d(gy)/dx; in a mirrored image one of the two is r
 belongs to no surface.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import cast
 

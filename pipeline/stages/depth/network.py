@@ -1,7 +1,5 @@
 """Depth by network: selects the weights and the method for the kind of sensor."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -4,8 +4,6 @@ A gel's picture goes through a colour-to-slope look-up and an exact integration 
 compared with its untouched one (`bubble_depth`).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import TypeVar, cast
 

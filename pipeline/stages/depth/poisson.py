@@ -17,8 +17,6 @@ For slopes with different weights per pixel, `solve_weighted_slopes` minimises s
 gradients, with this integral as the preconditioner.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from functools import lru_cache

@@ -11,8 +11,6 @@ former with the least bending:
 the correction is smooth, so it is computed on a coarse grid.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

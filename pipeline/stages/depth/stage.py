@@ -1,7 +1,5 @@
 """The stage *depth*: indentation, depth and contact of the source sensor."""
 
-from __future__ import annotations
-
 from pipeline.base.params import NoParams
 from pipeline.engine.graph import Method, skip_if_exact
 from pipeline.stages.depth import depth_anything, network, photometric, unet

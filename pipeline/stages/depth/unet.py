@@ -4,8 +4,6 @@ A gel's indentation is that of gelslim_depth. A bubble measures its membrane; th
 the imprint in 8 bits of the range that the paper's latent diffusion uses, too (touch2touch, masks for ICP).
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

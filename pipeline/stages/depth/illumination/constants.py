@@ -3,8 +3,6 @@
 "Chosen" means that `docs/experiments.md` compares the value with neighbours a third less and half as much again.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

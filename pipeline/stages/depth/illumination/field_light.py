@@ -14,8 +14,6 @@ likely such light is (`near_led_prior`). Of surfaces of one shape, that of the d
 with m and P the mean and precision of the prior, f what a pixel's light depends on and w its weight.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Callable

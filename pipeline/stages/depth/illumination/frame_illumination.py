@@ -5,8 +5,6 @@ result of one frame rest on the same light, whichever comes first. It is cached 
 cached on disk as well, as their fit takes as long as several frames.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import cast
 

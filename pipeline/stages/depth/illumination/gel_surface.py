@@ -1,7 +1,5 @@
 """The surface of a gel where its image has changed."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property

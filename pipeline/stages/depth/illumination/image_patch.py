@@ -1,7 +1,5 @@
 """The part of a gel image that is refined: its change, its reference, and the resolution of both."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

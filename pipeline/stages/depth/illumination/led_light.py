@@ -8,8 +8,6 @@ each colour for each of n LEDs; then fall-off, vignette, the logarithms of blur 
 elevation (degrees).
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """The illumination of a gel, and what every light model can do with it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 

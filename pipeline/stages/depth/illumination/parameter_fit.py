@@ -12,8 +12,6 @@ to all LEDs is determined by slopes that are not small, and by C. Several touche
 one: on simulated instances the light fitted to eight is as good as the true one.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

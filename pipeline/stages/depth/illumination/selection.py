@@ -4,8 +4,6 @@ The candidates are tried in the order of `CANDIDATES`; the first that explains t
 light where none does. `docs/illumination.md` says which recordings need which.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -12,8 +12,6 @@ passes the surface at the LED's one elevation. The rest is scattered light that 
 The deviations of an instance are (5 n,) for n LEDs: azimuths (rad), logarithms of the elevations' tangents, shares.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

@@ -23,8 +23,6 @@ itself. In light that is not the instance's own, colours are less certain than t
 the clearest.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from pipeline.base.arrays import Floats
