@@ -4,9 +4,8 @@ import importlib.metadata
 import os
 import platform
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
-
-from pipeline.base.processor_name import describe_processor
 
 N_THREADS = 2
 THREAD_SETTINGS: Mapping[str, str] = {
@@ -18,6 +17,17 @@ THREAD_SETTINGS: Mapping[str, str] = {
     "OMP_WAIT_POLICY": "PASSIVE",  # idle threads of other libraries must not occupy our cores
 }
 _PACKAGES = ("numpy", "scipy", "numba", "opencv-contrib-python-headless", "open3d-cpu", "small_gicp", "torch", "taxim")
+
+
+def describe_processor() -> str:
+    """Return the processor's model name."""
+    try:
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    except OSError:
+        pass  # only Linux has this file
+    return platform.processor() or platform.machine()
 
 
 def describe_machine(environment: Mapping[str, str] = os.environ) -> dict[str, Any]:

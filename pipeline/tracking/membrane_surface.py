@@ -5,8 +5,6 @@ flat face of a tool shows its motion only where the membrane bends around its ed
 follows its own rim.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -10,8 +10,6 @@ coordinate that rests is averaged over all frames, an uneven one stays as measur
 others, so the motion since then is smoothed at both ends.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -5,8 +5,6 @@ registrations, weighted by the inverse of their covariance. The surface is Open3
 the contacts, which is where the membrane has the object's shape.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial

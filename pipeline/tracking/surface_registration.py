@@ -4,8 +4,6 @@ Residuals (`surface_residuals`) that do not move along with the object weigh lit
 that the surface does not determine, such as a slide along a straight rod, keep the prediction (`assess_observability`).
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

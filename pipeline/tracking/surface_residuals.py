@@ -10,8 +10,6 @@ point s and the normal m. Per point, the second as in NormalFlow (Huang, Kaess, 
 each in units of its expected error. A bubble's smooth membrane shows a turn of the object by the outline alone.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

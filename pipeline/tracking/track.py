@@ -1,7 +1,5 @@
 """Track a recording: one stage's depth maps in, motions and a patch map out."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

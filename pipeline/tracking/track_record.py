@@ -1,7 +1,5 @@
 """A track as rows, and as files: a table of its frames, its summary, and the fused surface."""
 
-from __future__ import annotations
-
 import csv
 import io
 import math

@@ -6,8 +6,6 @@ against the key frame of that place, so that drift does not add up. A frame that
 says so; it is looked for again in the frames after it.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 

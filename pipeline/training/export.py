@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from pipeline.base.processor_name import describe_processor
+from pipeline.base.machine import describe_processor
 from pipeline.networks.network_factory import ONNX_KINDS, export_weights
 from pipeline.networks.weights import Weights, save_weights
 from pipeline.networks.weights_registry import TARGET_KIND
