@@ -1,7 +1,5 @@
 """The `tactoscope` command: the headless commands, and `view`, which opens the window."""
 
-from __future__ import annotations
-
 import os
 import sys
 from pathlib import Path

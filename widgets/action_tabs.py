@@ -1,7 +1,5 @@
 """Tabs of commands of which one is checked."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from PyQt6.QtCore import QSignalBlocker, Qt

@@ -1,7 +1,5 @@
 """Alignment dock: six offsets to drag, gauges of the agreement, sensitivity bars, and refinement."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from PyQt6.QtCore import pyqtSignal

@@ -1,7 +1,5 @@
 """One axis of an alignment: a slider and a spin box."""
 
-from __future__ import annotations
-
 from PyQt6.QtCore import QObject, QSignalBlocker, Qt, pyqtSignal
 from PyQt6.QtWidgets import QDoubleSpinBox, QSizePolicy, QSlider
 

@@ -1,7 +1,5 @@
 """Notification of an error: one sentence, buttons that mend it, and details on demand; never modal."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from PyQt6.QtCore import QEvent, Qt

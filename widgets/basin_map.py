@@ -1,7 +1,5 @@
 """Map of where a registration ends for a grid of starts: one colour and letter per pose; a click shows that pose."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -3,8 +3,6 @@
 The rendered image is cached, so that moving the crosshair costs one copy and two lines.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Cells of a table of results: hovering shows what a cell holds, a click chooses it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Combo box of named choices."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Colour bar with limits and unit, a histogram of the values, and the share beyond the limits."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import lru_cache

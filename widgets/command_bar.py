@@ -1,7 +1,5 @@
 """Tool bar whose buttons show their text where there is room for it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Command palette: find every command of the window by a few letters of its name."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from PyQt6.QtCore import QEvent, QObject, Qt

@@ -1,7 +1,5 @@
 """Overlay of a second image on a column's own: wipe with a handle, or blink."""
 
-from __future__ import annotations
-
 from PyQt6.QtCore import QEvent, QObject, QTimer
 from PyQt6.QtGui import QMouseEvent
 

@@ -1,7 +1,5 @@
 """Comparison page: variants of one frame in four tabs (methods, two settings, seeds, parameters)."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import get_args
 

@@ -1,7 +1,5 @@
 """Tabs of the comparison page: controls, a message with progress, and results; one sweeps two parameters."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 from PyQt6.QtCore import Qt

@@ -1,7 +1,5 @@
 """Error attribution as a waterfall: each bar begins where the one before it ends."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 

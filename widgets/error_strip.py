@@ -1,7 +1,5 @@
 """A value of every frame under the timeline slider: errors as bars, quantities as a curve; and frames with warnings."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any

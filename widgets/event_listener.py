@@ -1,7 +1,5 @@
 """Functions called at events of widgets."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 from PyQt6.QtCore import QEvent, QObject

@@ -1,7 +1,5 @@
 """Export dialog: what to export and in which format; non-modal."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from PyQt6.QtCore import pyqtSignal

@@ -1,7 +1,5 @@
 """All stages as thumbnails with their state and warnings; a click selects one."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection, Mapping
 from dataclasses import replace

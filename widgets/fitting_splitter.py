@@ -1,7 +1,5 @@
 """Splitter that chooses the sizes of its contents."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from PyQt6.QtCore import QEvent, Qt

@@ -1,7 +1,5 @@
 """Label for text that changes often: unlike `QLabel`, a new text does not lay out the window again."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from PyQt6.QtCore import QSize, Qt

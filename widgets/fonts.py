@@ -1,7 +1,5 @@
 """Sizes of letters: nothing in the window is smaller than a caption."""
 
-from __future__ import annotations
-
 from PyQt6.QtGui import QFont
 from PyQt6.QtWidgets import QWidget
 

@@ -1,7 +1,5 @@
 """Filter of the frames table: frames for which every term holds."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Callable

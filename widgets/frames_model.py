@@ -1,7 +1,5 @@
 """Table model of the frames: what is known of each, sortable by any metric."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 

@@ -1,7 +1,5 @@
 """Table of frames, sortable and filterable, with keys for the worst frames."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from functools import partial

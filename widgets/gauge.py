@@ -1,7 +1,5 @@
 """One metric as a bar with fixed limits, and a tick at its value before a drag."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

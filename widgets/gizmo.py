@@ -1,7 +1,5 @@
 """Gizmo over an image: arrows translate along x and y, the centre translates freely, the ring rotates."""
 
-from __future__ import annotations
-
 import math
 from typing import Any, Literal
 

@@ -1,7 +1,5 @@
 """Icons in the colours of the current palette: signs of stage states, and commands, from `widgets/drawings`."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 from pathlib import Path
 

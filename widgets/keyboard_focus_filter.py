@@ -1,7 +1,5 @@
 """Keyboard and wheel of controls: the wheel scrolls the panel, Enter returns the focus, Tab enters controls."""
 
-from __future__ import annotations
-
 from PyQt6.QtCore import QEvent, QObject, Qt
 from PyQt6.QtGui import QFocusEvent, QKeyEvent
 from PyQt6.QtWidgets import (

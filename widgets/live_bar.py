@@ -1,7 +1,5 @@
 """Live strip over the stages: rate, problems, set reference, record, back to the newest frame."""
 
-from __future__ import annotations
-
 from PyQt6.QtWidgets import QFrame, QHBoxLayout, QLabel, QSizePolicy
 
 from widgets.styling import fill, make_bold, make_button, set_spacing

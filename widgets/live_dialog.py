@@ -1,7 +1,5 @@
 """Dialog to choose a live sensor: simulated, a connected camera, or a growing folder."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 from PyQt6.QtCore import pyqtSignal

@@ -1,7 +1,5 @@
 """Log panel with a filter by level."""
 
-from __future__ import annotations
-
 import logging
 from collections import deque
 

@@ -1,7 +1,5 @@
 """Magnifier: the pixels around the cursor, enlarged and with their values, in a corner of the image."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Histogram of the frames' metric: a drag over it chooses a range, a click clears it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """Notification: a sentence and buttons of one action or a menu each; never modal."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 from PyQt6.QtCore import QSize, Qt

@@ -1,7 +1,5 @@
 """Notifications over the page: they move nothing, and lie one above the other."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from PyQt6.QtCore import QEvent, QObject, QPoint

@@ -1,7 +1,5 @@
 """Off-screen renderer of the 3D views: layers, cameras, lights and axes, one view at a time."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

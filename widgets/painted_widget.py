@@ -1,7 +1,5 @@
 """Base of widgets that paint themselves."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from PyQt6.QtCore import QSize

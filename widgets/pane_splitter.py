@@ -1,7 +1,5 @@
 """An image and its 3D view in one pane: stacked, or side by side where that makes the image larger."""
 
-from __future__ import annotations
-
 from PyQt6.QtCore import QSize, Qt
 from PyQt6.QtWidgets import QWidget
 

@@ -1,7 +1,5 @@
 """Two or three large panes under a filmstrip of all stages."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any

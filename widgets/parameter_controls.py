@@ -1,7 +1,5 @@
 """Controls for single parameters, derived from their type and `Setting`."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

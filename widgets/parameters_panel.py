@@ -1,7 +1,5 @@
 """Labelled controls for the parameters of all methods, derived from the parameter types."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from functools import partial
 

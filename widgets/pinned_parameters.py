@@ -1,7 +1,5 @@
 """The parameters of a stage that stay in sight, under its preview."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from functools import partial
 

@@ -1,7 +1,5 @@
 """Labels and tooltips show text as it is: a file's notes and names are no markup, and load no images."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from PyQt6.QtCore import Qt

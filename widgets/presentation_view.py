@@ -1,7 +1,5 @@
 """Presentation: two or three images with their titles over the whole screen, and nothing else."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

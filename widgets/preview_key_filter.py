@@ -1,7 +1,5 @@
 """Keyboard control of a preview: cursor pixel, overlay handle, zoom, and the next preview."""
 
-from __future__ import annotations
-
 import numpy as np
 from PyQt6.QtCore import QEvent, QObject, QPointF, Qt, pyqtSignal
 from PyQt6.QtGui import QKeyEvent

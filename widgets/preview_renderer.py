@@ -1,7 +1,5 @@
 """Renders a preview for the screen: fit or zoom, outlines, scale bar, and an overlay."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A stage's preview: pixels, contact outline, scale bar, colour bar, crosshair and pixel value."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

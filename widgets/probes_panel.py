@@ -1,7 +1,5 @@
 """Table of the pinned pixels: value and error of every stage there."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Refinement of an alignment: button, progress, result, and accept or reject."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from html import escape

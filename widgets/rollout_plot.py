@@ -1,7 +1,5 @@
 """Plot of a rollout against time: one strip per quantity, one cursor, and a mark at every decision."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from PyQt6.QtCore import QPointF, QRectF, Qt

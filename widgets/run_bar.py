@@ -1,7 +1,5 @@
 """Start, progress and cancellation of something that runs in the background."""
 
-from __future__ import annotations
-
 import math
 
 from PyQt6.QtWidgets import QHBoxLayout, QProgressBar, QPushButton, QWidget

@@ -1,7 +1,5 @@
 """Section line drawn by mouse on an image: Shift draws a new one; ends can be dragged and moved by arrow keys."""
 
-from __future__ import annotations
-
 from PyQt6.QtCore import QEvent, QObject, QPointF, Qt, pyqtSignal
 from PyQt6.QtGui import QKeyEvent, QMouseEvent
 

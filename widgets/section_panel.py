@@ -1,7 +1,5 @@
 """Section tab: plot, end points as numbers, and a table of the curves."""
 
-from __future__ import annotations
-
 from PyQt6.QtCore import QSignalBlocker, pyqtSignal
 from PyQt6.QtGui import QAction
 from PyQt6.QtWidgets import (

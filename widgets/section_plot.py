@@ -1,7 +1,5 @@
 """Plot of the heights of all stages along one line, over the same millimetres."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any, Literal

@@ -1,7 +1,5 @@
 """Sensitivity bars: how much each metric of the score changes per 0.1 mm or 0.1 degrees of each axis."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from PyQt6.QtCore import QRectF, Qt

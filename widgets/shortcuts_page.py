@@ -1,7 +1,5 @@
 """Help page of all commands and their shortcuts, with a search line."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 from PyQt6.QtGui import QAction, QKeySequence

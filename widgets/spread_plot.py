@@ -1,7 +1,5 @@
 """Reliability plot of a sampler: error against standard deviation; calibrated samplers lie on the diagonal."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """Column of a stage: header with title, method, state and time, and the preview below."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Row of previews over a row of 3D views; both are as high as their content needs at its width."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from PyQt6.QtCore import QEvent, QObject, pyqtSignal

@@ -1,7 +1,5 @@
 """Steps panel: curves over the kept steps of a stage, why it stopped, and any step on display."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Slider over the kept steps of a stage: iterations of a registration, steps of a sampler."""
 
-from __future__ import annotations
-
 from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
 from PyQt6.QtWidgets import QHBoxLayout, QLabel, QSizePolicy, QSlider, QToolButton, QWidget
 

@@ -1,7 +1,5 @@
 """Shared styling: fonts, layout spacing, and buttons for commands."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import TypeVar
 

@@ -1,7 +1,5 @@
 """Cells of a parameter sweep as a grid and as error against time; hovering a cell marks it in both."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 

@@ -1,7 +1,5 @@
 """Tables: their common look, and their copy: Ctrl+C or the menu puts the selected rows, else all, on the clipboard."""
 
-from __future__ import annotations
-
 from functools import partial
 
 from PyQt6.QtCore import QEvent, QObject, QPoint, Qt

@@ -1,7 +1,5 @@
 """Page of the *Task* layout: trials, the scene in 3D, touches, force against time, and the error of a decision."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 from PyQt6.QtCore import Qt

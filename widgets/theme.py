@@ -4,8 +4,6 @@ Overlays on images (outlines, crosshair) are the same in every theme. Text and s
 from a `ThemeColours`, one for light and one for dark, with a contrast of at least 4.5 to 1.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

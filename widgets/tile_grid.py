@@ -1,7 +1,5 @@
 """Tiles of previews that share pan, zoom and crosshair, in millimetres."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import partial
 from typing import Any

@@ -1,7 +1,5 @@
 """Timeline: the current frame, and playback."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections import deque

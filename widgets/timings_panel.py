@@ -1,7 +1,5 @@
 """Time budget of a frame: a sentence, a bar, and a table of the stages in which each can be skipped."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from PyQt6.QtCore import QRectF, QSignalBlocker, Qt, pyqtSignal

@@ -1,7 +1,5 @@
 """Trace of one pixel through all stages, as a sentence."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from html import escape
 

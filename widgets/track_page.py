@@ -1,7 +1,5 @@
 """Page of the *Track* layout: how the touched object moves over the frames, and its fused surface in 3D."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 from PyQt6.QtCore import Qt

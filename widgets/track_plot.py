@@ -1,7 +1,5 @@
 """Plot of a track: motion, predicted error and inliers over the frames, with lost frames and key frames marked."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

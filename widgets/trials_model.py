@@ -1,7 +1,5 @@
 """Table model of the rollouts of a task: texts of the cells, and values to sort and filter by."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

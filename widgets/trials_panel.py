@@ -1,7 +1,5 @@
 """Table of the rollouts of a task, with a filter."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path

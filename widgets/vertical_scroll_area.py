@@ -1,7 +1,5 @@
 """Scroll area for a dock: it scrolls up and down only, and is at least as wide as its content."""
 
-from __future__ import annotations
-
 from PyQt6.QtCore import QSize, Qt
 from PyQt6.QtWidgets import QFrame, QScrollArea
 

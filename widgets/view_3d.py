@@ -1,7 +1,5 @@
 """One 3D view as a plain widget: the last rendering, a marker, and mouse events for the renderer."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

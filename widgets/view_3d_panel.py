@@ -1,7 +1,5 @@
 """A 3D view with a legend or a step slider, and the name of its frame."""
 
-from __future__ import annotations
-
 from PyQt6.QtCore import QEvent, Qt
 from PyQt6.QtGui import QTextDocumentFragment
 from PyQt6.QtWidgets import QLabel, QSizePolicy, QVBoxLayout, QWidget

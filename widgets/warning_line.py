@@ -1,7 +1,5 @@
 """One line for the warnings of the frame on screen; empty without any."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Sequence
 from typing import Any

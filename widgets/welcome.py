@@ -1,7 +1,5 @@
 """Welcome page of an empty window: sample, recent files, and a drop area."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Settings of *Compare*, stored in the session."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

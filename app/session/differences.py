@@ -1,7 +1,5 @@
 """Differences between two sessions, as text."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from app.session.state import REQUEST_FIELDS, Session

@@ -1,7 +1,5 @@
 """Fingerprints of a session's files, so that opening the session reports which files changed since."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, cast

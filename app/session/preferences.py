@@ -1,7 +1,5 @@
 """Preferences of the program between two starts: recent files, last folder, theme, window geometry."""
 
-from __future__ import annotations
-
 import secrets
 from collections.abc import Sequence
 from pathlib import Path

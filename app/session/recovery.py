@@ -1,7 +1,5 @@
 """Recovery files: one autosaved session per window, removed when the window closes normally."""
 
-from __future__ import annotations
-
 import contextlib
 import fcntl
 import os

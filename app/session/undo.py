@@ -1,7 +1,5 @@
 """Undo: one command class for every session change."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from zlib import crc32
 

@@ -1,7 +1,5 @@
 """The commands of the window; menus, tool bar, timeline and shortcuts share one action per command."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass
 

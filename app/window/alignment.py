@@ -1,7 +1,5 @@
 """The alignment dock: dragging previews the alignment, a frame at rest is assessed, refinement runs in parallel."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

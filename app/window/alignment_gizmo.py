@@ -1,7 +1,5 @@
 """The gizmo on the large pane of Align: drags the same six offsets as the handles of the dock."""
 
-from __future__ import annotations
-
 from PyQt6.QtCore import QObject, QPointF
 
 from app.window.alignment import AlignmentController

@@ -1,7 +1,5 @@
 """Refinement of the alignment, in the background; its result is a proposal that the user accepts or discards."""
 
-from __future__ import annotations
-
 from PyQt6.QtCore import pyqtSignal
 
 from app.session.state import Session

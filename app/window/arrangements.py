@@ -1,7 +1,5 @@
 """The user's arrangements: saved under a name, opened by menu, palette or shortcut, renamed, deleted."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 

@@ -1,7 +1,5 @@
 """Autosave, recovery after a crash, the question before closing, recent files and window geometry."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Base of controllers that run one long function in the background: progress, parts, result, failure, cancellation."""
 
-from __future__ import annotations
-
 from PyQt6.QtCore import QObject
 
 from app.window.session_controller import SessionController

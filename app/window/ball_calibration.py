@@ -1,7 +1,5 @@
 """Calibration of the source sensor from the open recording, where its frames are presses of one ball."""
 
-from __future__ import annotations
-
 from functools import partial
 from pathlib import Path
 

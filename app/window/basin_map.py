@@ -1,7 +1,5 @@
 """The Basins tab: on request, the frame on screen is registered from a grid of start poses."""
 
-from __future__ import annotations
-
 import math
 from typing import cast
 

@@ -1,7 +1,5 @@
 """Colour limits dragged on an image set the display parameters."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 from PyQt6.QtCore import QObject

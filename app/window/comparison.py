@@ -1,7 +1,5 @@
 """*Compare*: computes variants of the current frame in a thread of its own while the page is visible."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Creates the controllers of all features, and connects commands, widgets and session."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from functools import partial
 from typing import get_args

@@ -1,7 +1,5 @@
 """Shows the session's values on the window's controls."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 from PyQt6.QtCore import QSignalBlocker

@@ -4,8 +4,6 @@ Qt reads the state of docks without checking it, and damaged bytes end the proce
 of the user, and only what this user's program wrote is given to Qt.
 """
 
-from __future__ import annotations
-
 import base64
 import hmac
 from collections.abc import Mapping

@@ -3,8 +3,6 @@
 A drawer is a dock widget: it can be moved, stacked or undocked. All are closed at first, to leave the images room.
 """
 
-from __future__ import annotations
-
 from PyQt6.QtCore import QSize, Qt
 from PyQt6.QtWidgets import QDockWidget, QMainWindow, QTabWidget, QToolBar, QWidget
 

@@ -1,7 +1,5 @@
 """The Attribution tab: the error of a frame at rest is attributed to the stages while the tab is visible."""
 
-from __future__ import annotations
-
 from PyQt6.QtCore import QEvent, QObject
 
 from app.window.session_controller import SessionController

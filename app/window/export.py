@@ -1,7 +1,5 @@
 """Exports, repro bundles, and what is on screen as a command line; written in the background, from their own files."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial

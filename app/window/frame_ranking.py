@@ -4,8 +4,6 @@ With truth they are ranked by an error, without it by the round trip to the targ
 a frame alone, so that it comes before all else where it is chosen.
 """
 
-from __future__ import annotations
-
 from PyQt6.QtCore import QObject, Qt, QTimer
 
 from app.session.state import Session

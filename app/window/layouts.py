@@ -1,7 +1,5 @@
 """Layouts: the commands that change them, and the drawers and modes that come with each."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 

@@ -1,7 +1,5 @@
 """Live source: read on its own thread; the newest frame is shown when the stages are idle, and can be recorded."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from PyQt6.QtCore import QObject, QTimer

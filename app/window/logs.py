@@ -1,7 +1,5 @@
 """Log records as Qt signals, and uncaught errors in log and banner."""
 
-from __future__ import annotations
-
 import logging
 import sys
 import threading

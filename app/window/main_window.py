@@ -1,7 +1,5 @@
 """The main window: lays out all widgets, without access to the pipeline."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from itertools import chain
 from pathlib import Path

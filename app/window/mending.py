@@ -1,7 +1,5 @@
 """What mends a recording that does not open, or a touch that misses the target: buttons with the error or warning."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial

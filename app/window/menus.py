@@ -1,7 +1,5 @@
 """Menus, tool bar, and the buttons of the timeline."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 
 from PyQt6.QtCore import QSize, Qt

@@ -1,7 +1,5 @@
 """Pan and zoom of the images: fitted to contact or sensor, and linked in millimetres."""
 
-from __future__ import annotations
-
 from functools import partial
 
 from PyQt6.QtCore import QObject, QPointF

@@ -1,7 +1,5 @@
 """Panels that other installed packages add to the Diagnostics drawer, by the entry point group `tactoscope.panels`."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The parameters of the route as commands of the palette: each goes to its control."""
 
-from __future__ import annotations
-
 from functools import partial
 
 from PyQt6.QtCore import QObject, Qt

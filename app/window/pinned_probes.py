@@ -1,7 +1,5 @@
 """The Probes tab: marks of the pinned pixels in all previews, and a table of value and error of every stage there."""
 
-from __future__ import annotations
-
 import math
 
 from PyQt6.QtCore import QEvent, QObject

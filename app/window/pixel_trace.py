@@ -1,7 +1,5 @@
 """The probe: one pixel traced through all stages, as crosshairs, 3D points and text; up to five pixels are pinned."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Preloads what the first depth needs while no recording is open, and what sampling needs once a frame is shown."""
 
-from __future__ import annotations
-
 from PyQt6.QtCore import QObject
 
 from app.session.state import Session

@@ -1,7 +1,5 @@
 """Full screen presentation and its video, image to clipboard, and the magnifier."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from PyQt6.QtCore import QObject, QSize

@@ -1,7 +1,5 @@
 """The probe in the 3D views: the pixel under the pointer is traced like one of an image."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import partial
 

@@ -1,7 +1,5 @@
 """Error attribution in the *Task* layout: stored shares at once, others by running the rollout again when asked."""
 
-from __future__ import annotations
-
 from functools import partial
 from pathlib import Path
 

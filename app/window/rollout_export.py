@@ -1,7 +1,5 @@
 """Exports of the rollout on screen: video and repro bundle, written in the background from its own file."""
 
-from __future__ import annotations
-
 from functools import partial
 from pathlib import Path
 

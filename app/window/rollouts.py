@@ -1,7 +1,5 @@
 """The *Task* layout: opens rollouts, and shows one tick of the current one in scene, plot and touches."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What the 3D views show around their layers: bounds, probe points, captions and cameras by name."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape

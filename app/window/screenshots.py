@@ -1,7 +1,5 @@
 """Screenshots of widgets."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from PyQt6.QtCore import QBuffer, QIODevice

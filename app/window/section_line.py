@@ -1,7 +1,5 @@
 """The section line through all images, in millimetres, and the height curves along it in a tab."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The session and its background computation: the newest request is the one on screen."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial

@@ -1,7 +1,5 @@
 """The session as a document: changing it, undoing, opening files and saving."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager

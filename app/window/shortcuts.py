@@ -1,7 +1,5 @@
 """Keyboard use: the probe by arrow keys, and alignment numbers."""
 
-from __future__ import annotations
-
 from functools import partial
 
 from PyQt6.QtCore import QEvent, QObject, Qt

@@ -1,7 +1,5 @@
 """Shows results in the window: columns, 3D views, captions."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Literal
 

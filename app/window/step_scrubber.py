@@ -1,7 +1,5 @@
 """Step through: the kept iterations of a stage, by a slider under its 3D view and as curves in a tab."""
 
-from __future__ import annotations
-
 from functools import partial
 
 from PyQt6.QtCore import QObject

@@ -1,7 +1,5 @@
 """Parameters tab of *Compare*: sweeps two parameters in a thread of its own; a click uses a cell's values."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 from functools import partial

@@ -1,7 +1,5 @@
 """Colour themes: light, dark, or the desktop's."""
 
-from __future__ import annotations
-
 from functools import partial
 from typing import get_args
 

@@ -1,7 +1,5 @@
 """The Timings tab: what every stage of a frame costs, and which to skip to play at the target rate."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The tour: shows every frame, and writes a screenshot and every stage."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 

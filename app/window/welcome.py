@@ -1,7 +1,5 @@
 """The welcome page, shown while nothing is open."""
 
-from __future__ import annotations
-
 from PyQt6.QtCore import QObject
 
 from app.session.sample import SAMPLE_RECORDING

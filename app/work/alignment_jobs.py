@@ -1,7 +1,5 @@
 """Background jobs of the alignment: drag preview, assessment of a frame, refinement on all frames."""
 
-from __future__ import annotations
-
 from contextlib import closing
 from dataclasses import dataclass, replace
 

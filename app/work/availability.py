@@ -1,7 +1,5 @@
 """Which parameters cannot act on what is open, and why."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 from pipeline.base.params import list_settings

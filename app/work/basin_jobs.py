@@ -1,7 +1,5 @@
 """Background job of the basin map: registration of one frame from a grid of start poses."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 

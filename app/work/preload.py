@@ -1,7 +1,5 @@
 """Loads packages and compiled code ahead: for the first depth, and for the first sample of a touch."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 from pipeline.base.progress import Progress

@@ -1,7 +1,5 @@
 """What a presentation shows of a frame on screen and in a video: source, generated touch, recorded touch if known."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """From a session to the pipeline's request, and to the depth parameters."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence, Set
 from contextlib import closing
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Background work of the *Task* layout: rows of a folder, one rollout with its scene, and its attribution."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path

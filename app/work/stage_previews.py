@@ -1,7 +1,5 @@
 """Previews and 3D layers of stage results, cached so that playing and stepping back reuse them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """One frame as both sensors recorded it: the transferred touch and the target's own, for judging the alignment."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property

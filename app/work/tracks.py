@@ -1,7 +1,5 @@
 """Tracks for the window, on a background thread: from a session or a folder to rows and 3D layers."""
 
-from __future__ import annotations
-
 import time
 from contextlib import closing
 from dataclasses import dataclass, replace

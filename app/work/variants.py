@@ -1,7 +1,5 @@
 """Variants of a session: their parameters, and the commands that make the same comparisons."""
 
-from __future__ import annotations
-
 import os
 import shlex
 from collections.abc import Mapping, Sequence
