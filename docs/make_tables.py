@@ -38,9 +38,9 @@ position bias. As published it lost to the mean touch in both directions, and us
     python docs/make_tables.py registered.json tools.json grasps.json > docs/tables/README.md
 
 The JSON files in this folder were made so, one direction at a time (`--direction`), with one version of program and
-weights; rows of latent diffusion, VQ-VAE and T2D2 onto a GelSlim, those from a Mini onto a bubble, times, and poses by
-registration and ICP are older. Samples, steps and a few real pairs:
-[samples.md](samples.md).
+weights (24 November 2026), times and the VQ-VAE before that. Rerun before the contact of a bubble and the light of a
+Mini became steadier, all other rows kept their errors within 0.5 %; the VQ-VAE needs `--weights vqvae=FILE`. Samples,
+steps and a few real pairs: [samples.md](samples.md).
 """
 COLUMNS = (
     "transfer", "by", "PSNR, dB", "SSIM", "Frechet (floor; FID)", "error, mm", "in contact, mm", "IoU",
