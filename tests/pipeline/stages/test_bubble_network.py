@@ -158,32 +158,25 @@ def test_shipped_weights_find_no_contact_in_drift_and_noise(shipped):
         assert not found.contact.any()
 
 
-@pytest.mark.real_data
-def test_shipped_weights_tell_untouched_from_touched_frames_of_a_real_bubble(shipped):
+def estimate_real_contacts(shipped, frames):
     path = Path(os.environ.get("TACTILE_DATA", "../shared/data")) / "punyo_bubble" / "depth_sequence.npz"
     if not path.exists():
         pytest.skip(f"no {path}")
     stereo = load_sensor("soft_bubble_stereo")
     stream = open_recording(path, sensor=stereo.name).stream()
-    touched = [
-        network.estimate_depth(stream.frame(k), stereo, None, shipped, NetworkParams()).contact
-        for k in (1, 2, 3, 4, 20)
-    ]
+    return [network.estimate_depth(stream.frame(k), stereo, None, shipped, NetworkParams()).contact for k in frames]
+
+
+@pytest.mark.real_data
+def test_shipped_weights_tell_untouched_from_touched_frames_of_a_real_bubble(shipped):
+    touched = estimate_real_contacts(shipped, (1, 2, 3, 4, 20))
     assert not np.any(touched[:4])
     assert touched[4].sum() > 100
 
 
 @pytest.mark.real_data
 def test_the_contact_of_a_steady_press_on_a_real_bubble_is_steady(shipped):
-    path = Path(os.environ.get("TACTILE_DATA", "../shared/data")) / "punyo_bubble" / "depth_sequence.npz"
-    if not path.exists():
-        pytest.skip(f"no {path}")
-    stereo = load_sensor("soft_bubble_stereo")
-    stream = open_recording(path, sensor=stereo.name).stream()
-    areas = [
-        network.estimate_depth(stream.frame(k), stereo, None, shipped, NetworkParams()).contact.sum()
-        for k in (13, 14, 15, 16, 19, 20)
-    ]
+    areas = [contact.sum() for contact in estimate_real_contacts(shipped, (13, 14, 15, 16, 19, 20))]
     assert np.std(areas) < 0.05 * np.mean(areas)
 
 
