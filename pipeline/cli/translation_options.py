@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from pipeline.base.errors import SettingProblem
+from pipeline.base.errors import SettingProblem, UnknownSensor
 from pipeline.base.units import MeshUnit
 from pipeline.recordings.formats import describe_formats
 
@@ -114,14 +114,19 @@ DEFAULT_OPTIONS = TranslationOptions()
 
 
 def find_sensor(recording: Path, options: TranslationOptions) -> str:
-    """The sensor that made the recording: the target where only the source's depth is computed."""
+    """The sensor that made the recording: the target where only the source's depth is computed.
+
+    Raises UnknownSensor where neither the recording nor the options name it.
+    """
     from pipeline.recordings import open_recording
-    from pipeline.sensors.spec import load_sensor
 
     if options.sensor:
         return options.sensor
     with closing(open_recording(recording, depth_unit=options.depth_unit, reference=options.reference)) as opened:
-        return opened.stream(options.stream).sensor or load_sensor(options.sensor).name
+        sensor = opened.stream(options.stream).sensor
+    if not sensor:
+        raise UnknownSensor(f"the recording does not say which sensor made it; choose one (--sensor): '{recording}'")
+    return sensor
 
 
 def split_list(text: str) -> tuple[str, ...]:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 
+import cv2
+import numpy as np
 import pytest
 
 from pipeline.cli.main import build_app, run_app
@@ -32,3 +34,15 @@ def test_motion_and_surface_of_the_sample_are_written(tmp_path, capsys):
 def test_a_wrong_option_is_named(tmp_path, capsys, option, value, named):
     assert run("track", SAMPLE, "--sensor", "gelslim", option, value, "--out", tmp_path) == 2
     assert named in capsys.readouterr().err
+
+
+def test_pictures_of_an_unnamed_sensor_ask_for_it(tmp_path, capsys):
+    pictures = tmp_path / "pictures"
+    pictures.mkdir()
+    for k in range(2):
+        cv2.imwrite(str(pictures / f"{k}.png"), np.full((68, 90, 3), 90, np.uint8))
+    assert run("track", pictures, "--out", tmp_path / "out") == 2
+    error = capsys.readouterr().err
+    assert "--sensor" in error
+    assert str(pictures) in error
+    assert not (tmp_path / "out").exists()
