@@ -7,7 +7,7 @@ import gc
 import logging
 import time
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
@@ -187,8 +187,12 @@ class _Errors(logging.Handler):
 
 def kept_bytes() -> int:
     """What all memos hold in this moment, what several of them hold counted once."""
+    return kept_bytes_of([memo for memo in gc.get_objects() if issubclass(type(memo), Memo)])
+
+
+def kept_bytes_of(memos: Sequence[Memo[Any, Any]]) -> int:
+    """What these memos hold in this moment, what several of them hold counted once."""
     seen: set[int] = set()
-    memos: list[Memo[Any, Any]] = [memo for memo in gc.get_objects() if issubclass(type(memo), Memo)]
     found = [(answer, weight) for memo in memos for answer, weight in list(memo._values.values())]
     return sum(weight if _opaque(answer) else _held(answer, seen) for answer, weight in found)
 
