@@ -28,12 +28,9 @@ def view(
 ) -> int:
     """Open the window.
 
-    Parameters
-    ----------
-    frame
-        First frame to show.
-    tour
-        Show every frame, write a screenshot and every stage to this folder, and close.
+    Args:
+        frame: First frame to show.
+        tour: Show every frame, write a screenshot and every stage to this folder, and close.
     """
     if sys.platform.startswith("linux") and not any(os.environ.get(name) for name in _DISPLAY_VARIABLES):
         raise SettingProblem("no display for the window; run it under xvfb-run, or use `tactoscope translate`")

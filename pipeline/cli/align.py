@@ -36,16 +36,11 @@ _WARN_ROTATION_STD_DEG = 0.75
 class PairedTouchOptions:
     """Touches that both sensors recorded.
 
-    Parameters
-    ----------
-    target
-        Target sensor.
-    sensor
-        Source sensor; default: the recording's first, gelslim for tiles.
-    frames
-        Frames of a recording, such as `0,3-7`; default: all.
-    truth
-        Use the recording's ground-truth depth and contact, not the depth stage's.
+    Args:
+        target: Target sensor.
+        sensor: Source sensor; default: the recording's first, gelslim for tiles.
+        frames: Frames of a recording, such as `0,3-7`; default: all.
+        truth: Use the recording's ground-truth depth and contact, not the depth stage's.
     """
 
     target: str
@@ -61,12 +56,9 @@ class PairedTouchOptions:
 def score(recording: Path, *, touches: PairedTouchOptions, alignment: Path | None = None) -> int:
     """Print the agreement of every frame under the alignment, and the sensitivity to each axis; returns 0.
 
-    Parameters
-    ----------
-    recording
-        Recording of both sensors.
-    alignment
-        The .toml to score; default: the recording's alignment, or that of the sensor descriptions.
+    Args:
+        recording: Recording of both sensors.
+        alignment: The .toml to score; default: the recording's alignment, or that of the sensor descriptions.
     """
     with (
         closing(open_translation(touches.build_request(recording, alignment))) as translation,
@@ -98,20 +90,13 @@ def refine_alignment(
 
     Raises FileProblem if `out` exists, SettingProblem if no touch is left to fit to.
 
-    Parameters
-    ----------
-    recording
-        Recording of both sensors.
-    out
-        The .toml to write.
-    alignment
-        Initial alignment, a .toml; default: the recording's, or that of the sensor descriptions.
-    hold_out
-        SubProgress of the touches that are not fitted to, only scored before and after.
-    into
-        Which of the two transforms takes the change.
-    tolerance
-        Directions with a predicted standard deviation above this times 0.2 mm or 1 degree stay unchanged.
+    Args:
+        recording: Recording of both sensors.
+        out: The .toml to write.
+        alignment: Initial alignment, a .toml; default: the recording's, or that of the sensor descriptions.
+        hold_out: SubProgress of the touches that are not fitted to, only scored before and after.
+        into: Which of the two transforms takes the change.
+        tolerance: Directions with a predicted standard deviation above this times 0.2 mm or 1 degree stay unchanged.
     """
     prepare_alignment_file(out)
     if not 0.0 <= hold_out < 1.0:

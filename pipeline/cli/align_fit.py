@@ -51,20 +51,13 @@ def fit(
 ) -> int:
     """Fit to some pairs, score the others, and write the alignment; returns 0.
 
-    Parameters
-    ----------
-    pairs
-        Recording of both sensors, or a folder of tiles: difference images and imprints.
-    out
-        The .toml to write; of tiles it holds the in-plane motion, with distance and tilt of the descriptions.
-    use
-        Number of pairs to fit to; the others are scored.
-    seed
-        Seed of the choice of pairs.
-    source_tiles
-        File names of the source's tiles; `*` stands for the same text in both tiles of a pair.
-    target_tiles
-        File names of the target's tiles.
+    Args:
+        pairs: Recording of both sensors, or a folder of tiles: difference images and imprints.
+        out: The .toml to write; of tiles it holds the in-plane motion, with distance and tilt of the descriptions.
+        use: Number of pairs to fit to; the others are scored.
+        seed: Seed of the choice of pairs.
+        source_tiles: File names of the source's tiles; `*` stands for the same text in both tiles of a pair.
+        target_tiles: File names of the target's tiles.
     """
     if use < 2:
         raise SettingProblem(f"--use must be at least 2 pairs, got {use}")

@@ -36,16 +36,11 @@ def attribute(
 ) -> int:
     """Print every frame's error as a sum of shares, worst frame first, and the medians.
 
-    Parameters
-    ----------
-    recording
-        File or folder of any known format with ground truth, such as a simulated recording.
-    metric
-        Error to attribute, `stage.name` as in the report of `tactoscope translate`.
-    frame
-        The only frame to analyse; default: all frames.
-    json
-        File for the shares of every frame.
+    Args:
+        recording: File or folder of any known format with ground truth, such as a simulated recording.
+        metric: Error to attribute, `stage.name` as in the report of `tactoscope translate`.
+        frame: The only frame to analyse; default: all frames.
+        json: File for the shares of every frame.
     """
     with closing(open_translation(options.build_request(recording, target))) as translation:
         params = with_settings(translation.methods, settings)

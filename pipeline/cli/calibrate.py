@@ -36,24 +36,15 @@ def balls(
 ) -> int:
     """Fit, save and report a calibration table; raises TouchError for presses or options that cannot be used.
 
-    Parameters
-    ----------
-    presses
-        Folder of images, one press each, anywhere on the gel.
-    sensor
-        Sensor that made them.
-    diameter_mm
-        Diameter of the ball.
-    reference
-        Reference image (no contact) of the sensor.
-    out
-        Calibration file to write (.npz).
-    pixel_mm
-        Width of a pixel on the gel; default: the sensor description's.
-    pattern
-        File names of the folder to use, such as `ball_6.310mm_*`.
-    seed
-        Seed of the fit; the same seed gives the same table.
+    Args:
+        presses: Folder of images, one press each, anywhere on the gel.
+        sensor: Sensor that made them.
+        diameter_mm: Diameter of the ball.
+        reference: Reference image (no contact) of the sensor.
+        out: Calibration file to write (.npz).
+        pixel_mm: Width of a pixel on the gel; default: the sensor description's.
+        pattern: File names of the folder to use, such as `ball_6.310mm_*`.
+        seed: Seed of the fit; the same seed gives the same table.
     """
     if not 0.1 <= diameter_mm <= MAX_BALL_DIAMETER_MM:
         raise SettingProblem(f"--diameter-mm must lie within 0.1 and {MAX_BALL_DIAMETER_MM:g} mm, got {diameter_mm:g}")

@@ -37,14 +37,10 @@ def force(
 ) -> int:
     """Fit, save and report a force scale; raises TouchError for presses or forces that cannot be used.
 
-    Parameters
-    ----------
-    out
-        Calibration file to write (.npz); it also holds what the file of `--calibration` holds.
-    forces
-        Weighed normal force of each press in N, such as `1.2,5.0`; default: the forces in the recording.
-    frames
-        Frames of these presses, in the same order, such as `3,17`; default: all.
+    Args:
+        out: Calibration file to write (.npz); it also holds what the file of `--calibration` holds.
+        forces: Weighed normal force of each press in N, such as `1.2,5.0`; default: the forces in the recording.
+        frames: Frames of these presses, in the same order, such as `3,17`; default: all.
     """
     prepare_folder_for(out)
     path = out if out.suffix == ".npz" else out.with_name(out.name + ".npz")

@@ -64,32 +64,20 @@ def compare(
 ) -> int:
     """Write one comparison's images and metrics, and print the metrics.
 
-    Parameters
-    ----------
-    recording
-        File or folder of any known format.
-    out
-        Folder for the images (PNG) and the metrics (compare.json); an earlier comparison there is replaced.
-    frame
-        Frame to compare.
-    order
-        Order of the methods by their error in contact.
-    seeds
-        Number of seeds to sample the touch with, starting at the chosen one.
-    stage
-        Stage to compare with that of the variant, or `all`.
-    variant
-        The variant as options of this command, such as `--method target_depth=paper`. Without a recording of its own it
-        is this translation with these options added; with one, it is what these options say alone.
-    across
-        A parameter and the values to try, such as `depth.certainty=0.2,0.4,0.8`, against those of `down`.
-    down
-        The other parameter and its values.
-    metric
-        Metric of a pair of values, if ground truth is known; empty for images alone.
-    settings
-        `stage.parameter=value`, or `stage/method.parameter=value` of a method that is not in use, or
-        `display.parameter=value`; repeatable.
+    Args:
+        recording: File or folder of any known format.
+        out: Folder for the images (PNG) and the metrics (compare.json); an earlier comparison there is replaced.
+        frame: Frame to compare.
+        order: Order of the methods by their error in contact.
+        seeds: Number of seeds to sample the touch with, starting at the chosen one.
+        stage: Stage to compare with that of the variant, or `all`.
+        variant: The variant as options of this command, such as `--method target_depth=paper`. Without a recording of
+            its own it is this translation with these options added; with one, it is what these options say alone.
+        across: A parameter and the values to try, such as `depth.certainty=0.2,0.4,0.8`, against those of `down`.
+        down: The other parameter and its values.
+        metric: Metric of a pair of values, if ground truth is known; empty for images alone.
+        settings: `stage.parameter=value`, or `stage/method.parameter=value` of a method that is not in use, or
+            `display.parameter=value`; repeatable.
     """
     runner = VariantRunner()
     with ExitStack() as stack:

@@ -27,8 +27,6 @@ from pipeline.tasks.rollout_bundle import is_rollout_bundle, replay_rollout
 
 _DISPLAY_HELP = "`stage.parameter=value`, or `display.parameter=value` for the display; repeatable."
 _DisplaySettings = Annotated[tuple[str, ...], Parameter(name="--set", negative="", help=_DISPLAY_HELP)]
-# Not in the docstring: there `note` would be the heading of a section.
-_Note = Annotated[str, Parameter(help="Description of the problem.")]
 
 
 def export(
@@ -46,23 +44,16 @@ def export(
 ) -> int:
     """Write one file of a translation.
 
-    Parameters
-    ----------
-    out
-        File to write: .png or .pdf of a pane or the sheet, .ply of a pane's points in mm, .npz of its arrays, .csv of
-        force and metrics of all frames, up to the pane, .mp4 or .avi of a pane through the frames, .rrd (Rerun) or
-        .mcap (Foxglove) of all stages through the frames.
-    pane
-        A stage, `source`, or `sheet` for all of them side by side.
-    content
-        Computed value, ground truth, or their difference; the last two need ground truth.
-    frame
-        Frame of an image, of points or of arrays.
-    frames
-        Frames of a table, video or viewer file, such as `0,3-7`; default: all.
-    section
-        x, y of the start and of the end of a line in mm from the source camera's axis, on the gel: the .csv then holds
-        the height of each pane along it on one frame; --pane takes several, comma-separated.
+    Args:
+        out: File to write: .png or .pdf of a pane or the sheet, .ply of a pane's points in mm, .npz of its arrays, .csv
+            of force and metrics of all frames, up to the pane, .mp4 or .avi of a pane through the frames, .rrd (Rerun)
+            or .mcap (Foxglove) of all stages through the frames.
+        pane: A stage, `source`, or `sheet` for all of them side by side.
+        content: Computed value, ground truth, or their difference; the last two need ground truth.
+        frame: Frame of an image, of points or of arrays.
+        frames: Frames of a table, video or viewer file, such as `0,3-7`; default: all.
+        section: x, y of the start and of the end of a line in mm from the source camera's axis, on the gel: the .csv
+            then holds the height of each pane along it on one frame; --pane takes several, comma-separated.
     """
     request = ExportRequest(
         request=options.build_request(recording, target), settings=settings, pane=pane, content=content, frame=frame,
@@ -83,17 +74,15 @@ def bundle(
     out: Path,
     options: TranslationOptions = DEFAULT_OPTIONS,
     frame: int = 0,
-    note: _Note = "",
+    note: str = "",
     settings: StageSettings = (),
 ) -> int:
     """Write the repro bundle of one frame.
 
-    Parameters
-    ----------
-    out
-        New folder to write.
-    frame
-        Frame to bundle.
+    Args:
+        out: New folder to write.
+        frame: Frame to bundle.
+        note: Description of the problem.
     """
     with interruptible_progress() as progress:
         write_bundle(options.build_request(recording, target), settings, frame, out, note=note, progress=progress)
@@ -105,10 +94,8 @@ def bundle(
 def replay(folder: Path) -> int:
     """Replay a repro bundle and print the agreement of each stage; returns 0 if all agree, otherwise 1.
 
-    Parameters
-    ----------
-    folder
-        Folder written by `tactoscope bundle`, `tactoscope rollout bundle` or the window.
+    Args:
+        folder: Folder written by `tactoscope bundle`, `tactoscope rollout bundle` or the window.
     """
     if is_rollout_bundle(folder):
         return _replay_rollout(folder)

@@ -20,15 +20,11 @@ def inspect(
 ) -> int:
     """Print the report of a recording or a calibration file; returns 1 if a check fails.
 
-    Parameters
-    ----------
-    recording
-        File or folder of any known format, or a calibration file.
-    sensor
-        Sensor that made the recording, if the file does not name it.
-    make_reference
-        Image file to write first: the median of the recording's images, in which touches at different places vanish.
-        The report then uses it as the reference.
+    Args:
+        recording: File or folder of any known format, or a calibration file.
+        sensor: Sensor that made the recording, if the file does not name it.
+        make_reference: Image file to write first: the median of the recording's images, in which touches at different
+            places vanish. The report then uses it as the reference.
     """
     if make_reference is not None:
         with interruptible_progress() as progress:

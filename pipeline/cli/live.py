@@ -35,23 +35,16 @@ def live(
 ) -> int:
     """Print a sensor's status every second; returns the exit code.
 
-    Parameters
-    ----------
-    source
-        `simulated`, `folder DIR` into which another program writes images, or `device NAME`: a part of a camera's
-        name or serial number, or the path of a camera or of a recorded stream.
-    sensor
-        Sensor type, if neither device name nor image size identifies it; for `simulated` the sensor to simulate.
-    object_source
-        Object pressed into a simulated sensor: an object of `tactoscope simulate`, or a mesh file.
-    rate
-        Frames per second of a simulated sensor.
-    record
-        Recording to write, an .h5 file that is readable while it grows and after a crash.
-    seconds
-        Stop after this time; 0 = at Ctrl-C.
-    list_devices
-        Only list the connected cameras.
+    Args:
+        source: `simulated`, `folder DIR` into which another program writes images, or `device NAME`: a part of a
+            camera's name or serial number, or the path of a camera or of a recorded stream.
+        sensor: Sensor type, if neither device name nor image size identifies it; for `simulated` the sensor to
+            simulate.
+        object_source: Object pressed into a simulated sensor: an object of `tactoscope simulate`, or a mesh file.
+        rate: Frames per second of a simulated sensor.
+        record: Recording to write, an .h5 file that is readable while it grows and after a crash.
+        seconds: Stop after this time; 0 = at Ctrl-C.
+        list_devices: Only list the connected cameras.
     """
     if list_devices:
         return _list_cameras()

@@ -4,9 +4,7 @@ import math
 import os
 import shlex
 from pathlib import Path
-from typing import Annotated
 
-from cyclopts import Parameter
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
@@ -21,17 +19,14 @@ from pipeline.tasks.rollout_file import read_rollout
 from pipeline.tasks.rollout_video import write_rollout_video
 from pipeline.tasks.trial_table import list_trials
 
-_Note = Annotated[str, Parameter(help="Description of the problem.")]
 _COLUMNS = ("trial", "task", "case", "touch", "mm", "outcome", "error, mm", "error, deg", "cause")
 
 
 def list_rollouts(folder: Path) -> int:
     """Print one row per rollout: outcome, error of the worst decision, and cause.
 
-    Parameters
-    ----------
-    folder
-        Folder written by `tactoscope task --record`.
+    Args:
+        folder: Folder written by `tactoscope task --record`.
     """
     with interruptible_progress() as progress:
         trials = list_trials(folder, progress)
@@ -52,10 +47,8 @@ def attribute_recorded(file: Path) -> int:
 
     Stored shares are printed; others are computed by running the rollout again from its plan.
 
-    Parameters
-    ----------
-    file
-        A recorded rollout.
+    Args:
+        file: A recorded rollout.
     """
     rollout = read_rollout(file)
     with interruptible_progress() as progress:
@@ -70,12 +63,9 @@ def attribute_recorded(file: Path) -> int:
 def video(file: Path, *, out: Path) -> int:
     """Write scene, touches and force of every tick as a video.
 
-    Parameters
-    ----------
-    file
-        A recorded rollout.
-    out
-        Video to write, .mp4 or .avi.
+    Args:
+        file: A recorded rollout.
+        out: Video to write, .mp4 or .avi.
     """
     with interruptible_progress() as progress:
         write_rollout_video(file, out, progress)
@@ -83,15 +73,13 @@ def video(file: Path, *, out: Path) -> int:
     return 0
 
 
-def bundle(file: Path, *, out: Path, note: _Note = "") -> int:
+def bundle(file: Path, *, out: Path, note: str = "") -> int:
     """Write a repro bundle: the rollout and what runs it again.
 
-    Parameters
-    ----------
-    file
-        A recorded rollout.
-    out
-        New folder to write.
+    Args:
+        file: A recorded rollout.
+        out: New folder to write.
+        note: Description of the problem.
     """
     write_rollout_bundle(file, out, note=note)
     print_line(f"repro bundle written; replay it with: tactoscope replay {shlex.quote(os.fspath(out))}")

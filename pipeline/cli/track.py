@@ -42,14 +42,10 @@ def track(
 ) -> int:
     """Write track.csv, track.json and the fused surface patch.ply; report drift where true poses are known.
 
-    Parameters
-    ----------
-    out
-        Folder for the results.
-    target
-        Sensor whose generated touches are followed with `--stage touch_depth`.
-    frames
-        Frames such as `0-40` or `3,7`; default: all.
+    Args:
+        out: Folder for the results.
+        target: Sensor whose generated touches are followed with `--stage touch_depth`.
+        frames: Frames such as `0-40` or `3,7`; default: all.
     """
     source = target or find_sensor(recording, options)
     prepare_folder(out)

@@ -51,32 +51,20 @@ def train(
     Ctrl-C and SIGTERM keep the state, a kill loses a minute at most; the same command with --resume continues. Under
     `torchrun` each process takes one device and all train together.
 
-    Parameters
-    ----------
-    recipe
-        Name of a shipped recipe, or a .toml file; with --pairs the default starts from shipped weights.
-    out
-        Folder for the state, `curve.csv`, `figures.csv`, `curve.png` and `weights.safetensors`.
-    initial_weights
-        Weights to start from, a file or the name of shipped ones, instead of the recipe's.
-    pairs
-        Recording or folder of both sensors, such as touch2touch's `data`, or of paired tiles (`*_gelslim.png` and
-        `*_bubble_gt.png`): trained on instead of simulated touches.
-    hold_out
-        Pairs that only validate: `tool` for a quarter of the tools, names of tools separated by commas, `lab` or
-        `paper` for published lists of tools, or a split.json; default: the splits of the folder, else `tool`.
-    share
-        Share of the pairs to train on that is used, such as 0.1 to adapt a network to another sensor.
-    resume
-        Continue the training in that folder.
-    minutes
-        Training time in all, instead of the recipe's steps; the learning rate follows the clock.
-    steps
-        Number of steps, instead of the recipe's.
-    seed
-        Seed of weights and examples, instead of the recipe's.
-    workers
-        Processes that make examples; 0 makes them in the main process.
+    Args:
+        recipe: Name of a shipped recipe, or a .toml file; with --pairs the default starts from shipped weights.
+        out: Folder for the state, `curve.csv`, `figures.csv`, `curve.png` and `weights.safetensors`.
+        initial_weights: Weights to start from, a file or the name of shipped ones, instead of the recipe's.
+        pairs: Recording or folder of both sensors, such as touch2touch's `data`, or of paired tiles (`*_gelslim.png`
+            and `*_bubble_gt.png`): trained on instead of simulated touches.
+        hold_out: Pairs that only validate: `tool` for a quarter of the tools, names of tools separated by commas, `lab`
+            or `paper` for published lists of tools, or a split.json; default: the splits of the folder, else `tool`.
+        share: Share of the pairs to train on that is used, such as 0.1 to adapt a network to another sensor.
+        resume: Continue the training in that folder.
+        minutes: Training time in all, instead of the recipe's steps; the learning rate follows the clock.
+        steps: Number of steps, instead of the recipe's.
+        seed: Seed of weights and examples, instead of the recipe's.
+        workers: Processes that make examples; 0 makes them in the main process.
     """
     known = {entry.subcommand for entry in TASKS.values()}
     if what not in known:
@@ -109,14 +97,10 @@ def train(
 def export_weights(run: Path, *, to: Path, half: Flag = False) -> int:
     """Write the weights of a training, finished or not, with a model card.
 
-    Parameters
-    ----------
-    run
-        Folder of the training.
-    to
-        File for the weights (.safetensors); the model card is written next to it.
-    half
-        Write 16-bit weights: half the size.
+    Args:
+        run: Folder of the training.
+        to: File for the weights (.safetensors); the model card is written next to it.
+        half: Write 16-bit weights: half the size.
     """
     if to.suffix != SUFFIX:
         raise FileProblem(f"weights are written as {SUFFIX}; choose such a name", to)

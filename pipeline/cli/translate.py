@@ -82,21 +82,14 @@ def translate(
 
     Returns 0, 2 if some frame could not be translated (the report says why), 1 if one failed unexpectedly.
 
-    Parameters
-    ----------
-    out
-        Folder for `frame_NNNN/stages.npz`, `frame_NNNN/sheet.png` and `report.json`.
-    frame
-        The only frame to translate; default without --all: the first one with contact.
-    all_frames
-        Translate every frame.
-    follow
-        With --all, start each pose at that of the previous frame: several times as fast, for moving sequences.
-    force
-        Compute the normal force of frames as well; done anyway with the scale of `tactoscope calibrate force`.
-    scheduler
-        With --all, address of a Dask scheduler whose workers translate the frames, such as `tcp://host:8786`.
-        It must be trusted: what it sends is run on this machine.
+    Args:
+        out: Folder for `frame_NNNN/stages.npz`, `frame_NNNN/sheet.png` and `report.json`.
+        frame: The only frame to translate; default without --all: the first one with contact.
+        all_frames: Translate every frame.
+        follow: With --all, start each pose at that of the previous frame: several times as fast, for moving sequences.
+        force: Compute the normal force of frames as well; done anyway with the scale of `tactoscope calibrate force`.
+        scheduler: With --all, address of a Dask scheduler whose workers translate the frames, such as
+            `tcp://host:8786`. It must be trusted: what it sends is run on this machine.
     """
     if frame is not None and all_frames:
         raise SettingProblem("give either --frame or --all, not both")

@@ -40,28 +40,18 @@ _METHODS = "`stage=method` in place of the route's own, such as `target_depth=pa
 class TranslationOptions:
     """What a translation reads besides the recording.
 
-    Parameters
-    ----------
-    sensor
-        Sensor that made the recording, if the file does not name it; also selects one of several streams.
-    stream
-        Name of the stream, if one sensor has several.
-    calibration
-        Calibration file made by `tactoscope calibrate`; default: the sensor's built-in table, force without scale.
-    route
-        Route through the stages; it names a method for each.
-    mesh
-        Mesh of the touched object, for its pose.
-    mesh_unit
-        Unit of that mesh.
-    alignment
-        Alignment of the two sensors, a .toml as `tactoscope align refine` writes it.
-    translation_mm
-        Translation added to the alignment: x, y and z in the target's frame.
-    rotation_deg
-        Rotation added to the alignment: a rotation vector in the target's frame.
-    pivot_mm
-        Centre of that rotation in the target's frame.
+    Args:
+        sensor: Sensor that made the recording, if the file does not name it; also selects one of several streams.
+        stream: Name of the stream, if one sensor has several.
+        calibration: Calibration file made by `tactoscope calibrate`; default: the sensor's built-in table, force
+            without scale.
+        route: Route through the stages; it names a method for each.
+        mesh: Mesh of the touched object, for its pose.
+        mesh_unit: Unit of that mesh.
+        alignment: Alignment of the two sensors, a .toml as `tactoscope align refine` writes it.
+        translation_mm: Translation added to the alignment: x, y and z in the target's frame.
+        rotation_deg: Rotation added to the alignment: a rotation vector in the target's frame.
+        pivot_mm: Centre of that rotation in the target's frame.
     """
 
     sensor: str = ""
