@@ -21,7 +21,7 @@ from pipeline.alignment.touches import AlignmentTouch, load_paired_touches
 from pipeline.base.errors import FileProblem, SettingProblem
 from pipeline.base.files import prepare_folder_for
 from pipeline.base.frame_lists import parse_frames
-from pipeline.cli.terminal import ProgressBar, create_progress_bar, print_line
+from pipeline.cli.terminal import TerminalProgress, open_progress_bar, print_line
 from pipeline.cli.translation_options import Flag
 from pipeline.sensors.alignment_files import ALIGNMENT_SUFFIX, AlignmentFile, save_alignment
 from pipeline.translation.translate import Request, Translation, open_translation
@@ -62,15 +62,13 @@ def score(recording: Path, *, touches: PairedTouchOptions, alignment: Path | Non
     """
     with (
         closing(open_translation(touches.build_request(recording, alignment))) as translation,
-        create_progress_bar() as bar,
+        open_progress_bar() as progress,
     ):
-        pairs = _load_touches(translation, touches, ProgressBar(bar))
+        pairs = _load_touches(translation, touches, progress)
         observed = [observe_target(pair.target, translation.target) for pair in pairs]
-        scores = score_touches(pairs, observed, translation.alignment, progress=ProgressBar(bar))
+        scores = score_touches(pairs, observed, translation.alignment, progress=progress)
         best = int(np.argmax([score.overlap_px for score in scores]))
-        sensitivities = compute_sensitivities(
-            pairs[best], translation.alignment, observed[best], progress=ProgressBar(bar)
-        )
+        sensitivities = compute_sensitivities(pairs[best], translation.alignment, observed[best], progress=progress)
     _print_scores(pairs, scores)
     _print_sensitivities(sensitivities, pairs[best].index)
     return 0
@@ -105,12 +103,12 @@ def refine_alignment(
         raise SettingProblem(f"--tolerance must be above 0, got {tolerance:g}")
     with (
         closing(open_translation(touches.build_request(recording, alignment))) as translation,
-        create_progress_bar() as bar,
+        open_progress_bar() as progress,
     ):
-        used, held_out = split_held_out(_load_touches(translation, touches, ProgressBar(bar)), hold_out)
+        used, held_out = split_held_out(_load_touches(translation, touches, progress), hold_out)
         fit = refinement.refine_alignment(
             used, translation.alignment, held_out=held_out, into=into, tolerance=tolerance,
-            progress=ProgressBar(bar),
+            progress=progress,
         )  # fmt: skip
     print_refinement(fit)
     file = AlignmentFile(
@@ -149,7 +147,7 @@ def split_held_out(
 
 
 def _load_touches(
-    translation: Translation, options: PairedTouchOptions, progress: ProgressBar
+    translation: Translation, options: PairedTouchOptions, progress: TerminalProgress
 ) -> tuple[AlignmentTouch, ...]:
     frames = parse_frames(options.frames, translation.n_frames)
     touches = load_paired_touches(translation, frames, exact=options.truth, progress=progress)

@@ -17,7 +17,7 @@ from pipeline.base.errors import SettingProblem
 from pipeline.base.frame_lists import parse_frames
 from pipeline.base.stage_warnings import StageWarning
 from pipeline.cli.align import PairedTouchOptions, prepare_alignment_file, print_refinement, write_alignment
-from pipeline.cli.terminal import ProgressBar, create_progress_bar, print_line
+from pipeline.cli.terminal import open_progress_bar, print_line
 from pipeline.imprints.fitting import PairsFit, fit_pairs, score_fit
 from pipeline.imprints.tiles import SOURCE_TILES, TARGET_TILES, ImprintPairs, load_tile_pairs
 from pipeline.imprints.transfer import FREE_PARAMETERS, ImprintPair
@@ -74,8 +74,8 @@ def _fit_tiles(
         prepare_alignment_file(out)
     loaded = load_tile_pairs(folder, source, *names)
     used, held_out = _split_pairs(loaded.pairs, use, seed)
-    with create_progress_bar() as bar:
-        answer = fit_pairs(used, ProgressBar(bar))
+    with open_progress_bar() as progress:
+        answer = fit_pairs(used, progress)
     _print_notes(loaded, len(used), len(held_out))
     _print_fit(answer, "tile widths")
     _print_scores(answer, held_out)
@@ -96,19 +96,17 @@ def _fit_recording(recording: Path, options: PairedTouchOptions, out: Path | Non
     if out is None:
         raise SettingProblem("a recording gives a metric alignment; name the .toml for it with --out")
     prepare_alignment_file(out)
-    with closing(open_translation(options.build_request(recording))) as translation, create_progress_bar() as bar:
+    with closing(open_translation(options.build_request(recording))) as translation, open_progress_bar() as progress:
         frames = parse_frames(options.frames, translation.n_frames)
-        loaded = load_paired_touches(translation, frames, exact=options.truth, progress=ProgressBar(bar))
+        loaded = load_paired_touches(translation, frames, exact=options.truth, progress=progress)
         touches = [touch for touch in loaded if touch.has_contact_on_both]
         by_name = {str(touch.index): touch for touch in touches}
         found = make_touch_pairs(touches)
         used, held_out = _split_pairs(found.pairs, use, seed)
-        answer = fit_pairs(used, ProgressBar(bar))
+        answer = fit_pairs(used, progress)
         start = align_rigidly([by_name[p.name] for p in used], answer.transfer, translation.alignment)
         held_out_touches = [by_name[p.name] for p in held_out]
-        refined = refine_alignment(
-            [by_name[p.name] for p in used], start, held_out=held_out_touches, progress=ProgressBar(bar)
-        )
+        refined = refine_alignment([by_name[p.name] for p in used], start, held_out=held_out_touches, progress=progress)
     _print_notes(found, len(used), len(held_out))
     _print_fit(answer, "mm")
     _print_scores(answer, held_out)

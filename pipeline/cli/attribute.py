@@ -12,8 +12,8 @@ from rich.table import Table
 from pipeline.base.errors import SettingProblem
 from pipeline.base.files import prepare_folder_for, write_json
 from pipeline.base.frame_lists import parse_frames
-from pipeline.cli.interrupts import interruptible_progress
-from pipeline.cli.terminal import print_line
+from pipeline.base.progress import SubProgress
+from pipeline.cli.terminal import open_progress_bar, print_line
 from pipeline.cli.translation_options import DEFAULT_OPTIONS, StageSettings, TargetName, TranslationOptions
 from pipeline.engine.cache import Cache
 from pipeline.engine.graph import Graph
@@ -48,11 +48,11 @@ def attribute(
             prepare_folder_for(json)
         indices = parse_frames("", translation.n_frames) if frame is None else [translation.check_index(frame)]
         graph = translation.build_graph(like=Graph((), cache=Cache(_CACHE_BYTES)))
-        with Console(stderr=True).status("") as status, interruptible_progress() as progress:
+        with open_progress_bar() as progress:
             results: list[ErrorAttribution] = []
-            for index in indices:
-                status.update(f"frame {index} of {translation.n_frames}")
-                result = attribute_error(translation, graph, params, index, metric, progress)
+            for k, index in enumerate(indices):
+                part = SubProgress(progress, k / len(indices), 1.0 / len(indices), f"frame {index}")
+                result = attribute_error(translation, graph, params, index, metric, part)
                 if result is not None:
                     results.append(result)
     if not results:

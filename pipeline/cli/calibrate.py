@@ -12,7 +12,7 @@ from pipeline.base.files import prepare_folder_for
 from pipeline.calibration.calibration_file import save
 from pipeline.calibration.calibration_table import Calibration
 from pipeline.calibration.quality_notes import format_calibration
-from pipeline.cli.terminal import ProgressBar, create_progress_bar, print_line
+from pipeline.cli.terminal import open_progress_bar, print_line
 from pipeline.recordings import open_recording
 from pipeline.sensors.spec import load_sensor
 from pipeline.stages.depth.ball_calibration import calibrate_sensor
@@ -61,9 +61,9 @@ def balls(
         if mismatch:
             print_line(f"warning: {mismatch}; this calibration will fit images of that kind only")
     images, reference_image = [cast("Image", f.image) for f in frames], cast("Image", frames[0].reference)
-    with create_progress_bar() as bar:
+    with open_progress_bar() as progress:
         table = calibrate_sensor(
-            images, reference_image, spec, diameter_mm, pixel_mm=pixel_mm, progress=ProgressBar(bar), seed=seed
+            images, reference_image, spec, diameter_mm, pixel_mm=pixel_mm, progress=progress, seed=seed
         )
     save(table, out)
     _print_report(table)

@@ -11,8 +11,7 @@ from pipeline.base.errors import SettingProblem
 from pipeline.base.files import prepare_folder_for
 from pipeline.base.frame_lists import parse_frames
 from pipeline.calibration.force_scale import ForceScale, fit_force_scale, format_force_scale, save_force_scale
-from pipeline.cli.interrupts import interruptible_progress
-from pipeline.cli.terminal import print_line
+from pipeline.cli.terminal import open_progress_bar, print_line
 from pipeline.cli.translation_options import (
     DEFAULT_OPTIONS,
     RecordingPath,
@@ -53,7 +52,7 @@ def force(
         if "depth" not in translation.stages:
             raise SettingProblem(f"the route {request.route!r} measures no depth; choose --route t2d2")
         estimated_n: list[float] = []
-        with interruptible_progress() as progress:
+        with open_progress_bar() as progress:
             for done, index in enumerate(indices):
                 progress.step(done / len(indices), f"frame {index}")
                 depth = graph.evaluate(("depth",), translation.read_inputs(index), params, progress)["depth"].output

@@ -15,8 +15,7 @@ from rich.table import Table
 from pipeline.base.errors import SettingProblem
 from pipeline.base.files import prepare_folder
 from pipeline.base.params import replace_value
-from pipeline.cli.interrupts import interruptible_progress
-from pipeline.cli.terminal import print_line
+from pipeline.cli.terminal import open_progress_bar, print_line
 from pipeline.cli.translation_options import DEFAULT_OPTIONS, TargetName, TranslationOptions
 from pipeline.evaluation.comparison_tiles import Comparison, write_tiles
 from pipeline.evaluation.method_comparison import SortOrder, compare_methods
@@ -82,7 +81,7 @@ def compare(
     runner = VariantRunner()
     with ExitStack() as stack:
         translation = stack.enter_context(closing(open_translation(options.build_request(recording, target))))
-        progress = stack.enter_context(interruptible_progress())
+        progress = stack.enter_context(open_progress_bar())
         translation.check_index(frame)
         params, display = _parse_settings(translation, settings)
         prepare_folder(out.parent)

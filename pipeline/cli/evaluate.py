@@ -15,9 +15,8 @@ from pipeline.base.cluster import connect_cluster
 from pipeline.base.errors import SettingProblem
 from pipeline.base.files import prepare_folder, prepare_folder_for, write_json
 from pipeline.base.machine import describe_machine, format_machine
-from pipeline.base.progress import Progress, SubProgress
-from pipeline.cli.interrupts import interruptible_progress
-from pipeline.cli.terminal import InterruptibleBar, ProgressBar, create_progress_bar, print_line
+from pipeline.base.progress import SubProgress
+from pipeline.cli.terminal import open_progress_bar, print_line
 from pipeline.cli.translation_options import StageSettings, split_list
 from pipeline.evaluation.candidates import BASELINES
 from pipeline.evaluation.held_out import HeldOutOptions
@@ -117,9 +116,8 @@ def evaluate(
     drawn: list[Path] = []
     points: list[SweepPoint] = []
     with ExitStack() as stack:
-        interrupts, bar = stack.enter_context(interruptible_progress()), stack.enter_context(create_progress_bar())
+        progress = stack.enter_context(open_progress_bar())
         job_mapper = stack.enter_context(connect_cluster(scheduler)).map if scheduler else None
-        progress: Progress = InterruptibleBar(ProgressBar(bar), interrupts)
         table = evaluate_tables(request, SubProgress(progress, 0.0, 0.5 if swept else 1.0), job_mapper)
         if swept:
             points = sweep_parameters(request, swept, SubProgress(progress, 0.5, 0.5), job_mapper)

@@ -11,8 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from pipeline.base.text import escape_text, shorten_text
-from pipeline.cli.interrupts import interruptible_progress
-from pipeline.cli.terminal import print_line
+from pipeline.cli.terminal import open_progress_bar, print_line
 from pipeline.cli.translation_options import (
     DEFAULT_OPTIONS,
     RecordingPath,
@@ -59,7 +58,7 @@ def export(
         request=options.build_request(recording, target), settings=settings, pane=pane, content=content, frame=frame,
         frames=frames, section=section or (), path=out,
     )  # fmt: skip
-    with interruptible_progress() as progress:
+    with open_progress_bar() as progress:
         fallbacks = export_file(request, progress)
     for fallback in fallbacks:
         print_line(f"fallback used: {fallback}")
@@ -84,7 +83,7 @@ def bundle(
         frame: Frame to bundle.
         note: Description of the problem.
     """
-    with interruptible_progress() as progress:
+    with open_progress_bar() as progress:
         write_bundle(options.build_request(recording, target), settings, frame, out, note=note, progress=progress)
     command = f"tactoscope replay {shlex.quote(os.fspath(out))}"
     print_line(f"repro bundle of frame {frame} written; replay it with: {command}")
@@ -99,7 +98,7 @@ def replay(folder: Path) -> int:
     """
     if is_rollout_bundle(folder):
         return _replay_rollout(folder)
-    with interruptible_progress() as progress:
+    with open_progress_bar() as progress:
         result = replay_bundle(folder, progress)
     if result.note:
         print_line(result.note)
@@ -116,7 +115,7 @@ def replay(folder: Path) -> int:
 
 
 def _replay_rollout(folder: Path) -> int:
-    with interruptible_progress() as progress:
+    with open_progress_bar() as progress:
         result = replay_rollout(folder, progress)
     if result.note:
         print_line(result.note)

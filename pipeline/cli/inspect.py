@@ -3,8 +3,7 @@
 from pathlib import Path
 
 from pipeline.calibration import calibration_file, force_scale, quality_notes
-from pipeline.cli.interrupts import interruptible_progress
-from pipeline.cli.terminal import print_line
+from pipeline.cli.terminal import open_progress_bar, print_line
 from pipeline.cli.translation_options import DepthUnit, ReferenceImagePath
 from pipeline.inspection.recording_report import format_report_lines, inspect_recording
 from pipeline.recordings.reference_estimate import write_reference
@@ -27,7 +26,7 @@ def inspect(
             places vanish. The report then uses it as the reference.
     """
     if make_reference is not None:
-        with interruptible_progress() as progress:
+        with open_progress_bar() as progress:
             _, n_images = write_reference(recording, make_reference, progress)
         print_line(f"{make_reference} is the median of {n_images} images; check that it shows no touch")
         reference = make_reference

@@ -10,8 +10,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from pipeline.base.errors import SettingProblem
-from pipeline.cli.interrupts import handle_interrupts
-from pipeline.cli.terminal import print_line
+from pipeline.cli.terminal import handle_interrupts, print_line
 from pipeline.live import reference_capture
 from pipeline.live.reader import LiveReader
 from pipeline.live.recorder import LiveRecorder

@@ -10,8 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from pipeline.base.text import escape_text, shorten_text
-from pipeline.cli.interrupts import interruptible_progress
-from pipeline.cli.terminal import print_line
+from pipeline.cli.terminal import open_progress_bar, print_line
 from pipeline.tasks.catalogue import load_task
 from pipeline.tasks.rerun import attribute_rollout, describe_error
 from pipeline.tasks.rollout_bundle import write_rollout_bundle
@@ -28,7 +27,7 @@ def list_rollouts(folder: Path) -> int:
     Args:
         folder: Folder written by `tactoscope task --record`.
     """
-    with interruptible_progress() as progress:
+    with open_progress_bar() as progress:
         trials = list_trials(folder, progress)
     table = Table(*_COLUMNS)
     for trial in trials:
@@ -51,7 +50,7 @@ def attribute_recorded(file: Path) -> int:
         file: A recorded rollout.
     """
     rollout = read_rollout(file)
-    with interruptible_progress() as progress:
+    with open_progress_bar() as progress:
         decisions = attribute_rollout(rollout, progress)
     title = load_task(rollout.plan.task).error_title
     for decision in decisions:
@@ -67,7 +66,7 @@ def video(file: Path, *, out: Path) -> int:
         file: A recorded rollout.
         out: Video to write, .mp4 or .avi.
     """
-    with interruptible_progress() as progress:
+    with open_progress_bar() as progress:
         write_rollout_video(file, out, progress)
     print_line(f"video written to {os.fspath(out)}")
     return 0

@@ -1,21 +1,16 @@
 """`tactoscope simulate`: simulated recordings, one per object; an interrupted run can be continued."""
 
 import os
-from collections.abc import Generator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Literal
-
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
 from pipeline.base.cluster import connect_cluster
 from pipeline.base.errors import FileProblem
 from pipeline.base.files import prepare_folder_for
-from pipeline.base.progress import Cancelled
+from pipeline.base.progress import SubProgress
 from pipeline.base.units import MeshUnit
-from pipeline.cli.interrupts import handle_interrupts
-from pipeline.cli.terminal import print_line
+from pipeline.cli.terminal import open_progress_bar, print_line
 from pipeline.cli.translation_options import split_list
 from pipeline.simulation import datasets, recorder
 from pipeline.simulation.datasets import SimulationPlan
@@ -76,42 +71,13 @@ def simulate(
         # Checks `jobs`; starts no process before there is work.
         local_pool = stack.enter_context(recorder.make_worker_pool(jobs))
         pool = stack.enter_context(connect_cluster(scheduler)).pool if scheduler else local_pool
-        bar = stack.enter_context(_open_bar(total, n_finished))
+        bar = stack.enter_context(open_progress_bar(total))
         use_pool = scheduler or (jobs > 1 and total - n_finished >= recorder.MIN_MOMENTS_FOR_POOL)
-        try:
-            for plan, path in zip(plans, files, strict=True):
-                result = recorder.record_plan(plan, path, pool=pool if use_pool else None, progress=bar)
-                n_unsolved += result.n_unsolved
-        except Cancelled:
-            raise KeyboardInterrupt from None
+        for k, (plan, path) in enumerate(zip(plans, files, strict=True)):
+            part = SubProgress(bar, k / len(plans), 1.0 / len(plans))
+            result = recorder.record_plan(plan, path, pool=pool if use_pool else None, progress=part)
+            n_unsolved += result.n_unsolved
     print_line(f"{total} moments of {len(plans)} objects for {', '.join(template.sensors)} in {os.fspath(out)}")
     if n_unsolved:
         print_line(f"{n_unsolved} frames did not converge; they are kept without ground truth")
     return 0
-
-
-class _InterruptibleBar:
-    """Progress bar of finished moments; ends the work between two moments after a stop request."""
-
-    def __init__(self, bar: Progress, task: TaskID) -> None:
-        self._bar, self._task, self._stop_requested = bar, task, False
-
-    def request_stop(self, *_signal: object) -> None:
-        """Stop the work after the current moment."""
-        self._stop_requested = True
-        self._bar.update(self._task, description="stopping")
-
-    def step(self, fraction: float, text: str) -> None:  # noqa: ARG002 - the bar counts moments of all objects
-        """Count one more moment; raises Cancelled after a stop request."""
-        self._bar.update(self._task, advance=1, description=text)
-        if self._stop_requested:
-            raise Cancelled
-
-
-@contextmanager
-def _open_bar(total: int, n_finished: int) -> Generator[_InterruptibleBar, None, None]:
-    columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
-        bar = _InterruptibleBar(progress, progress.add_task("simulating", total=total, completed=n_finished))
-        with handle_interrupts(bar.request_stop):
-            yield bar

@@ -12,9 +12,7 @@ from rich.table import Table
 
 from pipeline.base.cluster import connect_cluster
 from pipeline.base.files import prepare_folder, prepare_folder_for, write_json
-from pipeline.base.progress import Progress
-from pipeline.cli.interrupts import interruptible_progress
-from pipeline.cli.terminal import InterruptibleBar, ProgressBar, create_progress_bar, print_line
+from pipeline.cli.terminal import open_progress_bar, print_line
 from pipeline.cli.translation_options import Flag, split_list
 from pipeline.tasks.catalogue import load_task
 from pipeline.tasks.rollout_bundle import copy_case
@@ -69,8 +67,7 @@ def task(
             copy_case(Path(name), record)
     chosen = load_task(planned[0].plan.task)
     with ExitStack() as stack:
-        interrupts, bar = stack.enter_context(interruptible_progress()), stack.enter_context(create_progress_bar())
-        progress: Progress = InterruptibleBar(ProgressBar(bar), interrupts)
+        progress = stack.enter_context(open_progress_bar())
         cluster = stack.enter_context(connect_cluster(scheduler)) if scheduler else None
         summaries = run_jobs(planned, jobs, cluster, progress)
     _print_table(chosen, summaries)

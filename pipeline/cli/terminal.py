@@ -1,49 +1,72 @@
-"""Terminal output shared by the commands: lines, progress bars and error sentences."""
+"""Terminal output shared by the commands: lines, error sentences, and a progress bar that Ctrl-C and SIGTERM end.
+
+A signal sets a flag that the work checks at its next step: an exception raised at an arbitrary point could be swallowed
+while a kernel compiles, or leave a file half written.
+"""
 
 from __future__ import annotations
 
+import signal
 import sys
+import threading
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from pipeline.base.text import escape_text
 
 if TYPE_CHECKING:  # an error sentence is printed without loading rich
-    from rich.progress import Progress as RichProgress
-
-    from pipeline.base.progress import Progress
-
-
-class ProgressBar:
-    """A pipeline progress shown on the terminal."""
-
-    def __init__(self, bar: RichProgress) -> None:
-        self._bar, self._task = bar, bar.add_task("", total=1.0)
-
-    def step(self, fraction: float, text: str) -> None:
-        """Show the fraction done and what is being done."""
-        self._bar.update(self._task, completed=fraction, description=text)
-
-
-class InterruptibleBar:
-    """Progress bar that Ctrl-C ends at the next step."""
-
-    def __init__(self, bar: ProgressBar, interrupts: Progress) -> None:
-        self._bar, self._interrupts = bar, interrupts
-
-    def step(self, fraction: float, text: str) -> None:
-        """Show progress, or raise KeyboardInterrupt."""
-        self._interrupts.step(fraction, text)
-        self._bar.step(fraction, text)
-
-
-def create_progress_bar() -> RichProgress:
-    """Progress bar on stderr that disappears when the work is done."""
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn
+    from rich.progress import Progress, TaskID
 
-    return Progress(
-        TextColumn("{task.description}", markup=False), BarColumn(), console=Console(stderr=True), transient=True
-    )
+
+class TerminalProgress:
+    """A pipeline progress shown on the terminal; ends the work at its next step after a request to stop."""
+
+    def __init__(self, bar: Progress, task: TaskID, total: float) -> None:
+        self._bar, self._task, self._total, self._stop_requested = bar, task, total, False
+
+    def request_stop(self, *_signal: object) -> None:
+        """Stop the work at its next step."""
+        self._stop_requested = True
+        self.show("stopping")
+
+    def show(self, text: str) -> None:
+        """Show what is being done."""
+        self._bar.update(self._task, description=text)
+
+    def step(self, fraction: float, text: str) -> None:
+        """Show the fraction done and what is being done; raises KeyboardInterrupt after a request to stop."""
+        self._bar.update(self._task, completed=round(fraction * self._total, 6), description=text)
+        if self._stop_requested:
+            raise KeyboardInterrupt
+
+
+@contextmanager
+def open_progress_bar(n_pieces: int = 0, console: Console | None = None) -> Generator[TerminalProgress]:
+    """Progress bar on stderr that disappears when the work is done; counts `n_pieces`, or shows per cent for 0."""
+    from rich import progress
+    from rich.console import Console
+
+    counter = progress.MofNCompleteColumn() if n_pieces else progress.TaskProgressColumn()
+    text, left = progress.TextColumn("{task.description}", markup=False), progress.TimeRemainingColumn()
+    console, total = console or Console(stderr=True), float(n_pieces or 1)
+    with progress.Progress(text, progress.BarColumn(), counter, left, console=console, transient=True) as bar:
+        shown = TerminalProgress(bar, bar.add_task("", total=total), total)
+        with handle_interrupts(shown.request_stop):
+            yield shown
+
+
+@contextmanager
+def handle_interrupts(handler: Callable[..., None]) -> Generator[None]:
+    """Call `handler` on Ctrl-C and SIGTERM while the context lasts; no effect outside the main thread."""
+    is_main = threading.current_thread() is threading.main_thread()
+    previous = {kind: signal.signal(kind, handler) for kind in (signal.SIGINT, signal.SIGTERM) if is_main}
+    try:
+        yield
+    finally:
+        for kind, old_handler in previous.items():
+            signal.signal(kind, old_handler)
 
 
 def print_line(text: str) -> None:

@@ -10,8 +10,7 @@ from rich.table import Table
 
 from pipeline.base.files import prepare_folder
 from pipeline.base.frame_lists import parse_frames
-from pipeline.cli.interrupts import interruptible_progress
-from pipeline.cli.terminal import print_line
+from pipeline.cli.terminal import open_progress_bar, print_line
 from pipeline.cli.translation_options import (
     DEFAULT_OPTIONS,
     RecordingPath,
@@ -51,8 +50,7 @@ def track(
     prepare_folder(out)
     with closing(open_translation(options.build_request(recording, source))) as translation:
         indices = parse_frames(frames, translation.n_frames)
-        with Console(stderr=True).status("") as status, interruptible_progress() as progress:
-            status.update(f"{len(indices)} frames")
+        with open_progress_bar() as progress:
             record = track_recording(
                 translation, stage, with_settings(translation.methods, settings), indices, progress
             )

@@ -9,12 +9,10 @@ from typing import Annotated
 
 from cyclopts import App, Parameter
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from pipeline.base.errors import FileProblem, SettingProblem
-from pipeline.cli.interrupts import handle_interrupts
-from pipeline.cli.terminal import print_line
+from pipeline.cli.terminal import open_progress_bar, print_line
 from pipeline.cli.translation_options import Flag
 from pipeline.imprints.tiles import is_tile_folder
 from pipeline.networks.weights import SUFFIX, Weights
@@ -116,33 +114,13 @@ def run_with_progress_bar(run: TrainingRun) -> None:
     log, handler = logging.getLogger("tactoscope"), _ConsoleHandler(console)
     log.addHandler(handler)
     log.setLevel(logging.INFO)
-    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True) as progress:
-        bar = _InterruptibleBar(progress, progress.add_task("starting", total=1.0))
+    with open_progress_bar(console=console) as bar:
+        bar.show("starting")
         try:
-            with handle_interrupts(bar.request_stop):
-                train_run(run, bar)
+            train_run(run, bar)
         finally:
             log.removeHandler(handler)
             log.setLevel(logging.NOTSET)
-
-
-class _InterruptibleBar:
-    """Progress bar of a training; ends it between two steps after a stop request."""
-
-    def __init__(self, bar: Progress, task: TaskID) -> None:
-        self._bar, self._task, self._stop_requested = bar, task, False
-
-    def request_stop(self, *_signal: object) -> None:
-        """Stop the training after the current step."""
-        self._stop_requested = True
-        self._bar.update(self._task, description="stopping")
-
-    def step(self, fraction: float, text: str) -> None:
-        """Show progress; raises KeyboardInterrupt after a stop request."""
-        self._bar.update(self._task, completed=fraction, description=text)
-        if self._stop_requested:
-            raise KeyboardInterrupt
 
 
 def _print_model_card(weights: Weights) -> None:

@@ -10,19 +10,16 @@ from typing import Annotated
 
 from cyclopts import Parameter
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from pipeline.base import compiling, error_log
 from pipeline.base.cluster import connect_cluster
 from pipeline.base.errors import SettingProblem, TouchError
 from pipeline.base.files import prepare_folder
-from pipeline.base.progress import SILENT
-from pipeline.base.progress import Progress as StageProgress
+from pipeline.base.progress import SILENT, Progress, SubProgress
 from pipeline.base.text import escape_text
 from pipeline.calibration.force_scale import UNKNOWN_SCALE
-from pipeline.cli.interrupts import interruptible_progress
-from pipeline.cli.terminal import print_error, print_line
+from pipeline.cli.terminal import open_progress_bar, print_error, print_line
 from pipeline.cli.translation_options import (
     DEFAULT_OPTIONS,
     Flag,
@@ -46,12 +43,6 @@ from pipeline.values.results import ObjectPose
 CACHE_BYTES = 32 * 1024 * 1024  # a few frames: a run does not return to earlier ones
 _FORCE_SKIPPED = "normal force: skipped; give --force, or a --calibration that 'tactoscope calibrate force' wrote"
 _LISTED_FRAMES = 8  # frame numbers listed behind a warning
-_BAR_COLUMNS = (
-    TextColumn("{task.description}", markup=False),
-    BarColumn(),
-    MofNCompleteColumn(),
-    TimeRemainingColumn(),
-)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -111,26 +102,24 @@ def translate(
     last: FinishedFrame | None = None
     n_resumed = 0
     try:
-        with interruptible_progress() as interrupts, Progress(*_BAR_COLUMNS, console=console, transient=True) as bar:
-            task = bar.add_task("translating", total=len(indices))
+        with open_progress_bar(len(indices), console) as bar:
             if scheduler:
                 jobs = [
                     _FrameJob(request=request, settings=tuple(settings), force=force, out=out.resolve(), index=k)
                     for k in indices
                 ]
                 with connect_cluster(scheduler) as workers:
-                    workers.map(_run_job, jobs, interrupts)
-            for index in indices:
-                bar.update(task, description=f"frame {index}")
-                interrupts.step(0.0, "")
-                with compiling.report_compiling(lambda text: bar.update(task, description=text)):
+                    workers.map(_run_job, jobs, bar)
+            for done, index in enumerate(indices):
+                part = SubProgress(bar, done / len(indices), 1.0 / len(indices), f"frame {index}")
+                part.step(0.0, "")
+                with compiling.report_compiling(bar.show):
                     previous = last if follow else None
                     is_resumed, last = _translate_frame(
-                        translation, graph, params, index, out, previous, interrupts, force=force
+                        translation, graph, params, index, out, previous, part, force=force
                     )
                 reports.append(last.report)
                 n_resumed += is_resumed
-                bar.advance(task)
     finally:  # also on Ctrl-C: finished frames are complete and listed
         translation.close()
         if reports:
@@ -250,7 +239,7 @@ def _translate_frame(
     index: int,
     out: Path,
     previous: FinishedFrame | None,
-    progress: StageProgress,
+    progress: Progress,
     *,
     force: bool,
 ) -> tuple[bool, FinishedFrame]:

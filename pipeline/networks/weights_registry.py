@@ -3,15 +3,13 @@
 Nothing is raised: a method without weights uses its fallback and reports it.
 """
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from pipeline.base.errors import FileProblem
 from pipeline.base.memo import Memo
-from pipeline.networks import depth_anything_files, latent_diffusion_files, unet_files, vqvae_files
+from pipeline.networks.published_weights import ReadWeights, get_description_path
 from pipeline.networks.weights import SUFFIX, NoWeights, Weights, load_weights, load_weights_of_package, stamp_file
-from pipeline.networks.weights_description import get_description_path
 
 _SOURCE, _WHEEL = Path(__file__).parents[2] / "sample_data" / "weights", Path(__file__).parent / "shipped"
 WEIGHTS_FOLDER = _SOURCE if _SOURCE.is_dir() else _WHEEL
@@ -32,13 +30,7 @@ def load_shipped(name: str) -> Weights | NoWeights:
     return load_file(path, load_weights_of_package)
 
 
-def select_reader(kind: str) -> Callable[[Path], Weights]:
-    """Return the function that reads weights of this kind of network; it raises FileProblem."""
-    files = (depth_anything_files, latent_diffusion_files, unet_files, vqvae_files)
-    return {module.KIND: module.read_weights for module in files}.get(kind, load_weights)
-
-
-def load_file(path: Path, read: Callable[[Path], Weights] = load_weights) -> Weights | NoWeights:
+def load_file(path: Path, read: ReadWeights = load_weights) -> Weights | NoWeights:
     """The weights of a file, cached until the file changes."""
     try:
         try:
@@ -55,7 +47,7 @@ def load_for_task(
     task: str | tuple[str, ...],
     name: str,
     file: Path | None,
-    read: Callable[[Path], Weights] = load_weights,
+    read: ReadWeights = load_weights,
     target_kind: str = "",
 ) -> Weights | NoWeights:
     """Weights trained for a task of `pipeline.training` (or one of several): of `file`, or the shipped `name`.

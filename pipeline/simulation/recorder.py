@@ -115,7 +115,7 @@ def record_plan(
                         _append_moment(writer, moment)
                         done, unsolved = done + 1, unsolved + moment.n_unsolved
                         progress.step(done / plan.n_poses, f"{plan.object_name}: {done} of {plan.n_poses}")
-                except Cancelled as error:
+                except (Cancelled, KeyboardInterrupt) as error:
                     stopped = error
                 except BrokenProcessPool as error:
                     stopped = NotConverged("a worker process died, perhaps out of memory; run again with --jobs 1")

@@ -13,7 +13,8 @@ from pipeline.base.files import read_toml
 from pipeline.base.params import Value, list_settings, replace_value, setting
 from pipeline.base.typed_data import InvalidField, Name, check
 from pipeline.networks import weights_registry
-from pipeline.networks.weights import NoWeights, Weights
+from pipeline.networks.published_weights import READERS
+from pipeline.networks.weights import NoWeights, Weights, load_weights
 from pipeline.training.hold_out import HOLD_OUT_HELP
 from pipeline.training.recorded_pairs import PairFolder
 from pipeline.training.recorded_touches import RecordingSource
@@ -198,7 +199,7 @@ def _read_network(initial_weights: str) -> Mapping[str, Value]:
 def load_initial_weights(name: str, kind: str = "") -> Weights:
     """Weights of a file, or shipped ones by name (without a suffix); raises FileProblem and SettingProblem."""
     if Path(name).suffix:
-        return weights_registry.select_reader(kind)(Path(name))
+        return READERS.get(kind, load_weights)(Path(name))
     weights = weights_registry.load_shipped(name)
     if isinstance(weights, NoWeights):
         raise SettingProblem(weights.why)

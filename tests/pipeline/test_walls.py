@@ -24,7 +24,7 @@ HEAVY = (
 EVERY_MODULE = """
 import importlib, json, pkgutil, sys
 import pipeline
-networks = {"pipeline.networks." + name for name in ("weights", "building", "shelf", "picturing", "depth_anything_files")}
+networks = {"pipeline.networks." + name for name in ("weights", "network_factory", "published_weights", "onnx_predictor")}
 for module in pkgutil.walk_packages(pipeline.__path__, "pipeline."):
     if module.name.startswith("pipeline.networks.") and module.name not in networks:
         continue  # a network is a class of torch's; its module is imported when it is built

@@ -14,8 +14,8 @@ from pipeline.base.stage_warnings import StageWarning
 from pipeline.calibration.calibration_table import Calibration
 from pipeline.engine.graph import Skipped
 from pipeline.networks import weights_registry
-from pipeline.networks.depth_anything_files import read_weights
 from pipeline.networks.depth_anything_input import PATCH_PX, prepare_image, resize_to_patches
+from pipeline.networks.published_weights import read_depth_anything
 from pipeline.networks.reproducible_inference import reproducible_inference
 from pipeline.networks.weights import NoWeights, Weights
 from pipeline.sensors.spec import SensorSpec
@@ -59,7 +59,7 @@ class DepthAnythingParams:
 
 def select_weights(_source: SensorSpec, _target: SensorSpec, file: Path | None) -> Weights | NoWeights:
     """The user's weights; none are shipped."""
-    return _NOT_SHIPPED if file is None else weights_registry.load_file(file, read_weights)
+    return _NOT_SHIPPED if file is None else weights_registry.load_file(file, read_depth_anything)
 
 
 def estimate_depth(

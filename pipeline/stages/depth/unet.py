@@ -16,7 +16,7 @@ from pipeline.base.params import NoParams
 from pipeline.base.progress import Progress
 from pipeline.calibration.calibration_table import Calibration
 from pipeline.engine.graph import Skipped
-from pipeline.networks import unet_files, weights_registry
+from pipeline.networks import published_weights, weights_registry
 from pipeline.networks.reproducible_inference import reproducible_inference
 from pipeline.networks.touch_formats import BUBBLE
 from pipeline.networks.weights import NoWeights, Weights
@@ -32,7 +32,7 @@ _TOUCHES = 1  # class of the mask network
 
 def select_weights(source: SensorSpec, _target: SensorSpec, file: Path | None) -> Weights | NoWeights:
     """The user's weights, where they are for this kind of sensor; none are shipped."""
-    found = _NOT_SHIPPED if file is None else weights_registry.load_file(file, unet_files.read_weights)
+    found = _NOT_SHIPPED if file is None else weights_registry.load_file(file, published_weights.read_unet)
     if isinstance(found, NoWeights) or found.card.get("task", "").endswith(source.kind):
         return found
     return NoWeights(why=f"the weights {found.name!r} predict {found.card.get('task')}, not of a {source.kind}")

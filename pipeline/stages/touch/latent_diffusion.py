@@ -20,7 +20,7 @@ from pipeline.base.progress import SILENT, Progress, SubProgress
 from pipeline.base.stage_warnings import UnseenObjectWarning
 from pipeline.calibration.calibration_table import Calibration
 from pipeline.engine.graph import Fallback, Skipped
-from pipeline.networks import latent_diffusion_files, weights_registry
+from pipeline.networks import published_weights, weights_registry
 from pipeline.networks.guidance import GUIDED_STEPS, MAX_WEIGHT, WEIGHTS, GuidedDenoiser, plan_guidance
 from pipeline.networks.reproducible_inference import reproducible_inference
 from pipeline.networks.samplers import MAX_STEPS, Solver, make_timestep_schedule, sample
@@ -125,7 +125,7 @@ def select_t2d2_weights(source: SensorSpec, target: SensorSpec, file: Path | Non
 
 
 def _load_weights(name: str, target: SensorSpec, file: Path | None, *, is_t2d2: bool) -> Weights | NoWeights:
-    task, read = latent_diffusion_files.TASK, latent_diffusion_files.read_weights
+    task, read = published_weights.LATENT, published_weights.read_latent_diffusion
     found = weights_registry.load_for_task(task, name, file, read, target.kind)
     if isinstance(found, NoWeights) or (found.config.get("condition") == "depth") == is_t2d2:
         return found

@@ -16,7 +16,7 @@ from pipeline.base.params import NoParams
 from pipeline.base.progress import SILENT, Progress
 from pipeline.calibration.calibration_table import Calibration
 from pipeline.engine.graph import Skipped
-from pipeline.networks import vqvae_files, weights_registry
+from pipeline.networks import published_weights, weights_registry
 from pipeline.networks.reproducible_inference import reproducible_inference
 from pipeline.networks.square_images import (
     denormalise,
@@ -51,7 +51,7 @@ def select_weights(source: SensorSpec, target: SensorSpec, file: Path | None) ->
     """The weights of this pair of sensors in this direction, if a file is given; see `NOT_USED`."""
     if file is None:
         return NoWeights(why=NOT_USED)
-    found = weights_registry.load_for_task(vqvae_files.TASK, "", file, vqvae_files.read_weights)
+    found = weights_registry.load_for_task(published_weights.VQVAE, "", file, published_weights.read_vqvae)
     if isinstance(found, NoWeights):
         return found
     channels = {"inputs": len(get_touch_format(source.kind).means), "outputs": len(get_touch_format(target.kind).means)}

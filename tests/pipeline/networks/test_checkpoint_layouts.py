@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from pipeline.base.errors import FileProblem
-from pipeline.networks import depth_anything_files, latent_diffusion_files, unet_files, vqvae_files
+from pipeline.networks import published_weights
 from pipeline.networks.depth_anything import DepthAnything
 from pipeline.networks.network_factory import load_network
 from tests.pipeline.networks.test_released_checkpoint import released_state
@@ -16,11 +16,14 @@ from tests.pipeline.networks.test_unet import state as unet_state
 from tests.pipeline.networks.test_vqvae import small
 
 KINDS = {
-    "latent": (released_state, latent_diffusion_files.read_weights),
-    "depth_unet": (lambda: unet_state(inputs=3, outputs=1), unet_files.read_weights),
-    "contact_unet": (lambda: milesial(unet_state(inputs=1, outputs=2)), unet_files.read_weights),
-    "depth_anything": (lambda: DepthAnything(encoder="vits", side=42).state_dict(), depth_anything_files.read_weights),
-    "vqvae": (lambda: small(codes=33).state_dict(), vqvae_files.read_weights),
+    "latent": (released_state, published_weights.read_latent_diffusion),
+    "depth_unet": (lambda: unet_state(inputs=3, outputs=1), published_weights.read_unet),
+    "contact_unet": (lambda: milesial(unet_state(inputs=1, outputs=2)), published_weights.read_unet),
+    "depth_anything": (
+        lambda: DepthAnything(encoder="vits", side=42).state_dict(),
+        published_weights.read_depth_anything,
+    ),
+    "vqvae": (lambda: small(codes=33).state_dict(), published_weights.read_vqvae),
 }
 OPTIMISER = {"state": {0: {"step": torch.tensor(3.0), "exp_avg": torch.full((9,), torch.nan)}}, "param_groups": [{}]}
 
@@ -85,4 +88,4 @@ def test_tensors_saved_on_a_gpu_are_read_without_one(kind, tmp_path, monkeypatch
 def test_a_whole_network_is_refused_with_the_remedy(tmp_path):
     torch.save(small(codes=33), tmp_path / "model.pth")
     with pytest.raises(FileProblem, match="save the network's state_dict"):
-        vqvae_files.read_weights(tmp_path / "model.pth")
+        published_weights.read_vqvae(tmp_path / "model.pth")

@@ -9,7 +9,7 @@ from safetensors.torch import save_file
 from torch.nn import functional
 
 from pipeline.base.errors import FileProblem
-from pipeline.networks import depth_anything_files as files
+from pipeline.networks import published_weights as files
 from pipeline.networks.depth_anything import DepthAnything
 from pipeline.networks.dinov2 import ENCODER_SIZES
 from pipeline.networks.network_factory import build_network, load_network
@@ -105,7 +105,7 @@ def test_all_file_kinds_are_read_as_float32(small, tmp_path, kind):
         like = {"half": torch.float16, "bf16": torch.bfloat16}.get(kind, torch.float32)
         kept = {n: t.to(like) for n, t in tensors.items() if kind != "bare" or not n.startswith("mask_head.")}
         torch.save(kept, path)
-    weights = files.read_weights(path)
+    weights = files.read_depth_anything(path)
     assert all(tensor.dtype == np.float32 for tensor in weights.tensors.values())
     assert weights.config["encoder"] == "vits"
     assert (weights.config["contact"], weights.config["answer"]) == (
@@ -137,7 +137,7 @@ def test_other_files_are_refused(small, tmp_path, fault):
     elif fault == "missing":
         path.unlink()
     with pytest.raises(FileProblem, match=wrong[fault][0]):
-        files.read_weights(path)
+        files.read_depth_anything(path)
 
 
 def test_any_image_of_whole_patches_is_accepted(small):

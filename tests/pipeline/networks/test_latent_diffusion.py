@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from pipeline.base.errors import FileProblem
-from pipeline.networks import latent_diffusion_files
+from pipeline.networks import published_weights
 from pipeline.networks.autoencoder_kl import sample_latents
 from pipeline.networks.latent_diffusion import LatentDiffusion, compute_alphas_cumprod
 from pipeline.networks.network_factory import build_network, load_network
@@ -146,7 +146,7 @@ def test_a_released_checkpoint_is_read_with_averaged_weights(tmp_path):
     }  # fmt: skip
     net = small(**like, width=32, autoencoder_width=32, condition_channels=2)
     torch.save(released(net, 0.5), tmp_path / "model.ckpt")
-    found = latent_diffusion_files.read_weights(tmp_path / "model.ckpt")
+    found = published_weights.read_latent_diffusion(tmp_path / "model.ckpt")
     assert (found.config["width"], found.config["autoencoder_width"], found.config["condition_channels"]) == (32, 32, 2)
     assert found.config["raw_condition"]
     assert not found.trained_with_condition_dropout
@@ -160,7 +160,7 @@ def test_a_released_checkpoint_is_read_with_averaged_weights(tmp_path):
 def test_other_files_are_refused(tmp_path):
     torch.save({"state_dict": {"weight": torch.zeros(3)}}, tmp_path / "other.ckpt")
     with pytest.raises(FileProblem, match="latent diffusion"):
-        latent_diffusion_files.read_weights(tmp_path / "other.ckpt")
+        published_weights.read_latent_diffusion(tmp_path / "other.ckpt")
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ import torch
 
 from pipeline.base.errors import FileProblem, ModelMissing
 from pipeline.base.progress import reading_reported_to
-from pipeline.networks import latent_diffusion_files
+from pipeline.networks import published_weights
 from pipeline.networks.latent_diffusion import LatentDiffusion
 from pipeline.networks.network_factory import load_network
 from tests.pipeline.networks import published_latent as published
@@ -81,7 +81,7 @@ def test_a_checkpoint_computes_what_its_definition_says(state, lightning, tmp_pa
         monkeypatch.delitem(sys.modules, name)
     said = Said()
     with reading_reported_to(said):
-        weights = latent_diffusion_files.read_weights(path)
+        weights = published_weights.read_latent_diffusion(path)
     assert not weights.trained_with_condition_dropout
     assert said[-1] == (1.0, "reading checkpoint.ckpt")
     assert [fraction for fraction, _ in said] == sorted(fraction for fraction, _ in said)
@@ -121,11 +121,11 @@ def test_a_checkpoint_computes_what_its_definition_says(state, lightning, tmp_pa
 def test_another_table_is_refused_in_a_sentence(state, tmp_path, change, problem):
     torch.save({"state_dict": change(state)}, tmp_path / "checkpoint.ckpt")
     with pytest.raises(FileProblem, match=problem):
-        latent_diffusion_files.read_weights(tmp_path / "checkpoint.ckpt")
+        published_weights.read_latent_diffusion(tmp_path / "checkpoint.ckpt")
 
 
 def test_a_missing_tensor_is_named(state, tmp_path):
     less = {n: t for n, t in state.items() if n != "first_stage_model.decoder.up.1.block.0.conv1.weight"}
     torch.save({"state_dict": less}, tmp_path / "checkpoint.ckpt")
     with pytest.raises(ModelMissing, match=r"1 tensors are missing.*decoder\.up\.1\.block\.0\.conv1\.weight"):
-        load_network(latent_diffusion_files.read_weights(tmp_path / "checkpoint.ckpt"))
+        load_network(published_weights.read_latent_diffusion(tmp_path / "checkpoint.ckpt"))

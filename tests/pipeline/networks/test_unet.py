@@ -11,7 +11,7 @@ from pipeline.base.errors import FileProblem
 from pipeline.base.params import NoParams
 from pipeline.base.progress import SILENT
 from pipeline.engine.graph import Fallback
-from pipeline.networks import unet_files, weights_registry
+from pipeline.networks import published_weights, weights_registry
 from pipeline.networks.network_factory import load_network
 from pipeline.networks.unet import UNet
 from pipeline.networks.weights import NoWeights
@@ -128,14 +128,14 @@ def test_a_description_beside_the_file_replaces_the_normalisation(tmp_path, touc
     tensors = state()
     path, description = tmp_path / "unet_new.pth", tmp_path / "unet_new.toml"
     torch.save(tensors, path)
-    assert "rows" not in weights_registry.load_file(path, unet_files.read_weights).config
+    assert "rows" not in weights_registry.load_file(path, published_weights.read_unet).config
     description.write_text("min_depth_mm = -3\nnorm_scale = 0.5\n")
-    network = load_network(weights_registry.load_file(path, unet_files.read_weights))
+    network = load_network(weights_registry.load_file(path, published_weights.read_unet))
     found = unet.predict_indentation_mm(network, touch.image, touch.reference)
     np.testing.assert_allclose(-found, published_depth(tensors, touch.image, touch.reference, -3.0, 0.5), atol=1e-4)
     for text, problem in (("max_mm = 1.0", "'max_mm'"), ("rows = 1.5", "rows in the"), ("rows =", "not valid TOML")):
         description.write_text(text)
-        assert problem in weights_registry.load_file(path, unet_files.read_weights).why
+        assert problem in weights_registry.load_file(path, published_weights.read_unet).why
 
 
 def test_contact_of_a_bubble_is_the_published_mask(tmp_path):

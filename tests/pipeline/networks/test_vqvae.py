@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from pipeline.base.errors import FileProblem
-from pipeline.networks import vqvae_files, weights_registry
+from pipeline.networks import published_weights, weights_registry
 from pipeline.networks.network_factory import build_network, load_network
 from pipeline.networks.vqvae import VqVae
 from pipeline.networks.weights import NoWeights
@@ -99,7 +99,7 @@ def test_dilation_widens_the_receptive_field():
 def test_a_released_state_is_recognised_by_its_tensors(tmp_path):
     net = small(codes=33)
     torch.save(net.state_dict(), tmp_path / "best.pt")
-    found = vqvae_files.read_weights(tmp_path / "best.pt")
+    found = published_weights.read_vqvae(tmp_path / "best.pt")
     assert dict(found.config) == {"inputs": 3, "outputs": 1, "width": 8, "codes": 33, "half_turn": True}
     x = torch.randn(1, 3, 16, 16)
     assert torch.allclose(load_network(found)(x).generated, net.eval()(x).generated, atol=1e-6)
@@ -108,8 +108,8 @@ def test_a_released_state_is_recognised_by_its_tensors(tmp_path):
 def test_other_files_are_refused(tmp_path):
     torch.save({"weight": torch.zeros(3)}, tmp_path / "other.pt")
     with pytest.raises(FileProblem, match=r"encoder\.0\.weight"):
-        vqvae_files.read_weights(tmp_path / "other.pt")
-    assert isinstance(weights_registry.load_file(tmp_path / "other.pt", vqvae_files.read_weights), NoWeights)
+        published_weights.read_vqvae(tmp_path / "other.pt")
+    assert isinstance(weights_registry.load_file(tmp_path / "other.pt", published_weights.read_vqvae), NoWeights)
 
 
 @pytest.mark.slow

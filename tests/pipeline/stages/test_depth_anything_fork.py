@@ -10,7 +10,7 @@ import torch
 from torch.nn import functional
 
 from pipeline.base.progress import SILENT
-from pipeline.networks import depth_anything_files, weights_registry
+from pipeline.networks import published_weights, weights_registry
 from pipeline.networks.depth_anything import DepthAnything
 from pipeline.networks.network_factory import load_network
 from pipeline.networks.weights import NoWeights
@@ -64,7 +64,7 @@ def published_distance_m(net, grasp, largest_m, finger):
 def test_the_indentation_is_the_rest_minus_the_published_distance(net, grasp, tmp_path, finger):
     path = checkpoint(net, tmp_path / "latest.pth")
     (tmp_path / "latest.toml").write_text(f"largest_mm = 120\nside = {SIDE}\n")
-    weights = weights_registry.load_file(path, depth_anything_files.read_weights)
+    weights = weights_registry.load_file(path, published_weights.read_depth_anything)
     assert (weights.config["answer"], weights.config["contact"]) == ("distance", False)
     frame = open_recording(saved(tmp_path / "data_0.pt", grasp)).streams[finger].frame(0)
     found = DEPTH_ANYTHING.run(frame, BUBBLE, None, weights, DepthAnythingParams(), SILENT)
@@ -117,7 +117,7 @@ def test_a_description_says_what_a_checkpoint_predicts(tmp_path, text, expected)
     path = checkpoint(DepthAnything(encoder="vits"), tmp_path / "latest.pth")
     if text:
         (tmp_path / "latest.toml").write_text(text)
-    weights = depth_anything_files.read_weights(path)
+    weights = published_weights.read_depth_anything(path)
     assert expected.items() <= dict(weights.config).items()
     assert (load_network(weights).mask_head is not None) == expected["contact"]
 
@@ -125,7 +125,7 @@ def test_a_description_says_what_a_checkpoint_predicts(tmp_path, text, expected)
 def test_a_contact_head_that_does_not_fit_its_network_is_left_out(net, tmp_path):
     """The fork gives every encoder the head of the small one, which a larger one cannot run."""
     head = {"mask_head.mask_head.0.weight": torch.zeros(32, 63, 3, 3), "mask_head.mask_head.0.bias": torch.zeros(32)}
-    weights = depth_anything_files.read_weights(checkpoint(net, tmp_path / "latest.pth", **head))
+    weights = published_weights.read_depth_anything(checkpoint(net, tmp_path / "latest.pth", **head))
     assert weights.config["contact"] is False
     assert load_network(weights).mask_head is None
 
@@ -136,7 +136,7 @@ def test_a_contact_head_that_does_not_fit_its_network_is_left_out(net, tmp_path)
 def test_a_wrong_description_is_reported(net, grasp, tmp_path: Path, text, problem):
     path = checkpoint(net, tmp_path / "latest.pth")
     (tmp_path / "latest.toml").write_text(text)
-    weights = weights_registry.load_file(path, depth_anything_files.read_weights)
+    weights = weights_registry.load_file(path, published_weights.read_depth_anything)
     if isinstance(weights, NoWeights):
         assert problem in weights.why
         return
