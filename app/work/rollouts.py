@@ -40,7 +40,7 @@ class OpenRollout:
 def list_trial_folder(path: Path, report: JobReporter) -> TrialFolder:
     """List the rollouts of a folder, or of that of a file; raises FileProblem where there is none."""
     from pipeline.tasks.rollout_file import may_be_rollout
-    from pipeline.tasks.trial_table import list_trials
+    from pipeline.tasks.trial_rows import list_trials
 
     if path.is_file() and not may_be_rollout(path):
         raise FileProblem(
@@ -54,13 +54,13 @@ def list_trial_folder(path: Path, report: JobReporter) -> TrialFolder:
 def _choose_fields(trial: TrialRow) -> Mapping[str, Any]:
     """The fields of the session that translate a rollout's frames as its controller did."""
     from pipeline.tasks.catalogue import load_task
-    from pipeline.tasks.touches import choose_route
+    from pipeline.tasks.touches import make_touch_request
 
     task = load_task(trial.task)
-    chosen = choose_route(trial.touch, task.source, task.target)
+    asked = make_touch_request(trial.touch, trial.path, task.source, task.target)
     return {
-        "source": task.source, "target": task.target, "route": chosen.route, "methods": dict(chosen.methods),
-        "weights": dict(chosen.weights),
+        "source": asked.source, "target": asked.target, "route": asked.route, "methods": dict(asked.methods),
+        "weights": dict(asked.weights),
     }  # fmt: skip
 
 
@@ -68,8 +68,7 @@ def open_rollout(path: Path, report: JobReporter) -> OpenRollout:
     """Read a rollout and build its scene; raises FileProblem."""
     from pipeline.base.errors import TouchError
     from pipeline.tasks.catalogue import load_task
-    from pipeline.tasks.rollout_file import read_rollout
-    from pipeline.tasks.rollout_touches import list_places
+    from pipeline.tasks.rollout_file import list_places, read_rollout
     from pipeline.tasks.scene_view import build_scene, compute_bounds, make_plain_scene, make_scene_layers
     from pipeline.tasks.traces import make_traces
 

@@ -16,7 +16,7 @@ from pipeline.tasks.rerun import attribute_rollout, describe_error
 from pipeline.tasks.rollout_bundle import write_rollout_bundle
 from pipeline.tasks.rollout_file import read_rollout
 from pipeline.tasks.rollout_video import write_rollout_video
-from pipeline.tasks.trial_table import list_trials
+from pipeline.tasks.trial_rows import list_trials
 
 _COLUMNS = ("trial", "task", "case", "touch", "mm", "outcome", "error, mm", "error, deg", "cause")
 

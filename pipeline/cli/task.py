@@ -18,7 +18,6 @@ from pipeline.tasks.catalogue import load_task
 from pipeline.tasks.rollout_bundle import copy_case
 from pipeline.tasks.rollout_file import CASE_SUFFIX
 from pipeline.tasks.runner import Summary, make_jobs, run_jobs
-from pipeline.tasks.statistics import compute_wilson_interval
 from pipeline.tasks.task import ManipulationTask
 
 
@@ -84,6 +83,8 @@ def _parse_mm(text: str) -> float:
 
 
 def _print_table(chosen: ManipulationTask, summaries: Sequence[Summary]) -> None:
+    from scipy.stats import binomtest
+
     touches, tolerances, cases = (
         list(dict.fromkeys(one[key] for one in summaries)) for key in ("touch", "tolerance_mm", "case")
     )
@@ -97,7 +98,7 @@ def _print_table(chosen: ManipulationTask, summaries: Sequence[Summary]) -> None
                     for one in summaries
                     if one["touch"] == touch and one["tolerance_mm"] == tolerance and case in (one["case"], "all")
                 ]
-                low, high = compute_wilson_interval(sum(outcomes), len(outcomes))
+                low, high = binomtest(sum(outcomes), len(outcomes)).proportion_ci(method="wilson")
                 published = chosen.published.get((case, touch), "")
                 cells.append(
                     f"{sum(outcomes)}/{len(outcomes)} ({low:.0%}-{high:.0%})" + (f"; {published}" if published else "")

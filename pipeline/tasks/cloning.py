@@ -15,9 +15,8 @@ import numpy as np
 from pipeline.base.arrays import Floats, Image
 from pipeline.base.memo import memoise
 from pipeline.base.params import setting
-from pipeline.tasks.marble import command_as_expert
+from pipeline.tasks.marble import command_as_expert, shrink_image
 from pipeline.tasks.marble_trial import TARGET, draw_trial
-from pipeline.tasks.policy import shrink_image
 from pipeline.training.task import VALIDATION_SEED
 
 if TYPE_CHECKING:

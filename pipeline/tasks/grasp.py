@@ -1,5 +1,6 @@
 """A grasp between two fingers: the frames of all sensors, and the held pose as each touch shows it."""
 
+import zlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
@@ -9,11 +10,14 @@ import numpy as np
 from pipeline.base.progress import SILENT, Progress, SubProgress
 from pipeline.geometry.meshes import Mesh
 from pipeline.sensors.spec import SensorSpec
+from pipeline.simulation.poses import DEPTH_RANGE_MM, sample_press_pose
 from pipeline.tasks.attribution import correct_estimates, describe_decision, share_error
-from pipeline.tasks.in_hand import FINGERS, PlanarPose, estimate_grasp, press_between_fingers
+from pipeline.tasks.in_hand import FINGERS, PlanarPose, estimate_grasp, press_between_fingers, project_to_plane
 from pipeline.tasks.task import Attempt, Decision, Rollout, TrialPlan
 from pipeline.tasks.touches import NONE, TRUE, Moment, make_pairing, place_sensor
 from pipeline.values.frames import Pairing, TactileFrame, Truth
+
+SOURCE, TARGET = "gelslim", "soft_bubble"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,11 +49,10 @@ class HeldObject:
         return estimate_grasp(maps, self.mesh, self.target) or PlanarPose()
 
 
-def feel_grasp(
-    plan: TrialPlan, mesh: Mesh, held: PlanarPose, indentation_mm: float, rng: np.random.Generator, *, source: str,
-    target: str, progress: Progress = SILENT,
-) -> HeldObject:  # fmt: skip
-    """Record a grasp with the sensors that the plan needs: the target only for truth."""
+def feel_grasp(plan: TrialPlan, mesh: Mesh, rng: np.random.Generator, progress: Progress = SILENT) -> HeldObject:
+    """Record a random grasp with the sensors that the plan needs: the target only for truth."""
+    held = project_to_plane(sample_press_pose(mesh, rng, tilt_deg=0.0))
+    indentation_mm = float(rng.uniform(*DEPTH_RANGE_MM))
     needs_target = plan.attribute or plan.record_frames or TRUE in plan.touches
     needs_source = plan.record_frames or any(touch not in (TRUE, NONE) for touch in plan.touches)
     moments: list[Moment] = []
@@ -57,7 +60,7 @@ def feel_grasp(
     pairings: list[Pairing] = []
     target_spec = None
     for finger in FINGERS:
-        places = [place_sensor(name, rng, plan.vary) for name in (source, target)]  # the same draws, whoever records
+        places = [place_sensor(name, rng, plan.vary) for name in (SOURCE, TARGET)]  # the same draws, whoever records
         pose = press_between_fingers(mesh, held, finger, indentation_mm)
         used = [place for place, need in zip(places, (needs_source, needs_target), strict=True) if need]
         recorded: list[tuple[TactileFrame, Truth | None]] = []
@@ -77,17 +80,22 @@ def feel_grasp(
 
 def run_through_touches(
     plan: TrialPlan,
-    grasp: HeldObject,
+    mesh: Mesh,
     case: str,
-    measure_mm: Callable[[PlanarPose], float],
-    attempt: Callable[[PlanarPose, float], Attempt],
+    measure_mm: Callable[[PlanarPose, PlanarPose], float],
+    attempt: Callable[[PlanarPose, PlanarPose, float], Attempt],
     progress: Progress = SILENT,
 ) -> tuple[Rollout, ...]:
-    """One rollout per touch and tolerance: `attempt` acts on a believed pose, `measure_mm` is its error."""
+    """One rollout per touch and tolerance of a grasp of `mesh`, estimated through every touch.
+
+    `attempt` acts on the held and the believed pose with a tolerance in mm, `measure_mm` is the belief's error.
+    """
+    rng = np.random.default_rng([plan.seed, zlib.crc32(case.encode()), plan.index])
+    grasp = feel_grasp(plan, mesh, rng, SubProgress(progress, 0.0, 0.4, "touches"))
 
     def run_one(touch: str, own: Progress) -> Iterator[Rollout]:
         believed = grasp.estimate(touch, progress=SubProgress(own, 0.0, 0.3, "estimate of the grasp"))
-        error_mm = measure_mm(believed)
+        error_mm = measure_mm(grasp.held, believed)
         correct = cache(partial(
             correct_estimates, grasp.moments, touch, partial(grasp.estimate, touch), grasp.held,
             progress=SubProgress(own, 0.3, 0.6, "attribution"),
@@ -95,25 +103,25 @@ def run_through_touches(
 
         def judge(tolerance_mm: float, corrected: PlanarPose) -> tuple[float, bool]:
             own.step(0.9, "rollout with the truth")
-            return measure_mm(corrected), attempt(corrected, tolerance_mm).succeeds
+            return measure_mm(grasp.held, corrected), attempt(grasp.held, corrected, tolerance_mm).succeeds
 
         for tolerance_mm in plan.tolerances_mm:
             own.step(0.3, "rollout")
-            done, shares = attempt(believed, tolerance_mm), ()
+            done, shares = attempt(grasp.held, believed, tolerance_mm), ()
             if plan.attribute and not done.succeeds:
                 shares = share_error(error_mm, correct(), partial(judge, tolerance_mm))
             decision = Decision(
                 tick=0, error_mm=error_mm, estimate=believed.describe(), truth=grasp.held.describe(), shares=shares
             )
             yield Rollout(
-                case=case, index=plan.index, touch=touch, tolerance_mm=tolerance_mm, succeeds=done.succeeds,
+                case=case, trial=plan.index, touch=touch, tolerance_mm=tolerance_mm, succeeds=done.succeeds,
                 cause=f"{done.cause}; {describe_decision(decision)}", measures=done.measures, decisions=(decision,),
                 ticks=done.ticks, frames=grasp.frames, pairings=grasp.pairings, mesh=grasp.mesh,
             )  # fmt: skip
 
-    part = 1.0 / len(plan.touches)
+    part = 0.6 / len(plan.touches)
     return tuple(
         rollout
         for k, touch in enumerate(plan.touches)
-        for rollout in run_one(touch, SubProgress(progress, k * part, part, touch))
+        for rollout in run_one(touch, SubProgress(progress, 0.4 + k * part, part, touch))
     )

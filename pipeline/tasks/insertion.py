@@ -5,7 +5,6 @@ lead-in, force limit and compliance are not in the paper and are chosen here.
 """
 
 import math
-import zlib
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
@@ -17,17 +16,16 @@ from msgspec import Meta
 
 from pipeline.base.arrays import Doubles
 from pipeline.base.files import read_toml
-from pipeline.base.progress import SILENT, Progress, SubProgress
+from pipeline.base.progress import SILENT, Progress
 from pipeline.base.typed_data import FileName, Number, convert
 from pipeline.base.units import MeshUnit
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh
 from pipeline.simulation import shapes
-from pipeline.simulation.poses import DEPTH_RANGE_MM, sample_press_pose
 from pipeline.simulation.shapes.solids import transform_mesh
 from pipeline.tasks.descent import insert
-from pipeline.tasks.grasp import feel_grasp, run_through_touches
-from pipeline.tasks.in_hand import PlanarPose, parse_planar_pose, project_to_plane
+from pipeline.tasks.grasp import SOURCE, TARGET, run_through_touches
+from pipeline.tasks.in_hand import PlanarPose, parse_planar_pose
 from pipeline.tasks.peg import Peg, cut_peg, make_hole_mesh
 from pipeline.tasks.scene_bodies import make_fingers
 from pipeline.tasks.task import (
@@ -40,7 +38,6 @@ from pipeline.tasks.task import (
     TrialPlan,
 )
 
-SOURCE, TARGET = "gelslim", "soft_bubble"
 LEAD_IN_MM = 0.5  # 45 degree chamfer of the hole
 FORCE_LIMIT_N = 15.0
 TOLERANCES_MM = (0.25, 0.5, 1.0, 2.0)
@@ -118,16 +115,9 @@ def load_tool(path: Path) -> Tool:
 def run(plan: TrialPlan, progress: Progress = SILENT) -> tuple[Rollout, ...]:
     """One grasp, estimated through every touch, inserted at every clearance."""
     tool = make_tool(plan.case)
-    rng = np.random.default_rng([plan.seed, zlib.crc32(tool.name.encode()), plan.index])
-    held = project_to_plane(sample_press_pose(tool.mesh, rng, tilt_deg=0.0))
-    grasp = feel_grasp(
-        plan, tool.mesh, held, float(rng.uniform(*DEPTH_RANGE_MM)), rng, source=SOURCE, target=TARGET,
-        progress=SubProgress(progress, 0.0, 0.4, "touches"),
-    )  # fmt: skip
     return run_through_touches(
-        plan, grasp, tool.name, lambda believed: measure_miss_mm(tool.peg, held, believed), partial(_lower, tool, held),
-        SubProgress(progress, 0.4, 0.6),
-    )  # fmt: skip
+        plan, tool.mesh, tool.name, partial(measure_miss_mm, tool.peg), partial(_lower, tool), progress
+    )
 
 
 def measure_miss_mm(peg: Peg, held: PlanarPose, believed: PlanarPose) -> float:

@@ -6,15 +6,16 @@ load, speeds, the expert and the network are not in the paper and are chosen her
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 
-from pipeline.base.arrays import Doubles, Image
+from pipeline.base.arrays import Doubles, Floats, Image
 from pipeline.base.progress import SILENT, Progress
+from pipeline.networks.network_factory import load_predictor
+from pipeline.networks.weights_registry import load_for_task
 from pipeline.tasks.attribution import CorrectedEstimate, describe_decision, list_true_stages, share_error
 from pipeline.tasks.marble_trial import N_TICKS, SOURCE, TARGET, MarbleTrial, RecordedFrame, draw_trial
-from pipeline.tasks.policy import command_from_image
 from pipeline.tasks.rolling import TICK_S, make_ball
 from pipeline.tasks.scene_bodies import make_box
 from pipeline.tasks.task import (
@@ -31,7 +32,8 @@ from pipeline.tasks.touches import NONE, TRUE, make_pairing
 from pipeline.values.frames import TactileFrame, Truth
 
 UNTRANSLATED, EXPERT = "untranslated", "expert"
-WEIGHTS = "marble_gelslim"
+POLICY_TASK, WEIGHTS = "cloned_policy", "marble_gelslim"  # of `pipeline.training`; shipped
+_ROWS, _COLS = 48, 64  # of the policy's input
 N_HOLD_TICKS = 10
 LOST_MM = 7.0  # from the centre: the contact is outside the view
 GAIN, MAX_STEP_MM = 0.5, 0.8  # of the expert: plate's motion per tick over the ball's distance, and its limit
@@ -47,6 +49,14 @@ def command_as_expert(contact_mm: Doubles) -> Doubles:
 def limit_step(step_mm: Doubles) -> Doubles:
     """A step of the plate, at most `MAX_STEP_MM` long."""
     return step_mm * min(1.0, MAX_STEP_MM / max(float(np.linalg.norm(step_mm)), 1e-9))
+
+
+def shrink_image(image: np.ndarray[Any, Any]) -> Floats:
+    """The policy's input (3, 48, 64) in shares of full brightness from an image (rows, cols, 3) of any size."""
+    import cv2
+
+    small = cv2.resize(image, (_COLS, _ROWS), interpolation=cv2.INTER_AREA)
+    return np.ascontiguousarray(small.transpose(2, 0, 1)).astype(np.float32) / np.float32(255.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -101,7 +111,7 @@ def list_read_sensors(touch: str, *, needs_truth: bool = False) -> dict[str, Non
 def choose_step(
     trial: MarbleTrial, touch: str, recorded: Mapping[str, RecordedFrame], contact_mm: Doubles, n_true: int = 0
 ) -> Doubles:
-    """The plate's step by one touch."""
+    """The plate's step by one touch; raises ModelMissing without the policy's weights."""
     if touch == NONE:
         return np.zeros(2)
     if touch == EXPERT:
@@ -114,7 +124,8 @@ def choose_step(
         moment = trial.make_moment([recorded[name] for name in list_read_sensors(touch, needs_truth=n_true > 0)])
         steps = list_true_stages(moment, touch, _LAST_STAGE)[:n_true] if n_true else ()
         image = moment.generate_touch(touch, {stage: value for stage, _, value in steps}).image
-    return limit_step(command_from_image(WEIGHTS, cast("Image", image)))
+    policy: Any = load_predictor(load_for_task(POLICY_TASK, WEIGHTS, None))
+    return limit_step(np.asarray(policy(shrink_image(cast("Image", image)))[0], np.float64))
 
 
 def attribute_worst_decision(trial: MarbleTrial, touch: str, run: RollingRun, tolerance_mm: float) -> Decision:
@@ -180,7 +191,7 @@ def run_trial(plan: TrialPlan, progress: Progress = SILENT) -> Iterator[Rollout]
                 cause += f"; worst command {TICK_S * worst.tick:.1f} s after the start, {describe_decision(worst)}"
             pairing = make_pairing("plate", trial.source.nominal, trial.target.nominal)
             yield Rollout(
-                case=plan.case, index=plan.index, touch=touch, tolerance_mm=tolerance_mm, succeeds=succeeds,
+                case=plan.case, trial=plan.index, touch=touch, tolerance_mm=tolerance_mm, succeeds=succeeds,
                 cause=cause, measures={"end_mm": run.distances_mm[-1], "held_mm": measure_held_mm(run)},
                 decisions=decisions, ticks=run.ticks, frames=run.frames, pairings=(pairing,) if len(record) > 1 else (),
                 mesh=make_ball(),

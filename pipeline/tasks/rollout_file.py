@@ -14,7 +14,7 @@ Frame `i` of the streams is the moment of decision `i`. A plan names a TOML case
 import contextlib
 import json
 from collections.abc import Generator, Mapping
-from dataclasses import asdict, replace
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -36,11 +36,8 @@ _DIGITS = 6  # of numbers in a summary: equal on machines whose last bits differ
 
 def summarise(rollout: Rollout) -> dict[str, object]:
     """What a table and `--json` show of a rollout."""
-    return _round({
-        "case": rollout.case, "trial": rollout.index, "touch": rollout.touch, "tolerance_mm": rollout.tolerance_mm,
-        "succeeds": rollout.succeeds, "cause": rollout.cause, "measures": dict(rollout.measures),
-        "decisions": [asdict(decision) for decision in rollout.decisions],
-    })  # fmt: skip
+    stated = {field.name: getattr(rollout, field.name) for field in fields(RolloutSummary)}
+    return _round({**stated, "decisions": [asdict(decision) for decision in rollout.decisions]})
 
 
 def write_rollout(rollout: Rollout, path: Path, key: str, plan: TrialPlan) -> None:
@@ -104,6 +101,14 @@ def read_rollout(path: Path) -> RecordedRollout:
     if not all(0 <= decision.tick < n for decision in summary.decisions):
         raise FileProblem(f"a decision of the rollout lies outside its {n} ticks", path, field=f"{GROUP}/summary")
     return rollout
+
+
+def list_places(path: Path) -> Mapping[str, str]:
+    """Stream of the source -> title, for every finger or plate of a rollout that records two sensors."""
+    with contextlib.closing(hdf5.read(path)) as recording:
+        sensors = {stream.name: stream.sensor for stream in recording.streams}
+        sources = [pair.source for pair in recording.pairings if pair.source in sensors]
+        return {name: name.removeprefix(f"{sensors[name]}_").replace("_", " ") for name in sources}
 
 
 def read_outcome(path: Path) -> tuple[TrialPlan, RolloutSummary]:

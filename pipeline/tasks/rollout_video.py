@@ -20,7 +20,6 @@ from pipeline.reporting.video import write_video
 from pipeline.tasks.catalogue import load_task
 from pipeline.tasks.rerun import describe_error
 from pipeline.tasks.rollout_file import read_rollout
-from pipeline.tasks.rollout_touches import make_touch_request
 from pipeline.tasks.scene_image import SceneCamera, SceneDrawing
 from pipeline.tasks.scene_view import (
     ESTIMATE_COLOUR,
@@ -33,7 +32,7 @@ from pipeline.tasks.scene_view import (
     make_scene_layers,
 )
 from pipeline.tasks.task import RecordedRollout
-from pipeline.tasks.touches import NONE, TRUE
+from pipeline.tasks.touches import NONE, TRUE, make_touch_request
 from pipeline.tasks.traces import describe_tick, make_traces
 from pipeline.translation.translate import open_translation
 
@@ -86,7 +85,9 @@ def draw_ticks(rollout: RecordedRollout, progress: Progress = SILENT) -> Iterato
 def read_touches(rollout: RecordedRollout, decision: int) -> tuple[Preview | None, ...]:
     """Source, generated and true touch of a decision's frame; None where there is none."""
     try:
-        with closing(open_translation(make_touch_request(rollout))) as translation:
+        task, touch = load_task(rollout.plan.task), rollout.summary.touch
+        request = make_touch_request(touch, rollout.path, task.source, task.target)
+        with closing(open_translation(request)) as translation:
             index = min(decision, translation.n_frames - 1)
             inputs = translation.read_inputs(index)
             frame: Any = inputs["frame"]
@@ -97,7 +98,7 @@ def read_touches(rollout: RecordedRollout, decision: int) -> tuple[Preview | Non
             true = render_pane("touch", frame, results, translation, display, "truth") if "touch" in truths else None
     except TouchError:
         return None, None, None
-    return source, None if rollout.summary.touch in (TRUE, NONE) else made, None if true is None else true.preview
+    return source, None if touch in (TRUE, NONE) else made, None if true is None else true.preview
 
 
 def _draw_background(rollout: RecordedRollout, decision: int) -> _Background:

@@ -14,7 +14,6 @@ from pipeline.base.errors import SettingProblem
 
 STEP_S = 5e-4
 GRAVITY_MM_S2 = 9810.0
-_MM_AND_RAD = np.array([1e3, 1e3, 1e3, 1.0, 1.0, 1.0])
 SOLREF = "0.001 1"  # contacts as stiff as two steps allow
 
 
@@ -71,19 +70,6 @@ class Scene:
         """Switch an equality constraint off."""
         self._data.eq_active[int(self._model.equality(equality).id)] = 0
 
-    def get_velocity(self, body: str) -> Doubles:
-        """(6,) linear velocity (mm/s) in the world and angular velocity (rad/s) in the body of a free body."""
-        first = self._find_first_velocity(body)
-        return np.array(self._data.qvel[first : first + 6]) * _MM_AND_RAD
-
-    def set_velocity(self, body: str, velocity: Sequence[float]) -> None:
-        """Set the velocity of a free body, as `get_velocity` returns it."""
-        first = self._find_first_velocity(body)
-        self._data.qvel[first : first + 6] = np.asarray(velocity) / _MM_AND_RAD
-
-    def _find_first_velocity(self, body: str) -> int:
-        return int(self._model.jnt_dofadr[int(self._model.body(body).jntadr[0])])
-
     def get_pose(self, body: str) -> Doubles:
         """world_from_body (4, 4) in mm."""
         found, pose = self._data.body(body), np.eye(4)
@@ -103,12 +89,6 @@ class Scene:
                 sign = 1.0 if bodies[1] == wanted else -1.0  # the frame's first axis points from body 1 to body 2
                 total += sign * (np.array(contact.frame).reshape(3, 3).T @ one[:3])
         return total
-
-    def compute_energy_mj(self) -> float:
-        """Potential and kinetic energy in mJ."""
-        self._mujoco.mj_energyPos(self._model, self._data)
-        self._mujoco.mj_energyVel(self._model, self._data)
-        return 1e3 * float(np.sum(self._data.energy))
 
 
 def write_box(half_mm: Sequence[float], world_from_box: Doubles, attributes: str = "") -> str:

@@ -5,20 +5,18 @@ the paper and are chosen here. Cups are tapered rings of flat walls with a botto
 """
 
 import math
-import zlib
-from functools import lru_cache, partial
+from functools import lru_cache
 
 import numpy as np
 
 from pipeline.base.arrays import Doubles
-from pipeline.base.progress import SILENT, Progress, SubProgress
+from pipeline.base.progress import SILENT, Progress
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh
 from pipeline.simulation import shapes
-from pipeline.simulation.poses import DEPTH_RANGE_MM, sample_press_pose
 from pipeline.simulation.shapes.solids import transform_mesh
-from pipeline.tasks.grasp import feel_grasp, run_through_touches
-from pipeline.tasks.in_hand import PlanarPose, parse_planar_pose, project_to_plane
+from pipeline.tasks.grasp import SOURCE, TARGET, run_through_touches
+from pipeline.tasks.in_hand import PlanarPose, parse_planar_pose
 from pipeline.tasks.scene import Scene, write_box, write_pose
 from pipeline.tasks.scene_bodies import list_angles, make_fingers, make_ring
 from pipeline.tasks.task import (
@@ -32,7 +30,6 @@ from pipeline.tasks.task import (
     TrialPlan,
 )
 
-SOURCE, TARGET = "gelslim", "soft_bubble"
 RIM_MM, HEIGHT_MM, WALL_MM = 40.0, 60.0, 2.4  # radius of the rim's middle, as of the shape `cup_rim`; height; thickness
 GRIP_BELOW_MM = 4.5  # the fingers' centre below the rim's crest
 CUP_KG, FRICTION, N_WALLS = 0.03, 0.3, 16
@@ -143,16 +140,7 @@ def _judge_stack(ticks: list[Tick], standing: Doubles, nested_mm: float) -> Atte
 
 def run(plan: TrialPlan, progress: Progress = SILENT) -> tuple[Rollout, ...]:
     """One grasp of a rim, estimated through every touch, stacked with every clearance."""
-    rim = make_rim()
-    rng = np.random.default_rng([plan.seed, zlib.crc32(b"cup"), plan.index])
-    held = project_to_plane(sample_press_pose(rim, rng, tilt_deg=0.0))
-    grasp = feel_grasp(
-        plan, rim, held, float(rng.uniform(*DEPTH_RANGE_MM)), rng, source=SOURCE, target=TARGET,
-        progress=SubProgress(progress, 0.0, 0.4, "touches"),
-    )  # fmt: skip
-    return run_through_touches(
-        plan, grasp, plan.case, partial(measure_off_mm, held), partial(stack, held), SubProgress(progress, 0.4, 0.6)
-    )
+    return run_through_touches(plan, make_rim(), plan.case, measure_off_mm, stack, progress)
 
 
 def make_cup(clearance_mm: float) -> Mesh:

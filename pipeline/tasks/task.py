@@ -73,37 +73,6 @@ class Attempt:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Rollout:
-    """One run of one trial with one touch and one tolerance."""
-
-    case: str
-    index: int
-    touch: str
-    tolerance_mm: float
-    succeeds: bool
-    cause: str  # one sentence
-    measures: Mapping[str, float]
-    decisions: tuple[Decision, ...]
-    ticks: tuple[Tick, ...] = ()
-    frames: tuple[tuple[str, TactileFrame, Truth | None], ...] = ()  # stream, frame, truth; the same index = one moment
-    pairings: tuple[Pairing, ...] = ()
-    mesh: Mesh | None = None
-
-    @property
-    def name(self) -> str:
-        """Usable as the name of a file."""
-        return f"{self.case}_{self.touch}_{self.tolerance_mm:g}mm_{self.index:03d}"
-
-
-class RunTrial(Protocol):
-    """Runs one trial; `progress` receives what is done, and ends the trial by an exception."""
-
-    def __call__(self, plan: TrialPlan, progress: Progress = SILENT) -> Iterable[Rollout]:
-        """One rollout for each touch and tolerance, in this order."""
-        ...
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class RolloutSummary:
     """What a table and `--json` show of a rollout."""
 
@@ -115,6 +84,29 @@ class RolloutSummary:
     cause: str  # one sentence
     measures: Mapping[str, float]
     decisions: tuple[Decision, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rollout(RolloutSummary):
+    """One run of one trial with one touch and one tolerance."""
+
+    ticks: tuple[Tick, ...] = ()
+    frames: tuple[tuple[str, TactileFrame, Truth | None], ...] = ()  # stream, frame, truth; the same index = one moment
+    pairings: tuple[Pairing, ...] = ()
+    mesh: Mesh | None = None
+
+    @property
+    def name(self) -> str:
+        """Usable as the name of a file."""
+        return f"{self.case}_{self.touch}_{self.tolerance_mm:g}mm_{self.trial:03d}"
+
+
+class RunTrial(Protocol):
+    """Runs one trial; `progress` receives what is done, and ends the trial by an exception."""
+
+    def __call__(self, plan: TrialPlan, progress: Progress = SILENT) -> Iterable[Rollout]:
+        """One rollout for each touch and tolerance, in this order."""
+        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -89,23 +89,15 @@ def find_weights(touch: str, source: str, target: str) -> Path | None:
     return WEIGHTS_FOLDER / f"vqvae_{source}_to_{target}{SUFFIX}" if touch == "vqvae" else None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TouchRoute:
-    """Route, methods and weights with which a translation gives a task's touch."""
-
-    route: str
-    methods: tuple[tuple[str, str], ...] = ()
-    weights: tuple[tuple[str, Path], ...] = ()
-
-
-def choose_route(touch: str, source: str, target: str) -> TouchRoute:
-    """How a touch method translates; the default route for "true" and others that read no translation."""
+def make_touch_request(touch: str, recording: Path, source: str, target: str) -> Request:
+    """How a touch method translates; by the default route for "true" and others that read no translation."""
+    request = Request(recording=recording, source=source, target=target)
     if touch not in {method.name for method in BUILT_IN.stage("touch").methods}:
-        return TouchRoute(route="t2d2")
+        return request
     methods = {"touch": touch, **({"touch_depth": "from_image"} if touch == "vqvae" else {})}
     weights = find_weights(touch, source, target)
-    return TouchRoute(
-        route="t2d2" if "target_depth" in BUILT_IN.method("touch", touch).reads else "t2t",
+    return replace(
+        request, route="t2d2" if "target_depth" in BUILT_IN.method("touch", touch).reads else "t2t",
         methods=tuple(methods.items()), weights=() if weights is None else (("touch", weights),),
     )  # fmt: skip
 
@@ -134,20 +126,11 @@ class Moment:
         self._context_images, self._draft = context_images, draft
         self._graph = Graph((), cache=Cache(_CACHE_BYTES))
 
-    @property
-    def target(self) -> SensorSpec:
-        """The sensor that the task's controller reads."""
-        return self._target
-
     def open_translation(self, touch: str) -> Translation:
         """The translation of the source's frame by a touch method; of the target's own frame for "true"."""
         source = self._target if touch == TRUE else self._source
-        chosen = choose_route(touch, source.name, self._target.name)
         return Translation(
-            request=Request(
-                recording=self._recording.path, target=self._target.name, route=chosen.route, methods=chosen.methods,
-                weights=chosen.weights,
-            ),
+            request=make_touch_request(touch, self._recording.path, source.name, self._target.name),
             recording=self._recording, stream=self._recording.stream(source.name), source=source, target=self._target,
             alignment=resolve_alignment(source, self._target), calibration=None, mesh=self._mesh,
             load_context_images=tuple if touch == TRUE else lambda: self._context_images,

@@ -1,13 +1,16 @@
-"""One rollout as a row of a table, and the gaps of its decisions."""
+"""Recorded rollouts as rows of a table: what was tried, how it ended, and what was wrong at the decision."""
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from pipeline.base.errors import FileProblem, TouchError
+from pipeline.base.progress import SILENT, Progress
 from pipeline.tasks.task import Decision, RolloutSummary
 
 SUFFIXES = (".h5", ".hdf5")  # of recordings that may be rollouts
+MAX_ROLLOUTS = 20_000  # of a folder
 _CYCLE_DEG = 360.0
 
 
@@ -37,6 +40,35 @@ class TrialRow:
 def is_rollout_folder(path: Path) -> bool:
     """Whether a folder holds HDF5 files and may hold rollouts; opens no file."""
     return path.is_dir() and any(one.suffix.lower() in SUFFIXES for one in path.iterdir())
+
+
+def list_trials(path: Path, progress: Progress = SILENT) -> tuple[TrialRow, ...]:
+    """The rollouts of a folder in order of their names, or of the folder that a rollout lies in.
+
+    A damaged rollout is a row with its problem. Raises FileProblem where there is no rollout.
+    """
+    folder = path if path.is_dir() else path.parent
+    files = sorted(one for one in folder.iterdir() if one.suffix.lower() in SUFFIXES)[:MAX_ROLLOUTS]
+    rows: list[TrialRow] = []
+    for done, file in enumerate(files):
+        progress.step(done / len(files), f"rollout {done + 1} of {len(files)}")
+        row = _read_row(file)
+        if row is not None:
+            rows.append(row)
+    if not any(not row.problem for row in rows) and not (path.is_file() and rows):
+        raise FileProblem("this folder holds no rollout; `tactoscope task NAME --record FOLDER` writes some", path)
+    return tuple(rows)
+
+
+def _read_row(file: Path) -> TrialRow | None:
+    """One row; None for an HDF5 file that is something else."""
+    from pipeline.tasks.rollout_file import may_be_rollout, read_outcome
+
+    try:
+        plan, summary = read_outcome(file)
+    except TouchError as error:
+        return TrialRow(path=file, problem=str(error)) if may_be_rollout(file) else None
+    return make_row(file, plan.task, summary)
 
 
 def make_row(path: Path, task: str, summary: RolloutSummary) -> TrialRow:

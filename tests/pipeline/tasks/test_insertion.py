@@ -10,7 +10,6 @@ from pipeline.tasks.in_hand import FINGERS, PlanarPose, press_between_fingers, p
 from pipeline.tasks.insertion import TASK, load_tool, make_tool, measure_miss_mm, run
 from pipeline.tasks.rollout_file import read_summary, summarise, write_rollout
 from pipeline.tasks.runner import make_jobs, run_job, run_jobs
-from pipeline.tasks.statistics import compute_wilson_interval
 from pipeline.tasks.task import Rollout, TrialPlan
 from pipeline.values.frames import TactileFrame
 
@@ -83,7 +82,7 @@ def toy(monkeypatch):
 
     def run_toy(plan):
         runs.append(plan.index)
-        return (Rollout(case=plan.case, index=plan.index, touch=plan.touches[0], tolerance_mm=plan.tolerances_mm[0],
+        return (Rollout(case=plan.case, trial=plan.index, touch=plan.touches[0], tolerance_mm=plan.tolerances_mm[0],
                         succeeds=True, cause="done", measures={"x": 1.0 / 3.0}, decisions=(),
                         frames=(("gelslim_left", TactileFrame(sensor="gelslim", image=np.zeros((4, 5, 3), np.uint8),
                                                               reference=None), None),)),)  # fmt: skip
@@ -115,11 +114,6 @@ def test_tool_of_a_toml_file_is_inserted(tmp_path):
     (summary,) = run_job(job)
     assert summary["case"] == "mine"
     assert load_tool(path).peg.depth_mm == 6.0
-
-
-def test_wilson_interval_of_published_examples():
-    assert compute_wilson_interval(0, 10) == pytest.approx((0.0, 0.2775), abs=1e-4)
-    assert compute_wilson_interval(18, 30) == pytest.approx((0.4232, 0.7541), abs=1e-4)
 
 
 @pytest.mark.parametrize(

@@ -7,9 +7,8 @@ from pipeline.base.errors import SettingProblem
 from pipeline.recordings import open_recording
 from pipeline.tasks import marble
 from pipeline.tasks.cloning import ClonedPolicyTask
-from pipeline.tasks.marble import EXPERT, MAX_STEP_MM, UNTRANSLATED, is_held, limit_step, roll, run_trial
+from pipeline.tasks.marble import EXPERT, MAX_STEP_MM, UNTRANSLATED, is_held, limit_step, roll, run_trial, shrink_image
 from pipeline.tasks.marble_trial import N_TICKS, SOURCE, START_MM, TARGET, draw_trial
-from pipeline.tasks.policy import shrink_image
 from pipeline.tasks.rolling import RADIUS_MM, make_ball
 from pipeline.tasks.rollout_file import write_rollout
 from pipeline.tasks.runner import make_jobs, run_job, run_jobs

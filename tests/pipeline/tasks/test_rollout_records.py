@@ -17,8 +17,7 @@ from pipeline.tasks.rollout_file import read_rollout
 from pipeline.tasks.runner import make_jobs, run_job
 from pipeline.tasks.scene_bodies import make_box
 from pipeline.tasks.scene_view import build_scene, cut_dashes, find_edges
-from pipeline.tasks.trial_rows import compute_error_deg, is_rollout_folder
-from pipeline.tasks.trial_table import list_trials
+from pipeline.tasks.trial_rows import compute_error_deg, is_rollout_folder, list_trials
 
 pytestmark = pytest.mark.timeout(600)  # the first grasp compiles kernels where `tactoscope prepare` has not
 FAILS = "hex_key_t2t_0.5mm_002.h5"
