@@ -5,8 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from pipeline.base.errors import SettingProblem
+from pipeline.base.files import open_atomic
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from matplotlib.figure import Figure
 
 
@@ -23,3 +26,9 @@ def make_figure(**options: Any) -> Figure:
     figure = Figure(**options)
     FigureCanvasAgg(figure)
     return figure
+
+
+def save_figure(figure: Figure, path: Path, what: str) -> None:
+    """Write a figure as PNG, complete or not at all; raises FileProblem that names it `what`."""
+    with open_atomic(path, what) as file:
+        figure.savefig(file, format="png")

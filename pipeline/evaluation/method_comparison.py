@@ -18,7 +18,7 @@ from pipeline.evaluation.touch_metrics import compute_touch_metrics, pool_metric
 from pipeline.evaluation.variants import MethodParams, VariantResult, VariantRunner, list_method_variants
 from pipeline.previews.difference import compute_difference
 from pipeline.previews.display_params import DisplayParams
-from pipeline.previews.preview import Preview, make_frame_preview
+from pipeline.previews.preview import Preview
 from pipeline.previews.tile import Tile
 from pipeline.translation.translate import Translation
 from pipeline.values.results import DepthMap, GeneratedTouch
@@ -119,12 +119,7 @@ def _compute_metrics(
 
 def _make_touch_preview(touch: GeneratedTouch, translation: Translation, display: DisplayParams) -> Preview:
     """The touch as its column shows it."""
-    membrane = touch.membrane
-    return make_frame_preview(
-        touch.image, touch.camera, translation.target, display, reference=touch.reference, is_recorded=False,
-        depth_mm=None if membrane is None else membrane.depth_mm,
-        contact=None if membrane is None else membrane.contact,
-    )  # fmt: skip
+    return translation.catalogue.stage(_STAGE).make_preview(touch, translation.make_preview_context({}, display))
 
 
 def _make_truth_preview(translation: Translation, frame: int, display: DisplayParams) -> Preview | None:

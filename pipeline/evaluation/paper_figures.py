@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.base.arrays import Image
-from pipeline.base.figures import make_figure
-from pipeline.base.files import open_atomic
+from pipeline.base.figures import make_figure, save_figure
 from pipeline.base.progress import SILENT, Progress
 from pipeline.evaluation.candidates import Candidate, select_candidates
 from pipeline.evaluation.held_out import PressRecordings
@@ -19,7 +18,6 @@ from pipeline.evaluation.touch_scoring import open_presses
 from pipeline.previews.display_params import DisplayParams
 from pipeline.previews.preview import make_frame_preview
 from pipeline.sensors.spec import load_sensor
-from pipeline.stages.stage import PreviewContext
 from pipeline.translation.catalogue import default_params
 from pipeline.translation.translate import Translation
 from pipeline.values.frames import TactileFrame
@@ -109,10 +107,7 @@ def _draw_stages(
     results = chosen.build_graph().evaluate(
         ["target_depth", "touch"], chosen.read_inputs(index), default_params(chosen.methods)
     )
-    context = PreviewContext(
-        outputs={name: result.output for name, result in results.items()}, source=chosen.source, target=chosen.target,
-        mesh=None, display=DisplayParams(),
-    )  # fmt: skip
+    context = chosen.make_preview_context({name: result.output for name, result in results.items()}, DisplayParams())
     previews = {title: chosen.catalogue.stage(stage).make_preview(results[stage].output, context)
                 for title, stage in stages.items()}  # fmt: skip
     return {title: preview.pixels for title, preview in previews.items()}
@@ -121,7 +116,6 @@ def _draw_stages(
 def _draw(rows: Sequence[FigureRow], columns: Sequence[str], split: str, path: Path) -> None:
     width, height = _PANEL_INCHES
     figure = make_figure(figsize=(width * len(columns) + 1.0, height * len(rows) + 0.6), dpi=150, layout="constrained")
-    canvas: Any = figure.canvas
     figure.suptitle(split, fontsize=9)
     panels: Any = figure.subplots(len(rows), len(columns), squeeze=False)
     for axes, column in zip(panels[0], columns, strict=True):
@@ -135,5 +129,4 @@ def _draw(rows: Sequence[FigureRow], columns: Sequence[str], split: str, path: P
                 axes.text(0.5, 0.5, "no weights", ha="center", va="center", transform=axes.transAxes, fontsize=7)
         titles = [load_sensor(name).title for name in (row.source, row.target)]
         line[0].set_ylabel(f"{titles[0]} to\n{titles[1]}\n{row.object_name}", fontsize=6)
-    with open_atomic(path, "the figure") as file:
-        canvas.print_png(file)
+    save_figure(figure, path, "the figure")

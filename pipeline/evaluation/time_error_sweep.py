@@ -6,8 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.base.errors import SettingProblem
-from pipeline.base.figures import make_figure
-from pipeline.base.files import open_atomic
+from pipeline.base.figures import make_figure, save_figure
 from pipeline.base.params import list_settings
 from pipeline.base.progress import SILENT, Progress, SubProgress
 from pipeline.evaluation.paper_tables import EvaluationRequest, JobMapper, evaluate_tables
@@ -97,7 +96,6 @@ def _draw_plot(points: Sequence[SweepPoint], title: str, path: Path) -> None:
     from matplotlib.ticker import FuncFormatter
 
     figure = make_figure(figsize=(8.4, 5.2), dpi=120, layout="constrained")
-    canvas: Any = figure.canvas
     axes: Any = figure.add_subplot()
     colours = {name: f"C{k}" for k, name in enumerate(dict.fromkeys(p.row.candidate for p in points))}
     for candidate, colour in colours.items():
@@ -111,8 +109,7 @@ def _draw_plot(points: Sequence[SweepPoint], title: str, path: Path) -> None:
     axes.grid(visible=True, which="both", alpha=0.3)
     if axes.get_legend_handles_labels()[0]:
         axes.legend(fontsize=8)
-    with open_atomic(path, "the plot") as file:
-        canvas.print_png(file)
+    save_figure(figure, path, "the plot")
 
 
 def _format_tick(value: float, _: object) -> str:

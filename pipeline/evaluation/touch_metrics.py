@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -35,7 +35,6 @@ class TouchMetrics:
     values: Mapping[tuple[str, Region], float]
     n_pixels: Mapping[Region, int]
     peak_value: float
-    pose_errors: Mapping[str, float] = field(default_factory=dict)  # pose errors by name
 
 
 def compute_touch_metrics(
@@ -75,21 +74,23 @@ def compute_touch_metrics(
 def pool_metrics(touches: Sequence[TouchMetrics]) -> dict[str, dict[str, float]]:
     """Metric -> region -> value of many touches: PSNR over all pixels together, otherwise the mean over touches."""
     pooled: dict[str, dict[str, float]] = {}
-    keys = dict.fromkeys(key for one in touches for key in one.values)
-    for name in TOUCH_METRICS:
-        summed = _SQUARED.get(name)
-        for source, region in keys:
-            if source != (summed or name):
-                continue
-            those = [one for one in touches if (source, region) in one.values]
-            values = np.array([one.values[source, region] for one in those])
-            if summed:
-                weights = np.array([one.n_pixels[region] for one in those], np.float64)
-                value = _psnr_db(float(np.average(values, weights=weights)), those[0].peak_value)
-            else:
-                value = float(values.mean())
-            pooled.setdefault(name, {})[region] = value
+    for name, source, region in _list_sources(touches):
+        those = [one for one in touches if (source, region) in one.values]
+        values = np.array([one.values[source, region] for one in those])
+        if source != name:
+            weights = np.array([one.n_pixels[region] for one in those], np.float64)
+            value = _psnr_db(float(np.average(values, weights=weights)), those[0].peak_value)
+        else:
+            value = float(values.mean())
+        pooled.setdefault(name, {})[region] = value
     return pooled
+
+
+def _list_sources(touches: Sequence[TouchMetrics]) -> list[tuple[str, str, Region]]:
+    """(metric, value that it is pooled from, region) of all that is known of some touch."""
+    keys = dict.fromkeys(key for one in touches for key in one.values)
+    return [(name, source, region) for name in TOUCH_METRICS for source, region in keys
+            if source == _SQUARED.get(name, name)]  # fmt: skip
 
 
 def bootstrap_metrics(
@@ -105,20 +106,16 @@ def bootstrap_metrics(
     counts = np.random.default_rng(0).multinomial(len(names), np.full(len(names), 1.0 / len(names)), _N_DRAWS)
     weights = counts[:, [names.index(grasp) for grasp in grasps]].astype(np.float64)  # (draws, touches)
     intervals: dict[str, dict[str, tuple[float, float]]] = {}
-    for name in TOUCH_METRICS:
-        summed = _SQUARED.get(name)
-        for source, region in dict.fromkeys(key for one in touches for key in one.values):
-            if source != (summed or name):
-                continue
-            values = np.array([one.values.get((source, region), np.nan) for one in touches])
-            shares = [one.n_pixels.get(region, 0) if summed else 1.0 for one in touches]
-            of_touch = weights * np.where(np.isfinite(values), shares, 0.0)
-            total = of_touch.sum(axis=1)
-            means = (of_touch @ np.nan_to_num(values))[total > 0] / total[total > 0]
-            if summed:
-                means = np.array([_psnr_db(float(mean), touches[0].peak_value) for mean in means])
-            low, high = np.percentile(means, _INTERVAL)
-            intervals.setdefault(name, {})[region] = float(low), float(high)
+    for name, source, region in _list_sources(touches):
+        values = np.array([one.values.get((source, region), np.nan) for one in touches])
+        shares = [one.n_pixels.get(region, 0) if source != name else 1.0 for one in touches]
+        of_touch = weights * np.where(np.isfinite(values), shares, 0.0)
+        total = of_touch.sum(axis=1)
+        means = (of_touch @ np.nan_to_num(values))[total > 0] / total[total > 0]
+        if source != name:
+            means = np.array([_psnr_db(float(mean), touches[0].peak_value) for mean in means])
+        low, high = np.percentile(means, _INTERVAL)
+        intervals.setdefault(name, {})[region] = float(low), float(high)
     return intervals
 
 

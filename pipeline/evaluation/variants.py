@@ -62,11 +62,8 @@ class VariantResult:
 
     def make_context(self, display: DisplayParams) -> PreviewContext:
         """What the stages' previews are drawn from."""
-        translation = self.variant.translation
-        return PreviewContext(
-            outputs={name: result.output for name, result in self.results.items()}, source=translation.source,
-            target=translation.target, mesh=translation.mesh, display=display,
-        )  # fmt: skip
+        outputs = {name: result.output for name, result in self.results.items()}
+        return self.variant.translation.make_preview_context(outputs, display)
 
     def make_preview(self, stage: str, display: DisplayParams) -> Preview:
         """Preview of one stage."""

@@ -16,7 +16,6 @@ from pipeline.previews.difference import compute_difference
 from pipeline.previews.display_params import DisplayParams
 from pipeline.previews.preview import PixelPositions, Preview, compute_rest_depth_mm, make_frame_preview, match_camera
 from pipeline.reporting.export_request import SOURCE, PaneContent
-from pipeline.stages.stage import PreviewContext
 from pipeline.translation.translate import Translation
 from pipeline.values.frames import TactileFrame
 from pipeline.values.results import Cloud
@@ -51,9 +50,7 @@ def render_pane(
         return _reading(frame, translation, display)
     stage = translation.catalogue.stage(name)
     outputs = {key: result.output for key, result in results.items()}
-    seen = PreviewContext(
-        outputs=outputs, source=translation.source, target=translation.target, mesh=translation.mesh, display=display
-    )
+    seen = translation.make_preview_context(outputs, display)
     picture, value, title = stage.make_preview(outputs[name], seen), outputs[name], stage.title
     if shown != "computed":
         truths = translation.read_true_outputs(frame.index)

@@ -7,14 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pipeline.base.figures import make_figure
-from pipeline.base.files import open_atomic
+from pipeline.base.figures import make_figure, save_figure
 from pipeline.engine.graph import StageResult
 from pipeline.previews.colours import ColourScale, get_colour_table
 from pipeline.previews.display_params import DisplayParams
 from pipeline.previews.preview import Preview, make_frame_preview, match_camera
 from pipeline.reporting.frame_report import FrameReport
-from pipeline.stages.stage import PreviewContext
 from pipeline.translation.translate import Translation
 from pipeline.values.frames import TactileFrame
 
@@ -30,9 +28,7 @@ _CONTACT, _FELT = "#E6550D", "#FFFFFF"
 
 def write_sheet(path: Path, frame: TactileFrame, report: FrameReport, translation: Translation) -> None:
     """Write the columns of the window as one PNG."""
-    drawn = draw_sheet(frame, report, translation)
-    with open_atomic(path, "the sheet") as file:
-        drawn.savefig(file, format="png")
+    save_figure(draw_sheet(frame, report, translation), path, "the sheet")
 
 
 def draw_sheet(
@@ -51,10 +47,7 @@ def draw_sheet(
     camera = match_camera(frame.camera or source.camera, frame.image.shape)
     reading = make_frame_preview(frame.image, camera, source, display, reference=frame.reference)
     draw_panel(figure, axes[0], reading, f"Source · {source.title}")
-    seen = PreviewContext(
-        outputs={name: result.output for name, result in report.results.items()}, source=source,
-        target=translation.target, mesh=translation.mesh, display=display,
-    )  # fmt: skip
+    seen = translation.make_preview_context({name: result.output for name, result in report.results.items()}, display)
     for ax, name in zip(axes[1:], translation.stages, strict=True):
         stage, result = translation.catalogue.stage(name), report.results.get(name)
         if result is None:

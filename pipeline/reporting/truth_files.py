@@ -13,15 +13,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.base.figures import make_figure
-from pipeline.base.files import open_atomic, write_arrays, write_json
+from pipeline.base.figures import make_figure, save_figure
+from pipeline.base.files import write_arrays, write_json
 from pipeline.base.progress import SILENT, Progress
 from pipeline.engine.graph import Graph
 from pipeline.previews.display_params import DisplayParams
 from pipeline.reporting.frame_report import FrameReport
 from pipeline.reporting.report import collect_value_arrays
 from pipeline.reporting.sheet import draw_panel
-from pipeline.stages.stage import PreviewContext
 from pipeline.translation.error_attribution import DEFAULT_METRIC, attribute_error
 from pipeline.translation.translate import Translation
 from pipeline.translation.truth_view import TruthView, build_truth_view
@@ -57,10 +56,7 @@ def write_truth(
 
 def _build_views(report: FrameReport, translation: Translation, truths: Mapping[str, object]) -> dict[str, TruthView]:
     outputs = {name: result.output for name, result in report.results.items()}
-    seen = PreviewContext(
-        outputs=outputs, source=translation.source, target=translation.target, mesh=translation.mesh,
-        display=DisplayParams(),
-    )  # fmt: skip
+    seen = translation.make_preview_context(outputs, DisplayParams())
     views: dict[str, TruthView] = {}
     for name, value in outputs.items():
         stage = translation.catalogue.stage(name)
@@ -81,5 +77,4 @@ def _draw(path: Path, report: FrameReport, translation: Translation, views: Mapp
                 axes = figure.add_axes(((0.07 + column) / count, bottom, 0.76 / count, _ROW_HEIGHT))
                 draw_panel(figure, axes, preview, text)
     figure.suptitle(f"frame {report.index}   {translation.source.name} → {translation.target.name}", fontsize=11)
-    with open_atomic(path, "the truth's sheet") as file:
-        figure.savefig(file, format="png")
+    save_figure(figure, path, "the truth's sheet")

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from pipeline.base.figures import make_figure
-from pipeline.base.files import open_atomic, write_text
+from pipeline.base.figures import make_figure, save_figure
+from pipeline.base.files import write_text
 from pipeline.training.state import TrainingState
 
 _INCHES, _DPI = (9.0, 3.0), 110
@@ -51,5 +51,4 @@ def draw_curves(folder: Path, state: TrainingState) -> None:
     for axis in axes:
         axis.grid(visible=True, color="#e5e7eb", lw=0.8)
         axis.spines[["top", "right"]].set_visible(False)
-    with open_atomic(folder / "curve.png", "the learning curves") as file:
-        figure.savefig(file, format="png")
+    save_figure(figure, folder / "curve.png", "the learning curves")
