@@ -104,7 +104,6 @@ class _Middle(nn.Module):
         self.attn_1 = _Attention(width, groups)
 
     def forward(self, field: Tensor) -> Tensor:
-        """Features of the same shape."""
         return self.block_2(self.attn_1(self.block_1(field)))
 
 
@@ -118,7 +117,6 @@ class _Block(nn.Module):
             self.nin_shortcut = nn.Conv2d(inputs, outputs, 1)
 
     def forward(self, field: Tensor) -> Tensor:
-        """The input plus its residual."""
         inner = self.conv1(functional.silu(self.norm1(field)))
         inner = self.conv2(functional.silu(self.norm2(inner)))
         return inner + (self.nin_shortcut(field) if hasattr(self, "nin_shortcut") else field)
@@ -131,7 +129,6 @@ class _Attention(nn.Module):
         self.q, self.k, self.v, self.proj_out = (nn.Conv2d(width, width, 1) for _ in range(4))
 
     def forward(self, field: Tensor) -> Tensor:
-        """Self-attention over all positions, added to the input."""
         normed = self.norm(field)
         query, key, value = (part(normed).flatten(2).transpose(1, 2) for part in (self.q, self.k, self.v))
         attended = functional.scaled_dot_product_attention(query, key, value)
@@ -154,7 +151,6 @@ class _Upsample(nn.Module):
         self.conv = nn.Conv2d(width, width, 3, padding=1)
 
     def forward(self, field: Tensor) -> Tensor:
-        """Twice the side length."""
         return self.conv(functional.interpolate(field, scale_factor=2.0, mode="nearest"))
 
 

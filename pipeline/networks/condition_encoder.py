@@ -50,7 +50,6 @@ class _Basic(nn.Module):
             self.downsample = nn.Sequential(nn.Conv2d(inputs, outputs, 1, stride, bias=False), nn.BatchNorm2d(outputs))
 
     def forward(self, field: Tensor) -> Tensor:
-        """The input plus its residual."""
         inner = self.bn2(self.conv2(functional.relu(self.bn1(self.conv1(field)))))
         skip = cast("nn.Module", self.downsample)(field) if hasattr(self, "downsample") else field
         return functional.relu(inner + skip)

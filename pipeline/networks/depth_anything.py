@@ -43,16 +43,10 @@ class DepthAnything(nn.Module):
             or image_content not in get_args(ImageContent)
         ):
             raise ValueError(f"no encoder {encoder!r}, answer {answer!r} or image content {image_content!r}")
-        self.answer, self.largest_mm, self.side, self.image_content = (
-            answer,
-            float(largest_mm),
-            int(side),
-            image_content,
-        )
-        self.pretrained = DinoV2Encoder(ENCODER_SIZES[encoder])
-        self.depth_head = _DepthHead(
-            ENCODER_SIZES[encoder].width, DECODER_CHANNELS[encoder], PROJECTED_CHANNELS[encoder]
-        )
+        self.answer, self.image_content = answer, image_content
+        self.largest_mm, self.side = float(largest_mm), int(side)
+        self.pretrained, width = DinoV2Encoder(ENCODER_SIZES[encoder]), ENCODER_SIZES[encoder].width
+        self.depth_head = _DepthHead(width, DECODER_CHANNELS[encoder], PROJECTED_CHANNELS[encoder])
         self.mask_head = _MaskHead(DECODER_CHANNELS[encoder]) if contact else None
 
     def forward(
@@ -115,12 +109,8 @@ class _Scratch(nn.Module):
 
     def fuse_levels(self, levels: list[Tensor]) -> Tensor:
         """Features at twice the size of the finest level."""
-        thin = [
-            self.layer1_rn(levels[0]),
-            self.layer2_rn(levels[1]),
-            self.layer3_rn(levels[2]),
-            self.layer4_rn(levels[3]),
-        ]
+        layers = (self.layer1_rn, self.layer2_rn, self.layer3_rn, self.layer4_rn)
+        thin = [layer(level) for layer, level in zip(layers, levels, strict=True)]
         path = self.refinenet4(thin[3], None, thin[2].shape[-2:])
         path = self.refinenet3(path, thin[2], thin[1].shape[-2:])
         path = self.refinenet2(path, thin[1], thin[0].shape[-2:])

@@ -111,21 +111,16 @@ class LatentDiffusion(nn.Module):
             decoded = None if part == "denoiser" else self.first_stage_model.decode(latents)
         if self.training and part != "denoiser":
             self._update_scale_factor(latents.detach().float())
-        if part == "autoencoder":
-            return LatentTrainingOutput(
-                reconstruction=decoded, mean=mean, log_variance=log_variance, predicted_noise=None, true_noise=noises[1]
-            )
-        alpha = self.alphas_cumprod[time][:, None, None, None]
-        noisy = alpha.sqrt() * self.scale_factor * latents.detach() + (1 - alpha).sqrt() * noises[1]
-        condition = self.cond_stage_model(source) * has_condition[:, None, None, None]
-        predicted = self.model["diffusion_model"](torch.cat([noisy, condition], dim=1), time)
+        predicted = None
+        if part != "autoencoder":
+            alpha = self.alphas_cumprod[time][:, None, None, None]
+            noisy = alpha.sqrt() * self.scale_factor * latents.detach() + (1 - alpha).sqrt() * noises[1]
+            condition = self.cond_stage_model(source) * has_condition[:, None, None, None]
+            predicted = self.predict_noise(noisy, time, condition)
         return LatentTrainingOutput(
-            reconstruction=decoded,
-            mean=mean,
-            log_variance=log_variance,
-            predicted_noise=predicted,
+            reconstruction=decoded, mean=mean, log_variance=log_variance, predicted_noise=predicted,
             true_noise=noises[1],
-        )
+        )  # fmt: skip
 
     def predict_noise(self, noisy: Tensor, time: Tensor, condition: Tensor) -> Tensor:
         """Predicted noise of latents at a time, given the encoded condition."""

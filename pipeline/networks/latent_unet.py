@@ -107,7 +107,6 @@ class _Steps(nn.Sequential):
     """A sequence of layers; blocks also receive the time embedding."""
 
     def forward(self, field: Tensor, embedding: Tensor) -> Tensor:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """Apply the layers in order."""
         for part in self:
             field = part(field, embedding) if isinstance(part, _Block) else part(field)
         return field
@@ -130,7 +129,6 @@ class _Block(nn.Module):
         self._resampling = resampling
 
     def forward(self, field: Tensor, embedding: Tensor) -> Tensor:
-        """The resampled input plus its residual."""
         inner, field = self._resample(self.in_layers[:-1](field)), self._resample(field)
         inner = self.in_layers[-1](inner)
         scale, shift = self.emb_layers(embedding)[:, :, None, None].chunk(2, dim=1)

@@ -12,7 +12,7 @@ from pipeline.base.errors import ModelMissing
 from pipeline.base.memo import Memo
 from pipeline.base.params import Value
 from pipeline.networks.first_pass import FirstPassPredictor
-from pipeline.networks.onnx_predictor import OnnxPredictor
+from pipeline.networks.onnx_predictor import OnnxPredictor, export_onnx
 from pipeline.networks.weights import NoWeights, Weights
 
 if TYPE_CHECKING:
@@ -83,8 +83,6 @@ def release_networks(keep: Container[str] = ()) -> None:
 
 def export_weights(weights: Weights) -> bytes:
     """An ONNX file of weights of `ONNX_KINDS`; raises ModelMissing where they do not fit their network."""
-    from pipeline.networks.onnx_export import export_onnx
-
     network: Any = load_network(weights)
     if weights.kind == _RESIDUAL:
         network = network.make_first_pass()
@@ -138,6 +136,8 @@ def initialise_from(net: nn.Module, weights: Weights) -> int:
 
     Raises ModelMissing where none matches.
     """
+    import torch
+
     expected: dict[str, Any] = net.state_dict()
     matching = [
         name for name, tensor in weights.tensors.items() if name in expected and expected[name].shape == tensor.shape
@@ -146,7 +146,7 @@ def initialise_from(net: nn.Module, weights: Weights) -> int:
         raise ModelMissing(
             f"the weights {weights.name!r} share no tensor with this network; choose other initial weights"
         )
-    copy_tensors(net, {name: weights.tensors[name] for name in matching})
+    net.load_state_dict({name: torch.from_numpy(weights.tensors[name].copy()) for name in matching}, strict=False)
     return len(matching)
 
 
@@ -160,13 +160,3 @@ def _share_tensors(net: nn.Module, tensors: Mapping[str, Floats]) -> None:
             warnings.simplefilter("ignore", UserWarning)  # "not writable": nothing writes to a loaded network
             shared[name] = torch.from_numpy(tensors[name]).to(tensor.dtype)
     net.load_state_dict(shared, assign=True)
-
-
-def copy_tensors(net: nn.Module, tensors: Mapping[str, Any]) -> None:
-    """Copy tensors with the network's own names and shapes into it."""
-    import torch
-
-    state: dict[str, Any] = net.state_dict()
-    with torch.no_grad():
-        for name, tensor in tensors.items():
-            state[name].copy_(torch.from_numpy(tensor.copy()))

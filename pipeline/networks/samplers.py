@@ -19,7 +19,6 @@ The last step goes to sigma 0, where all of them return D. Arrays may be of nump
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache
 from typing import Any, Literal
 
 import numpy as np
@@ -32,15 +31,15 @@ Solver = Literal["ddim", "dpmpp_2m", "corrected"]
 Denoiser = Callable[[Any, float], Any]  # (noisy, sigma) -> expected clean array
 
 MAX_STEPS = 1000
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(12)
 _FEW_STEPS, _SOME_STEPS = 12, 24  # steps from which one degree more is better, `benchmarks/sampling.py`
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SamplerStep:
-    """Input and expected clean array of one step."""
+    """Expected clean array of one step."""
 
     sigma: float
-    noisy: Any
     clean: Any
 
 
@@ -116,7 +115,7 @@ def sample(
             x = _advance(start, (*history[-corrects:], (position, clean)), previous, position - previous)
         history = [*history[-2:], (position, clean)]
         if keep_steps:
-            steps_kept.append(SamplerStep(sigma=sigma, noisy=x, clean=clean))
+            steps_kept.append(SamplerStep(sigma=sigma, clean=clean))
         if levels[index + 1] <= 0.0:
             break
         start = x
@@ -146,9 +145,8 @@ def _advance(x: Any, history: Sequence[tuple[float, Any]], begin: float, by: flo
 
 def _integrate_lagrange(nodes_at: Sequence[float], by: float) -> list[float]:
     """Integral from 0 to `by` of e^-(by - tau) times each Lagrange polynomial of `nodes_at`."""
-    nodes, weights = _gauss_legendre()
     low = math.exp(-by)
-    decay = 0.5 * (1 - low) * nodes + 0.5 * (1 + low)  # e^-(by - tau), in which the integrand is smooth
+    decay = 0.5 * (1 - low) * _NODES + 0.5 * (1 + low)  # e^-(by - tau), in which the integrand is smooth
     tau = by + np.log(decay)
     integrals: list[float] = []
     for j, node in enumerate(nodes_at):
@@ -156,14 +154,8 @@ def _integrate_lagrange(nodes_at: Sequence[float], by: float) -> list[float]:
         for m, other in enumerate(nodes_at):
             if m != j:
                 basis = basis * (tau - other) / (node - other)
-        integrals.append(float(0.5 * (1 - low) * (weights * basis).sum()))
+        integrals.append(float(0.5 * (1 - low) * (_WEIGHTS * basis).sum()))
     return integrals
-
-
-@cache
-def _gauss_legendre() -> tuple[Doubles, Doubles]:
-    nodes, weights = np.polynomial.legendre.leggauss(12)
-    return nodes, weights
 
 
 def _check_steps(steps: int) -> None:

@@ -42,12 +42,8 @@ class VqVae(nn.Module):
         reprojects_input: bool = False, dilation: int = 1, has_position_bias: bool = False,
     ) -> None:  # fmt: skip
         super().__init__()
-        self.inputs, self.outputs, self.half_turn, self.reprojects_input = (
-            inputs,
-            outputs,
-            bool(half_turn),
-            bool(reprojects_input),
-        )
+        self.inputs, self.outputs = inputs, outputs
+        self.half_turn, self.reprojects_input = bool(half_turn), bool(reprojects_input)
         self.encoder = nn.Sequential(
             nn.Conv2d(inputs, width, 4, 2, 1), nn.ReLU(inplace=True), nn.Conv2d(width, width, 4, 2, 1),
             ResidualBlock(width), ResidualBlock(width, dilation),

@@ -69,11 +69,9 @@ class TensorsOnDisk(Mapping[str, Floats]):
             raise FileProblem(f"cannot read {_WHAT} again", self.path) from error
 
     def __iter__(self) -> Iterator[str]:
-        """The names, in the order of the file."""
         return iter(self.names)
 
     def __len__(self) -> int:
-        """Number of tensors."""
         return len(self.names)
 
 
@@ -113,8 +111,6 @@ class Weights:
 
 
 class _Header(msgspec.Struct):
-    """Header of a file of weights."""
-
     kind: Name
     config: dict[Name, Plain]
     card: dict[Name, Annotated[str, Meta(max_length=1_000_000)]]
