@@ -29,8 +29,7 @@ from benchmarks.harness.timing import Requirement, build_measurement, summarize_
 from benchmarks.scenes.depth_helpers import list_numbered_files, picture, recorded_data
 from pipeline.calibration.balls import calibrate_balls
 from pipeline.calibration.calibration_table import make_built_in
-from pipeline.calibration.contact_circles import find_largest_part
-from pipeline.calibration.sphere_fit import fit_sphere
+from pipeline.calibration.contact_circles import find_largest_part, fit_sphere
 from pipeline.sensors.spec import load_sensor
 from pipeline.stages.depth.ball_calibration import calibrate_sensor
 from pipeline.stages.depth.photometric import DepthParams, estimate_depth

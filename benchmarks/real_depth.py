@@ -45,8 +45,7 @@ from benchmarks.scenes.depth_helpers import (
     picture,
     recorded_data,
 )
-from pipeline.calibration.contact_circles import find_largest_part
-from pipeline.calibration.sphere_fit import fit_sphere
+from pipeline.calibration.contact_circles import find_largest_part, fit_sphere
 from pipeline.recordings.reference_denoising import denoise_reference
 from pipeline.sensors.spec import load_sensor
 from pipeline.values.frames import TactileFrame

@@ -18,10 +18,16 @@ import numpy as np
 from pipeline.base.arrays import Image, Mask
 from pipeline.base.errors import CalibrationError, ShapeError
 from pipeline.base.progress import SILENT, Progress
-from pipeline.calibration import near_led_prior, reference_thumbnail
+from pipeline.calibration import near_led_prior
 from pipeline.calibration.ball_samples import sample_contact
 from pipeline.calibration.ball_slopes import BallPress, BallSlopeProfile, estimate_common_profile, refine_circle
-from pipeline.calibration.calibration_table import BallFit, Calibration, compute_relative_change, make_built_in
+from pipeline.calibration.calibration_table import (
+    BallFit,
+    Calibration,
+    compute_relative_change,
+    make_built_in,
+    make_thumbnail,
+)  # fmt: skip
 from pipeline.calibration.contact_circles import Circle, detect_contact_circle
 from pipeline.calibration.corrections import (
     PressSet,
@@ -97,7 +103,7 @@ def calibrate_balls(
         sensor=sensor.name, rows=reference.shape[0], cols=reference.shape[1], pixel_mm=scale, model=model,
         residual=float(np.sqrt(np.mean(np.square(errors)))), origin=origin + _describe_coverage(coverage),
         uses_built_in=best == 0, coverage_map=None if coverage is None or coverage.all() else coverage,
-        reference_thumbnail=reference_thumbnail.make_thumbnail(reference),
+        reference_thumbnail=make_thumbnail(reference),
         presses=_list_fits(len(images), known, model), expected_error=error,
     )  # fmt: skip
 
@@ -149,7 +155,6 @@ def _reject_outliers(known: PressSet, progress: Progress) -> PressSet:
 
 
 def _alternate(known: PressSet, progress: Progress) -> tuple[PressSet, SlopeModel]:
-    """Alternating fits of the table, the circles and the common slope profile."""
     model = fit_quick_table(known)
     for turn in range(_ITERATIONS):
         presses = tuple(replace(p, circle=refine_circle(model, p, known.ball)) for p in known.presses)

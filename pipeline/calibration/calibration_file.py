@@ -20,12 +20,10 @@ from pipeline.calibration.slope_model import SlopeModel
 
 _VERSION = 3
 _WHAT, _REMEDY = "the calibration", "calibrate again"
-_ARRAYS = (
-    "coefficients",
-    "reference_thumbnail",
-    "coverage_map",
-    "depth_scale_map",
-)  # the other fields are numbers, texts and lists
+_MAPS = {  # images of a calibration -> dimensions and type; an empty one stands for None
+    "reference_thumbnail": (3, np.uint8), "coverage_map": (2, np.bool_), "depth_scale_map": (2, np.float32),
+}  # fmt: skip
+_ARRAYS = ("coefficients", *_MAPS)  # the other fields are numbers, texts and lists
 _MOST_VALUES = 100_000  # of a list
 _SCALE_MAX = 10.0
 _TABLE, _FORCE = frozenset(("coefficients", "slope_max")), "force_scale"  # arrays by which a file is recognised
@@ -84,9 +82,10 @@ def save(calibration: Calibration, path: Path) -> None:
     """Write the calibration as .npz; a failure leaves no half-written file."""
     path = path if path.suffix == ".npz" else path.with_name(path.name + ".npz")
     model, error, share = calibration.model, calibration.expected_error, calibration.median_pressure_share
-    thumbnail, coverage, scale = (
-        calibration.reference_thumbnail, calibration.coverage_map, calibration.depth_scale_map
-    )  # fmt: skip
+    maps: dict[str, Any] = {
+        name: np.zeros((0,) * n_axes, kind) if getattr(calibration, name) is None else getattr(calibration, name)
+        for name, (n_axes, kind) in _MAPS.items()
+    }
     with open_atomic(path, _WHAT) as file:
         np.savez_compressed(
             file, version=_VERSION, sensor=calibration.sensor, size=(calibration.rows, calibration.cols),
@@ -96,10 +95,7 @@ def save(calibration: Calibration, path: Path) -> None:
             uses_built_in=calibration.uses_built_in,
             expected_error=[] if error is None else dataclasses.astuple(error),
             diameter_ratio=[] if calibration.diameter_ratio is None else [calibration.diameter_ratio],
-            reference_thumbnail=np.zeros((0, 0, 3), np.uint8) if thumbnail is None else thumbnail,
-            coverage_map=np.zeros((0, 0), np.bool_) if coverage is None else coverage,
-            depth_scale_map=np.zeros((0, 0), np.float32) if scale is None else scale,
-            median_pressure_share=[] if share is None else [share],
+            median_pressure_share=[] if share is None else [share], **maps,
         )  # fmt: skip
 
 
@@ -141,9 +137,7 @@ def _decode(content: _Content) -> Calibration:
             n_held_out=int(n_held_out),
         ) if content.expected_error else None,
         diameter_ratio=next(iter(content.diameter_ratio), None),
-        reference_thumbnail=_decode_image(content.reference_thumbnail, "reference_thumbnail", 3, np.uint8),
-        coverage_map=_decode_image(content.coverage_map, "coverage_map", 2, np.bool_),
-        depth_scale_map=_decode_scale(content.depth_scale_map),
+        **{name: _decode_image(getattr(content, name), name) for name in _MAPS},
         median_pressure_share=next(iter(content.median_pressure_share), None),
     )  # fmt: skip
 
@@ -154,17 +148,12 @@ def _encode_presses(presses: tuple[BallFit, ...]) -> Doubles:
     return np.array(rows, np.float64).reshape(-1, 6)
 
 
-def _decode_scale(array: NDArray[Any]) -> NDArray[np.float32] | None:
-    scale = _decode_image(array, "depth_scale_map", 2, np.float32)
-    if scale is not None and not (scale.min() > 0.0 and scale.max() <= _SCALE_MAX):  # NaN is neither
-        raise CalibrationError(f"depth_scale_map must lie within 0 and {_SCALE_MAX:g}")
-    return scale
-
-
-def _decode_image(image: NDArray[Any], name: str, ndim: int, kind: type[np.generic]) -> NDArray[Any] | None:
-    """The array of a field with that many dimensions and that type; None if it is empty."""
+def _decode_image(image: NDArray[Any], name: str) -> Any:
+    """The array of a field with the dimensions and the type of `_MAPS`; None if it is empty."""
     if image.size == 0:
         return None
-    if image.ndim != ndim or image.dtype != kind:
+    if (image.ndim, image.dtype) != _MAPS[name]:
         raise CalibrationError(f"{name} is {image.dtype} of shape {image.shape}")
+    if name == "depth_scale_map" and not (image.min() > 0.0 and image.max() <= _SCALE_MAX):  # NaN is neither
+        raise CalibrationError(f"depth_scale_map must lie within 0 and {_SCALE_MAX:g}")
     return freeze(np.ascontiguousarray(image))

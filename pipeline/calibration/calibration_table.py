@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.base.arrays import Floats, Image, Mask
+from pipeline.base.arrays import Floats, Image, Mask, freeze
 from pipeline.base.errors import CalibrationError
 from pipeline.base.memo import Memo
 from pipeline.calibration import slope_model
@@ -27,6 +27,7 @@ _CODE = (  # modules that the built-in table depends on: part of its cache key
 _N_SLOPES = 96  # slope images that the built-in table is fitted to
 _N_PIXELS = 400  # pixels taken from each
 _COVERED_SHARE = 0.5  # of a touch that must be covered
+_LONGER_SIDE_PX = 160  # of a thumbnail: an instance's light is smooth, and a shifted lens is one of these pixels
 _SLOPE_MAX = 1.2  # mm/mm: about 50 degrees, the rim of a deep ball press
 
 
@@ -73,7 +74,7 @@ class Calibration:
     uses_built_in: bool = False  # the presses did not improve on the table of the sensor's description
     expected_error: ExpectedError | None = None  # None = not measured
     diameter_ratio: float | None = None  # diameter measured without calibration over the one given; None = unknown
-    reference_thumbnail: Image | None = None  # of the sensor instance, see `reference_thumbnail`; None = unknown
+    reference_thumbnail: Image | None = None  # of the sensor instance, by `make_thumbnail`; None = unknown
     depth_scale_map: Floats | None = None  # on any coarse grid: factor of depth by the description; None = 1
     coverage_map: Mask | None = None  # on any coarse grid: parts of the image that the presses cover; None = all
     median_pressure_share: float | None = (
@@ -184,8 +185,6 @@ def make_built_in(sensor: SensorSpec) -> Calibration:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Inversion:
-    """The result of the regression."""
-
     coefficients: Floats  # of a `SlopeModel` of the built-in degrees
     slope_max: float
     residual: float
@@ -221,6 +220,17 @@ def _invert_optics(sensor: SensorSpec) -> _Inversion:
 
 def _remove_markers(sensor: SensorSpec) -> SensorSpec:
     return sensor if sensor.markers is None else replace(sensor, markers=None)
+
+
+def make_thumbnail(reference: Image) -> Image:
+    """A reference image (rows, cols, 3), downsampled to the pixels that distinguish sensor instances."""
+    import cv2
+
+    share = _LONGER_SIDE_PX / max(reference.shape[:2])
+    if share >= 1.0:
+        return freeze(reference.copy())
+    rows, cols = (max(1, round(share * n)) for n in reference.shape[:2])
+    return freeze(np.asarray(cv2.resize(reference, (cols, rows), interpolation=cv2.INTER_AREA), np.uint8))
 
 
 def check_calibration(calibration: Calibration, sensor: str, image: Image) -> None:

@@ -1,4 +1,4 @@
-"""Detects the contact circle of a ball from the colour change alone."""
+"""The contact circle of a ball from the colour change alone, and the sphere nearest to its measured surface."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -10,6 +10,7 @@ from pipeline.base.arrays import Doubles, Floats, Mask
 _NOISE_FACTOR = 6.0  # times the median change of the image: certainly touched
 _SHARE_OF_PEAK = 0.35
 _PATCH_MIN_PX = 60  # smallest area of a ball
+_CONTACT_PX_MIN, _FIRST_RADIUS_MM = 20, 4.0  # of a sphere that is fitted
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,3 +93,20 @@ def _fit_outline_circle(patch: Mask) -> Circle:
         weight = 1.0 / np.sqrt(np.maximum(off, 1.0))
     radius = float(np.sqrt(max(solution[2] + solution[0] ** 2 + solution[1] ** 2, 1.0)))
     return Circle(x_px=float(solution[0]), y_px=float(solution[1]), radius_px=min(radius, float(max(rows, cols))))
+
+
+def fit_sphere(indentation_mm: Floats, contact: Mask, pixel_mm: float) -> tuple[float, float]:
+    """Diameter and rms residual in mm by least squares over the contact; NaN with too few pixels."""
+    from scipy import optimize
+
+    if np.count_nonzero(contact) < _CONTACT_PX_MIN:
+        return float("nan"), float("nan")
+    y, x = (pixel_mm * n for n in np.nonzero(contact))
+    z = indentation_mm[contact].astype(np.float64)
+
+    def compute_residuals(p: Doubles) -> Doubles:
+        return np.sqrt(np.maximum(p[3] ** 2 - (x - p[0]) ** 2 - (y - p[1]) ** 2, 1e-6)) + p[2] - z
+
+    start = [x.mean(), y.mean(), z.max() - _FIRST_RADIUS_MM, _FIRST_RADIUS_MM]
+    found = optimize.least_squares(compute_residuals, start)
+    return 2.0 * abs(float(found.x[3])), float(np.sqrt(np.mean(found.fun**2)))

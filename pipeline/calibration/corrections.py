@@ -122,7 +122,7 @@ def cross_validate(known: PressSet, step: Callable[[float], None]) -> HeldOutErr
             samples = sample_contact(known.presses[i], known.ball)
             rows[i] = (
                 [compute_slope_error(m, samples) for m in models],
-                [compute_diameter_error(m, samples) for m in models],
+                [measure_diameter_error(slope_model.predict(m, samples), samples) for m in models],
             )
         step((done + 1) / len(folds))
     return HeldOutErrors(
@@ -187,13 +187,8 @@ def compute_slope_error(model: SlopeModel, samples: SlopeSamples) -> float:
     return float(np.sqrt(np.mean((slope_model.predict(model, samples) - samples.slopes) ** 2)))
 
 
-def compute_diameter_error(model: SlopeModel, samples: SlopeSamples) -> float:
-    """Relative error of the diameter of the sphere fitted to a contact's slopes; NaN with too few pixels."""
-    return measure_diameter_error(slope_model.predict(model, samples), samples)
-
-
 def measure_diameter_error(slopes: Floats, samples: SlopeSamples) -> float:
-    """`compute_diameter_error` of slopes (n, 2) measured at the samples."""
+    """Relative error of the diameter of the sphere fitted to slopes (n, 2) at samples; NaN with too few of them."""
     return compute_sphere_error(slopes, samples.slopes) if len(slopes) >= _SPHERE_PIXELS_MIN else float("nan")
 
 

@@ -86,21 +86,15 @@ def compute_coverage_map(virtual: Doubles, known: PressSet) -> Mask:
 
 
 def has_low_coverage(known: PressSet) -> bool:
-    """Whether the presses cover too little of the image."""
-    return compute_coverage(known) < _COVERAGE_MIN
-
-
-def compute_coverage(known: PressSet) -> float:
-    """The share of the image near a press; elsewhere the shading field is a guess."""
+    """Whether too little of the image is near a press; elsewhere the shading field is a guess."""
     rows, cols = known.shape
     x, y = np.meshgrid(
         np.arange(0.5, _COVERAGE_GRID) / _COVERAGE_GRID * cols, np.arange(0.5, _COVERAGE_GRID) / _COVERAGE_GRID * rows
     )
-    return float(_is_near_press(known, x, y).mean())
+    return float(_is_near_press(known, x, y).mean()) < _COVERAGE_MIN
 
 
 def _is_near_press(known: PressSet, x_px: Doubles, y_px: Doubles) -> Mask:
-    """Which points are near a press."""
     away = np.min([np.hypot(x_px - p.circle.x_px, y_px - p.circle.y_px) for p in known.presses], axis=0)
     return np.asarray(away < _NEAR_SHARE * 0.5 * max(known.shape), np.bool_)
 

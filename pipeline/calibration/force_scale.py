@@ -34,8 +34,6 @@ _RESIDUAL_MAX = 0.25  # share by which a weighing may differ from the fit
 
 
 class _Content(msgspec.Struct, kw_only=True, frozen=True):
-    """The fields of the file."""
-
     force_sensor: Name
     force_scale: tuple[_Positive, Annotated[float, Meta(ge=_EXPONENTS[0], le=_EXPONENTS[1])]]
     force_weighings: Annotated[tuple[tuple[_Positive, _Positive], ...], Meta(min_length=2)]

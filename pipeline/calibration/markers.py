@@ -67,7 +67,6 @@ def inpaint(change: Floats, hidden: Mask, sigma_px: float) -> Floats:
 
 
 def _blur(image: Floats, sigma_px: float) -> Floats:
-    """The image blurred by a Gaussian."""
     import cv2
 
     by = int(sigma_px / _FULL_SIZE_SIGMA_PX * 2.0)

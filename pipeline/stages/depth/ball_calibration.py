@@ -16,10 +16,9 @@ from pipeline.base.arrays import Doubles, Floats, Image
 from pipeline.base.progress import SILENT, Progress
 from pipeline.calibration.balls import calibrate_balls
 from pipeline.calibration.calibration_table import BallFit, Calibration, ExpectedError, make_built_in
-from pipeline.calibration.contact_circles import find_largest_part
+from pipeline.calibration.contact_circles import find_largest_part, fit_sphere
 from pipeline.calibration.depth_scale import fit_depth_scale
 from pipeline.calibration.expected_error import summarise_errors
-from pipeline.calibration.sphere_fit import fit_sphere
 from pipeline.physics.slopes import compute_slopes
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth.gel_depth import MeasuredSurface

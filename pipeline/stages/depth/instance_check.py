@@ -9,8 +9,7 @@ import numpy as np
 from pipeline.base.arrays import Image
 from pipeline.base.memo import Memo
 from pipeline.base.stage_warnings import StageWarning
-from pipeline.calibration import reference_thumbnail
-from pipeline.calibration.calibration_table import Calibration
+from pipeline.calibration.calibration_table import Calibration, make_thumbnail
 from pipeline.engine.digests import compute_cached_digest
 from pipeline.stages.depth import drift
 
@@ -31,7 +30,7 @@ def check_sensor_instance(calibration: Calibration, reference: Image) -> tuple[s
         return ()
     difference_grey, is_drift = _comparisons.get_or_make(
         (compute_cached_digest(reference), compute_cached_digest(calibrated)),
-        lambda: _compare_references(reference_thumbnail.make_thumbnail(reference), calibrated),
+        lambda: _compare_references(make_thumbnail(reference), calibrated),
     )
     if difference_grey <= _OTHER_INSTANCE_GREY and is_drift:
         return ()

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from pipeline.base.stage_warnings import select_warnings
-from pipeline.calibration import reference_thumbnail
-from pipeline.calibration.calibration_table import make_built_in
+from pipeline.calibration.calibration_table import make_built_in, make_thumbnail
 from pipeline.physics import optics
 from pipeline.sensors.spec import load_sensor
 from pipeline.simulation.variation import vary_sensor
@@ -24,7 +23,7 @@ GELS = ("gelsight_mini", "gelslim", "digit")
 
 def make_calibration(name, reference):
     """The described table, as if calibrated with this reference image."""
-    return replace(make_built_in(load_sensor(name)), reference_thumbnail=reference_thumbnail.make_thumbnail(reference))
+    return replace(make_built_in(load_sensor(name)), reference_thumbnail=make_thumbnail(reference))
 
 
 def render_instance(name, seed):
