@@ -11,7 +11,7 @@ from typing import Literal
 from pipeline.base.arrays import Floats, Image, freeze
 from pipeline.base.errors import FileProblem, TouchError
 from pipeline.live import reference_capture
-from pipeline.live.source import LiveFrame, LiveSource, LiveSourceLost
+from pipeline.live.source import LiveFrame, LiveSource
 from pipeline.sensors.spec import load_sensor
 from pipeline.values.frames import Recording, Stream, TactileFrame, Truth
 
@@ -35,19 +35,13 @@ class ReaderStatus:
     message: str = ""  # what is wrong: sensor lost, or reference does not fit
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _BufferedFrame:
-    frame: TactileFrame
-    truth: Truth | None
-
-
 class LiveReader:
     """Reads `source` until stopped, through any number of losses; all methods may be called by any thread."""
 
     def __init__(self, source: LiveSource, *, max_bytes: int = MAX_BYTES) -> None:
         self.source, self._max_bytes = source, max_bytes
         self._lock = threading.Lock()
-        self._buffer: deque[_BufferedFrame] = deque()
+        self._buffer: deque[tuple[TactileFrame, Truth | None]] = deque()
         self._first_index = self._n_bytes = self._n_lost = 0
         self._arrivals_s: deque[float] = deque()
         self._reference: Image | Floats | None = None
@@ -83,25 +77,19 @@ class LiveReader:
             return self._first_index + len(self._buffer)
 
     @property
-    def first_index(self) -> int:
-        """Index of the oldest buffered frame."""
-        with self._lock:
-            return self._first_index
-
-    @property
     def has_reference(self) -> bool:
         """Whether a reference has been captured."""
         return self._reference is not None
 
     def frame(self, index: int) -> TactileFrame:
         """A buffered frame; frames before the first reference get that one. Raises FileProblem for one that is gone."""
-        frame, first = self._get_buffered(index).frame, self._first_reference
+        frame, first = self._get_buffered(index)[0], self._first_reference
         fits = first is not None and frame.reference is None and first.shape == frame.image.shape
         return replace(frame, reference=first) if fits else frame
 
     def truth(self, index: int) -> Truth | None:
         """The ground truth of a simulated frame, else None."""
-        return self._get_buffered(index).truth
+        return self._get_buffered(index)[1]
 
     def capture_reference(self) -> str:
         """Set the reference to the median of the last frames, from the next frame on; returns a warning or ""."""
@@ -120,9 +108,8 @@ class LiveReader:
         return self._problem
 
     def _get_last_images(self) -> list[Image | Floats]:
-        """The last images of one size."""
         with self._lock:
-            images = [one.frame.image for one in list(self._buffer)[-reference_capture.MAX_FRAMES :]]
+            images = [frame.image for frame, _ in list(self._buffer)[-reference_capture.MAX_FRAMES :]]
         other = next((k for k, image in enumerate(reversed(images)) if image.shape != images[-1].shape), len(images))
         return images[len(images) - other :]
 
@@ -150,7 +137,7 @@ class LiveReader:
             object_mesh=mesh, symmetry=symmetry, refresh=lambda: self.make_recording(path),
         )  # fmt: skip
 
-    def _get_buffered(self, index: int) -> _BufferedFrame:
+    def _get_buffered(self, index: int) -> tuple[TactileFrame, Truth | None]:
         with self._lock:
             place = index - self._first_index
             if 0 <= place < len(self._buffer):
@@ -170,23 +157,16 @@ class LiveReader:
                 live_frame = self.source.read()
                 if live_frame is not None:
                     self._add_frame(live_frame)
-            except TouchError as error:
-                self._note_loss(error)
-                self.source.close()
-                opened = False
-                self._stop_event.wait(RETRY_S)
             except Exception as error:  # noqa: BLE001 - a border: errors of a driver count as a lost sensor
-                self._note_loss(LiveSourceLost(f"the sensor's driver failed ({type(error).__name__}: {error})"))
+                failure = f"the sensor's driver failed ({type(error).__name__}: {error})"
+                self._problem = str(error) if isinstance(error, TouchError) else failure
+                self._state = "lost" if self._buffer else "looking"
                 self.source.close()
                 opened = False
                 self._stop_event.wait(RETRY_S)
         if opened:
             self.source.close()
         self._state = "stopped"
-
-    def _note_loss(self, error: TouchError) -> None:
-        self._problem = str(error)
-        self._state = "lost" if self._buffer else "looking"
 
     def _add_frame(self, live_frame: LiveFrame) -> None:
         image = freeze(live_frame.image)
@@ -202,10 +182,10 @@ class LiveReader:
                 sensor=self.source.sensor, image=image, reference=self._reference, index=index,
                 time_s=live_frame.time_s - self._start_s, origin=f"{self.source.title} [frame {index}]",
             )  # fmt: skip
-            self._buffer.append(_BufferedFrame(frame=frame, truth=live_frame.truth))
+            self._buffer.append((frame, live_frame.truth))
             self._n_bytes += image.nbytes
             while self._n_bytes > self._max_bytes and len(self._buffer) > reference_capture.MAX_FRAMES:
-                self._n_bytes -= self._buffer.popleft().frame.image.nbytes
+                self._n_bytes -= self._buffer.popleft()[0].image.nbytes
                 self._first_index += 1
             self._arrivals_s.append(live_frame.time_s)
             while live_frame.time_s - self._arrivals_s[0] > _RATE_WINDOW_S:

@@ -7,7 +7,7 @@ import numpy as np
 from pipeline.base.errors import SettingProblem
 from pipeline.geometry.meshes import Mesh
 from pipeline.geometry.symmetry import Symmetry
-from pipeline.live.source import LiveFrame, LiveSourceLost
+from pipeline.live.source import LiveFrame
 from pipeline.sensors.spec import load_sensor
 from pipeline.simulation import datasets
 from pipeline.simulation.datasets import SimulationPlan
@@ -39,7 +39,6 @@ class SimulatedSource:
         self._frames: dict[int, tuple[TactileFrame, Truth | None]] = {}
         self._noise = np.random.default_rng(seed)
         self._due_s, self._number = 0.0, 0
-        self._is_plugged = True
 
     @property
     def title(self) -> str:
@@ -56,25 +55,13 @@ class SimulatedSource:
         """Mesh and symmetry of the object that touches it."""
         return datasets.load_object_mesh(self._plan), datasets.load_object_symmetry(self._plan)
 
-    def unplug(self) -> None:
-        """Disconnect the sensor, as by pulling its cable."""
-        self._is_plugged = False
-
-    def plug(self) -> None:
-        """Connect the sensor again."""
-        self._is_plugged = True
-
     def open(self) -> None:
-        """Begin a cycle with the object clear of the sensor; raises LiveSourceLost."""
-        if not self._is_plugged:
-            raise LiveSourceLost("the simulated sensor is unplugged; plug it in")
+        """Begin a cycle with the object clear of the sensor."""
         self._get_frame(0)  # compile and load before time counts
         self._due_s, self._number = time.monotonic(), 0
 
     def read(self) -> LiveFrame | None:
-        """The next frame of the cycle when due, else None; raises LiveSourceLost."""
-        if not self._is_plugged:
-            raise LiveSourceLost("the simulated sensor was unplugged; plug it in")
+        """The next frame of the cycle when due, else None."""
         wait_s = self._due_s - time.monotonic()
         if wait_s > 0:
             time.sleep(min(wait_s, _MAX_WAIT_S))

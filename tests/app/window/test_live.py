@@ -14,7 +14,7 @@ from app.window.live import LiveController
 from app.window.tour import wait_until_shown
 from pipeline.live import reader
 from pipeline.live.simulated_source import SimulatedSource
-from pipeline.live.source import LiveFrame
+from pipeline.live.source import LiveFrame, LiveSourceLost
 from pipeline.recordings import open_recording
 from pipeline.sensors.spec import load_sensor
 
@@ -61,13 +61,17 @@ def test_the_newest_frame_follows_and_looking_back_stays(watching):
     until(lambda: controller.latest_frame.index > n)
 
 
-def test_an_unplugged_sensor_is_reported_and_followed_again(watching):
+def test_an_unplugged_sensor_is_reported_and_followed_again(watching, monkeypatch):
+    def lose():
+        raise LiveSourceLost("it was unplugged")
+
     controller, living = watching
-    living.reader.source.unplug()
-    until(lambda: "unplugged" in living.live_bar.text)
-    assert not controller.window.banner.isVisible()
-    before = living.reader.n_frames
-    living.reader.source.plug()
+    with monkeypatch.context() as unplugged:
+        unplugged.setattr(living.reader.source, "open", lose)
+        unplugged.setattr(living.reader.source, "read", lose)
+        until(lambda: "unplugged" in living.live_bar.text)
+        assert not controller.window.banner.isVisible()
+        before = living.reader.n_frames
     until(lambda: controller.latest_frame.index > before)
 
 

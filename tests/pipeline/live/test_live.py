@@ -101,7 +101,7 @@ def test_a_simulated_sensor_gives_touches_with_truth_and_a_reference_without_con
     status = watched.status()
     assert status.state == "running"
     assert status.rate_hz > 0
-    deepest = [float(watched.truth(i).indentation_mm.max()) for i in range(watched.first_index, watched.n_frames)]
+    deepest = [float(watched.truth(i).indentation_mm.max()) for i in range(watched._first_index, watched.n_frames)]
     assert deepest[0] == 0.0
     assert max(deepest) > 0.1
     last = watched.frame(watched.n_frames - 1)
@@ -109,7 +109,7 @@ def test_a_simulated_sensor_gives_touches_with_truth_and_a_reference_without_con
     recording = watched.make_recording(Path("live:/a"))
     assert recording.object_mesh.name
     assert recording.symmetry is not None
-    still = watched.frame(watched.first_index)
+    still = watched.frame(watched._first_index)
     assert np.abs(still.image.astype(float) - last.reference).mean() < 3.0  # noise alone
 
 
@@ -148,7 +148,7 @@ def test_memory_is_bounded_and_old_frames_are_refused(running):
     size = 3 * DIGIT.camera.rows * DIGIT.camera.cols
     watched = running(CountingSource(every_s=0.0005), max_bytes=30 * size)
     wait_until(lambda: watched.n_frames > 60)
-    assert 0 < watched.n_frames - watched.first_index <= 31
+    assert 0 < watched.n_frames - watched._first_index <= 31
     with pytest.raises(FileProblem, match="frame 0"):
         watched.frame(0)
 
@@ -364,7 +364,7 @@ def test_a_recording_can_be_read_while_it_grows_and_equals_the_live_frames(tmp_p
     first = stream.frame(0)
     buffered = next(
         watched.frame(i)
-        for i in range(watched.first_index, watched.n_frames)
+        for i in range(watched._first_index, watched.n_frames)
         if watched.frame(i).time_s == first.time_s
     )
     assert np.array_equal(first.image, buffered.image)
