@@ -25,7 +25,7 @@ from pipeline.calibration.shading_field import (
 )
 from pipeline.engine import disk_store
 from pipeline.engine.digests import compute_cached_digest
-from pipeline.sensors.reference_light import compute_reference_light
+from pipeline.sensors.reference_light import compute_mean_reference_light
 from pipeline.sensors.spec import Optics, SensorSpec
 
 _N_INSTANCES = 1200
@@ -125,7 +125,7 @@ def compute_gains(sensor: SensorSpec) -> Floats:
             _Gains, made_of, _CODE, lambda: _Gains(table=_compute_gain_table(sensor)), "look_ups"
         ).table
 
-    return _gain_tables.get_or_make(compute_cached_digest((sensor.camera, sensor.optics, sensor.pixel_mm)), make)
+    return _gain_tables.get_or_make(compute_cached_digest(sensor), make)
 
 
 def _compute_gain_table(sensor: SensorSpec) -> Floats:
@@ -135,7 +135,7 @@ def _compute_gain_table(sensor: SensorSpec) -> Floats:
     u, v = _grid(shape)
     fields = sample_instances(described, sensor.pixel_mm, shape, _N_INSTANCES, np.random.default_rng(0))
     tilted = np.einsum("gp,nkpi->nkgi", compute_position_terms(u, v), fields[..., :2])
-    usual = compute_reference_light(sensor.camera, described).reshape(-1, 3).mean(axis=0) + slope_model.OFFSET_GREY
+    usual = compute_mean_reference_light(sensor.camera, described) + slope_model.OFFSET_GREY
     change = compute_described_change(sensor).reshape(-1, 3, 2)
     change = -slope_model.SPAN_GREY * change / usual[:, None]  # of a normal's tilt, (places, colours, 2)
     size = np.maximum((change**2).sum(axis=-1), 1e-9)
@@ -148,9 +148,7 @@ def compute_described_change(sensor: SensorSpec) -> Floats:
 
     (rows, cols, 3, 2) on the grid of `compute_gains`.
     """
-    return _described_changes.get_or_make(
-        compute_cached_digest((sensor.camera, sensor.optics)), lambda: _compute_described_change(sensor)
-    )
+    return _described_changes.get_or_make(compute_cached_digest(sensor), lambda: _compute_described_change(sensor))
 
 
 def _compute_described_change(sensor: SensorSpec) -> Floats:

@@ -20,3 +20,9 @@ def compute_reference_light(camera: Camera, optics: Optics) -> Floats:
         light += lobe[..., None] * np.array(glow.rgb)
     lens = 1.0 - optics.vignette * ((x * x + y * y) / 2) ** 2
     return freeze((light * lens[..., None]).astype(np.float32))
+
+
+@memoise(32)
+def compute_mean_reference_light(camera: Camera, optics: Optics) -> Floats:
+    """Mean of `compute_reference_light` of each colour (3,), grey levels."""
+    return freeze(compute_reference_light(camera, optics).reshape(-1, 3).mean(axis=0))

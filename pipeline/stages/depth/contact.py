@@ -39,6 +39,7 @@ _HANGING_MM, _HANGING_SHARE = (
     2.0,
     np.float32(0.25),
 )  # gel within this distance (about its thickness) of a deeper point, and shallower than this share of it, hangs there
+_BOX_MARGIN_PX = 8  # beyond what is indented: no filter of the contact reaches farther
 _REACH_CELLS = 8
 _SHORT_SORT_MAX = 2**16  # regions up to which 16-bit labels sort faster
 _SPECK_SHARE = 0.05  # of the largest region: smaller ones are dust and scratches that the press has shifted
@@ -80,29 +81,56 @@ def detect_contact(
     a deep point hangs free: a ball's contact on real gels ends where it is about a third as deep. A part in which no
     pixel reaches `_PART_SHARE` of its region's peak pressure is left out.
     """
-    import cv2
-
     deep = indentation_mm > least_mm
     if not deep.any():
         return deep
     pressure = compute_relative_pressure(indentation_mm, smoothing_px) / np.float32(pixel_mm)
     pressure[~deep] = 0.0
+    held = indentation_mm >= _HANGING_SHARE * _compute_local_maximum(indentation_mm, _HANGING_MM / pixel_mm)
+    touched, here = np.zeros_like(deep), _find_box(deep, _BOX_MARGIN_PX)
+    deep_here = np.ascontiguousarray(deep[here])
+    pressed, sure = _compare_with_nearby(
+        pressure[here], deep_here, held[here], pixel_mm, pressure_share, np.float32(median_pressure_share)
+    )
+    touched[here] = _add_faces(indentation_mm[here], _select_seeded(pressed, sure), deep_here)
+    return touched
+
+
+def _find_box(mask: Mask, margin: int) -> tuple[slice, slice]:
+    """The rows and columns that hold all of a mask (rows, cols), with a margin."""
+    row, col = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
+    return (
+        slice(max(0, int(row[0]) - margin), int(row[-1]) + margin + 1),
+        slice(max(0, int(col[0]) - margin), int(col[-1]) + margin + 1),
+    )
+
+
+def _compare_with_nearby(
+    pressure: Floats, deep: Mask, held: Mask, pixel_mm: float, pressure_share: float, median_share: np.float32
+) -> tuple[Mask, Mask]:
+    """The pixels (rows, cols) of `deep` with enough pressure, and those of them with a part of their region's peak.
+
+    `held`: what does not hang from a deeper point.
+    """
+    import cv2
+
     reach = 2 * max(1, round(_NEAR_MM / pixel_mm)) + 1
-    near = np.asarray(cv2.dilate(pressure, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach))), np.float32)
-    regions, n = _label_regions(deep)
-    peak = _find_peaks(deep, pressure, regions, n)
-    deep_here = deep & (
-        indentation_mm >= _HANGING_SHARE * _compute_local_maximum(indentation_mm, _HANGING_MM / pixel_mm)
-    )
-    least = np.maximum(_PRESSURE_MIN, pressure_share * near)
-    median = _compute_median_pressure(
-        pressure, regions, n, deep_here & (pressure > np.maximum(least, _CORE_SHARE * peak))
-    )
+    dilated = cv2.dilate(pressure, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach)))
+    found, n = _label_regions(deep)
+    at = np.flatnonzero(deep)  # the rest is on these pixels alone, each array (n,)
+    own, near = (np.asarray(a, np.float32).reshape(-1)[at] for a in (pressure, dilated))
+    region, held = found.reshape(-1)[at], held.reshape(-1)[at]
+    peak = _find_peaks(own, region, n)[region]
+    core = held & (own > np.maximum(np.maximum(_PRESSURE_MIN, pressure_share * near), _CORE_SHARE * peak))
+    median = _compute_medians(own[core], region[core], n)[region]
     ridge = np.clip((near / np.maximum(median, _PRESSURE_MIN) - _RIDGE_START) / (_RIDGE_END - _RIDGE_START), 0.0, 1.0)
     share = pressure_share + np.maximum(_RIDGE_SHARE - pressure_share, 0.0) * ridge
-    limit = np.maximum(np.maximum(_PRESSURE_MIN, np.float32(median_pressure_share) * median), share * near)
-    mask = np.asarray(deep_here & (pressure > limit), np.bool_)
-    return _add_faces(indentation_mm, _select_seeded(mask, mask & (pressure > _PART_SHARE * peak)), deep)
+    limit = np.maximum(np.maximum(_PRESSURE_MIN, median_share * median), share * near)
+    enough = held & (own > limit)
+    pressed, sure = np.zeros_like(deep), np.zeros_like(deep)
+    pressed.reshape(-1)[at] = enough
+    sure.reshape(-1)[at] = enough & (own > _PART_SHARE * peak)
+    return pressed, sure
 
 
 def detect_membrane_contact(
@@ -116,9 +144,9 @@ def detect_membrane_contact(
     if not deep.any():
         return deep
     load = compute_relative_pressure(indentation_mm, smoothing_px, 2)
-    mask = deep & (
-        load > np.maximum(_find_peaks(deep, load, *_label_regions(deep)), np.float32(1e-9)) * np.float32(pressure_share)
-    )
+    regions, n = _label_regions(deep)
+    peak = np.maximum(_find_peaks(load[deep], regions[deep], n), np.float32(1e-9))
+    mask = deep & (load > peak[regions] * np.float32(pressure_share))
     return fill_holes(np.asarray(mask, np.bool_))
 
 
@@ -144,22 +172,22 @@ def _label_regions(mask: Mask, connectivity: int = 8) -> tuple[Indices, int]:
     return np.asarray(labels, np.int32), int(n)
 
 
-def _find_peaks(deep: Mask, pressure: Floats, regions: Indices, n: int) -> Floats:
-    """The largest pressure (rows, cols) in each pixel's connected region."""
+def _find_peaks(values: Floats, region: Indices, n: int) -> Floats:
+    """The largest of the values (m,) in each of `n` regions; 0 where it is negative."""
     peaks = np.zeros(n, np.float32)
-    np.maximum.at(peaks, regions[deep], pressure[deep])
-    return peaks[regions]
+    np.maximum.at(peaks, region, values)
+    return peaks
 
 
-def _compute_median_pressure(pressure: Floats, regions: Indices, n: int, core: Mask) -> Floats:
-    """The median pressure (rows, cols) of the `core` in each pixel's connected region."""
-    labels, values = regions[core], pressure[core]
-    order = np.argsort(values)
-    order = order[np.argsort(labels[order].astype(np.uint16 if n < _SHORT_SORT_MAX else np.int32), kind="stable")]
-    ends = np.searchsorted(labels[order], np.arange(n + 1))
-    count = np.diff(ends)
-    middle = values[order][np.minimum(ends[:-1] + count // 2, max(0, len(values) - 1))] if len(values) else 0.0
-    return np.where(count > 0, middle, 0.0).astype(np.float32)[regions]
+def _compute_medians(values: Floats, region: Indices, n: int) -> Floats:
+    """The upper median of the values (m,) in each of `n` regions; 0 in an empty one."""
+    order = np.argsort(region.astype(np.uint16 if n < _SHORT_SORT_MAX else np.int32), kind="stable")
+    ends = np.cumsum(np.bincount(region, minlength=n))[:-1]
+    medians = np.zeros(n, np.float32)
+    for k, own in enumerate(np.split(values[order], ends)):
+        if len(own):
+            medians[k] = np.partition(own, len(own) // 2)[len(own) // 2]
+    return medians
 
 
 def _select_seeded(mask: Mask, seeds: Mask) -> Mask:

@@ -28,6 +28,7 @@ from pipeline.base.arrays import Doubles, Floats, freeze
 from pipeline.base.errors import SettingProblem, ShapeError
 
 Boundary = Literal["flat", "free"]
+_BOUNDARIES: tuple[Boundary, ...] = get_args(Boundary)
 EndConditions = tuple[Boundary, Boundary]
 Integrator = Callable[[Floats, Floats], Floats]  # slopes (gx, gy) in mm/mm to a surface in mm
 
@@ -57,14 +58,14 @@ def integrate_slopes(gx: Floats, gy: Floats, pixel_mm: float, boundary: Boundary
     from pipeline.stages.depth.poisson_kernels import compute_divergence, solve_tridiagonal
 
     sides = boundary if isinstance(boundary, SideBoundaries) else SideBoundaries(boundary, boundary, boundary, boundary)
-    for side in sides:
-        if side not in get_args(Boundary):
-            raise SettingProblem(f"boundary must be one of {', '.join(get_args(Boundary))}, got {side!r}")
+    for side in set(sides).difference(_BOUNDARIES):
+        raise SettingProblem(f"boundary must be one of {', '.join(_BOUNDARIES)}, got {side!r}")
     *_, rows, cols = gx.shape
     across = _is_fast_length(cols, rows)
     free = np.array([side == "free" for side in sides])
     out = np.empty((gx.size // (rows * cols), rows, cols), np.float32)
-    slopes = np.array([gx, gy], np.float32).reshape(2, *out.shape)
+    slopes = np.empty((2, *out.shape), np.float32)
+    slopes[0], slopes[1] = gx.reshape(out.shape), gy.reshape(out.shape)
     if not math.isfinite(compute_divergence(slopes, free, out)):
         raise ShapeError("slopes hold values that are not finite; fill them before integrating")
     along_x: EndConditions = (sides.left, sides.right)

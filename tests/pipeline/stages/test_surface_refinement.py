@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
+from pipeline.base.progress import SILENT
 from pipeline.calibration import near_led_prior, slope_model
 from pipeline.calibration.calibration_table import BallFit, make_built_in
 from pipeline.geometry.rigid import translation
@@ -17,9 +18,10 @@ from pipeline.physics.slopes import compute_slopes
 from pipeline.sensors.spec import load_sensor
 from pipeline.simulation import shapes, variation
 from pipeline.simulation.press import simulate_press
-from pipeline.stages.depth.illumination import field_light, frame_illumination, selection
+from pipeline.stages.depth.illumination import field_light, frame_illumination, gel_surface, selection
 from pipeline.stages.depth.illumination.gel_surface import uses_illumination
 from pipeline.stages.depth.illumination.light import Illumination
+from pipeline.stages.depth.illumination.surface_refinement import refine_surface
 from pipeline.stages.depth.photometric import DepthParams, estimate_depth, estimate_gel_depth
 from pipeline.values.frames import TactileFrame
 from tests.pipeline.calibration.test_balls import hertz
@@ -151,6 +153,24 @@ def test_the_leds_of_another_instance_are_fitted_to_its_touch():
         for some in (fitted, source.optics)
     ]
     assert off[0] < 0.5 * off[1]
+
+
+@pytest.mark.parametrize(("depth_mm", "settles"), [(0.05, True), (0.8, False)])
+def test_iterations_end_where_the_surface_hardly_moves_any_more(depth_mm, settles):
+    source, frame, _ = press_digit(depth_mm)
+    changed = gel_surface.detect_changed_image(frame.image, frame.reference, source, make_built_in(source))
+    assert changed is not None
+    _, cells = changed.patches
+    light, n_integrated = selection.make_light(DESCRIBED, cells, source), 0
+    integrate = changed.make_integrator(cells, SILENT)
+
+    def count(gx, gy):
+        nonlocal n_integrated
+        n_integrated += 1
+        return integrate(gx, gy)
+
+    refine_surface(np.zeros(cells.changed.shape, np.float32), cells, light, count, 12, until_settled=True)
+    assert (n_integrated < 12) == settles
 
 
 def test_the_same_image_gives_the_same_bytes():

@@ -16,6 +16,8 @@ class IlluminationConstants:
     iterations: int = 4  # two leave 20 % more error on a GelSlim, whose LEDs are low
     draft_iterations: int = 2  # two thirds of the time; 23 um instead of 21 um from the full result in contact
     trusted_iteration_factor: int = 2  # walls rise for longer in light that explains the image
+    settled_mm: float = 0.005  # largest change of an iteration that is the last: noise makes the next ones worse
+    settled_share: float = 0.02  # the same as a share of the largest indentation, where that is less
     cg_steps: int = 6  # conjugate-gradient steps of an iteration; 12 come no nearer
     fine_cg_steps: int = 4  # the same at full resolution, where only detail is missing
     grid_cells: int = 160  # along the longer side of the refinement grid (chosen)

@@ -17,7 +17,7 @@ from pipeline.base.arrays import Doubles, Floats
 from pipeline.calibration import near_led_prior, slope_model
 from pipeline.physics.optics import apply_shadows, pack_leds, require_optics
 from pipeline.sensors.parts import Led, Optics
-from pipeline.sensors.reference_light import compute_reference_light
+from pipeline.sensors.reference_light import compute_mean_reference_light
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth.illumination.constants import DESCRIBED_STEP, TRUSTED_STEP
 from pipeline.stages.depth.illumination.image_patch import ImagePatch, compute_cell_means
@@ -118,14 +118,16 @@ def _compute_near_gain(source: SensorSpec, patch: ImagePatch) -> Floats:
     cells = cv2.GaussianBlur(
         compute_cell_means(patch.reference, by), (0, 0), _REFERENCE_BLUR_PX / patch.downsampling / by
     )
-    here = cv2.resize(cells, (cells.shape[1] * by, cells.shape[0] * by), interpolation=cv2.INTER_LINEAR)[:rows, :cols]
-    offset = np.float32(slope_model.OFFSET_GREY)
-    usual = compute_reference_light(source.camera, require_optics(source)).reshape(-1, 3).mean(axis=0)
-    table, camera = near_led_prior.compute_gains(source), source.camera
-    down = _make_interpolation(patch.y_px / np.float32(camera.rows - 1), table.shape[0])
-    across = _make_interpolation(patch.x_px / np.float32(camera.cols - 1), table.shape[1])
-    gains = np.tensordot(down, np.tensordot(across, table, (1, 1)), (1, 1))
-    return np.asarray((here + offset) / (usual + offset) * gains, np.float32)
+    offset, camera = np.float32(slope_model.OFFSET_GREY), source.camera
+    usual = compute_mean_reference_light(camera, require_optics(source))
+    table = near_led_prior.compute_gains(source) / (usual + offset)
+    down, across = (
+        _make_interpolation((px[0] + (np.arange(n) * by + 0.5 * (by - 1)) * patch.downsampling) / (end - 1), m)
+        for px, n, end, m in zip((patch.y_px, patch.x_px), cells.shape, camera.shape, table.shape, strict=False)
+    )
+    gains = (cells + offset) * np.tensordot(down, np.tensordot(across, table, (1, 1)), (1, 1))
+    wide = (cells.shape[1] * by, cells.shape[0] * by)
+    return np.ascontiguousarray(cv2.resize(gains, wide, interpolation=cv2.INTER_LINEAR)[:rows, :cols], np.float32)
 
 
 def _make_interpolation(share: Floats, n: int) -> Floats:

@@ -155,9 +155,9 @@ def correct_surface(
     light = make_light(illumination, patch, source)
     if illumination.is_trusted and not draft:
         plain = led_light.make_led_light(source, get_optics(illumination, source), patch, trusted=False)
-        surface_mm, _ = refine_surface(surface_mm, patch, plain, integrate, iterations)
+        surface_mm, _ = refine_surface(surface_mm, patch, plain, integrate, iterations, until_settled=True)
         iterations *= CONSTANTS.trusted_iteration_factor
-    return refine_surface(surface_mm, patch, light, integrate, iterations)[0]
+    return refine_surface(surface_mm, patch, light, integrate, iterations, until_settled=True)[0]
 
 
 def add_detail(

@@ -19,7 +19,7 @@ import numpy as np
 
 from pipeline.base.arrays import Doubles, Floats
 from pipeline.physics import optics
-from pipeline.sensors.reference_light import compute_reference_light
+from pipeline.sensors.reference_light import compute_mean_reference_light
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth.illumination.constants import SHADOW_STEP
 from pipeline.stages.depth.illumination.image_patch import ImagePatch
@@ -92,7 +92,7 @@ def make_described_leds(source: SensorSpec) -> LedArray:
     described = optics.require_optics(source)
     rgb = np.array([led.rgb for led in described.leds]).T  # (3, n)
     share = described.shadow * rgb / np.maximum(rgb.sum(axis=1, keepdims=True), 1e-6)
-    usual = compute_reference_light(source.camera, described).reshape(-1, 3).mean(axis=0)
+    usual = compute_mean_reference_light(source.camera, described)
     up = np.radians([led.elevation_deg for led in described.leds])
     by_slope = (rgb * np.cos(up) / (1.0 - np.sin(up)) * (1.0 - 0.5 * described.falloff)).max(axis=0)  # grey per mm/mm
     own = rgb.argmax(axis=0), range(len(up))

@@ -32,7 +32,6 @@ from pipeline.stages.depth.illumination.constants import CONSTANTS
 from pipeline.stages.depth.illumination.image_patch import (
     ImagePatch,
     blur_change,
-    simulate_recorded_change,
 )
 from pipeline.stages.depth.illumination.light import Light
 from pipeline.stages.depth.poisson import Integrator, solve_weighted_slopes
@@ -47,13 +46,16 @@ _RIDGE = 1e-6  # of the normal equations' trace
 
 def refine_surface(
     surface_mm: Floats, patch: ImagePatch, light: Light, integrate: Integrator, iterations: int,
-    cg_steps: int = CONSTANTS.cg_steps,
+    cg_steps: int = CONSTANTS.cg_steps, *, until_settled: bool = False,
 ) -> tuple[Floats, float]:  # fmt: skip
     """The surface (rows, cols) in mm whose rendered image comes nearest to the recorded one, and the misfit.
 
     `surface_mm` is the first guess; `integrate` makes slopes (gx, gy) of the patch a surface. The misfit is in grey
-    levels, summed over pixels and colours, before the last iteration.
+    levels, summed over pixels and colours, before the last iteration. `until_settled`: one that
+    hardly moves any pixel is the last.
     """
+    import cv2
+
     from pipeline.stages.depth.illumination.illumination_kernels import N_LINES, TILE_PX, update_slopes
 
     rule, misfit = light.step_rule, 0.0
@@ -64,16 +66,21 @@ def refine_surface(
         surface = clip_surface(surface_mm, patch, light)
         slopes = compute_slopes(surface, patch.pixel_mm)
         change, *rates = light.render(surface, *slopes)
-        residual = patch.change - simulate_recorded_change(change, patch, light.blur_px)
+        residual = observed - np.clip(blur_change(change, patch, light.blur_px) + patch.reference, 0.0, 255.0)
         misfit = update_slopes(
             residual, observed, light.confidence, patch.changed, *rates, limits, scratch, *slopes, weights
         )
-        if not rule.weighted:
+        before = surface_mm
+        if rule.weighted:
+            raised = raise_walls(surface_mm, slopes, weights, patch.pixel_mm)
+            surface_mm = solve_weighted_slopes(raised, slopes, weights, patch.pixel_mm, integrate, cg_steps)
+        else:
             surface_mm = integrate(*slopes)
-            continue
-        raised = raise_walls(surface_mm, slopes, weights, patch.pixel_mm)
-        nearest = solve_weighted_slopes(raised, slopes, weights, patch.pixel_mm, integrate, cg_steps)
-        surface_mm = surface_mm + blur_change(nearest - surface_mm, patch, light.blur_px) if rule.blurred else nearest
+        if rule.blurred:
+            surface_mm = before + blur_change(surface_mm - before, patch, light.blur_px)
+        moved_mm, depth_mm = cv2.norm(surface_mm, before, cv2.NORM_INF), cv2.norm(surface_mm, cv2.NORM_INF)
+        if until_settled and moved_mm < min(CONSTANTS.settled_mm, CONSTANTS.settled_share * depth_mm):
+            break
     return surface_mm, misfit
 
 
