@@ -6,13 +6,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from pipeline.calibration import corrections
+from pipeline.calibration import corrections, slope_model
 from pipeline.calibration.ball_samples import sample_contact
 from pipeline.calibration.ball_slopes import BallPress, BallSlopeProfile
 from pipeline.calibration.balls import calibrate_balls
 from pipeline.calibration.calibration_table import compute_relative_change, make_built_in
 from pipeline.calibration.contact_circles import Circle
-from pipeline.calibration.corrections import HeldOutErrors, choose_candidate, compute_diameter_error
+from pipeline.calibration.corrections import HeldOutErrors, choose_candidate, measure_diameter_error
 from pipeline.calibration.expected_error import compute_coverage_map, has_low_coverage, summarise_errors
 from pipeline.calibration.shading_field import ShadingFieldPrior
 from pipeline.physics import optics
@@ -45,7 +45,8 @@ def errors_elsewhere(model, unit, still):
         radius_px = np.sqrt(4.75 * 0.6) / unit.pixel_mm
         seen = BallPress(index=0, change=change, circle=Circle(x_px=x, y_px=y, radius_px=radius_px))
         ball = BallSlopeProfile(radius_px=4.75 / unit.pixel_mm, sphere_slope_share=None)
-        found.append(abs(compute_diameter_error(model, sample_contact(seen, ball))))
+        samples = sample_contact(seen, ball)
+        found.append(abs(measure_diameter_error(slope_model.predict(model, samples), samples)))
     return np.array(found)
 
 
