@@ -2,7 +2,8 @@
 
 Loops are closed by Open3D's pose graph (Choi, Zhou, Koltun 2015): its nodes are the key frames, its edges their
 registrations, weighted by the inverse of their covariance. The surface is Open3D's truncated signed distance volume of
-the contacts, which is where the membrane has the object's shape.
+the contacts, which is where the membrane has the object's shape. A single frame's contact is too wide on a noisy
+bubble, so a place stays where most of the views touch it whose membrane is there.
 """
 
 from collections.abc import Callable, Sequence
@@ -14,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.base.arrays import Doubles, Floats, freeze
+from pipeline.base.arrays import Doubles, Floats, Mask, freeze
 from pipeline.geometry import rigid
 from pipeline.geometry.camera import Camera
 from pipeline.geometry.meshes import Mesh
@@ -25,6 +26,7 @@ from pipeline.tracking.tracker import KeyFrame, TrackedFrame, is_accepted
 _LOOP_OVERLAP = 0.5  # key frames whose predicted overlap is larger are registered to each other
 _MIN_VOXEL_MM = 0.08
 _TRUNCATION_VOXELS = 4.0
+_CONTACT_SHARE = 0.5  # of the views at a place
 _BLOCK_VOXELS, _N_BLOCKS = 8, 4000  # a block's side; as many blocks as are allocated at first
 _FARTHEST_MM = 1e3
 _EMPTY = (
@@ -41,7 +43,13 @@ class ContactView:
     key: int  # number of the key frame that it was registered to
     sensor_from_key: Doubles  # (4, 4)
     camera: Camera
-    contact_depth_mm: Floats  # (rows, cols) 0 outside the contact
+    depth_mm: Floats  # (rows, cols) of the membrane; 0 = no value
+    contact: Mask  # (rows, cols) without its outermost pixels
+
+    @property
+    def contact_depth_mm(self) -> Floats:
+        """Depth (rows, cols), 0 outside the contact."""
+        return np.where(self.contact, self.depth_mm, np.float32(0.0))
 
 
 def make_view(frame: TrackedFrame, surface: MembraneSurface, keys: Sequence[KeyFrame]) -> ContactView | None:
@@ -55,7 +63,8 @@ def make_view(frame: TrackedFrame, surface: MembraneSurface, keys: Sequence[KeyF
         key=frame.key,
         sensor_from_key=frame.sensor_from_start @ rigid.invert(keys[frame.key].sensor_from_start),
         camera=surface.camera,
-        contact_depth_mm=freeze(np.where(inner & np.isfinite(surface.depth_mm), surface.depth_mm, np.float32(0.0))),
+        depth_mm=freeze(np.where(np.isfinite(surface.depth_mm), surface.depth_mm, np.float32(0.0))),
+        contact=freeze(inner),
     )
 
 
@@ -121,10 +130,12 @@ def fuse_views(views: Sequence[ContactView], keys: Sequence[KeyFrame], name: str
     import open3d
 
     o3d: Any = open3d
-    views = [view for view in views if (view.contact_depth_mm > 0).any()]
+    contacts = [view.contact_depth_mm for view in views]
+    views = [view for view, contact in zip(views, contacts, strict=True) if contact.any()]
+    contacts = [contact for contact in contacts if contact.any()]
     if not views:
         return None
-    depths = [view.contact_depth_mm[view.contact_depth_mm > 0] for view in views]
+    depths = [contact[contact > 0] for contact in contacts]
     typical = [float(np.median(depth)) / view.camera.fx_px for depth, view in zip(depths, views, strict=True)]
     voxel_mm = max(_MIN_VOXEL_MM, *typical)
     core, grid = (
@@ -134,8 +145,8 @@ def fuse_views(views: Sequence[ContactView], keys: Sequence[KeyFrame], name: str
         ),
     )
     n_fused = 0
-    for view in views:
-        depth = o3d.t.geometry.Image(core.Tensor(view.contact_depth_mm[:, :, None].copy()))
+    for view, contact in zip(views, contacts, strict=True):
+        depth = o3d.t.geometry.Image(core.Tensor(contact[:, :, None].copy()))
         camera, placed = core.Tensor(view.camera.matrix), view.sensor_from_key @ keys[view.key].sensor_from_start
         within = (depth, camera, core.Tensor(placed), 1.0, _FARTHEST_MM, _TRUNCATION_VOXELS)
         blocks = _unless_empty(partial(grid.compute_unique_block_coordinates, *within))
@@ -147,8 +158,28 @@ def fuse_views(views: Sequence[ContactView], keys: Sequence[KeyFrame], name: str
     if surface is None or not triangles.size:
         return None
     vertices = surface.vertex.positions.numpy().astype(np.float64)
-    vertices, triangles = _sort_mesh(vertices, triangles)
+    share = _measure_contact_share(vertices, views, keys, _TRUNCATION_VOXELS * voxel_mm)
+    triangles = triangles[(share >= _CONTACT_SHARE)[triangles].all(axis=1)]
+    if not triangles.size:
+        return None
+    used, corners = np.unique(triangles, return_inverse=True)
+    vertices, triangles = _sort_mesh(vertices[used], corners.reshape(-1, 3).astype(np.int32))
     return Mesh(vertices_mm=freeze(vertices), triangles=freeze(triangles), name=name)
+
+
+def _measure_contact_share(
+    points_mm: Doubles, views: Sequence[ContactView], keys: Sequence[KeyFrame], near_mm: float
+) -> Doubles:
+    """Share (n,) of the views touching each point (n, 3), of those whose membrane is within `near_mm` of it."""
+    n_there, n_touching = np.zeros(len(points_mm)), np.zeros(len(points_mm))
+    for view in views:
+        points = rigid.apply(view.sensor_from_key @ keys[view.key].sensor_from_start, points_mm)
+        x_px, y_px, visible = view.camera.project(points)
+        col, row = (np.where(visible, np.rint(at), 0).astype(np.intp) for at in (x_px, y_px))
+        there = visible & (np.abs(view.depth_mm[row, col] - points[:, 2]) < near_mm)
+        n_there += there
+        n_touching += there & view.contact[row, col]
+    return n_touching / np.maximum(n_there, 1.0)
 
 
 def _unless_empty(run: Callable[[], Any]) -> Any:

@@ -138,12 +138,35 @@ def test_the_patch_map_lies_on_the_object(tmp_path):
 
 @pytest.mark.parametrize("side_px", [0, 1, 3])
 def test_a_contact_too_small_to_fuse_has_no_surface(side_px):
-    surface = make_surface(press("star")[0])
-    depth_mm = np.zeros(surface.camera.shape, np.float32)
-    depth_mm[50 : 50 + side_px, 50 : 50 + side_px] = float(np.nanmedian(surface.depth_mm))
-    key = KeyFrame(index=0, part=0, surface=surface, sensor_from_start=np.eye(4), covariance=np.zeros((6, 6)))
-    view = patch_map.ContactView(key=0, sensor_from_key=np.eye(4), camera=surface.camera, contact_depth_mm=depth_mm)
+    key, view = flat_view(slice(50, 50 + side_px))
     assert patch_map.fuse_views([view], [key]) is None
+
+
+def flat_view(contact_cols, depth_mm=None):
+    """A key frame, and a view of a flat membrane that is in contact in a square of these columns."""
+    surface = make_surface(press("star")[0])
+    level_mm = float(np.nanmedian(surface.depth_mm)) if depth_mm is None else depth_mm
+    contact = np.zeros(surface.camera.shape, np.bool_)
+    contact[contact_cols, contact_cols] = True
+    key = KeyFrame(index=0, part=0, surface=surface, sensor_from_start=np.eye(4), covariance=np.zeros((6, 6)))
+    depth = np.full(surface.camera.shape, level_mm, np.float32)
+    return key, patch_map.ContactView(
+        key=0, sensor_from_key=np.eye(4), camera=surface.camera, depth_mm=depth, contact=contact
+    )
+
+
+def patch_width_mm(views, key):
+    return float(np.ptp(patch_map.fuse_views(views, [key]).vertices_mm[:, 0]))
+
+
+def test_a_contact_that_most_views_do_not_confirm_is_no_surface():
+    (key, small), (_, wide) = flat_view(slice(80, 120)), flat_view(slice(40, 160))
+    narrow_mm = patch_width_mm([small], key)
+    assert patch_width_mm([wide], key) > 2.5 * narrow_mm
+    assert patch_width_mm([small, wide, small], key) == pytest.approx(narrow_mm, rel=0.1)
+    # A membrane that is elsewhere says nothing of the place.
+    away = flat_view(slice(0, 0), depth_mm=float(small.depth_mm[0, 0]) + 5.0)[1]
+    assert patch_width_mm([small, away, away], key) == pytest.approx(narrow_mm, rel=0.1)
 
 
 def test_a_track_is_the_same_after_it_was_written_and_read(tmp_path):
