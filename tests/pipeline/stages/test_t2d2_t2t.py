@@ -327,7 +327,8 @@ def test_weights_of_another_direction_are_not_used(tmp_path, method, file, sourc
         shipped = load_weights(weights_registry.WEIGHTS_FOLDER / "t2t_gelslim.safetensors")
         task = {"t2t": "touch_to_touch", "t2d2": "touch_residual", "latent_t2d2": "latent"}[method]
         path = tmp_path / "mine.safetensors"
-        save_weights(path, replace(shipped, card={"task": task, weights_registry.TARGET_KIND: "gel"}))
+        kind = task if task == "latent" else shipped.kind
+        save_weights(path, replace(shipped, kind=kind, card={"task": task, weights_registry.TARGET_KIND: "gel"}))
     found = BUILT_IN.method("touch", method).weights(load_sensor(source), load_sensor(target), path)
     assert isinstance(found, NoWeights)
     assert problem in found.why
