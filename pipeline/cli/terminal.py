@@ -44,14 +44,18 @@ class TerminalProgress:
 
 @contextmanager
 def open_progress_bar(n_pieces: int = 0, console: Console | None = None) -> Generator[TerminalProgress]:
-    """Progress bar on stderr that disappears when the work is done; counts `n_pieces`, or shows per cent for 0."""
+    """Progress bar on stderr that disappears when the work is done; counts `n_pieces`, or shows per cent for 0.
+
+    Nothing is drawn where the console is no terminal: a log or a pipe gets the command's own lines alone.
+    """
     from rich import progress
     from rich.console import Console
 
     counter = progress.MofNCompleteColumn() if n_pieces else progress.TaskProgressColumn()
     text, left = progress.TextColumn("{task.description}", markup=False), progress.TimeRemainingColumn()
     console, total = console or Console(stderr=True), float(n_pieces or 1)
-    with progress.Progress(text, progress.BarColumn(), counter, left, console=console, transient=True) as bar:
+    columns = (text, progress.BarColumn(), counter, left)
+    with progress.Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         shown = TerminalProgress(bar, bar.add_task("", total=total), total)
         with handle_interrupts(shown.request_stop):
             yield shown
