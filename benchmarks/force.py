@@ -6,7 +6,7 @@ A ball is weighed twice on each of four other sensor instances (`varied`, streng
 depths and at its end; then tools that nothing was chosen by are pressed at random depths, places and turns, on many of
 which the contact leaves the view. Depth is by network. Every method gets the same scale from the same weighings; the
 error is the median of |force / true force - 1| over presses of 0.3 N and more, Spearman's order is that over all
-instances.
+instances. Shear is that of the same kind of presses dragged by 0.1 to 0.5 mm, at friction 0.3 to 1, on a GelSlim.
 """
 
 from __future__ import annotations
@@ -22,7 +22,9 @@ from benchmarks.harness.timing import Requirement, build_measurement, summarize_
 from benchmarks.scenes.depth_helpers import build_reader
 from pipeline.base.entry_points import load_reference
 from pipeline.calibration.force_scale import fit_force_scale
+from pipeline.calibration.markers import track_markers
 from pipeline.geometry import rigid
+from pipeline.physics.shear import TangentialLoad
 from pipeline.sensors.spec import load_sensor
 from pipeline.simulation import shapes
 from pipeline.simulation.press import simulate_press
@@ -33,11 +35,17 @@ _RANGES = {"gelslim": (0.2, 0.8, 2.5), "digit": (0.2, 0.8, 2.5), "soft_bubble": 
 _INSTANCES, _TOOLS, _LEAST_N = 4, 16, 0.3
 
 
-def estimate_all(sensor, indentation_mm, contact):
+def estimate_force(sensor, frame, depth):
+    """The force by the contact model of the sensor's kind."""
+    contact = depth.contact & np.isfinite(depth.indentation_mm)
+    return load_reference(sensor.sensor_kind.force_estimator)(sensor, frame, depth.indentation_mm, contact)
+
+
+def estimate_all(sensor, frame, depth):
     """Forces by the contact model, by volume, and by area times mean depth, up to a factor."""
-    contact = contact & np.isfinite(indentation_mm)
+    contact, indentation_mm = depth.contact & np.isfinite(depth.indentation_mm), depth.indentation_mm
     inside, pushed = indentation_mm[contact].sum(dtype=float), np.nansum(np.maximum(indentation_mm, 0.0), dtype=float)
-    return load_reference(sensor.sensor_kind.force_estimator)(sensor, indentation_mm, contact), pushed, inside
+    return estimate_force(sensor, frame, depth).normal_n, pushed, inside
 
 
 def press_instance(read, name: str, number: int):
@@ -54,12 +62,67 @@ def press_instance(read, name: str, number: int):
         pose[2, 3] = -depth_mm - rigid.apply(pose, mesh.vertices_mm)[:, 2].min()
         press = simulate_press(mesh, pose, unit, seed=seed)
         if press.converged and press.force_n >= _LEAST_N:
-            depth = read(TactileFrame(sensor=name, image=press.image, reference=unit.render_reference()), source)
+            frame = TactileFrame(sensor=name, image=press.image, reference=unit.render_reference())
+            depth = read(frame, source)
             started = time.perf_counter()
-            found.append(estimate_all(source, depth.indentation_mm, depth.contact))
+            found.append(estimate_all(source, frame, depth))
             taken.append(1e3 * (time.perf_counter() - started))
             true.append(press.force_n)
     return np.array(found), np.array(true), taken
+
+
+def drag_on_instance(read, number: int):
+    """(shear by the model (n, 2), by mean marker motion times area (n, 2), true force (n, 3)) on one GelSlim, in N.
+
+    The first two presses are the weighings, dragged balls.
+    """
+    source, rng = load_sensor("gelslim"), np.random.default_rng([7, number])
+    unit, tools = vary_sensor(source, 850 + number), (*shapes.list_shapes("unseen"), *shapes.list_shapes("task"))
+    by_model, by_mean, true = [], [], []
+    for seed, tool in enumerate(("sphere", "sphere", *tools)):
+        mesh, spread_mm = shapes.make_shape(tool).mesh, 1.0 if seed < 2 else 2.5
+        pose = rigid.translation(*rng.uniform(-spread_mm, spread_mm, 2), 0.0)
+        pose = pose @ rigid.rotation((0.0, 0.0, rng.uniform(-3, 3)))
+        pose[2, 3] = -rng.uniform(0.3, 0.8) - rigid.apply(pose, mesh.vertices_mm)[:, 2].min()
+        heading, drag_mm = rng.uniform(-np.pi, np.pi), rng.uniform(0.1, 0.5)
+        load = TangentialLoad(
+            displacement_mm=(drag_mm * np.cos(heading), drag_mm * np.sin(heading)), friction=rng.uniform(0.3, 1.0)
+        )
+        press = simulate_press(mesh, pose, unit, seed=seed, load=load)
+        frame = TactileFrame(sensor="gelslim", image=press.image, reference=unit.render_reference())
+        depth = read(frame, source)
+        found = estimate_force(source, frame, depth)
+        if not press.converged or press.force_n < _LEAST_N or not found.shear_n:
+            continue
+        start, end = track_markers(frame.reference, frame.image, source.markers, source.pixel_mm)
+        col, row = np.round(end).astype(int).T.clip(0, np.array([[source.camera.cols], [source.camera.rows]]) - 1)
+        touched = depth.contact[row, col]
+        moved = (end - start)[touched].mean(axis=0) if touched.any() else np.zeros(2)
+        by_model.append(found.shear_n)
+        by_mean.append(moved * depth.contact.sum())
+        true.append(press.truth.force_n)
+    return np.array(by_model), np.array(by_mean), np.array(true)
+
+
+def measure_shear(read) -> tuple:
+    """The row of shear on a GelSlim, and a note."""
+    off, angles = [], []
+    for number in range(_INSTANCES):
+        *found, true = drag_on_instance(read, number)
+        shear = true[:, :2]
+        size = np.linalg.norm(shear, axis=1)
+        scaled = [f * np.exp(np.log(size[:2] / np.linalg.norm(f[:2], axis=1)).mean()) for f in found]
+        off.append([np.linalg.norm(f - shear, axis=1)[2:] / size[2:] for f in scaled])
+        turns = np.angle((found[0] @ (1, 1j)) / (shear @ (1, 1j)))
+        angles.append(np.degrees(np.abs(turns[2:])))
+    errors, turned = 100 * np.concatenate(off, axis=1), np.concatenate(angles)
+    (middle, peer), tails = np.median(errors, axis=1), np.quantile(errors, 0.9, axis=1)
+    row = build_measurement("gelslim: error of the shear", ours=summarize_times([np.nan]), ours_error=middle, unit="%",
+        peer="mean motion of markers times area", peer_error=peer, bar=Requirement(max_error=15.0))  # fmt: skip
+    return row, (
+        f"gelslim, shear of {errors.shape[1]} dragged presses: 90th percentiles {tails[0]:.0f} and {tails[1]:.0f} %; "
+        f"direction off by {np.median(turned):.1f} deg, 90th percentile {np.quantile(turned, 0.9):.1f}"
+    )
 
 
 def measure() -> BenchmarkResult:
@@ -88,6 +151,9 @@ def measure() -> BenchmarkResult:
             f"1 - Spearman of the model on the worst instance alone {1 - lowest:.3f}; "
             f"90th percentiles of model, volume, area times depth {' '.join(f'{t:.1f}' for t in tail)} %"
         )
+    row, note = measure_shear(read)
+    rows.append(row)
+    notes.append(note)
     return BenchmarkResult(title="Force after two weighings", unit="%", rows=tuple(rows), notes=tuple(notes))
 
 

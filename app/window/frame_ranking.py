@@ -9,13 +9,14 @@ from PyQt6.QtCore import QObject, Qt, QTimer
 from app.session.state import Session
 from app.window.session_controller import SessionController
 from app.work.evaluator import MeasuredQuantities, SummarisedFrame
-from pipeline.metrics.stage_metrics import FORCE, METRICS, ROUND_TRIP, UNCALIBRATED_FORCE, describe_metric
+from pipeline.metrics.stage_metrics import METRICS, ROUND_TRIP, describe_metric
 from pipeline.translation.error_attribution import DEFAULT_METRIC
-from pipeline.translation.force import select_force_metric
+from pipeline.translation.force import list_force_metrics
 from widgets.frame_summary import FRAME_FIGURES
 from widgets.styling import make_single_shot_timer
 
 _TIMELINE_DELAY_MS = 60  # summaries that arrive within it are drawn together
+_UNCALIBRATED = "uncalibrated_"  # before the name of a force whose scale is not known
 _DELAY_MS = 400  # browsing and error attribution come first
 
 
@@ -58,16 +59,17 @@ class FrameRankingController(QObject):
 
     @property
     def _metric(self) -> str:
-        """The metric that ranks the frames; the force follows the calibration that is loaded."""
-        if self._chosen_metric in (FORCE, UNCALIBRATED_FORCE) and self._force_metric:
-            return self._force_metric
+        """The metric that ranks the frames; forces follow the calibration that is loaded."""
+        for metric in self._force_metrics:
+            if metric.replace(_UNCALIBRATED, "") == self._chosen_metric.replace(_UNCALIBRATED, ""):
+                return metric
         return self._chosen_metric or (DEFAULT_METRIC if self._has_truth else ROUND_TRIP)
 
     @property
-    def _force_metric(self) -> str:
-        """The metric of the open recording's force; "" without a contact model."""
+    def _force_metrics(self) -> tuple[str, ...]:
+        """The metrics of the open recording's force; empty without a contact model."""
         opened = self._controller.views.translation
-        return "" if opened is None else select_force_metric(opened)
+        return () if opened is None else list_force_metrics(opened)
 
     def _go_to_worst(self) -> None:
         worst = self._controller.window.timeline.errors.worst_frame
@@ -142,7 +144,7 @@ class FrameRankingController(QObject):
     def _measure_force(self) -> bool:
         """Measure the force of the next frame if the metric is the force; return whether any is left to measure."""
         controller, metric = self._controller, self._metric
-        if not metric or metric != self._force_metric:
+        if metric not in self._force_metrics:
             return False
         session, evaluator = controller.session, controller.evaluator
         frame = self._panel.model.find_unknown_frame(session.frame, quantity=metric)
@@ -168,7 +170,7 @@ class FrameRankingController(QObject):
         """Offer the known metrics, those of the whole frame last."""
         known = self._panel.model.metrics
         names = [name for name in known if METRICS[name.partition(".")[2]].better != "neither"]
-        more = [name for name in (ROUND_TRIP, self._force_metric, *FRAME_FIGURES) if name]
+        more = (ROUND_TRIP, *self._force_metrics, *FRAME_FIGURES)
         names = [name for name in dict.fromkeys((*names, *more)) if name != self._metric]
         names.sort(key=lambda name: name.startswith("frame."))  # stable
         texts = {name: describe_metric(name) for name in (self._metric, *names)}

@@ -227,7 +227,7 @@ class Evaluator:
         try:
             inputs = translation.read_inputs(index, progress=report)
             depth = graph.evaluate(("depth",), inputs, session.collect_params(translation.methods), report)
-            quantities |= measure_force(depth, translation, graph, translation.read_source_truth(index))
+            quantities |= measure_force(depth, index, translation, graph)
         except TouchError as error:
             log.info("frame %d has no force: %s", index, error)
         settings = replace(session, target=translation.target.name).settings

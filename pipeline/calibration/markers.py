@@ -1,4 +1,4 @@
-"""Printed markers of a gel: their detection in an image, and the colour change without them."""
+"""Printed markers of a gel: their detection and motion, and the colour change without them."""
 
 import math
 from typing import Any
@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.base.arrays import Floats, Mask, freeze
+from pipeline.base.arrays import Doubles, Floats, Mask, freeze
 from pipeline.base.memo import Memo
 from pipeline.engine.digests import compute_cached_digest
 from pipeline.sensors.spec import Markers
@@ -16,6 +16,11 @@ _HALO_PX = 2  # lens blur around a dot
 _DISC_MAX_PX = 41  # of the disc of the closing
 _VISIBLE_SHARE_MIN = 0.02  # of a mean: with fewer visible pixels it is void
 _HIDDEN_SHARE = 0.25  # share of a pixel from which it counts as hidden
+_DARK_GREY = 50  # of 255, from which a pixel belongs to a dot
+_BLACK = 8.0  # grey: surroundings as dark as this hide dots
+_WHOLE_SHARE = 0.3  # of the median area of dots: smaller ones are cut by the border, or noise
+_WINDOW_PITCHES = 0.7  # side of the optical flow's window: one dot
+_RETURN_PX = 0.5
 _FULL_SIZE_SIGMA_PX = 1.6  # wider Gaussians are computed on fewer pixels
 
 
@@ -26,7 +31,7 @@ def detect_markers(image: NDArray[Any], markers: Markers, pixel_mm: float) -> Ma
     """
     import cv2
 
-    width = 2 * math.ceil(2.2 * (markers.radius_mm + markers.doubling_mm / 2) / pixel_mm) + 1
+    width = _compute_dot_width_px(markers, pixel_mm)
     if width > _DISC_MAX_PX:
         by = math.ceil(width / _DISC_MAX_PX)
         rows, cols = image.shape[:2]
@@ -34,13 +39,71 @@ def detect_markers(image: NDArray[Any], markers: Markers, pixel_mm: float) -> Ma
         found = detect_markers(small, markers, pixel_mm * cols / small.shape[1])
         wide = cv2.resize(found.astype(np.float32), (cols, rows), interpolation=cv2.INTER_LINEAR)
         return np.asarray(wide > _HIDDEN_SHARE, np.bool_)
-    red, green, blue = cv2.split(image)
-    brightest = np.asarray(cv2.max(cv2.max(red, green), blue))
-    dot = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (width, width))
-    around = cv2.morphologyEx(brightest, cv2.MORPH_CLOSE, dot)
+    brightest, around = _compare_with_surroundings(image, width)
     dark = (around.astype(np.float32) - brightest) > _DARKER * around + 4.0
     rim = np.ones((2 * _HALO_PX + 1, 2 * _HALO_PX + 1), np.uint8)
     return np.asarray(cv2.dilate(dark.astype(np.uint8), rim), np.bool_)
+
+
+def track_markers(
+    reference: NDArray[Any], image: NDArray[Any], markers: Markers, pixel_mm: float
+) -> tuple[Doubles, Doubles]:
+    """(n, 2) places (column, row) in pixels of the markers in a reference image, and those in another image.
+
+    Optical flow of the darkness of the dots, which does not change with the light; markers that it does not bring back
+    to where they were are left out.
+    """
+    import cv2
+
+    width = _compute_dot_width_px(markers, pixel_mm)
+    before, after = (_compute_darkness(a, width) for a in (reference, image))
+    count, _, boxes, centres = cv2.connectedComponentsWithStats((before > _DARK_GREY).astype(np.uint8), connectivity=8)
+    area = boxes[1:count, cv2.CC_STAT_AREA]
+    whole = area > _WHOLE_SHARE * np.median(area) if len(area) else np.zeros(0, np.bool_)
+    start = centres[1:count][whole].astype(np.float32)
+    if not len(start):
+        return np.zeros((0, 2)), np.zeros((0, 2))
+    side = int(_WINDOW_PITCHES * markers.pitch_mm / pixel_mm) | 1
+    end, found = _compute_flow(before, after, start, side)
+    back, returned = _compute_flow(after, before, end, side)
+    kept = found & returned & (np.hypot(*(back - start).T) < _RETURN_PX)
+    return start[kept].astype(np.float64), end[kept].astype(np.float64)
+
+
+def _compute_flow(
+    before: NDArray[np.uint8], after: NDArray[np.uint8], places: Floats, side_px: int
+) -> tuple[Floats, Mask]:
+    """Where the `places` (n, 2) of one image are in another, and which were found."""
+    import cv2
+
+    stop = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 40, 0.005)
+    moved, found, _ = cv2.calcOpticalFlowPyrLK(
+        before, after, places, places.copy(), winSize=(side_px, side_px), maxLevel=3, criteria=stop
+    )
+    return np.asarray(moved, np.float32), np.asarray(found[:, 0] > 0, np.bool_)
+
+
+def _compute_darkness(image: NDArray[Any], width: int) -> NDArray[np.uint8]:
+    """How much darker a pixel is than its surroundings, 0 to 255 = black."""
+    import cv2
+
+    brightest, around = _compare_with_surroundings(image, width)
+    smooth = cv2.GaussianBlur(around.astype(np.float32), (0, 0), width / 4)
+    return np.asarray(255 * np.clip(1 - brightest / np.maximum(np.asarray(smooth), _BLACK), 0, 1), np.uint8)
+
+
+def _compare_with_surroundings(image: NDArray[Any], width: int) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """(rows, cols) brightest channel, and the same without dark dots of up to `width` pixels."""
+    import cv2
+
+    red, green, blue = cv2.split(image)
+    brightest = np.asarray(cv2.max(cv2.max(red, green), blue), np.uint8)
+    dot = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (width, width))
+    return brightest, np.asarray(cv2.morphologyEx(brightest, cv2.MORPH_CLOSE, dot), np.uint8)
+
+
+def _compute_dot_width_px(markers: Markers, pixel_mm: float) -> int:
+    return 2 * math.ceil(2.2 * (markers.radius_mm + markers.doubling_mm / 2) / pixel_mm) + 1
 
 
 def inpaint(change: Floats, hidden: Mask, sigma_px: float) -> Floats:

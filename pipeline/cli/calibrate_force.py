@@ -56,7 +56,8 @@ def force(
             for done, index in enumerate(indices):
                 progress.step(done / len(indices), f"frame {index}")
                 depth = graph.evaluate(("depth",), translation.read_inputs(index), params, progress)["depth"].output
-                estimated_n.append(estimate_force(depth, translation, graph))
+                frame = translation.stream.frame(index)
+                estimated_n.append(estimate_force(depth, frame, translation, graph).normal_n)
         scale = fit_force_scale(translation.source.name, estimated_n, weighed_n)
     save_force_scale(scale, path, request.calibration)
     _print_report(scale, indices)

@@ -30,18 +30,17 @@ from pipeline.cli.translation_options import (
 )
 from pipeline.engine.cache import Cache
 from pipeline.engine.graph import Graph
-from pipeline.metrics.stage_metrics import FORCE, UNCALIBRATED_FORCE
 from pipeline.reporting.frame_report import FrameReport
 from pipeline.reporting.report import write_frame, write_report
 from pipeline.reporting.resume import FinishedFrame, compute_frame_key, load_finished_frame
 from pipeline.translation.catalogue import with_settings
-from pipeline.translation.force import measure_force, select_force_metric
+from pipeline.translation.force import list_force_metrics, measure_force
 from pipeline.translation.translate import Request, Translation, open_translation
 from pipeline.translation.truth_warnings import add_truth_warnings
 from pipeline.values.results import ObjectPose
 
 CACHE_BYTES = 32 * 1024 * 1024  # a few frames: a run does not return to earlier ones
-_FORCE_SKIPPED = "normal force: skipped; give --force, or a --calibration that 'tactoscope calibrate force' wrote"
+_FORCE_SKIPPED = "force: skipped; give --force, or a --calibration that 'tactoscope calibrate force' wrote"
 _LISTED_FRAMES = 8  # frame numbers listed behind a warning
 
 
@@ -201,15 +200,16 @@ def _format_frames(warnings_by_frame: Mapping[int, str]) -> str:
 
 
 def _describe_force(reports: Sequence[FrameReport], translation: Translation, *, force: bool) -> list[str]:
-    """The range of normal force, and whether its scale is known or it was skipped; empty without a contact model."""
+    """The range of the forces, and whether its scale is known or it was skipped; empty without a contact model."""
     if not force:
-        return [_FORCE_SKIPPED] if select_force_metric(translation) else []
+        return [_FORCE_SKIPPED] if list_force_metrics(translation) else []
     out: list[str] = []
-    for name, remark in ((FORCE, ""), (UNCALIBRATED_FORCE, f"; {UNKNOWN_SCALE}")):
+    remark = f"; {UNKNOWN_SCALE}" if translation.force_scale is None else ""
+    for name, title in zip(list_force_metrics(translation), ("normal force", "shear force"), strict=False):
         forces = [report.metrics[name] for report in reports if name in report.metrics]
         if any(forces):
             low, high = f"{min(forces):.2f}", f"{max(forces):.2f}"
-            out.append(f"normal force {high if low == high else f'{low} to {high}'} N{remark}")
+            out.append(f"{title} {high if low == high else f'{low} to {high}'} N{remark}")
     return out
 
 
@@ -255,7 +255,7 @@ def _translate_frame(
         results = {name: add_truth_warnings(result, truth) for name, result in results.items()}
         metrics = translation.compute_metrics(results, index)
         if force:
-            metrics |= measure_force(results, translation, graph, truth.source_truth)
+            metrics |= measure_force(results, index, translation, graph)
         report = FrameReport(index=index, results=results, metrics=metrics)
         write_frame(out, translation.stream.frame(index), report, translation, key)
         return False, FinishedFrame(report=report.without_arrays, key=key, pose=_get_pose(report))

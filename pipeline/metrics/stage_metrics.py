@@ -89,14 +89,27 @@ METRICS: Mapping[str, Metric] = {
         better="neither",
     ),
     "true_force_n": Metric(title="true force", unit="N", meaning="normal force of the recording", better="neither"),
+    "shear_n": Metric(
+        title="shear force", unit="N", meaning="along the gel, by its markers; scaled as the force", better="neither"
+    ),
+    "uncalibrated_shear_n": Metric(
+        title="shear force (scale unknown)",
+        unit="N",
+        meaning="along the described gel, by its markers: compare it with the force, and frames of one sensor only",
+        better="neither",
+    ),
+    "true_shear_n": Metric(title="true shear force", unit="N", meaning="of the recording", better="neither"),
+    "shear_direction_deg": Metric(
+        title="shear direction", unit="deg", meaning="in the image: 0 to the right, 90 down", better="neither"
+    ),
 }
 """Name of a metric within its stage (`mssd_mm` of `pose.mssd_mm`) -> its description."""
 WITHOUT_TRUTH = "frame"  # stands for the stage in metrics of a whole frame, which need no truth: `frame.round_trip_mm`
 ROUND_TRIP = f"{WITHOUT_TRUTH}.round_trip_mm"
 TRAINING_DISTANCE = f"{WITHOUT_TRUTH}.training_distance"
-FORCE, UNCALIBRATED_FORCE, TRUE_FORCE = (
-    f"{WITHOUT_TRUTH}.{name}_n" for name in ("force", "uncalibrated_force", "true_force")
-)
+FORCE, UNCALIBRATED_FORCE, TRUE_FORCE = (f"{WITHOUT_TRUTH}.{of}force_n" for of in ("", "uncalibrated_", "true_"))
+SHEAR, UNCALIBRATED_SHEAR, TRUE_SHEAR = (f"{WITHOUT_TRUTH}.{of}shear_n" for of in ("", "uncalibrated_", "true_"))
+SHEAR_DIRECTION = f"{WITHOUT_TRUTH}.shear_direction_deg"
 
 
 def describe_metric(figure: str) -> str:

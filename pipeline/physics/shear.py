@@ -71,7 +71,7 @@ def solve_shear(gel: Gel, pixel_mm: float, pressure_kpa: NDArray[np.floating], l
     cell = max(1, round(_CELL_PER_THICKNESS * gel.thickness_mm / pixel_mm)) if math.isfinite(gel.thickness_mm) else 4
     pressure = _average_cells(pressure_kpa, cell)
     limit = load.friction * pressure
-    response = _make_response(gel, cell * pixel_mm, (int(pressure.shape[0]), int(pressure.shape[1])))
+    response = make_response(gel, cell * pixel_mm, (int(pressure.shape[0]), int(pressure.shape[1])))
     traction, steps, converged = _solve_traction(
         response, np.full((*pressure.shape, 2), load.displacement_mm, np.float32), limit
     )
@@ -128,7 +128,8 @@ class TangentialResponse:
 
 
 @memoise(16)
-def _make_response(gel: Gel, cell_mm: float, shape: tuple[int, int]) -> TangentialResponse:
+def make_response(gel: Gel, cell_mm: float, shape: tuple[int, int]) -> TangentialResponse:
+    """The response of a gel's surface to tractions on `shape` cells of side `cell_mm`."""
     reach = [n - 1 for n in shape]
     if math.isfinite(gel.thickness_mm):
         reach = [min(n, math.ceil(_PAD * gel.thickness_mm / cell_mm)) for n in reach]

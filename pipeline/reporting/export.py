@@ -97,8 +97,7 @@ class _Work:
 
     def compute_all_metrics(self, results: Mapping[str, StageResult], index: int) -> Mapping[str, float]:
         """Return the metrics of a frame, with its force."""
-        truth = self.translation.read_source_truth(index)
-        force = measure_force(results, self.translation, self._graph, truth)
+        force = measure_force(results, index, self.translation, self._graph)
         return {**self.translation.compute_metrics(results, index), **force}
 
     def draw_figure(self, index: int) -> Figure:

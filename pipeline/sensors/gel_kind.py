@@ -61,6 +61,6 @@ GEL = SensorKind(
     touch_renderer="pipeline.stages.touch.physical_render:render_gel_touch",
     press_simulator="pipeline.simulation.press:simulate_gel_press",
     image_simulator="pipeline.simulation.press:simulate_gel_image",
-    force_estimator="pipeline.physics.contact_force:estimate_gel_force",
+    force_estimator="pipeline.stages.depth.gel_force:estimate_gel_force",
     touch_format="pipeline.networks.touch_formats:GEL",
 )

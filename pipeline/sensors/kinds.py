@@ -46,7 +46,7 @@ class SensorKind:
     touch_renderer: str = ""  # of the physical render; "" = the kind cannot be a target of it
     press_simulator: str = ""  # of the simulator; "" = the kind is not simulated
     image_simulator: str = ""
-    force_estimator: str = ""  # (SensorSpec, indentation_mm, contact) -> normal force in N; "" = no contact model
+    force_estimator: str = ""  # (SensorSpec, frame, indentation_mm, contact) -> ContactForce; "" = no model
     touch_format: str = ""  # `networks.touch_formats.TouchFormat`; "" = networks of touches do not know the kind
 
     @property

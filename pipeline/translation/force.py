@@ -1,44 +1,66 @@
-"""Normal force of a frame as a quantity that needs no truth, in newtons once two presses of the unit were weighed."""
+"""Force of a frame as quantities that need no truth, in newtons once two presses of the unit were weighed."""
 
+import math
 from collections.abc import Mapping
 
 from pipeline.engine.graph import Graph, StageResult
-from pipeline.metrics.stage_metrics import FORCE as FORCE_METRIC
-from pipeline.metrics.stage_metrics import TRUE_FORCE, UNCALIBRATED_FORCE
-from pipeline.stages.depth.contact_force import FORCE
+from pipeline.metrics.stage_metrics import (
+    FORCE,
+    SHEAR,
+    SHEAR_DIRECTION,
+    TRUE_FORCE,
+    TRUE_SHEAR,
+    UNCALIBRATED_FORCE,
+    UNCALIBRATED_SHEAR,
+)
+from pipeline.physics.contact_force import ContactForce
+from pipeline.stages.depth.contact_force import FORCE as FORCE_METHOD
 from pipeline.translation.translate import Translation
-from pipeline.values.frames import Truth
+from pipeline.values.frames import TactileFrame
 from pipeline.values.results import DepthMap
 
 
-def estimate_force(depth: DepthMap, translation: Translation, graph: Graph) -> float:
-    """Force in N that the contact model gives for a depth map of the source; cached by `graph`."""
-    inputs = {"depth": depth, "source": translation.source}
-    return graph.with_methods((FORCE,)).evaluate((FORCE.stage,), inputs, {})[FORCE.stage].output.estimated_n
+def estimate_force(depth: DepthMap, frame: TactileFrame, translation: Translation, graph: Graph) -> ContactForce:
+    """Force that the contact model gives for a depth map of the source, without a scale; cached by `graph`."""
+    inputs = {"depth": depth, "source": translation.source, "frame": frame}
+    stage = FORCE_METHOD.stage
+    return graph.with_methods((FORCE_METHOD,)).evaluate((stage,), inputs, {})[stage].output
 
 
 def measure_force(
-    results: Mapping[str, StageResult], translation: Translation, graph: Graph, truth: Truth | None
+    results: Mapping[str, StageResult], index: int, translation: Translation, graph: Graph
 ) -> dict[str, float]:
-    """The force of a frame's depth as a metric, and the true one where known; {} on a route without depth.
+    """The force of a frame's depth as metrics, and the true one where known; {} on a route without depth.
 
-    Without a force scale the metric is another one, whose title says that its scale is not known.
+    Without a force scale the metrics are others, whose titles say that their scale is not known. Shear takes the scale
+    of the normal force, since both are proportional to the gel's stiffness.
     """
     depth = results["depth"].output if "depth" in results else None
-    if not isinstance(depth, DepthMap):
+    names = list_force_metrics(translation)
+    if not isinstance(depth, DepthMap) or not names:
         return {}
-    name = select_force_metric(translation)
-    if not name:
-        return {}
-    estimated_n, scale = estimate_force(depth, translation, graph), translation.force_scale
-    figures = {name: estimated_n if scale is None else scale.apply(estimated_n)}
-    if truth is not None and truth.force_n is not None:
-        figures[TRUE_FORCE] = -float(truth.force_n[2])
+    found = estimate_force(depth, translation.stream.frame(index), translation, graph)
+    normal_n, scale = found.normal_n, translation.force_scale
+    figures = {names[0]: normal_n if scale is None else scale.apply(normal_n)}
+    truth = translation.read_source_truth(index)
+    true_n = None if truth is None else truth.force_n
+    if true_n is not None:
+        figures[TRUE_FORCE] = -float(true_n[2])
+    if found.shear_n is not None:
+        right_n, down_n = found.shear_n
+        figures[names[1]] = math.hypot(right_n, down_n) * (figures[names[0]] / normal_n if normal_n > 0 else 1.0)
+        figures[SHEAR_DIRECTION] = math.degrees(math.atan2(down_n, right_n))
+        if true_n is not None:
+            figures[TRUE_SHEAR] = math.hypot(float(true_n[0]), float(true_n[1]))
     return figures
 
 
-def select_force_metric(translation: Translation) -> str:
-    """The metric that holds the source's force; "" on a route without depth, or for a kind without contact model."""
+def list_force_metrics(translation: Translation) -> tuple[str, ...]:
+    """The metrics of the source's normal force and, on a gel with markers, of its shear.
+
+    Empty on a route without depth, or for a kind without contact model.
+    """
     if "depth" not in translation.stages or not translation.source.sensor_kind.force_estimator:
-        return ""
-    return UNCALIBRATED_FORCE if translation.force_scale is None else FORCE_METRIC
+        return ()
+    names = (UNCALIBRATED_FORCE, UNCALIBRATED_SHEAR) if translation.force_scale is None else (FORCE, SHEAR)
+    return names if translation.source.markers is not None else names[:1]

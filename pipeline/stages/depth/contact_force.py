@@ -1,9 +1,7 @@
-"""Normal force of the touch behind a depth map, by the contact model of its sensor's kind.
+"""Force of the touch behind a depth map, by the contact model of its sensor's kind.
 
 Not a column: a quantity of the stage *depth*, computed where a report, a table or the timeline asks for it.
 """
-
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,34 +10,28 @@ from pipeline.base.errors import SettingProblem
 from pipeline.base.params import NoParams
 from pipeline.base.progress import SILENT, Progress
 from pipeline.engine.graph import Method, skip_if_exact
+from pipeline.physics.contact_force import ContactForce
 from pipeline.sensors.spec import SensorSpec
+from pipeline.values.frames import TactileFrame
 from pipeline.values.results import DepthMap
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ContactForce:
-    """Normal force by the contact model."""
-
-    estimated_n: float  # of the described gel or membrane: of one sensor instance up to a scale
-    notes: tuple[str, ...] = ()
-
-
-def skip_without_contact(depth: DepthMap, _source: SensorSpec, _params: NoParams) -> ContactForce | None:
+def skip_without_contact(
+    depth: DepthMap, _source: SensorSpec, _frame: TactileFrame, _params: NoParams
+) -> ContactForce | None:
     """No force where nothing is in contact, else None."""
-    return None if depth.contact.any() else ContactForce(estimated_n=0.0, notes=("no contact: no force",))
+    return None if depth.contact.any() else ContactForce(normal_n=0.0, notes=("no contact: no force",))
 
 
 def estimate_force(
-    depth: DepthMap, source: SensorSpec, _params: NoParams, _progress: Progress = SILENT
+    depth: DepthMap, source: SensorSpec, frame: TactileFrame, _params: NoParams, _progress: Progress = SILENT
 ) -> ContactForce:
-    """Normal force of the contact with the described gel or membrane; raises SettingProblem for another kind."""
+    """Force of the contact with the described gel or membrane; raises SettingProblem for another kind."""
     estimator = source.sensor_kind.force_estimator
     if not estimator:
         raise SettingProblem(f"sensors of kind {source.kind!r} such as {source.name} have no contact model for force")
     contact = depth.contact & np.isfinite(depth.indentation_mm)
-    return ContactForce(
-        estimated_n=load_reference(estimator)(source.with_camera(depth.camera), depth.indentation_mm, contact)
-    )
+    return load_reference(estimator)(source.with_camera(depth.camera), frame, depth.indentation_mm, contact)
 
 
 FORCE = Method(
@@ -49,5 +41,5 @@ FORCE = Method(
     help="the contact pressed into the described gel or membrane",
     run=skip_if_exact(skip_without_contact, estimate_force),
     params=NoParams,
-    reads=("depth", "source"),
+    reads=("depth", "source", "frame"),
 )

@@ -9,6 +9,7 @@ from contextlib import closing
 import numpy as np
 import pytest
 
+from pipeline.calibration.force_scale import fit_force_scale, save_force_scale
 from pipeline.cli.main import EXIT_USER_ERROR, build_app, run_app
 from pipeline.recordings import open_recording
 from tests.pipeline.cli.test_cli import SAMPLE
@@ -37,6 +38,27 @@ def test_weighed_presses_turn_an_unknown_scale_into_newtons(tmp_path, capsys):
     capsys.readouterr()
     assert run("inspect", out) == 0
     assert "force of gelslim" in capsys.readouterr().out
+
+
+def test_shear_of_a_dragged_object_stands_next_to_its_force(tmp_path):
+    recording, table, scale = tmp_path / "dragged.h5", tmp_path / "table.csv", tmp_path / "scale.npz"
+    assert run("simulate", "--sensors", "gelslim", "--tools", "hexagon", "--poses", "2", "--drag-mm", "0.3", "--jobs",
+               "1", "--out", recording) == 0  # fmt: skip
+    save_force_scale(fit_force_scale("gelslim", [1.0, 4.0], [3.0, 12.0]), scale)
+    tables = []
+    for options in ((), ("--calibration", scale)):
+        assert run("export", recording, "--target", "soft_bubble", "--sensor", "gelslim", "--pane", "depth", "--out",
+                   table, *options) == 0  # fmt: skip
+        tables.append(list(csv.DictReader(table.read_text(encoding="utf-8").splitlines())))
+    with closing(open_recording(recording)) as opened:
+        forces = [opened.stream("gelslim").truth(index).force_n for index in (0, 1)]
+    for plain, scaled, force in zip(*tables, forces, strict=True):
+        shear = float(plain["frame.uncalibrated_shear_n"])
+        assert shear == pytest.approx(float(plain["frame.true_shear_n"]), rel=0.25)
+        assert float(plain["frame.true_shear_n"]) == pytest.approx(np.hypot(*force[:2]))
+        assert float(scaled["frame.shear_n"]) == pytest.approx(3 * shear)
+        turn = float(plain["frame.shear_direction_deg"]) - np.degrees(np.arctan2(force[1], force[0]))
+        assert abs((turn + 180) % 360 - 180) < 5
 
 
 def test_the_report_says_that_a_scale_is_not_known(tmp_path, capsys):

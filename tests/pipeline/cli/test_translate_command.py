@@ -62,7 +62,7 @@ def test_force_is_computed_on_request_alone_and_a_skip_is_said(typed, tmp_path, 
     measure = translate.measure_force
     monkeypatch.setattr(translate, "measure_force", lambda *given: calls.append(1) or measure(*given))
     _, out, _ = typed("--frame", "2")
-    assert "normal force: skipped" in out
+    assert "force: skipped" in out
     assert not calls
     assert UNCALIBRATED_FORCE not in frames(tmp_path / "out")[0]["metrics"]
     _, out, _ = typed("--frame", "2", "--force")

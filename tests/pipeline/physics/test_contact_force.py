@@ -12,6 +12,7 @@ from pipeline.geometry import rigid
 from pipeline.sensors.spec import load_sensor
 from pipeline.simulation import shapes
 from pipeline.simulation.press import simulate_press
+from pipeline.values.frames import TactileFrame
 
 EXACT_SHARE = 0.05  # contact in whole pixels, on coarser lattices: 0.5 % on gels, 4 % on bubbles (90th percentile)
 
@@ -23,7 +24,9 @@ def press(name, depth_mm, tool="sphere", x_mm=0.0):
 
 
 def estimate(sensor, touch):
-    return load_reference(sensor.sensor_kind.force_estimator)(sensor, touch.indentation_mm, touch.contact)
+    frame = TactileFrame(sensor=sensor.name, image=touch.image, reference=None)
+    estimator = load_reference(sensor.sensor_kind.force_estimator)
+    return estimator(sensor, frame, touch.indentation_mm, touch.contact).normal_n
 
 
 @pytest.mark.parametrize(("name", "depths_mm"), [("gelslim", (0.15, 0.5)), ("digit", (0.4,)), ("soft_bubble", (1, 6))])
