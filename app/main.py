@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from app.session.sample import SAMPLE_RECORDING
-from pipeline.base.allocator import limit_arenas
 from pipeline.base.kernel_compiler import compile_in_own_process
+from pipeline.base.processes import limit_arenas
 
 if TYPE_CHECKING:
     from PyQt6.QtWidgets import QApplication

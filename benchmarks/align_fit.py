@@ -26,15 +26,14 @@ from benchmarks.harness.results import BenchmarkResult, Measurement
 from benchmarks.harness.text_report import print_result
 from benchmarks.harness.timing import Requirement, build_measurement, summarize_times
 from benchmarks.scenes.depth_helpers import recorded_data
+from pipeline.alignment.coarse_start import align_rigidly
 from pipeline.alignment.refine import refine_alignment
-from pipeline.alignment.rigid_start import align_rigidly
 from pipeline.alignment.touch_imprints import make_touch_pairs
 from pipeline.alignment.touches import load_paired_touches
 from pipeline.imprints.agreement import compute_correlation
-from pipeline.imprints.difference_tiles import detect_ridges
 from pipeline.imprints.fitting import fit_pairs, score_fit
 from pipeline.imprints.image_rotation import orient_image
-from pipeline.imprints.tiles import load_tile_pairs
+from pipeline.imprints.tiles import detect_ridges, load_tile_pairs
 from pipeline.imprints.transfer import TransferModel
 from pipeline.recordings import image_files
 from pipeline.sensors.spec import load_sensor

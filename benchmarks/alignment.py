@@ -25,8 +25,7 @@ from pipeline.alignment.score import score_preview
 from pipeline.alignment.target_observation import PREVIEW_FACTOR, observe_target
 from pipeline.alignment.touches import AlignmentTouch, find_pivot, load_paired_touches
 from pipeline.geometry import rigid
-from pipeline.sensors.alignment import Alignment, correct_alignment
-from pipeline.sensors.offsets import AXES, compose_motion
+from pipeline.sensors.alignment import AXES, Alignment, compose_motion, correct_alignment
 from pipeline.translation.translate import Request, Translation, open_translation
 
 RECORDING = Path(__file__).resolve().parents[1] / "sample_data" / "recordings" / "first_touch.h5"

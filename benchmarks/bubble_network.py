@@ -38,8 +38,7 @@ from pipeline.stages.cloud.back_projection import BackProjectionParams, back_pro
 from pipeline.stages.target_depth.surface_projection import SurfaceProjectionParams, project_cloud
 from pipeline.stages.touch.physical_render import PhysicalRenderParams, render_touch
 from pipeline.values.frames import TactileFrame
-from pipeline.values.pixel_index import make_pixel_index
-from pipeline.values.results import DepthMap
+from pipeline.values.results import DepthMap, make_pixel_index
 
 _BARS = {"unseen grasps": (0.20, 0.10), "unseen tools": (0.35, 0.15)}
 _GRASPS = {"unseen grasps": 1, "unseen tools": 2}  # of each object

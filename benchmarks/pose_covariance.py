@@ -47,8 +47,7 @@ from pipeline.stages.target_depth.surface_projection import SurfaceProjectionPar
 from pipeline.stages.touch.physical_render import PhysicalRenderParams, render_touch
 from pipeline.stages.touch_depth import membrane as feel
 from pipeline.values.frames import TactileFrame
-from pipeline.values.pixel_index import make_pixel_index
-from pipeline.values.results import DepthErrorModel, DepthMap
+from pipeline.values.results import DepthErrorModel, DepthMap, make_pixel_index
 
 OBJECTS = ("letters", "curve", "cross", "star")
 """Of the catalogue's, those whose contacts determine a pose."""

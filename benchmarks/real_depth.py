@@ -46,7 +46,7 @@ from benchmarks.scenes.depth_helpers import (
     recorded_data,
 )
 from pipeline.calibration.contact_circles import find_largest_part, fit_sphere
-from pipeline.recordings.reference_denoising import denoise_reference
+from pipeline.recordings.reference_images import denoise_reference
 from pipeline.sensors.spec import load_sensor
 from pipeline.values.frames import TactileFrame
 

@@ -24,8 +24,8 @@ from app.window.live import LiveController
 from app.window.session_controller import SessionController
 from app.window.sweep import SweepController
 from app.window.tour import pin_deepest_pixel, save_window_screenshot
-from pipeline.live.simulated_source import SimulatedSource
-from pipeline.sensors.offsets import Offsets
+from pipeline.live.source_parsing import SimulatedSource
+from pipeline.sensors.alignment import Offsets
 
 
 def welcome(_: SessionController) -> None:

@@ -33,8 +33,8 @@ from app.window.rollouts import RolloutController
 from app.window.session_controller import SessionController
 from app.window.tour import pin_deepest_pixel, save_window_screenshot, wait_until_shown
 from app.window.track import TrackController
-from pipeline.live.simulated_source import SimulatedSource
-from pipeline.sensors.offsets import Offsets
+from pipeline.live.source_parsing import SimulatedSource
+from pipeline.sensors.alignment import Offsets
 
 SIZE_PX = (1600, 950)
 LIMIT_S, QUIET_S = 300.0, 3.0

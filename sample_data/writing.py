@@ -15,7 +15,7 @@ from pipeline.sensors import alignment
 from pipeline.sensors.spec import SensorSpec
 from pipeline.simulation.press import render_sensor_image, simulate_press
 from pipeline.simulation.recorder import BUBBLE_STEP_MM
-from pipeline.simulation.shapes.shape import Shape
+from pipeline.simulation.shapes.solids import Shape
 from pipeline.values.frames import Pairing, TactileFrame
 
 FRAMES_PER_S = 10.0

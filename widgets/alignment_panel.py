@@ -14,7 +14,7 @@ from PyQt6.QtWidgets import (
 
 from pipeline.alignment.score import AlignmentScore
 from pipeline.alignment.sensitivity import Sensitivity
-from pipeline.sensors.offsets import AXES, Axis
+from pipeline.sensors.alignment import AXES, Axis
 from widgets.axis_row import AxisRow
 from widgets.fonts import resize_font
 from widgets.gauge import Gauge, GaugeScale

@@ -4,7 +4,7 @@ from PyQt6.QtCore import QObject, QSignalBlocker, Qt, pyqtSignal
 from PyQt6.QtWidgets import QDoubleSpinBox, QSizePolicy, QSlider
 
 from pipeline.alignment.nudge import axis_unit
-from pipeline.sensors.offsets import Axis
+from pipeline.sensors.alignment import Axis
 from widgets.styling import ThemedLabel, make_bold
 
 _PER_UNIT = {"mm": 20, "deg": 10}  # slider steps per unit: 0.05 mm, 0.1 deg

@@ -20,7 +20,7 @@ from pipeline.base.typed_data import FileName, Name, Note, Number, Plain, conver
 from pipeline.engine.graph import Method
 from pipeline.previews.display_params import DisplayParams
 from pipeline.recordings.formats import DepthUnit
-from pipeline.sensors.offsets import Offsets
+from pipeline.sensors.alignment import Offsets
 from pipeline.translation.catalogue import BUILT_IN, Catalogue
 from pipeline.translation.cross_section import SectionLine
 

@@ -16,8 +16,8 @@ from pipeline.alignment.score import AlignmentScore
 from pipeline.base.arrays import Doubles
 from pipeline.base.errors import SettingProblem, TouchError
 from pipeline.geometry import rigid
+from pipeline.sensors.alignment import AXES, Axis, Offsets
 from pipeline.sensors.alignment_files import AlignmentFile, save_alignment
-from pipeline.sensors.offsets import AXES, Axis, Offsets
 from pipeline.translation.translate import Translation
 from widgets.styling import make_single_shot_timer
 

@@ -4,7 +4,7 @@ from PyQt6.QtCore import QObject, QPointF
 
 from app.window.alignment import AlignmentController
 from app.window.session_controller import SessionController
-from pipeline.sensors.offsets import Axis
+from pipeline.sensors.alignment import Axis
 from widgets.gizmo import Gizmo
 
 _STAGE = "target_depth"  # that the alignment is judged by

@@ -15,8 +15,8 @@ from app.work.evaluator import Evaluator
 from app.work.jobs import JobReporter
 from app.work.requests import make_request
 from app.work.variants import open_variant
-from pipeline.base.allocator import release_free_memory
 from pipeline.base.errors import SettingProblem, TouchError
+from pipeline.base.processes import release_free_memory
 from pipeline.evaluation.comparison_tiles import Comparison
 from pipeline.evaluation.method_comparison import compare_methods
 from pipeline.evaluation.seed_comparison import compare_seeds

@@ -13,8 +13,14 @@ from app.window import dialogs
 from app.window.ball_calibration import BallCalibrationController
 from app.window.session_controller import SessionController
 from app.work.evaluator import EvaluatedFrame
-from pipeline.base.errors import MissingReference, SensorMismatch, TouchError, UnknownSensor
-from pipeline.base.stage_warnings import AlignmentWarning, CalibrationWarning
+from pipeline.base.errors import (
+    AlignmentWarning,
+    CalibrationWarning,
+    MissingReference,
+    SensorMismatch,
+    TouchError,
+    UnknownSensor,
+)
 from pipeline.geometry.meshes import UnitProblem
 from pipeline.sensors.spec import list_sensor_titles, load_sensor
 from pipeline.translation.translate import Translation
@@ -147,7 +153,7 @@ class MendingController(QObject):
 
     def centre_touch(self) -> None:
         """Move the alignment so that the touch of the frame on screen lies in the middle of the target."""
-        from pipeline.alignment.centring import compute_centring_offset_mm
+        from pipeline.alignment.nudge import compute_centring_offset_mm
 
         opened, latest = self._controller.views.translation, self._controller.latest_frame
         cloud, indentation_mm = _get_touch(latest)

@@ -12,8 +12,7 @@ from pipeline.geometry import rigid
 from pipeline.previews.display_params import DisplayParams
 from pipeline.previews.layers import ViewBounds, stretch_depth
 from pipeline.sensors.spec import SensorSpec
-from pipeline.stages.pixel_lookup import to_xyz
-from pipeline.stages.stage import ProbePoint
+from pipeline.stages.stage import ProbePoint, to_xyz
 from pipeline.translation.pixel_trace import SOURCE
 from pipeline.translation.translate import Translation
 from widgets.scene_renderer import CameraState, SceneRenderer

@@ -15,7 +15,7 @@ from pipeline.base.arrays import Doubles
 from pipeline.base.errors import SettingProblem
 from pipeline.previews.layers import Layer
 from pipeline.previews.preview import Preview, add_observed_outline, enlarge_preview
-from pipeline.sensors.offsets import Offsets, decompose_motion
+from pipeline.sensors.alignment import Offsets, decompose_motion
 from pipeline.stages.target_depth import stage as target_depth
 from pipeline.stages.target_depth.surface_projection import ProjectionParams
 from pipeline.translation.translate import Translation, open_translation

@@ -14,9 +14,9 @@ from app.work.jobs import JobReporter
 from app.work.requests import get_depth_params, make_request, open_request
 from app.work.stage_previews import PreviewCache, SourcePreview, add_thumbnails, summarise_frame
 from app.work.target_comparison import TargetComparison, build_target_comparison
-from pipeline.base.allocator import release_free_memory
 from pipeline.base.errors import SettingProblem, TouchError
 from pipeline.base.memo import Memo, measure_bytes
+from pipeline.base.processes import release_free_memory
 from pipeline.engine.cache import Cache
 from pipeline.engine.graph import Graph, StageResult
 from pipeline.networks.weights import Weights
@@ -27,7 +27,7 @@ from pipeline.translation.force import measure_force
 from pipeline.translation.frame_selection import find_contact_frame
 from pipeline.translation.round_trip import measure_round_trip
 from pipeline.translation.translate import Request, Translation
-from pipeline.translation.truth_warnings import add_truth_warnings
+from pipeline.translation.truth_view import add_truth_warnings
 from pipeline.values.frames import TactileFrame
 from pipeline.values.results import DepthMap
 from widgets.frame_summary import FrameSummary

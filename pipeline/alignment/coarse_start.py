@@ -6,10 +6,17 @@ import numpy as np
 
 from pipeline.alignment.normal_equations import ResidualNoise, compute_cost, compute_touch_distances
 from pipeline.alignment.residuals import Evidence, thin_points
-from pipeline.base.arrays import Doubles
+from pipeline.alignment.touch_imprints import compute_pixel_mm
+from pipeline.alignment.touches import AlignmentTouch
+from pipeline.base.arrays import Doubles, freeze
+from pipeline.base.errors import SettingProblem
 from pipeline.base.progress import Progress
 from pipeline.geometry import rigid
-from pipeline.sensors.offsets import compose_motion
+from pipeline.geometry.camera import Camera
+from pipeline.imprints.transfer import TransferModel
+from pipeline.sensors.alignment import Alignment, compose_motion
+from pipeline.sensors.spec import SensorSpec
+from pipeline.values.results import DepthMap
 
 COMPARISON_NOISE = ResidualNoise(surface_mm=0.2, outline_mm=0.4)  # fixed, so that costs of different alignments compare
 COMPARISON_SCALE = ResidualNoise(surface_mm=1.0, outline_mm=2.0)
@@ -61,3 +68,74 @@ def _lift_mm(touches: Sequence[Evidence], target_from_source: Doubles) -> float:
     surfaces = [one.surface for one in compute_touch_distances(touches, target_from_source)]
     found = [s.mm / (s.jacobian @ normal) for s in surfaces if s.mm.size]
     return -float(np.median(np.concatenate(found))) if found else 0.0
+
+
+def align_rigidly(touches: Sequence[AlignmentTouch], how: TransferModel, described: Alignment) -> Alignment:
+    """Return the alignment with the in-plane motion of `how` and matching contact depths, stored on the target's side.
+
+    Raises SettingProblem for a mirrored model, which is no rigid motion.
+    """
+    turn = _get_rotation(how)
+    middles = [np.median([_middle_mm(d) for d in side], axis=0) for side in
+               ([t.source for t in touches], [t.target for t in touches])]  # fmt: skip
+    shift = np.array([how.right, how.down, 0.0]) + middles[1] - turn @ middles[0]
+    shift[2] = float(np.median([_contact_z(t.target) + t.target_shift_mm - _contact_z(t.source) - t.source_shift_mm
+                                for t in touches]))  # fmt: skip
+    target_from_source = np.eye(4)
+    target_from_source[:3, :3], target_from_source[:3, 3] = turn, shift
+    onward = target_from_source @ rigid.invert(described.alignment_from_source)
+    return Alignment(alignment_from_source=described.alignment_from_source, target_from_alignment=freeze(onward))
+
+
+def align_tiles(how: TransferModel, source: SensorSpec, target: SensorSpec, described: Alignment) -> Alignment:
+    """Return the alignment with the in-plane motion of a model in tile widths; tiles show both sensors' whole views.
+
+    Distance and tilt are those of `described`. Raises SettingProblem for a mirrored model, which is no rigid motion.
+    """
+    turn = _get_rotation(how)
+    rest_mm = float(np.median(source.rest_depth_mm))
+    middle = find_view_middle(source.camera, rest_mm)
+    z_mm = float((described.target_from_source @ np.append(middle, 1.0))[2])
+    camera = target.camera
+    moved = np.array([how.right * camera.cols / camera.fx_px, how.down * camera.rows / camera.fy_px, 0.0]) * z_mm
+    target_from_source = np.eye(4)
+    target_from_source[:3, :3] = turn
+    target_from_source[:3, 3] = find_view_middle(camera, z_mm) + moved - turn @ middle
+    onward = target_from_source @ rigid.invert(described.alignment_from_source)
+    return Alignment(alignment_from_source=described.alignment_from_source, target_from_alignment=freeze(onward))
+
+
+def compute_described_scale(source: SensorSpec, target: SensorSpec, described: Alignment) -> float:
+    """Return the width of the source's view over that of the target's, where both see the source's rest surface."""
+    rest_mm = float(np.median(source.rest_depth_mm))
+    middle = find_view_middle(source.camera, rest_mm)
+    z_mm = float((described.target_from_source @ np.append(middle, 1.0))[2])
+    widths = [camera.cols * z / camera.fx_px for camera, z in ((source.camera, rest_mm), (target.camera, z_mm))]
+    return widths[0] / widths[1]
+
+
+def find_view_middle(camera: Camera, z_mm: float) -> Doubles:
+    """Return the point (3,) in mm at the image's centre at depth `z_mm`."""
+    x_px, y_px = (camera.cols - 1) / 2 - camera.cx_px, (camera.rows - 1) / 2 - camera.cy_px
+    return np.array([x_px * z_mm / camera.fx_px, y_px * z_mm / camera.fy_px, z_mm])
+
+
+def _get_rotation(how: TransferModel) -> Doubles:
+    """Return the rotation (3, 3) about the optical axis; raises SettingProblem for a mirrored model."""
+    if how.is_mirrored:
+        raise SettingProblem(
+            "the images of the two sensors agree only when one is mirrored; flip one sensor's images and try again"
+        )
+    cos, sin = np.cos(how.rotation_rad), np.sin(how.rotation_rad)
+    return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+
+
+def _middle_mm(depth: DepthMap) -> Doubles:
+    """Return the image centre's offset (mm) from the optical axis, (3,) with z = 0."""
+    camera = depth.camera
+    off_px = np.array([(camera.cols - 1) / 2 - camera.cx_px, (camera.rows - 1) / 2 - camera.cy_px, 0.0])
+    return off_px * compute_pixel_mm(depth)
+
+
+def _contact_z(depth: DepthMap) -> float:
+    return float(np.nanmedian(depth.depth_mm[depth.contact]))

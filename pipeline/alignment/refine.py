@@ -25,8 +25,7 @@ from pipeline.base.errors import SettingProblem
 from pipeline.base.progress import SILENT, Progress
 from pipeline.geometry import rigid
 from pipeline.geometry.screws import describe_motions
-from pipeline.sensors.alignment import Alignment, AlignmentPart, correct_alignment
-from pipeline.sensors.offsets import compose_motion
+from pipeline.sensors.alignment import Alignment, AlignmentPart, compose_motion, correct_alignment
 
 _START = ResidualNoise(surface_mm=2.0, outline_mm=4.0)  # first loss scales: as far as a start may be off
 _START_NEAR = ResidualNoise(surface_mm=0.5, outline_mm=1.0)  # from a start that is roughly right

@@ -10,8 +10,7 @@ from pipeline.alignment.target_observation import TargetObservation
 from pipeline.alignment.touches import AlignmentTouch, find_pivot
 from pipeline.base.arrays import Doubles
 from pipeline.base.progress import SILENT, Progress
-from pipeline.sensors.alignment import Alignment
-from pipeline.sensors.offsets import AXES, Axis
+from pipeline.sensors.alignment import AXES, Alignment, Axis
 from pipeline.stages.target_depth.surface_projection import ProjectionParams
 
 UNIT_STEP = 0.1  # mm or deg: unit of all stated changes

@@ -15,8 +15,7 @@ from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth.photometric import DepthParams, estimate_depth, skip_without_contact
 from pipeline.translation.translate import Translation, estimate_camera_shift_mm
 from pipeline.values.frames import TactileFrame, Truth
-from pipeline.values.pixel_index import make_pixel_index
-from pipeline.values.results import DepthMap
+from pipeline.values.results import DepthMap, make_pixel_index
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -22,7 +22,7 @@ USUAL_STD = 0.14  # of a ball's size on a real unit without calibration (`benchm
 _DEGREES = 4, 2  # of colour and position, of the built-in table
 _CODE = (  # modules that the built-in table depends on: part of its cache key
     "pipeline.calibration.calibration_table", "pipeline.calibration.slope_model", "pipeline.physics.optics",
-    "pipeline.physics.optics_kernels", "pipeline.sensors.reference_light",
+    "pipeline.physics.optics_kernels", "pipeline.sensors.parts",
 )  # fmt: skip
 _N_SLOPES = 96  # slope images that the built-in table is fitted to
 _N_PIXELS = 400  # pixels taken from each

@@ -25,7 +25,7 @@ from pipeline.calibration.shading_field import (
 )
 from pipeline.engine import disk_store
 from pipeline.engine.digests import compute_cached_digest
-from pipeline.sensors.reference_light import compute_mean_reference_light
+from pipeline.sensors.parts import compute_mean_reference_light
 from pipeline.sensors.spec import Optics, SensorSpec
 
 _N_INSTANCES = 1200
@@ -48,7 +48,7 @@ _WEAK_SHADING = 0.8  # of the median: balls on a real Mini are wrong by 60 % bel
 _SMALL_SLOPE = 1e-3  # mm/mm: the light is linear there
 _CODE = (
     "pipeline.calibration.near_led_prior", "pipeline.calibration.shading_field", "pipeline.calibration.slope_model",
-    "pipeline.physics.optics", "pipeline.physics.optics_kernels", "pipeline.sensors.reference_light",
+    "pipeline.physics.optics", "pipeline.physics.optics_kernels", "pipeline.sensors.parts",
 )  # fmt: skip
 _LEVEL_MISFIT = 0.3  # share of the misfit along z, where a tilt weakens all light alike
 

@@ -1,6 +1,6 @@
 """Notes on the quality of a calibration, for the terminal, the window and frames."""
 
-from pipeline.base.stage_warnings import CalibrationWarning, StageWarning
+from pipeline.base.errors import CalibrationWarning, StageWarning
 from pipeline.calibration.calibration_table import Calibration
 
 CALIBRATION_ADVICE = "press a ball in sixteen places all over the image and run 'tactoscope calibrate balls'"

@@ -9,13 +9,12 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from pipeline.alignment.coarse_start import align_rigidly, align_tiles, compute_described_scale
 from pipeline.alignment.refine import refine_alignment
-from pipeline.alignment.rigid_start import align_rigidly, align_tiles, compute_described_scale
 from pipeline.alignment.touch_imprints import make_touch_pairs
 from pipeline.alignment.touches import load_paired_touches
-from pipeline.base.errors import SettingProblem
+from pipeline.base.errors import SettingProblem, StageWarning
 from pipeline.base.frame_lists import parse_frames
-from pipeline.base.stage_warnings import StageWarning
 from pipeline.cli.align import PairedTouchOptions, prepare_alignment_file, print_refinement, write_alignment
 from pipeline.cli.terminal import open_progress_bar, print_line
 from pipeline.imprints.fitting import PairsFit, fit_pairs, score_fit

@@ -36,7 +36,7 @@ from pipeline.reporting.resume import FinishedFrame, compute_frame_key, load_fin
 from pipeline.translation.catalogue import with_settings
 from pipeline.translation.force import list_force_metrics, measure_force
 from pipeline.translation.translate import Request, Translation, open_translation
-from pipeline.translation.truth_warnings import add_truth_warnings
+from pipeline.translation.truth_view import add_truth_warnings
 from pipeline.values.results import ObjectPose
 
 CACHE_BYTES = 32 * 1024 * 1024  # a few frames: a run does not return to earlier ones

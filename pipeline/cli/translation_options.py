@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from pipeline.base.errors import SettingProblem, UnknownSensor
-from pipeline.base.units import MeshUnit
+from pipeline.geometry.meshes import MeshUnit
 from pipeline.recordings.formats import describe_formats
 
 if TYPE_CHECKING:
-    from pipeline.sensors.offsets import Offsets
+    from pipeline.sensors.alignment import Offsets
     from pipeline.translation.translate import Request
 
 Vector3 = Annotated[tuple[float, float, float], Parameter(negative="")]
@@ -89,7 +89,7 @@ class TranslationOptions:
 
     def _build_offsets(self) -> Offsets:
         from pipeline.base.typed_data import InvalidField, check
-        from pipeline.sensors.offsets import Offsets
+        from pipeline.sensors.alignment import Offsets
 
         vectors = {
             "translation_mm": self.translation_mm, "rotation_deg": self.rotation_deg, "pivot_mm": self.pivot_mm,

@@ -16,11 +16,10 @@ from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar, TypeVarTuple, 
 import xxhash
 
 from pipeline.base import compiling
-from pipeline.base.errors import SettingProblem
+from pipeline.base.errors import ChangeNote, SettingProblem, StageWarning, select_warnings
 from pipeline.base.memo import measure_bytes
 from pipeline.base.params import is_draft
 from pipeline.base.progress import SILENT, Progress, SubProgress
-from pipeline.base.stage_warnings import ChangeNote, StageWarning, select_warnings
 from pipeline.engine.cache import Cache, CacheEntry
 from pipeline.engine.digests import DigestCache, compute_digest
 

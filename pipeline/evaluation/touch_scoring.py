@@ -36,7 +36,7 @@ from pipeline.translation.translate import Request, Translation, open_translatio
 from pipeline.values.frames import TactileFrame, Truth
 from pipeline.values.results import DepthMap, GeneratedTouch, ObjectPose, TargetDepth
 
-PAPER_GRASP = "paper_grasp"  # pose by both fingers of a grasp, see `registration.grasp_pose`
+PAPER_GRASP = "paper_grasp"  # pose by both fingers of a grasp, see `registration.planar`
 _CACHE_BYTES = 64 * 1024 * 1024  # one frame's stages by every candidate
 
 

@@ -14,8 +14,7 @@ from pipeline.previews.layers import Layer, make_frame_layer
 from pipeline.previews.preview import Preview, make_frame_preview, match_camera
 from pipeline.previews.tile import Tile
 from pipeline.translation.translate import Translation
-from pipeline.translation.truth_view import TruthView, build_truth_view
-from pipeline.translation.truth_warnings import add_truth_warnings
+from pipeline.translation.truth_view import TruthView, add_truth_warnings, build_truth_view
 
 SOURCE = "source"
 IN_PROGRESS = "working…"

@@ -21,9 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.arrays import Doubles, Floats, Mask
-from pipeline.base.errors import TouchError
-from pipeline.base.stage_warnings import StageWarning
-from pipeline.recordings.block_means import compute_block_means
+from pipeline.base.errors import StageWarning, TouchError
+from pipeline.recordings.reference_images import compute_block_means
 from pipeline.values.frames import Stream, TactileFrame
 
 _MIN_MOMENTS, _MAX_MOMENTS = 12, 96  # fewer give no result, more only take time

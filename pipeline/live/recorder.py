@@ -2,11 +2,62 @@
 
 import queue
 import threading
+import time
 from pathlib import Path
+from types import TracebackType
+from typing import BinaryIO
 
-from pipeline.base.errors import TouchError
-from pipeline.recordings.hdf5_live_writer import LiveRecordingWriter
+from pipeline.base.errors import FileProblem, TouchError
+from pipeline.base.files import open_growing_file, prepare_folder_for
+from pipeline.recordings import hdf5_layout as layout
+from pipeline.recordings.hdf5_layout import Coding
+from pipeline.recordings.hdf5_writer import RecordingWriter
 from pipeline.values.frames import TactileFrame, Truth
+
+FLUSH_INTERVAL_S = 0.25  # largest loss by a kill
+
+
+class LiveRecordingWriter(RecordingWriter):
+    """A recording written directly to its path, which can be read at any moment, also after a kill.
+
+    HDF5's single-writer-multiple-readers mode keeps the file consistent on disk. All datasets must exist before it
+    begins, so that the first frame decides what the others may hold.
+    """
+
+    def _begin(self, path: Path, coding: Coding, depth_step_mm: float) -> None:
+        prepare_folder_for(path)
+        if path.exists():
+            raise FileProblem("a file of this name exists; choose another name", path)
+        super()._begin(path, coding, depth_step_mm)
+        self._flushed_s = 0.0
+
+    def _open_place(self, path: Path) -> BinaryIO:
+        return self._place.enter_context(open_growing_file(path, "the recording"))
+
+    def append(self, stream: str, frame: TactileFrame, truth: Truth | None = None) -> None:
+        """Add one frame to the only stream; raises ShapeError where it differs in shape from the first."""
+        super().append(stream, frame, truth)
+        if not self._file.swmr_mode:
+            self._file.swmr_mode = True
+        now_s = time.monotonic()
+        if now_s - self._flushed_s > FLUSH_INTERVAL_S:
+            self._flushed_s = now_s
+            self._file.flush()
+
+    def __exit__(
+        self, _kind: type[BaseException] | None, error: BaseException | None, _at: TracebackType | None
+    ) -> None:
+        """Close the file and keep all frames, also after an error; delete a file without frames."""
+        with self._place:
+            empty = self._file is None or not len(self._file.get("streams", ()))
+            if self._file is not None:
+                self._file.close()
+                layout.truncate_to_size(self._temporary)
+            if empty:
+                self._path.unlink(missing_ok=True)
+            if error is not None:
+                raise error
+
 
 _QUEUE_FRAMES = 240  # some seconds of a fast sensor
 _Item = tuple[TactileFrame, Truth | None] | None  # None ends the thread

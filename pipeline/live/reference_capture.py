@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 
 from pipeline.base.arrays import Floats, Image, freeze
-from pipeline.recordings.block_means import compute_block_means
+from pipeline.recordings.reference_images import compute_block_means
 from pipeline.sensors.spec import SensorSpec
 
 MIN_FRAMES, AUTO_CAPTURE_FRAMES, MAX_FRAMES = 3, 7, 15

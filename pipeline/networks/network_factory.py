@@ -18,6 +18,9 @@ from pipeline.networks.weights import NoWeights, Weights
 if TYPE_CHECKING:
     from torch import nn
 
+import contextlib
+from collections.abc import Generator
+
 NETWORK_CLASSES: dict[str, str] = {  # kind -> module:class; importing a module loads torch
     "compact_unet": "pipeline.networks.compact_unet:CompactUnet",
     "depth_anything": "pipeline.networks.depth_anything:DepthAnything",
@@ -160,3 +163,20 @@ def _share_tensors(net: nn.Module, tensors: Mapping[str, Floats]) -> None:
             warnings.simplefilter("ignore", UserWarning)  # "not writable": nothing writes to a loaded network
             shared[name] = torch.from_numpy(tensors[name]).to(tensor.dtype)
     net.load_state_dict(shared, assign=True)
+
+
+@contextlib.contextmanager
+def reproducible_inference(n_threads: int = 1) -> Generator[None, None, None]:
+    """Run torch without gradients on `n_threads`, whose number changes the last digits of sums.
+
+    On a busy machine one thread is also the fastest: threads wait for each other at every layer.
+    """
+    import torch
+
+    before = torch.get_num_threads()
+    torch.set_num_threads(n_threads)
+    try:
+        with torch.inference_mode():
+            yield
+    finally:
+        torch.set_num_threads(before)

@@ -19,8 +19,7 @@ from pipeline.base.memo import Memo, memoise
 from pipeline.engine.digests import compute_cached_digest
 from pipeline.geometry.camera import Camera
 from pipeline.physics.optics_markers import check_surface, compute_marker_motion_px, draw_markers
-from pipeline.sensors.parts import Markers, Optics
-from pipeline.sensors.reference_light import compute_reference_light
+from pipeline.sensors.parts import Markers, Optics, compute_reference_light
 from pipeline.sensors.spec import SensorSpec
 
 _PENUMBRA_MM = 0.25  # depth below an LED's light at which a point is fully in shadow

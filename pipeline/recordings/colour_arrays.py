@@ -12,9 +12,8 @@ from pipeline.base.errors import FileProblem
 from pipeline.base.files import read_arrays
 from pipeline.base.text import escape_text
 from pipeline.recordings import image_files
-from pipeline.recordings.formats import ReadOptions, RecordingFiles
+from pipeline.recordings.formats import ReadOptions, RecordingFiles, with_index_check
 from pipeline.recordings.gel_images import make_gel_converter
-from pipeline.recordings.index_check import with_index_check
 from pipeline.values.frames import Recording, Stream, TactileFrame
 
 _MIN_SIDE_PX = 8  # of an image; smaller arrays with three columns are points or matrices

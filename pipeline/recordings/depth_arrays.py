@@ -19,8 +19,7 @@ from pipeline.base.files import read_arrays
 from pipeline.base.text import escape_text
 from pipeline.geometry.camera import Camera, make_camera
 from pipeline.recordings import image_files, resampling
-from pipeline.recordings.formats import DepthUnit, ReadOptions, RecordingFiles
-from pipeline.recordings.index_check import with_index_check
+from pipeline.recordings.formats import DepthUnit, ReadOptions, RecordingFiles, with_index_check
 from pipeline.recordings.sensor_guess import resolve_sensor_name
 from pipeline.sensors.spec import load_sensor
 from pipeline.values.frames import Recording, Stream, TactileFrame

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.arrays import Image, freeze
-from pipeline.sensors.reference_light import compute_reference_light
+from pipeline.sensors.parts import compute_reference_light
 from pipeline.sensors.spec import SensorSpec
 
 MID_GREY = 128.0  # grey level

@@ -1,13 +1,15 @@
 """Open a recording of any format: the content of a file decides, then its suffix."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from pipeline.base.errors import FileProblem, TouchError
+from pipeline.base.arrays import Floats, Image
+from pipeline.base.errors import FileProblem, SettingProblem, ShapeError, TouchError
 from pipeline.base.files import describe_os_error, require_file
-from pipeline.recordings import depth_arrays, image_files, overrides
+from pipeline.recordings import depth_arrays, image_files
 from pipeline.recordings.folder_contents import PICKLE_REFUSAL, PICKLE_SUFFIXES, find_recording
 from pipeline.recordings.formats import (
     DepthUnit,
@@ -19,7 +21,8 @@ from pipeline.recordings.formats import (
     list_formats,
 )
 from pipeline.recordings.mounts import open_mounted
-from pipeline.values.frames import Recording
+from pipeline.sensors.spec import load_sensor
+from pipeline.values.frames import Recording, Stream, TactileFrame
 
 _HEAD_BYTES = 16  # enough for every signature
 
@@ -97,13 +100,56 @@ def _read_head(path: Path) -> bytes:
 def _override(recording: Recording, options: ReadOptions) -> Recording:
     """The recording with the stated sensor and reference."""
     try:
-        recording = overrides.with_sensor(recording, options.sensor)
+        recording = with_sensor(recording, options.sensor)
         file = options.reference
         if file is None:
             return recording
         is_depth = not image_files.is_image_file(file) or image_files.read_raw_pixels(file).dtype == np.uint16
         image = depth_arrays.read_depth_image(file, options.depth_unit) if is_depth else image_files.read_rgb(file)
-        return overrides.with_reference(recording, image, file)
+        return with_reference(recording, image, file)
     except Exception:
         recording.close()
         raise
+
+
+def with_sensor(recording: Recording, sensor: str) -> Recording:
+    """The recording with `sensor` as the sensor of its only stream, or of the streams that do not name theirs."""
+    if not sensor:
+        return recording
+    name = load_sensor(sensor).name
+    is_single = len(recording.streams) == 1
+    streams = tuple(_replace_sensor(s, name) if is_single or not s.sensor else s for s in recording.streams)
+    replaced = [s.sensor for s in recording.streams if is_single and s.sensor not in ("", name)]
+    note = (f"the file names the sensor {replaced[0]}; {name} is used instead",) if replaced else ()
+    return replace(recording, streams=streams, notes=recording.notes + note)
+
+
+def with_reference(recording: Recording, reference: Image | Floats, origin: Path) -> Recording:
+    """The recording with another reference for its only stream; raises SettingProblem for several streams."""
+    if len(recording.streams) != 1:
+        raise SettingProblem(
+            f"a reference can be given for one stream, this recording has {len(recording.streams)}: '{origin}'"
+        )
+
+    def replace_reference(frame: TactileFrame) -> TactileFrame:
+        if frame.image.shape != reference.shape:
+            raise ShapeError(
+                f"the reference has shape {reference.shape} and frame {frame.index} {frame.image.shape}: '{origin}'"
+            )
+        return replace(frame, reference=reference)
+
+    return replace(recording, streams=(_map_frames(recording.streams[0], replace_reference),),
+                   notes=(*recording.notes, f"{origin.name} is the reference"))  # fmt: skip
+
+
+def _replace_sensor(stream: Stream, sensor: str) -> Stream:
+    return replace(_map_frames(stream, lambda frame: replace(frame, sensor=sensor)), sensor=sensor)
+
+
+def _map_frames(stream: Stream, change: Callable[[TactileFrame], TactileFrame]) -> Stream:
+    read = stream.frame
+
+    def frame(index: int) -> TactileFrame:
+        return change(read(index))
+
+    return replace(stream, frame=frame)

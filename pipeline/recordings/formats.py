@@ -15,6 +15,11 @@ from pipeline.base.entry_points import load_entry_points, load_reference
 if TYPE_CHECKING:
     from pipeline.values.frames import Recording
 
+from collections.abc import Callable
+from typing import TypeVar
+
+from pipeline.base.errors import FileProblem
+
 DepthUnit = Literal["auto", "mm", "m", "0.1mm", "um"]
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
 
@@ -167,3 +172,18 @@ def describe_formats() -> str:
 
 def _patterns(suffixes: tuple[str, ...]) -> str:
     return " ".join(f"*{suffix}" for suffix in suffixes)
+
+
+T = TypeVar("T")
+
+
+def with_index_check(read: Callable[[int], T], n_frames: int, path: Path) -> Callable[[int], T]:
+    """`read` that raises FileProblem for a number outside 0..n_frames-1."""
+
+    def read_checked(index: int) -> T:
+        if not 0 <= index < n_frames:
+            last = f"frames are 0 to {n_frames - 1}" if n_frames else "it has no frames"
+            raise FileProblem(f"there is no frame {index}, {last}", path, field=f"frame {index}")
+        return read(index)
+
+    return read_checked

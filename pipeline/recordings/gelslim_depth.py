@@ -14,7 +14,7 @@ import numpy as np
 from pipeline.base.arrays import freeze
 from pipeline.base.errors import FileProblem
 from pipeline.recordings import resampling, torch_files
-from pipeline.recordings.index_check import with_index_check
+from pipeline.recordings.formats import with_index_check
 from pipeline.recordings.resampling import ResamplingFit
 from pipeline.sensors.spec import load_sensor
 from pipeline.values.frames import Recording, Stream, TactileFrame, Truth

@@ -21,7 +21,7 @@ from pipeline.geometry.meshes import Mesh, validate_mesh
 from pipeline.recordings import hdf5_layout as layout
 from pipeline.recordings import hdf5_symmetry
 from pipeline.recordings import hdf5_validation as validation
-from pipeline.recordings.index_check import with_index_check
+from pipeline.recordings.formats import with_index_check
 from pipeline.values.frames import Pairing, Recording, Stream, TactileFrame, Truth
 
 T = TypeVar("T")

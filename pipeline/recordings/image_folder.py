@@ -1,19 +1,18 @@
 """Read gel images with a reference image among them: a folder, one image, or the tree of a data set."""
 
 import os
+import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from pipeline.base.arrays import Image
 from pipeline.base.errors import FileProblem
+from pipeline.base.text import escape_text
 from pipeline.recordings import image_files
 from pipeline.recordings.difference_images import estimate_no_change_grey
-from pipeline.recordings.formats import ReadOptions, RecordingFiles
+from pipeline.recordings.formats import ReadOptions, RecordingFiles, with_index_check
 from pipeline.recordings.gel_images import make_gel_converter
-from pipeline.recordings.image_series import select_colour_series
-from pipeline.recordings.index_check import with_index_check
-from pipeline.recordings.reference_denoising import denoise_reference
-from pipeline.recordings.reference_selection import select_reference_frame
+from pipeline.recordings.reference_images import denoise_reference, select_reference_frame
 from pipeline.values.frames import Recording, Stream, TactileFrame
 
 _N_COMPARED = 3  # images whose size is compared with the reference's
@@ -136,3 +135,38 @@ def _describe_reference(reference: Path | None, files: RecordingFiles, n_average
     more = (f"other reference images are left out: {', '.join(unused)}",) if unused else ()
     alike = f", as the median with the first {n_averaged} frames" if n_averaged else ""
     return (f"{reference.name} is the reference{alike}", *more)
+
+
+_PATTERN = re.compile(r"^(\D*)(?:\d.*\d|\d)?(\D*)$", re.DOTALL)  # words before the first digit and after the last one
+_MAX_SERIES = 32  # more patterns than these are names of their own
+
+
+def select_colour_series(images: Sequence[Path]) -> tuple[list[Path], tuple[str, ...]]:
+    """(images, notes): the images without the grey series, where some series are grey and others in colour.
+
+    Data sets keep what was derived from an image next to it: depth maps, masks, the other sensor's imprint. These are
+    grey, and a gel's camera records colour. Images of one name pattern (`touch_007`, `07_gelslim`) are of one kind, so
+    that one image of each is read.
+    """
+    series: dict[tuple[str, ...], list[Path]] = {}
+    for image in images:
+        found = _PATTERN.match(image.stem)
+        series.setdefault(found.groups() if found else (), []).append(image)
+    if not 1 < len(series) <= _MAX_SERIES or all(len(members) == 1 for members in series.values()):
+        return list(images), ()
+    grey = [members for members in series.values() if _is_grey(members[0])]
+    left_out = {image for members in grey for image in members}
+    if not left_out or len(grey) == len(series):
+        return list(images), ()
+    name = escape_text(grey[0][0].name)
+    note = f"{len(left_out)} grey images such as {name} are left out: a gel's camera records colour"
+    return [image for image in images if image not in left_out], (note,)
+
+
+def _is_grey(file: Path) -> bool:
+    """Whether an image has one channel, or three equal ones; a damaged image counts as colour."""
+    try:
+        pixels = image_files.read_raw_pixels(file)
+    except FileProblem:
+        return False
+    return pixels.ndim == 2 or bool((pixels[..., :1] == pixels[..., :3]).all())

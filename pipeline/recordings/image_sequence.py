@@ -8,14 +8,11 @@ from typing import Protocol
 import numpy as np
 
 from pipeline.base.arrays import Image
-from pipeline.base.errors import FileProblem
-from pipeline.base.stage_warnings import StageWarning
+from pipeline.base.errors import FileProblem, StageWarning
 from pipeline.recordings import difference_images, image_files
-from pipeline.recordings.formats import ReadOptions
+from pipeline.recordings.formats import ReadOptions, with_index_check
 from pipeline.recordings.gel_images import make_gel_converter
-from pipeline.recordings.index_check import with_index_check
-from pipeline.recordings.reference_denoising import denoise_reference
-from pipeline.recordings.reference_selection import select_reference_frame
+from pipeline.recordings.reference_images import denoise_reference, select_reference_frame
 from pipeline.values.frames import Stream, TactileFrame
 
 _MAX_CANDIDATES = 16  # frames searched for a reference: seeking in a long video is slow

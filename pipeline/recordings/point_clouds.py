@@ -16,7 +16,7 @@ from pipeline.base.files import read_arrays
 from pipeline.geometry.camera import Camera
 from pipeline.recordings import image_files
 from pipeline.recordings.depth_arrays import estimate_reference
-from pipeline.recordings.index_check import with_index_check
+from pipeline.recordings.formats import with_index_check
 from pipeline.recordings.sensor_guess import resolve_sensor_name
 from pipeline.values.frames import Recording, Stream, TactileFrame
 

@@ -19,7 +19,7 @@ from pipeline.geometry import rigid
 from pipeline.geometry.camera import make_camera
 from pipeline.geometry.meshes import Mesh, load_mesh
 from pipeline.recordings import torch_files
-from pipeline.recordings.formats import RecordingFiles
+from pipeline.recordings.formats import RecordingFiles, with_index_check
 from pipeline.recordings.grasp_files import (
     BUBBLE,
     GEL,
@@ -29,7 +29,6 @@ from pipeline.recordings.grasp_files import (
     list_grasps,
     parse_tool,
 )
-from pipeline.recordings.index_check import with_index_check
 from pipeline.values.frames import Grasp, Recording, Stream, TactileFrame, Truth
 
 _FINGERS = ("right", "left")

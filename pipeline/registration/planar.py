@@ -2,7 +2,7 @@
 
 Its choices are kept: every contact point takes the nearest model point at any distance, many to one; the number of
 iterations is fixed; the side of the object and unobservable motions are not considered. Starts are those of its sweep;
-the one of least rmse is used.
+the one of least rmse is used. A method of the pose stage, and the protocol for both fingers of a grasp, run it.
 """
 
 import math
@@ -16,7 +16,11 @@ from pipeline.base.arrays import Doubles, freeze
 from pipeline.base.errors import SettingProblem, ShapeError
 from pipeline.base.progress import SILENT, Progress
 from pipeline.geometry import rigid
-from pipeline.values.results import PoseStep
+from pipeline.geometry.meshes import Mesh, sample_surface
+from pipeline.registration.model import ObjectModel
+from pipeline.registration.scene import ContactScene
+from pipeline.registration.starts import list_starts
+from pipeline.values.results import ObjectPose, PoseStep
 
 N_MODEL = 5000  # points sampled on the model's surface
 MIN_POINTS = 4  # contact points; with fewer the start is returned
@@ -151,3 +155,64 @@ def _lift_to_3d(motion: Doubles) -> Doubles:
     pose = np.eye(4)
     pose[:2, :2], pose[:2, 3] = motion[:2, :2], motion[:2, 2]
     return pose
+
+
+NOTE = "paper 2D: in-plane turn and shift only; height and tilt keep their initial values, no uncertainty is known"
+_FACE = "+z"  # default face
+
+
+def estimate_planar_pose(
+    scene: ContactScene, mesh: Mesh, model: ObjectModel, face: str, n_iterations: int, *, keep_steps: bool,
+    progress: Progress = SILENT,
+) -> ObjectPose:  # fmt: skip
+    """Register projections along the sensor's axis point to point; the centre of a face starts on the contact."""
+    chosen = _FACE if face == "auto" else face
+    placed = list_starts(scene, model, chosen, 1)[0].sensor_from_object
+    model_mm = sample_surface(mesh, N_MODEL, 0)[0]
+    fit = register_planar(model_mm, scene.points_mm, placed, n_iterations, progress, keep_steps=keep_steps)
+    notes = (NOTE, *fit.notes) if face != "auto" else (NOTE, f"face {_FACE} by default; choose the face", *fit.notes)
+    return ObjectPose(
+        sensor_from_object=freeze(fit.scene_from_model), covariance=None, observable=None, weak_directions=(),
+        rmse_mm=fit.inlier_rmse_mm, fitness=fit.fitness, scene_mm=freeze(scene.points_mm.astype(np.float32)),
+        source_index=freeze(scene.pixel), steps=fit.steps, stop_reason=fit.stop_reason, starts_tried=len(SWEEP_DEG),
+        notes=notes,
+    )  # fmt: skip
+
+
+N_ITERATIONS = 200
+_PLANE_FROM_GRASP = np.array([[0.0, 1, 0, 0], [0, 0, 1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])  # y, z, x: x becomes the axis
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GraspPoseError:
+    """Errors in the grasp's plane."""
+
+    translation_mm: float  # of the model's centre
+    rotation_deg: float
+
+
+def compute_grasp_pose_error(points_mm: Doubles, mesh: Mesh, grasp_from_object: Doubles) -> GraspPoseError | None:
+    """The paper's protocol as released: contact points (n, 3) of both fingers, registered in the grasp's plane.
+
+    The points are joined in the grasp frame, whose x axis is the direction in which the fingers close, and projected
+    along it; the start is the identity. The rotation about x is compared as the first Euler angle, without wrapping.
+    The released code compares with the angle that was commanded, and scores no translation; here the tool's recorded
+    pose is compared.
+
+    None with too few points, which the released code answers with its start.
+    """
+    if len(points_mm) < MIN_POINTS:
+        return None
+    model_mm = sample_surface(mesh, N_MODEL, 0)[0]
+    scene_mm = rigid.apply(_PLANE_FROM_GRASP, points_mm)
+    fit = register_planar(model_mm, scene_mm, _PLANE_FROM_GRASP.copy(), N_ITERATIONS, starts_deg=(0.0,))
+    estimate = rigid.invert(_PLANE_FROM_GRASP) @ fit.scene_from_model
+    centre = model_mm.mean(axis=0)[None]
+    shift = (rigid.apply(estimate, centre) - rigid.apply(grasp_from_object, centre))[0]
+    turned = compute_first_euler_deg(estimate) - compute_first_euler_deg(grasp_from_object)
+    return GraspPoseError(translation_mm=math.hypot(float(shift[1]), float(shift[2])), rotation_deg=abs(turned))
+
+
+def compute_first_euler_deg(transform: Doubles) -> float:
+    """The angle about x of a rotation R = Rx Ry Rz, in degrees, -180 to 180."""
+    return math.degrees(math.atan2(-float(transform[1, 2]), float(transform[2, 2])))

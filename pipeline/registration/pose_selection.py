@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pipeline.base.arrays import Doubles, freeze
+from pipeline.base.errors import StageWarning
 from pipeline.base.progress import SILENT, Progress
-from pipeline.base.stage_warnings import StageWarning
 from pipeline.geometry import rigid
 from pipeline.geometry.screws import SLIDE_ROTATION_LIMIT, describe_direction
 from pipeline.registration.observability import Observability

@@ -11,7 +11,7 @@ from typing import Literal
 from pipeline.base.params import list_settings, replace_value
 from pipeline.engine.graph import Method
 from pipeline.previews.display_params import DisplayParams
-from pipeline.sensors.offsets import Offsets
+from pipeline.sensors.alignment import Offsets
 from pipeline.translation.catalogue import with_settings
 from pipeline.translation.translate import Request
 

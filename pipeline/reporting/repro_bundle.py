@@ -36,8 +36,8 @@ from pipeline.reporting.frame_report import FrameReport
 from pipeline.reporting.report import collect_stage_arrays
 from pipeline.reporting.sheet import write_sheet
 from pipeline.reporting.truth_files import write_truth
+from pipeline.sensors.alignment import Offsets
 from pipeline.sensors.alignment_files import AlignmentFile, save_alignment
-from pipeline.sensors.offsets import Offsets
 from pipeline.translation.catalogue import with_settings
 from pipeline.translation.frame_selection import select_context_frames
 from pipeline.translation.translate import Request, Translation, open_translation

@@ -11,8 +11,8 @@ import numpy as np
 
 from pipeline import __version__
 from pipeline.base.arrays import freeze
+from pipeline.base.errors import StageWarning
 from pipeline.base.fingerprints import compute_fingerprint
-from pipeline.base.stage_warnings import StageWarning
 from pipeline.engine.digests import compute_digest
 from pipeline.engine.graph import StageResult
 from pipeline.reporting.frame_report import FrameReport

@@ -17,8 +17,7 @@ from pipeline.base.files import read_toml, write_text
 from pipeline.base.text import escape_text
 from pipeline.base.typed_data import Name, Note, convert
 from pipeline.geometry import rigid
-from pipeline.sensors.alignment import ALIGNMENT_PARTS, Alignment
-from pipeline.sensors.offsets import RotationDeg, TranslationMm
+from pipeline.sensors.alignment import ALIGNMENT_PARTS, Alignment, RotationDeg, TranslationMm
 
 ALIGNMENT_SUFFIX = ".toml"
 _COMMENTS = {

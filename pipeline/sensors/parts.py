@@ -3,7 +3,12 @@
 from dataclasses import MISSING, dataclass, field
 from typing import Annotated, Any, NamedTuple
 
+import numpy as np
 from msgspec import Meta
+
+from pipeline.base.arrays import Floats, freeze
+from pipeline.base.memo import memoise
+from pipeline.geometry.camera import Camera
 
 LightNumber = Annotated[float, Meta(ge=-1000.0, le=1000.0)]  # degrees, half image sizes, or grey levels
 LobeWidth = Annotated[float, Meta(gt=0.0, le=1000.0)]
@@ -123,3 +128,23 @@ class SensorLimits:
     depth_rms_other_instance_mm: float = declare_number("mm", 0.0, 100.0, 0.0)  # of an instance with other LEDs
     depth_correlation_mm: float = 1.0  # correlation length of that error
     no_contact_change: float  # largest smoothed change from the reference without contact: grey levels or mm
+
+
+@memoise(32)
+def compute_reference_light(camera: Camera, optics: Optics) -> Floats:
+    """Grey levels (rows, cols, 3) float32 of a gel without contact, before markers and lens blur."""
+    x = ((np.arange(camera.cols) + 0.5) / camera.cols * 2 - 1)[None, :]
+    y = ((np.arange(camera.rows) + 0.5) / camera.rows * 2 - 1)[:, None]
+    light = np.empty((*camera.shape, 3))
+    light[:] = optics.base_rgb
+    for glow in optics.glows:
+        lobe = np.exp(-(((x - glow.x) / glow.width) ** 2) - ((y - glow.y) / glow.height) ** 2)
+        light += lobe[..., None] * np.array(glow.rgb)
+    lens = 1.0 - optics.vignette * ((x * x + y * y) / 2) ** 2
+    return freeze((light * lens[..., None]).astype(np.float32))
+
+
+@memoise(32)
+def compute_mean_reference_light(camera: Camera, optics: Optics) -> Floats:
+    """Mean of `compute_reference_light` of each colour (3,), grey levels."""
+    return freeze(compute_reference_light(camera, optics).reshape(-1, 3).mean(axis=0))

@@ -6,25 +6,29 @@ Every number in a TOML is a table `{ value, unit, from }` with `assumed = true` 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
+import msgspec
 import numpy as np
+from msgspec import Meta
 from numpy.typing import NDArray
 
 from pipeline.base.arrays import Doubles, freeze
 from pipeline.base.errors import CalibrationError, SettingProblem, TouchError
+from pipeline.base.files import read_bytes
 from pipeline.base.memo import Memo
-from pipeline.engine.digests import UNDIGESTED, compute_cached_digest
+from pipeline.base.typed_data import FileName, convert
+from pipeline.engine.digests import UNDIGESTED, compute_cached_digest, compute_digest
 from pipeline.geometry import rigid
 from pipeline.geometry.camera import Camera
 from pipeline.geometry.membrane import Membrane
-from pipeline.sensors.descriptions import DescriptionSection, find_descriptions, read_description
+from pipeline.sensors.descriptions import DESCRIPTION, DescriptionSection, find_descriptions, read_description
 from pipeline.sensors.kinds import SensorKind, get_kind, list_kinds
 from pipeline.sensors.part_parsing import parse_limits, parse_part
 from pipeline.sensors.parts import Bubble, DepthCamera, Gel, Markers, Optics, SensorLimits
-from pipeline.sensors.rest_mesh import load_rest_membrane
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -150,3 +154,38 @@ def _build(name: str, data: dict[str, Any], path: Path, surface: Membrane | None
         assumed_keys=tuple(assumed),
         **parts,
     )
+
+
+class _RestMesh(msgspec.Struct, kw_only=True, frozen=True):
+    """[rest] with a mesh.
+
+    [rest]
+    kind = "mesh"
+    file = "membrane.stl"  # relative to the description
+    unit = "mm"            # of the file: mm, cm, m or in
+    step = 0.5             # mm, lattice step; optional
+    """
+
+    kind: Literal["mesh"]
+    file: FileName
+    unit: Literal["mm", "cm", "m", "in", "inch"]
+    step: Annotated[float, Meta(ge=0.01, le=10.0)] = 0.5  # mm
+
+
+_membranes: Memo[tuple[Path, str, str, float], Membrane] = Memo(8)
+
+
+def load_rest_membrane(data: Mapping[str, Any], path: Path) -> Membrane | None:
+    """The membrane of `[rest] kind = "mesh"`; None where the section gives numbers.
+
+    Raises FileProblem for an invalid section or file, MeshProblem for the mesh in it.
+    """
+    section: Any = data.get("rest")
+    if not isinstance(section, dict) or "kind" not in section:
+        return None
+    rest = convert(section, _RestMesh, DESCRIPTION, path, within="rest")
+    from pipeline.geometry.mesh_membrane import load_membrane
+
+    mesh = path.parent / rest.file
+    key = (mesh, compute_digest(read_bytes(mesh, "the mesh")), rest.unit, rest.step)
+    return _membranes.get_or_make(key, lambda: load_membrane(mesh, rest.unit, rest.step))

@@ -10,8 +10,7 @@ from pipeline.previews.layers import Layer, make_membrane_layer, make_surface_la
 from pipeline.previews.preview import Preview, make_indentation_preview
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages import ground_truth
-from pipeline.stages.pixel_lookup import look_up_element
-from pipeline.stages.stage import GroundTruth, PreviewContext, ProbePoint, SensorRole, Stage
+from pipeline.stages.stage import GroundTruth, PreviewContext, ProbePoint, SensorRole, Stage, look_up_element
 from pipeline.values.results import DepthMap
 
 

@@ -9,8 +9,7 @@ from pipeline.base.arrays import freeze
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.stage import GroundTruth, SensorRole
 from pipeline.values.frames import Truth
-from pipeline.values.pixel_index import make_pixel_index
-from pipeline.values.results import DepthMap, GeneratedTouch, ObjectPose, TargetDepth
+from pipeline.values.results import DepthMap, GeneratedTouch, ObjectPose, TargetDepth, make_pixel_index
 
 _NOTE = "ground truth of the recording"
 

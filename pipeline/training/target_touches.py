@@ -21,8 +21,7 @@ from pipeline.stages.touch.physical_render import PhysicalRenderParams, render_t
 from pipeline.training.object_sampling import DATA_SPLITS, DataSplit, sample_object
 from pipeline.training.sample_cache import SampleCache
 from pipeline.training.source_observation import SourceObservation, simulate_source_observation
-from pipeline.values.pixel_index import make_pixel_index
-from pipeline.values.results import TargetDepth
+from pipeline.values.results import TargetDepth, make_pixel_index
 
 VERSION = 3  # part of the seeds: incremented when the same number gives another touch
 CATALOGUE_SHARE, SMALL_SHARE = 0.4, 0.6  # of all objects; of the random bodies

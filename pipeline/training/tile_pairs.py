@@ -1,7 +1,7 @@
 """Pairs of difference tiles as training examples of touch to touch: images that are not metric.
 
 Training sets publish pairs as squares, each stretched in contrast by itself, rotated, and with jittered colours, so
-that neither depth nor a camera is known. The orientation follows from the gel's colours (`imprints.difference_tiles`);
+that neither depth nor a camera is known. The orientation follows from the gel's colours (`imprints.tiles`);
 how large a gel's tile lies in a bubble's follows from a fit to the pairs that are trained on (`imprints.fitting`). A
 network is trained toward likeness: the partial correlation of its one-step imprint with the recorded one, the mean
 imprint regressed out of both, since a mean alone looks like every touch. Colours are mixed, as those of tiles are.

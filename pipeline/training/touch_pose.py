@@ -1,7 +1,7 @@
 """Task: an object's pose from a sensor's own touches, for the paper's tactile metric and the encoder of touch sets.
 
 All objects of the catalogue are trained on, the unseen tools of the translators included: this network judges a touch,
-it is not judged. A bubble's touches are shown whole, in part (`partial_touches`) and mixed, rotated and mirrored as its
+it is not judged. A bubble's touches are shown whole, in part (`PartialTouch`) and mixed, rotated and mirrored as its
 camera and the object allow, and never as a translator generates them.
 """
 
@@ -21,7 +21,6 @@ from pipeline.base.params import setting
 from pipeline.networks.square_images import normalise
 from pipeline.simulation import poses, shapes
 from pipeline.training.object_sampling import DataSplit
-from pipeline.training.partial_touches import simulate_partial_touch
 from pipeline.training.task import VALIDATION_SEED, SimulatedPresses, augmentation_setting
 from pipeline.training.touch_squares import load_nominal_sensors, simulate_touch_squares
 
@@ -29,6 +28,19 @@ if TYPE_CHECKING:
     from torch import Tensor, nn
 
     from pipeline.training.task import Example, Split
+
+from functools import lru_cache
+
+from pipeline.geometry import rigid
+from pipeline.networks.square_images import resize_to_square
+from pipeline.physics import lattice
+from pipeline.sensors.spec import SensorSpec
+from pipeline.stages.touch.depth_condition import make_working_sensor
+from pipeline.stages.touch.physical_render import PhysicalRenderParams, render_touch
+from pipeline.training.object_sampling import DATA_SPLITS
+from pipeline.training.sample_cache import SampleCache
+from pipeline.training.source_observation import simulate_source_observation
+from pipeline.training.target_touches import make_target_depth
 
 TouchSensor = Literal["gelslim", "soft_bubble"]
 _LEVER_MM = 10.0  # one radian of rotation weighs as this translation
@@ -181,3 +193,44 @@ def _compute_angles(headings: Floats, fold: NDArray[Any]) -> Doubles:
     """Angles (n,) in rad from headings (n, folds, 2)."""
     cosine, sine = headings[np.arange(len(fold)), fold - 1].T
     return np.arctan2(sine, cosine).astype(np.float64) / fold
+
+
+VERSION = 2  # part of the seeds: incremented when the same number gives another part
+_TOLERANCE_UM = 20.0  # of the physical render: a square's pixels are coarser
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PartialTouch:
+    """The imprint of the observed part of a bubble's touch: a gel's window, a slice of its surface.
+
+    A pose network trained on whole touches alone reads a translated touch, which ends where the source's view ends, as
+    a smaller object elsewhere. No source is simulated and no generated touch is used: the observation is sampled
+    (`source_observation`) and the bubble's physics renders it.
+    """
+
+    imprint_mm: Floats  # (1, side, side); 0 where nothing of the object is observed
+
+
+_parts = SampleCache(PartialTouch, max_bytes=1 << 29)
+
+
+def simulate_partial_touch(split: DataSplit, seed: int, index: int, folder: str = "") -> PartialTouch:
+    """A part of that touch of `touch_squares`, whose object must be of the catalogue; the same on every call."""
+    return _parts.get(f"part_{split}_{seed}_{index}", folder, lambda: _simulate_part(split, seed, index, folder))
+
+
+def _simulate_part(split: DataSplit, seed: int, index: int, folder: str) -> PartialTouch:
+    rng = np.random.default_rng([VERSION, 19, DATA_SPLITS.index(split), seed, index])
+    touch = simulate_touch_squares(split, seed, index, folder)
+    bubble, mesh = _load_working_bubble(), shapes.make_shape(touch.object_name).mesh
+    vertices = rigid.apply(rigid.invert(bubble.alignment_from_sensor) @ touch.alignment_from_object, mesh.vertices_mm)
+    surface = lattice.render_mesh_depth(vertices, mesh.triangles, bubble.camera)
+    view = make_target_depth(bubble, simulate_source_observation(rng, surface, bubble, gel_share=1.0))
+    membrane = render_touch(view, bubble, PhysicalRenderParams(tolerance_um=_TOLERANCE_UM)).membrane
+    assert membrane is not None
+    return PartialTouch(imprint_mm=resize_to_square(membrane.indentation_mm[..., None]))
+
+
+@lru_cache(maxsize=1)
+def _load_working_bubble() -> SensorSpec:
+    return make_working_sensor(load_nominal_sensors()[1])

@@ -15,7 +15,7 @@ from pipeline.base.arrays import Doubles, Mask, freeze
 from pipeline.geometry import rigid
 from pipeline.geometry.camera import MIN_DEPTH_MM, Camera
 from pipeline.previews.preview import PixelPositions, Preview
-from pipeline.sensors.offsets import Offsets
+from pipeline.sensors.alignment import Offsets
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.stage import GroundTruth, SensorRole
 from pipeline.translation.pixel_trace import SOURCE

@@ -24,9 +24,8 @@ from pipeline.previews.display_params import DisplayParams
 from pipeline.recordings import open_recording
 from pipeline.recordings.depth_arrays import DepthUnit
 from pipeline.sensors import alignment as alignments
-from pipeline.sensors.alignment import Alignment, shift_alignment_along_z
+from pipeline.sensors.alignment import Alignment, Offsets, shift_alignment_along_z
 from pipeline.sensors.alignment_files import load_alignment
-from pipeline.sensors.offsets import Offsets
 from pipeline.sensors.spec import SensorSpec, load_sensor
 from pipeline.stages.stage import GroundTruth, PreviewContext, SensorRole, Stage
 from pipeline.stages.truth_method import TRUTH, get_input_name

@@ -4,13 +4,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
+import numpy as np
+
+from pipeline.base.errors import StageWarning
+from pipeline.engine.graph import StageResult
 from pipeline.previews.difference import compute_difference
 from pipeline.previews.display_params import DisplayParams
 from pipeline.previews.layers import Layer
 from pipeline.previews.preview import Preview, make_indentation_preview
 from pipeline.sensors.spec import SensorSpec
-from pipeline.stages.stage import PreviewContext, Stage
-from pipeline.values.results import DepthMap
+from pipeline.stages.stage import GroundTruth, PreviewContext, Stage
+from pipeline.values.results import DepthMap, TargetDepth
 
 ComparisonMode = Literal["", "truth", "difference", "wipe", "blink"]
 
@@ -47,3 +51,21 @@ def build_truth_view(
         truth=replace(true, caption=f"truth: {true.caption}"), difference_to_truth=compute_difference(preview, true),
         layers=stage.make_layers(truths[stage.name], true_context, true),
     )  # fmt: skip
+
+
+_MAX_VISIBLE_SHARE = 0.9  # of the target's contact; above this only its rim is missing
+
+
+def add_truth_warnings(result: StageResult, facts: GroundTruth) -> StageResult:
+    """The result, with a warning on a target depth of which only a part is visible to the source."""
+    target_depth, truth = result.output, facts.target_truth
+    if not isinstance(target_depth, TargetDepth) or truth is None or truth.contact is None:
+        return result
+    n_contact = int(np.count_nonzero(truth.contact))
+    if truth.contact.shape != target_depth.in_view.shape or not n_contact:
+        return result
+    share = np.count_nonzero(truth.contact & target_depth.in_view) / n_contact
+    if share >= _MAX_VISIBLE_SHARE:
+        return result
+    warning = StageWarning(f"the source saw {share:.0%} of the target's contact: the rest is missing")
+    return replace(result, notes=(warning, *result.notes))

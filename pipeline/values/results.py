@@ -6,7 +6,10 @@
 import math
 from dataclasses import dataclass, field
 
-from pipeline.base.arrays import Doubles, Floats, Image, Indices, Mask
+import numpy as np
+
+from pipeline.base.arrays import Doubles, Floats, Image, Indices, Mask, freeze
+from pipeline.base.memo import memoise
 from pipeline.engine.digests import UNDIGESTED
 from pipeline.geometry.camera import Camera
 
@@ -116,3 +119,9 @@ class ObjectPose:
     starts_tried: int = 0
     notes: tuple[str, ...] = ()
     alternatives: tuple[Doubles, ...] = ()  # (4, 4) each, best first: other poses that fit this touch as well
+
+
+@memoise(16)
+def make_pixel_index(shape: tuple[int, int]) -> Indices:
+    """0, 1, 2, ... in C order (rows, cols); cached per shape."""
+    return freeze(np.arange(shape[0] * shape[1], dtype=np.int32).reshape(shape))

@@ -45,7 +45,7 @@ from PyQt6.QtCore import QTimer
 from PyQt6.QtWidgets import QMessageBox
 from app import main
 from app.session.state import Session
-from pipeline.sensors.offsets import Offsets
+from pipeline.sensors.alignment import Offsets
 from pipeline.translation.translate import Request
 
 shown = main.show_window

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.live.folder_source import FolderSource
+from pipeline.live.source_parsing import FolderSource
 
 ROOT = Path(__file__).parents[2]
 _NO_HOME = """

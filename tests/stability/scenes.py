@@ -18,8 +18,7 @@ from pipeline.simulation import shapes
 from pipeline.simulation.press import simulate_press
 from pipeline.stages.target_depth.surface_projection import PointSplatParams, ProjectionParams, SurfaceProjectionParams
 from pipeline.values.frames import TactileFrame
-from pipeline.values.pixel_index import make_pixel_index
-from pipeline.values.results import Cloud, DepthMap, TargetDepth
+from pipeline.values.results import Cloud, DepthMap, TargetDepth, make_pixel_index
 
 GELS, BUBBLES = ("digit", "gelslim"), ("soft_bubble",)
 _SHARE = {"digit": 0.2, "gelslim": 0.15, "gelsight_mini": 0.15, "soft_bubble": 0.25}

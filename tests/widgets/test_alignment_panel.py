@@ -6,7 +6,7 @@ import pytest
 
 from pipeline.alignment.score import AlignmentScore
 from pipeline.alignment.sensitivity import ScoreChange, Sensitivity
-from pipeline.sensors.offsets import AXES
+from pipeline.sensors.alignment import AXES
 from widgets.alignment_panel import AlignmentPanel
 
 SCORE = AlignmentScore(iou=0.8, edge_px=3.0, depth_mm=0.05, depth_rms_mm=0.1, bias_mm=0.0, overlap_px=50)

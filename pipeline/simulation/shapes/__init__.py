@@ -2,9 +2,8 @@
 
 from pipeline.geometry.symmetry import Symmetry
 from pipeline.simulation.shapes.catalogue import GROUPS, list_labelled_shapes, list_shapes, make_shape
-from pipeline.simulation.shapes.mesh_file import load_mesh_shape
 from pipeline.simulation.shapes.prisms import make_chamfered_prism
-from pipeline.simulation.shapes.shape import Shape
+from pipeline.simulation.shapes.solids import Shape, load_mesh_shape
 
 __all__ = [
     "GROUPS",

@@ -4,7 +4,7 @@ from functools import lru_cache
 
 from pipeline.base.errors import SettingProblem
 from pipeline.simulation.shapes import tasks, training, unseen
-from pipeline.simulation.shapes.shape import Shape
+from pipeline.simulation.shapes.solids import Shape
 
 GROUPS = ("training", "unseen", "task", "sample")
 _MAKERS = {

@@ -10,8 +10,7 @@ from pipeline.geometry.symmetry import X, asymmetric, cyclic, revolution
 from pipeline.simulation.shapes.polygons import make_arc, make_bow
 from pipeline.simulation.shapes.prisms import lift_outline, make_chamfered_prism
 from pipeline.simulation.shapes.sections import make_strip
-from pipeline.simulation.shapes.shape import Shape
-from pipeline.simulation.shapes.solids import loft, sweep_section, transform_mesh
+from pipeline.simulation.shapes.solids import Shape, loft, sweep_section, transform_mesh
 from pipeline.simulation.shapes.training import make_ball_on_shaft
 
 

@@ -24,8 +24,7 @@ from pipeline.simulation.shapes.sections import (
     make_stamp,
     place_on_shoulders,
 )
-from pipeline.simulation.shapes.shape import Shape
-from pipeline.simulation.shapes.solids import count_circle_sides, revolve_profile, sweep_section, transform_mesh
+from pipeline.simulation.shapes.solids import Shape, count_circle_sides, revolve_profile, sweep_section, transform_mesh
 
 _BACK_MM = 18.0  # height of bodies: more than a bubble's approach, 13 mm in data sets, and a press
 _LINE_MM, _LINE_EDGE_MM = 3.0, 1.2  # width of lines, and the radius of their edges

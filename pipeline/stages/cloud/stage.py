@@ -9,8 +9,7 @@ from pipeline.previews.colours import ColourScale, apply_colour_map
 from pipeline.previews.layers import Layer, make_cloud_layer, make_membrane_layer, stretch_depth
 from pipeline.previews.preview import PointPositions, Preview, compute_pixel_mm
 from pipeline.stages.cloud import back_projection
-from pipeline.stages.pixel_lookup import look_up_element, to_xyz
-from pipeline.stages.stage import PreviewContext, ProbePoint, Stage
+from pipeline.stages.stage import PreviewContext, ProbePoint, Stage, look_up_element, to_xyz
 from pipeline.values.results import Cloud
 
 PREVIEW_SCALE = 0.5  # of the target's resolution, so that neighbouring points leave no holes

@@ -7,14 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.arrays import Floats, Mask, freeze
-from pipeline.base.errors import ShapeError
-from pipeline.base.stage_warnings import AT_BORDER, StageWarning
+from pipeline.base.errors import AT_BORDER, ShapeError, StageWarning
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import bubble_contact
 from pipeline.stages.depth.bubble_network_input import estimate_rest_surface
 from pipeline.values.frames import TactileFrame
-from pipeline.values.pixel_index import make_pixel_index
-from pipeline.values.results import DepthMap
+from pipeline.values.results import DepthMap, make_pixel_index
 
 _BLOCK_PX = 8
 _MEASURED_SHARE_MIN = 0.5  # share of measured pixels below which a frame is not called untouched

@@ -10,9 +10,8 @@ from dataclasses import replace
 import numpy as np
 
 from pipeline.base.arrays import Floats, Mask, freeze
-from pipeline.base.errors import ShapeError
+from pipeline.base.errors import AT_BORDER, ShapeError
 from pipeline.base.progress import Progress
-from pipeline.base.stage_warnings import AT_BORDER
 from pipeline.calibration.calibration_table import Calibration
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import contact, photometric
@@ -21,8 +20,7 @@ from pipeline.stages.depth.bubble_network_input import WORKING_PIXEL_MM, estimat
 from pipeline.stages.depth.bubble_network_output import BubblePrediction, decode_prediction
 from pipeline.stages.depth.gel_network import NetworkParams
 from pipeline.values.frames import TactileFrame
-from pipeline.values.pixel_index import make_pixel_index
-from pipeline.values.results import DepthMap
+from pipeline.values.results import DepthMap, make_pixel_index
 
 BubbleNetwork = Callable[[Floats], tuple[Floats, ...]]  # (N_CHANNELS, rows, cols) -> one output (N_OUTPUTS, rows, cols)
 _SCALE_TOLERANCE = 1.4  # pixels up to this factor finer or coarser than `WORKING_PIXEL_MM` are in the training data

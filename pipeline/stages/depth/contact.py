@@ -24,9 +24,8 @@ from typing import Literal
 
 import numpy as np
 
-from pipeline.base.arrays import Floats, Indices, Mask, freeze
+from pipeline.base.arrays import Floats, Indices, Mask, freeze, percentile
 from pipeline.base.memo import memoise
-from pipeline.base.ranks import percentile
 from pipeline.physics.slopes import compute_slopes
 
 _WORKERS, _PARALLEL_PIXELS = 2, 2**18  # threads, and the pixels above which they save time

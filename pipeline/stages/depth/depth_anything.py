@@ -8,15 +8,15 @@ from typing import Any, Literal
 import numpy as np
 
 from pipeline.base.arrays import Floats, Mask, freeze
+from pipeline.base.errors import StageWarning
 from pipeline.base.params import setting
 from pipeline.base.progress import Progress
-from pipeline.base.stage_warnings import StageWarning
 from pipeline.calibration.calibration_table import Calibration
 from pipeline.engine.graph import Skipped
 from pipeline.networks import weights_registry
 from pipeline.networks.depth_anything_input import PATCH_PX, prepare_image, resize_to_patches
+from pipeline.networks.network_factory import reproducible_inference
 from pipeline.networks.published_weights import read_depth_anything
-from pipeline.networks.reproducible_inference import reproducible_inference
 from pipeline.networks.weights import NoWeights, Weights
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import photometric

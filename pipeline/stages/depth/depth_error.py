@@ -16,7 +16,7 @@ import math
 
 import numpy as np
 
-from pipeline.base.ranks import percentile
+from pipeline.base.arrays import percentile
 from pipeline.calibration.calibration_table import USUAL_STD, Calibration
 from pipeline.physics.slopes import compute_slopes
 from pipeline.sensors.spec import SensorSpec

@@ -11,8 +11,7 @@ from pipeline.calibration.calibration_table import Calibration
 from pipeline.geometry.camera import Camera
 from pipeline.sensors.spec import SensorSpec
 from pipeline.values.frames import TactileFrame
-from pipeline.values.pixel_index import make_pixel_index
-from pipeline.values.results import DepthMap
+from pipeline.values.results import DepthMap, make_pixel_index
 
 MAX_SIDE_PX = 220  # longer side of a draft's image; at half of it faint touches are lost
 _HALF = 0.5

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.base.arrays import Doubles, Floats, Image, freeze
+from pipeline.base.errors import StageWarning
 from pipeline.base.memo import Memo
-from pipeline.base.stage_warnings import StageWarning
 from pipeline.engine.digests import compute_cached_digest
 
 _BLOCKS_ALONG = 54  # blocks along the longer side: more do not improve the fit of smooth changes

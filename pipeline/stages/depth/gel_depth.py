@@ -14,9 +14,8 @@ from typing import cast
 import numpy as np
 
 from pipeline.base.arrays import Floats, Image, Mask, freeze
-from pipeline.base.errors import ShapeError
+from pipeline.base.errors import AT_BORDER, ShapeError, StageWarning
 from pipeline.base.progress import Progress
-from pipeline.base.stage_warnings import AT_BORDER, StageWarning
 from pipeline.calibration import near_led_prior
 from pipeline.calibration.calibration_table import Calibration, check_calibration, make_built_in
 from pipeline.sensors.spec import Gel, SensorSpec
@@ -26,7 +25,6 @@ from pipeline.stages.depth import (
     drift,
     false_contacts,
     instance_check,
-    light_changes,
     rest_level,
 )
 from pipeline.stages.depth.change_detection import ImageWindow
@@ -34,8 +32,7 @@ from pipeline.stages.depth.illumination import frame_illumination, gel_surface
 from pipeline.stages.depth.illumination.light import Illumination
 from pipeline.stages.depth.poisson import Boundary
 from pipeline.values.frames import TactileFrame
-from pipeline.values.pixel_index import make_pixel_index
-from pipeline.values.results import DepthMap
+from pipeline.values.results import DepthMap, make_pixel_index
 
 _FADE_START, _FADE_END = 0.2, 0.6  # gel thicknesses from the contact, see `_relax_surface`
 _FAR = 0.7  # gel thicknesses from the contact: the gel is neither indented nor pulled down there (`rest_level`)
@@ -136,7 +133,7 @@ def measure_gel_depth(
             median_pressure_share=calibration.median_pressure_share or contact.MEDIAN_PRESSURE_SHARE,
         )  # fmt: skip
         pressed = contact.remove_specks(pressed & (window.changed | inside), max(4, round(_SPECK_MM2 / pixel_mm**2)))
-        dents = light_changes.remove_light_changes(pressed, surface, changed, used)
+        dents = false_contacts.remove_light_changes(pressed, surface, changed, used)
         if pressed.any() and not dents.any():
             notes, surface = [*notes, _LIGHT_CHANGE], np.zeros_like(surface)
         pressed = false_contacts.remove_false_contacts(dents, surface, pixel_mm, _border(shape)[here], window.changed)

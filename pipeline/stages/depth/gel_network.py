@@ -18,10 +18,10 @@ from typing import cast
 import numpy as np
 
 from pipeline.base.arrays import Floats, Image, Mask, freeze
+from pipeline.base.errors import AT_BORDER, StageWarning
 from pipeline.base.memo import Memo
 from pipeline.base.params import setting
 from pipeline.base.progress import SILENT, Progress, SubProgress
-from pipeline.base.stage_warnings import AT_BORDER, StageWarning
 from pipeline.calibration.calibration_table import Calibration
 from pipeline.engine.digests import compute_cached_digest
 from pipeline.networks.gel_depth_prediction import PHYSICS_CONTACT_LOGIT, GelDepthPrediction

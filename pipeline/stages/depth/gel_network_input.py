@@ -20,8 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.base.arrays import Floats, Image, Mask, freeze
-from pipeline.base.ranks import percentile
+from pipeline.base.arrays import Floats, Image, Mask, freeze, percentile
 from pipeline.geometry.camera import Camera
 from pipeline.physics import optics
 from pipeline.physics.slopes import compute_slopes

@@ -7,8 +7,8 @@ the lens of one instance drift. The check measures what drift (`drift`) cannot e
 import numpy as np
 
 from pipeline.base.arrays import Image
+from pipeline.base.errors import StageWarning
 from pipeline.base.memo import Memo
-from pipeline.base.stage_warnings import StageWarning
 from pipeline.calibration.calibration_table import Calibration, make_thumbnail
 from pipeline.engine.digests import compute_cached_digest
 from pipeline.stages.depth import drift

@@ -11,11 +11,10 @@ import numpy as np
 
 from pipeline.base.arrays import Image, freeze
 from pipeline.base.entry_points import load_reference
-from pipeline.base.errors import MissingReference, SensorMismatch, ShapeError
+from pipeline.base.errors import MissingReference, SensorMismatch, ShapeError, StageWarning
 from pipeline.base.memo import Memo
 from pipeline.base.params import setting
 from pipeline.base.progress import SILENT, Progress
-from pipeline.base.stage_warnings import StageWarning
 from pipeline.calibration import quality_notes
 from pipeline.calibration.calibration_table import Calibration, make_built_in
 from pipeline.engine.digests import compute_cached_digest
@@ -33,8 +32,7 @@ from pipeline.stages.depth.illumination.light import Illumination
 from pipeline.stages.depth.mirror_check import looks_mirrored
 from pipeline.stages.depth.poisson import Boundary
 from pipeline.values.frames import TactileFrame
-from pipeline.values.pixel_index import make_pixel_index
-from pipeline.values.results import DepthErrorModel, DepthMap
+from pipeline.values.results import DepthErrorModel, DepthMap, make_pixel_index
 
 _UNTOUCHED = "nothing touches the sensor"
 

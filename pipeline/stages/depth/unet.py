@@ -17,14 +17,13 @@ from pipeline.base.progress import Progress
 from pipeline.calibration.calibration_table import Calibration
 from pipeline.engine.graph import Skipped
 from pipeline.networks import published_weights, weights_registry
-from pipeline.networks.reproducible_inference import reproducible_inference
+from pipeline.networks.network_factory import reproducible_inference
 from pipeline.networks.touch_formats import BUBBLE
 from pipeline.networks.weights import NoWeights, Weights
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import photometric
 from pipeline.values.frames import TactileFrame
-from pipeline.values.pixel_index import make_pixel_index
-from pipeline.values.results import DepthMap
+from pipeline.values.results import DepthMap, make_pixel_index
 
 _NOT_SHIPPED = NoWeights(why="no weights of a U-Net are shipped; give yours as --weights depth=unet_bigdata.pth")
 _TOUCHES = 1  # class of the mask network

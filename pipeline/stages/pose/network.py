@@ -19,7 +19,7 @@ from pipeline.engine.graph import Method, Skipped
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh
 from pipeline.networks import weights_registry
-from pipeline.networks.reproducible_inference import reproducible_inference
+from pipeline.networks.network_factory import reproducible_inference
 from pipeline.networks.square_images import normalise, resize_to_square
 from pipeline.networks.weights import NoWeights, Weights
 from pipeline.sensors.spec import SensorSpec

@@ -19,7 +19,7 @@ from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh
 from pipeline.registration.gauss_newton import CentredPoints, NotDetermined
 from pipeline.registration.model import prepare_object
-from pipeline.registration.planar_pose import estimate_planar_pose
+from pipeline.registration.planar import estimate_planar_pose
 from pipeline.registration.pose_selection import SelectedPose, select_pose
 from pipeline.registration.scene import ContactScene, extract_scene
 from pipeline.registration.search import PoseMinimum, PoseSearch

@@ -23,9 +23,8 @@ from pipeline.previews.layers import Layer, make_cloud_layer, make_lines_layer, 
 from pipeline.previews.preview import PixelPositions, Preview, compute_pixel_mm, trace_outline
 from pipeline.stages import ground_truth
 from pipeline.stages.network_fallback import fall_back_without_weights
-from pipeline.stages.pixel_lookup import look_up_element, to_xyz
 from pipeline.stages.pose import network, signed_distances, step_history
-from pipeline.stages.stage import GroundTruth, PreviewContext, ProbePoint, Stage
+from pipeline.stages.stage import GroundTruth, PreviewContext, ProbePoint, Stage, look_up_element, to_xyz
 from pipeline.values.results import DepthMap, ObjectPose
 
 _MAX_LINES = 400  # lines from registered points to the object; more would hide it

@@ -1,7 +1,7 @@
 """Notes and warnings of the target depth stage."""
 
 from pipeline.base.arrays import Floats
-from pipeline.base.stage_warnings import AlignmentWarning, StageWarning
+from pipeline.base.errors import AlignmentWarning, StageWarning
 from pipeline.geometry.camera import MIN_DEPTH_MM
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.target_depth.rasterisation import Rasterisation

@@ -14,15 +14,14 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from pipeline.base.arrays import Floats
-from pipeline.base.errors import ShapeError
+from pipeline.base.errors import ShapeError, UnseenObjectWarning
 from pipeline.base.params import setting
 from pipeline.base.progress import SILENT, Progress, SubProgress
-from pipeline.base.stage_warnings import UnseenObjectWarning
 from pipeline.calibration.calibration_table import Calibration
 from pipeline.engine.graph import Fallback, Skipped
 from pipeline.networks import published_weights, weights_registry
 from pipeline.networks.guidance import GUIDED_STEPS, MAX_WEIGHT, WEIGHTS, GuidedDenoiser, plan_guidance
-from pipeline.networks.reproducible_inference import reproducible_inference
+from pipeline.networks.network_factory import reproducible_inference
 from pipeline.networks.samplers import MAX_STEPS, Solver, make_timestep_schedule, sample
 from pipeline.networks.square_images import (
     decode_image,
@@ -37,10 +36,9 @@ from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import photometric as depth
 from pipeline.stages.touch import physical_render
 from pipeline.stages.touch.depth_condition import build_depth_square
-from pipeline.stages.touch.depth_limit import check_depth_limit
 from pipeline.stages.touch.image_condition import build_reprojected_square
 from pipeline.stages.touch.t2t import render_from_frame
-from pipeline.stages.touch.touch_from_change import make_touch_from_change
+from pipeline.stages.touch.touch_from_change import check_depth_limit, make_touch_from_change
 from pipeline.values.frames import TactileFrame
 from pipeline.values.results import GeneratedTouch, TargetDepth
 

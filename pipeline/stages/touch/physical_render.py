@@ -14,18 +14,16 @@ import numpy as np
 
 from pipeline.base.arrays import Doubles, Floats, Image, Indices, Mask, freeze
 from pipeline.base.entry_points import load_reference
-from pipeline.base.errors import SettingProblem, ShapeError
+from pipeline.base.errors import OutsideViewWarning, SettingProblem, ShapeError, StageWarning, UnseenObjectWarning
 from pipeline.base.memo import Memo
 from pipeline.base.params import setting
 from pipeline.base.progress import SILENT, Progress
-from pipeline.base.stage_warnings import OutsideViewWarning, StageWarning, UnseenObjectWarning
 from pipeline.engine.digests import compute_cached_digest
 from pipeline.engine.graph import Skipped
 from pipeline.geometry.camera import MIN_DEPTH_MM
 from pipeline.physics import bubble, bubble_camera, gel, lattice, optics
 from pipeline.sensors.spec import SensorSpec
-from pipeline.values.pixel_index import make_pixel_index
-from pipeline.values.results import DepthMap, GeneratedTouch, TargetDepth
+from pipeline.values.results import DepthMap, GeneratedTouch, TargetDepth, make_pixel_index
 
 GelSurfaceMode = Literal["press", "follow"]
 

@@ -23,7 +23,7 @@ from pipeline.base.params import setting
 from pipeline.base.progress import SILENT, Progress
 from pipeline.networks.first_pass import FIELD_LIMIT, FirstPassPredictor, ResidualNetwork
 from pipeline.networks.guidance import GUIDED_STEPS, MAX_WEIGHT, WEIGHTS, GuidedDenoiser, plan_guidance
-from pipeline.networks.reproducible_inference import reproducible_inference
+from pipeline.networks.network_factory import reproducible_inference
 from pipeline.networks.samplers import MAX_STEPS, Solver, make_sigma_schedule, sample
 
 if TYPE_CHECKING:

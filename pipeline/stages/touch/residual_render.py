@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pipeline.base.arrays import Floats, Image, Mask, freeze
-from pipeline.base.stage_warnings import ChangeNote, OutsideViewWarning
+from pipeline.base.errors import ChangeNote, OutsideViewWarning
 from pipeline.engine.graph import Fallback
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.touch.residual_diffusion import DenoisingState, ResidualSample

@@ -16,8 +16,15 @@ from pipeline.previews.layers import Layer, make_frame_layer, make_surface_layer
 from pipeline.previews.preview import Preview, make_frame_preview
 from pipeline.stages import ground_truth
 from pipeline.stages.network_fallback import fall_back_without_weights
-from pipeline.stages.pixel_lookup import look_up_element
-from pipeline.stages.stage import GroundTruth, PreviewContext, ProbePoint, Stage, StepCurve, StepHistory
+from pipeline.stages.stage import (
+    GroundTruth,
+    PreviewContext,
+    ProbePoint,
+    Stage,
+    StepCurve,
+    StepHistory,
+    look_up_element,
+)
 from pipeline.stages.touch import latent_diffusion, physical_render, t2d2, t2t, vqvae
 from pipeline.stages.touch.latent_diffusion import LatentParams
 from pipeline.stages.touch.residual_diffusion import DiffusionParams, make_draft_params

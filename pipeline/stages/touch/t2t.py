@@ -12,10 +12,9 @@ from pathlib import Path
 from typing import Any, cast
 
 from pipeline.base.arrays import Floats
-from pipeline.base.errors import ShapeError
+from pipeline.base.errors import ShapeError, StageWarning, select_warnings
 from pipeline.base.memo import Memo
 from pipeline.base.progress import SILENT, Progress, SubProgress
-from pipeline.base.stage_warnings import StageWarning, select_warnings
 from pipeline.calibration.calibration_table import Calibration
 from pipeline.engine.digests import compute_cached_digest
 from pipeline.engine.graph import Fallback, Method, Skipped
@@ -38,10 +37,10 @@ from pipeline.stages.touch.confidence_weighting import (
     shrink_to_prior,
 )
 from pipeline.stages.touch.depth_condition import make_working_sensor
-from pipeline.stages.touch.depth_limit import check_depth_limit
 from pipeline.stages.touch.image_condition import build_image_condition
 from pipeline.stages.touch.residual_diffusion import DiffusionParams, sample_residual
 from pipeline.stages.touch.residual_render import EdgeUncertainty, render_correction, report_change
+from pipeline.stages.touch.touch_from_change import check_depth_limit
 from pipeline.values.frames import TactileFrame
 from pipeline.values.results import DepthMap, GeneratedTouch
 

@@ -17,7 +17,7 @@ from pipeline.base.progress import SILENT, Progress
 from pipeline.calibration.calibration_table import Calibration
 from pipeline.engine.graph import Skipped
 from pipeline.networks import published_weights, weights_registry
-from pipeline.networks.reproducible_inference import reproducible_inference
+from pipeline.networks.network_factory import reproducible_inference
 from pipeline.networks.square_images import (
     denormalise,
     normalise,
@@ -30,9 +30,8 @@ from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import photometric as depth
 from pipeline.stages.touch import physical_render
-from pipeline.stages.touch.depth_limit import check_depth_limit
 from pipeline.stages.touch.image_condition import reproject_square
-from pipeline.stages.touch.touch_from_change import make_touch_from_change
+from pipeline.stages.touch.touch_from_change import check_depth_limit, make_touch_from_change
 from pipeline.values.frames import TactileFrame
 from pipeline.values.results import GeneratedTouch
 

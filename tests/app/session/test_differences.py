@@ -7,7 +7,7 @@ from pathlib import Path
 
 from app.session.differences import describe_differences
 from app.session.state import Session
-from pipeline.sensors.offsets import Offsets
+from pipeline.sensors.alignment import Offsets
 from pipeline.stages.cloud.stage import STAGE as CLOUD
 from pipeline.translation.catalogue import BUILT_IN
 

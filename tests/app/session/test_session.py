@@ -15,7 +15,7 @@ from app.session.undo import SessionChange
 from pipeline.base.errors import FileProblem
 from pipeline.base.params import replace_value
 from pipeline.previews.display_params import DisplayParams
-from pipeline.sensors.offsets import Offsets
+from pipeline.sensors.alignment import Offsets
 
 
 def a_session(folder: Path) -> Session:

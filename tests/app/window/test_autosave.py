@@ -33,7 +33,7 @@ from app.window import autosave
 autosave.AUTOSAVE_DELAY_MS = 50
 application = make_application()
 from app.session.state import Session
-from pipeline.sensors.offsets import Offsets
+from pipeline.sensors.alignment import Offsets
 controller = show_window(Session(recording=Path(sys.argv[1]), target="gelslim", frame=2), with_scene=False)
 controller.change("move", offsets=Offsets(translation_mm=(1.5, 0.0, 0.0)))
 file = next(c for c in controller.children() if isinstance(c, autosave.AutosaveController)).recovery_file
@@ -51,7 +51,7 @@ def find_autosave(controller) -> AutosaveController:
 
 
 def move(controller, mm: float = 1.5) -> None:
-    from pipeline.sensors.offsets import Offsets
+    from pipeline.sensors.alignment import Offsets
 
     controller.change("move the alignment", offsets=Offsets(translation_mm=(mm, 0.0, 0.0)))
 

@@ -24,7 +24,7 @@ from pipeline.base.params import replace_value
 from pipeline.cli.main import build_app, run_app
 from pipeline.reporting.export import export_file
 from pipeline.reporting.export_request import format_command
-from pipeline.sensors.offsets import Offsets
+from pipeline.sensors.alignment import Offsets
 from pipeline.stages.depth.photometric import DepthParams
 from pipeline.stages.depth.stage import PHYSICS
 from pipeline.translation.cross_section import SectionLine

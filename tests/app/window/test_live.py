@@ -13,8 +13,8 @@ from PyQt6.QtCore import QCoreApplication
 from app.window.live import LiveController
 from app.window.tour import wait_until_shown
 from pipeline.live import reader
-from pipeline.live.simulated_source import SimulatedSource
 from pipeline.live.source import LiveFrame, LiveSourceLost
+from pipeline.live.source_parsing import SimulatedSource
 from pipeline.recordings import open_recording
 from pipeline.sensors.spec import load_sensor
 

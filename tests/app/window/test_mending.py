@@ -16,7 +16,7 @@ from app.window.session_controller import SessionController
 from app.window.tour import wait_until_shown
 from pipeline.recordings import open_recording
 from pipeline.recordings.formats import list_formats
-from pipeline.sensors.offsets import Offsets
+from pipeline.sensors.alignment import Offsets
 from pipeline.sensors.spec import list_sensor_names, load_sensor
 from widgets.welcome import WelcomePage
 

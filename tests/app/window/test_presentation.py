@@ -16,7 +16,7 @@ from app.window.export import ExportController
 from app.window.live import LiveController
 from app.window.presentation import PresentationController, PresentationVideoController
 from app.window.tour import wait_until_shown
-from pipeline.live.simulated_source import SimulatedSource
+from pipeline.live.source_parsing import SimulatedSource
 from pipeline.reporting import video
 from widgets.magnifier import MAX_RADIUS_PX
 from widgets.presentation_view import compose

@@ -10,11 +10,9 @@ from hypothesis import strategies as st
 from pipeline.alignment.nudge import axis_unit, compute_pivot_mm, nudge
 from pipeline.base.arrays import freeze
 from pipeline.geometry import rigid
-from pipeline.sensors.alignment import resolve_alignment, shift_alignment_along_z
-from pipeline.sensors.offsets import AXES
+from pipeline.sensors.alignment import AXES, resolve_alignment, shift_alignment_along_z
 from pipeline.sensors.spec import load_sensor
-from pipeline.values.pixel_index import make_pixel_index
-from pipeline.values.results import DepthMap
+from pipeline.values.results import DepthMap, make_pixel_index
 
 EXACT = 1e-9  # mm: rounding of float64 at a hundred millimetres, with room
 GEL, BUBBLE = load_sensor("gelslim"), load_sensor("soft_bubble")

@@ -13,13 +13,11 @@ from pipeline.base.arrays import freeze
 from pipeline.base.errors import SettingProblem
 from pipeline.base.progress import SILENT, Cancelled
 from pipeline.geometry import rigid
-from pipeline.sensors.alignment import correct_alignment, resolve_alignment
-from pipeline.sensors.offsets import compose_motion
+from pipeline.sensors.alignment import compose_motion, correct_alignment, resolve_alignment
 from pipeline.sensors.spec import load_sensor
 from pipeline.simulation import shapes
 from pipeline.simulation.press import simulate_press
-from pipeline.values.pixel_index import make_pixel_index
-from pipeline.values.results import DepthMap
+from pipeline.values.results import DepthMap, make_pixel_index
 
 SOURCE, TARGET = load_sensor("digit"), load_sensor("gelslim")
 ALIGNED = resolve_alignment(SOURCE, TARGET)

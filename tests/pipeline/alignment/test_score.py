@@ -11,14 +11,12 @@ from pipeline.alignment.touches import AlignmentTouch, find_pivot, load_paired_t
 from pipeline.base.arrays import freeze
 from pipeline.base.errors import SettingProblem
 from pipeline.geometry import rigid
-from pipeline.sensors.alignment import resolve_alignment
-from pipeline.sensors.offsets import AXES
+from pipeline.sensors.alignment import AXES, resolve_alignment
 from pipeline.sensors.spec import load_sensor
 from pipeline.simulation import shapes
 from pipeline.simulation.press import simulate_press
 from pipeline.translation.translate import Request, open_translation
-from pipeline.values.pixel_index import make_pixel_index
-from pipeline.values.results import DepthMap
+from pipeline.values.results import DepthMap, make_pixel_index
 from sample_data.make_samples import RECORDINGS_FOLDER
 
 SOURCE, TARGET = load_sensor("digit"), load_sensor("gelslim")

@@ -8,12 +8,12 @@ import sys
 
 import pytest
 
-from pipeline.base.allocator import release_free_memory
+from pipeline.base.processes import release_free_memory
 
 CODE = """
 import threading
 from pathlib import Path
-from pipeline.base.allocator import limit_arenas, release_free_memory
+from pipeline.base.processes import limit_arenas, release_free_memory
 
 def resident_mb():
     return int(Path("/proc/self/statm").read_text().split()[1]) * 4096 / 2**20

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import sys
 
-from pipeline.base.lazy_import import defer_import
+from pipeline.base.arrays import defer_import
 
 
 def test_a_module_is_loaded_by_the_first_look_into_it(tmp_path, monkeypatch):

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.base import ranks
+from pipeline.base import arrays
 
 
 @settings(max_examples=60)
@@ -19,13 +19,13 @@ def test_medians_equal_numpys_and_percentiles_do_to_rounding(n, seed, size, roun
     values = np.round(values) if rounds else values  # ties, both signs, zeros
     where = rng.random(n) < share
     where[rng.integers(n)] = True
-    assert ranks.median(values, where) == np.median(values[where])
+    assert arrays.median(values, where) == np.median(values[where])
     percent = 100.0 * share
-    off = abs(ranks.percentile(values, percent) - np.percentile(values, percent))
+    off = abs(arrays.percentile(values, percent) - np.percentile(values, percent))
     assert off <= 2e-7 * np.abs(values).max()
 
 
 def test_order_in_memory_does_not_matter():
     image = np.arange(12, dtype=np.float32).reshape(3, 4)
-    assert ranks.median(image.T) == np.median(image)
-    assert ranks.median(image[:, ::2], np.ones((3, 2), np.bool_)) == np.median(image[:, ::2])
+    assert arrays.median(image.T) == np.median(image)
+    assert arrays.median(image[:, ::2], np.ones((3, 2), np.bool_)) == np.median(image[:, ::2])

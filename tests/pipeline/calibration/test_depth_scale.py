@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.calibration.depth_scale import fit_depth_scale
+from pipeline.stages.depth.ball_calibration import fit_depth_scale
 
 SHAPE = (240, 320)
 RATIO = st.floats(0.7, 1.4)

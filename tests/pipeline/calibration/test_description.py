@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.base.stage_warnings import StageWarning
+from pipeline.base.errors import StageWarning
 from pipeline.calibration import quality_notes
 from pipeline.calibration.calibration_table import BallFit, ExpectedError, make_built_in
 from pipeline.calibration.quality_notes import UNCALIBRATED

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from app.session.state import Session, load_session, save_session
+from pipeline.alignment.coarse_start import align_tiles, find_view_middle
 from pipeline.alignment.nudge import nudge
-from pipeline.alignment.rigid_start import align_tiles, find_view_middle
 from pipeline.base.errors import SettingProblem
 from pipeline.cli.align import parse_frames
 from pipeline.cli.align_fit import is_consistent

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pipeline.base.errors import SettingProblem
-from pipeline.evaluation.bias_variance import estimate_bias_variance
+from pipeline.evaluation.seed_comparison import estimate_bias_variance
 
 SHAPE, COUNT = (60, 80), 16
 RNG = np.random.default_rng(3)

@@ -10,9 +10,8 @@ import pytest
 
 from pipeline.base.errors import FileProblem, SettingProblem
 from pipeline.imprints.agreement import compute_correlation
-from pipeline.imprints.difference_tiles import detect_ridges
 from pipeline.imprints.image_rotation import ORIENTATIONS, orient_image, rotate_half_turn
-from pipeline.imprints.tiles import load_tile_pairs
+from pipeline.imprints.tiles import detect_ridges, load_tile_pairs
 from pipeline.physics.optics import compute_colour_change
 from pipeline.sensors.spec import load_sensor
 from tests.pipeline.imprints.scenes import strokes

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.base.stage_warnings import select_warnings
+from pipeline.base.errors import select_warnings
 from pipeline.inspection.synchrony import ContactSignature, compare_signatures, compare_streams, compute_signature
 from pipeline.recordings import open_recording
 

@@ -22,11 +22,10 @@ import pytest
 from pipeline.base.errors import FileProblem, SettingProblem
 from pipeline.cli.main import build_app, run_app
 from pipeline.live import reader, reference_capture, usb_camera
-from pipeline.live.folder_source import FolderSource
 from pipeline.live.reader import LiveReader
 from pipeline.live.recorder import LiveRecorder
-from pipeline.live.simulated_source import SimulatedSource
 from pipeline.live.source import LiveFrame, LiveSourceLost
+from pipeline.live.source_parsing import FolderSource, SimulatedSource
 from pipeline.live.usb_camera import UsbCameraSource, list_usb_cameras
 from pipeline.recordings import hdf5, mounts, open_recording
 from pipeline.sensors.spec import load_sensor

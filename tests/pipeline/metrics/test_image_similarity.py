@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.metrics.image_similarity import BORDER_PX, compute_similarity_map
+from pipeline.evaluation.touch_metrics import BORDER_PX, compute_similarity_map
 
 
 def similarity(a, b, data_range):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.linalg import sqrtm
 
-from pipeline.metrics.set_distances import MIN_TOUCHES, compare_halves, compute_floor, frechet_distance, kernel_distance
+from pipeline.evaluation.table_rows import MIN_TOUCHES, compare_halves, compute_floor, frechet_distance, kernel_distance
 
 
 def sets(n=60, d=6, shift=0.0, seed=0):

@@ -10,8 +10,7 @@ import pytest
 import torch
 
 from pipeline.engine.digests import compute_digest
-from pipeline.networks.network_factory import load_network
-from pipeline.networks.reproducible_inference import reproducible_inference
+from pipeline.networks.network_factory import load_network, reproducible_inference
 from pipeline.networks.weights_registry import load_shipped
 from pipeline.stages.touch.latent_diffusion import LatentParams, sample_image
 from pipeline.stages.touch.residual_diffusion import DiffusionParams, sample_residual

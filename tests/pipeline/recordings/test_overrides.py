@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from pipeline.recordings import open_recording
+from pipeline.recordings.format_dispatch import with_sensor
 from pipeline.recordings.hdf5_writer import RecordingWriter
-from pipeline.recordings.overrides import with_sensor
 from pipeline.values.frames import TactileFrame
 
 

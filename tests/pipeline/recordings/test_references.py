@@ -6,10 +6,10 @@ import cv2
 import numpy as np
 import pytest
 
-from pipeline.base.stage_warnings import select_warnings
+from pipeline.base.errors import select_warnings
 from pipeline.physics import optics
 from pipeline.recordings.format_dispatch import open_recording
-from pipeline.recordings.reference_denoising import denoise_reference
+from pipeline.recordings.reference_images import denoise_reference
 from pipeline.sensors.spec import load_sensor
 from tests.pipeline.stages.test_depth import press
 

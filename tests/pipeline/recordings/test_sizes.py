@@ -12,7 +12,7 @@ from pipeline.base.errors import FileProblem
 from pipeline.inspection.recording_report import inspect_recording
 from pipeline.physics.optics import compute_colour_change, render_reference
 from pipeline.recordings import open_recording
-from pipeline.sensors.reference_light import compute_reference_light
+from pipeline.sensors.parts import compute_reference_light
 from pipeline.sensors.spec import load_sensor
 from pipeline.stages.depth.photometric import DepthParams, estimate_depth
 

@@ -7,7 +7,7 @@ import pytest
 
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import sample_surface
-from pipeline.registration.grasp_pose import compute_first_euler_deg, compute_grasp_pose_error
+from pipeline.registration.planar import compute_first_euler_deg, compute_grasp_pose_error
 from pipeline.simulation import shapes
 
 MESH = shapes.make_shape("three_lines").mesh

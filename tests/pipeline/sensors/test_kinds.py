@@ -29,8 +29,7 @@ from pipeline.stages.depth.photometric import DepthParams
 from pipeline.stages.touch import latent_diffusion, t2d2, t2t, vqvae
 from pipeline.translation.translate import Request, open_translation
 from pipeline.values.frames import TactileFrame
-from pipeline.values.pixel_index import make_pixel_index
-from pipeline.values.results import DepthMap
+from pipeline.values.results import DepthMap, make_pixel_index
 
 TOML = """kind = "taxels"
 title = "Taxel array"

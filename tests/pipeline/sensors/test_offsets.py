@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 
 from pipeline.base.typed_data import InvalidField, check
 from pipeline.geometry import rigid
-from pipeline.sensors.alignment import resolve_alignment
-from pipeline.sensors.offsets import Offsets, decompose_motion
+from pipeline.sensors.alignment import Offsets, decompose_motion, resolve_alignment
 from pipeline.sensors.spec import load_sensor
 
 ROUNDING_MM = 1e-9  # points within 300 mm, double precision

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.base.stage_warnings import select_warnings
+from pipeline.base.errors import select_warnings
 from pipeline.geometry import rigid
 from pipeline.metrics.stage_metrics import iou
 from pipeline.networks import network_factory

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.base.errors import CalibrationError, ShapeError
-from pipeline.base.stage_warnings import AT_BORDER, select_warnings
+from pipeline.base.errors import AT_BORDER, CalibrationError, ShapeError, select_warnings
 from pipeline.calibration.calibration_table import BallFit, make_built_in
 from pipeline.calibration.quality_notes import UNCALIBRATED
 from pipeline.geometry.camera import Camera

@@ -20,8 +20,7 @@ from pipeline.stages.depth.illumination.light import Illumination
 from pipeline.stages.depth.photometric import DepthParams, estimate_depth
 from pipeline.stages.pose.signed_distances import PoseParams, track_pose
 from pipeline.values.frames import TactileFrame
-from pipeline.values.pixel_index import make_pixel_index
-from pipeline.values.results import DepthMap
+from pipeline.values.results import DepthMap, make_pixel_index
 
 PRESSES = 6
 WITHIN, LENGTHS_WITHIN = 2.5, 2.5  # one object's six presses; errors of single touches scatter by as much

@@ -8,9 +8,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from pipeline.base.errors import ShapeError
+from pipeline.base.errors import AT_BORDER, ShapeError
 from pipeline.base.progress import SILENT
-from pipeline.base.stage_warnings import AT_BORDER
 from pipeline.calibration.calibration_table import BallFit, make_built_in
 from pipeline.geometry import rigid
 from pipeline.metrics.stage_metrics import compute_mae_mm

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from pipeline.base.stage_warnings import select_warnings
+from pipeline.base.errors import select_warnings
 from pipeline.calibration.calibration_table import make_built_in, make_thumbnail
 from pipeline.physics import optics
 from pipeline.sensors.spec import load_sensor

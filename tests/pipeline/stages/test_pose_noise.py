@@ -11,8 +11,7 @@ from pipeline.geometry.camera import Camera
 from pipeline.physics import lattice
 from pipeline.simulation import shapes
 from pipeline.stages.pose.signed_distances import PoseParams, track_pose
-from pipeline.values.pixel_index import make_pixel_index
-from pipeline.values.results import DepthErrorModel, DepthMap
+from pipeline.values.results import DepthErrorModel, DepthMap, make_pixel_index
 
 CAMERA = Camera(rows=120, cols=160, fx_px=120.0, fy_px=120.0, cx_px=79.5, cy_px=59.5)
 REST_MM, DEEP_MM, PIXEL_MM = 20.0, 1.0, 20.0 / 120.0

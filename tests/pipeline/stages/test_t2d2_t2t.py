@@ -30,8 +30,7 @@ from pipeline.stages.touch.stage import PHYSICS, T2D2, T2T
 from pipeline.training.touch_residual import TouchResidualTask
 from pipeline.translation.catalogue import BUILT_IN
 from pipeline.values.frames import TactileFrame
-from pipeline.values.pixel_index import make_pixel_index
-from pipeline.values.results import TargetDepth
+from pipeline.values.results import TargetDepth, make_pixel_index
 
 GEL, BUBBLE = load_sensor("gelslim"), load_sensor("soft_bubble")
 

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from pipeline.base.stage_warnings import OutsideViewWarning, UnseenObjectWarning
+from pipeline.base.errors import OutsideViewWarning, UnseenObjectWarning
 from pipeline.evaluation.variants import list_method_variants
 from pipeline.metrics.stage_metrics import compute_mae_mm
 from pipeline.recordings import open_recording

@@ -8,8 +8,8 @@ import pytest
 from pipeline.geometry import rigid
 from pipeline.simulation.shapes.prisms import make_chamfered_prism
 from pipeline.simulation.shapes.solids import transform_mesh
-from pipeline.tasks.descent import BEYOND_MM, STIFFNESS_N_MM, insert
 from pipeline.tasks.in_hand import PlanarPose
+from pipeline.tasks.insertion import BEYOND_MM, STIFFNESS_N_MM, insert
 from pipeline.tasks.peg import cut_peg
 from pipeline.tasks.rolling import TICK_S, RollingBall
 from pipeline.tasks.scene import GRAVITY_MM_S2, Scene, write_pose

@@ -12,8 +12,7 @@ from pipeline.sensors.spec import load_sensor
 from pipeline.simulation import shapes
 from pipeline.simulation.overhang import compute_lowest_mm
 from pipeline.simulation.press import simulate_press
-from pipeline.values.pixel_index import make_pixel_index
-from pipeline.values.results import DepthMap
+from pipeline.values.results import DepthMap, make_pixel_index
 
 GELSLIM = load_sensor("gelslim_dotless")
 

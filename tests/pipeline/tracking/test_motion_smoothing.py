@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.tracking.motion_smoothing import smooth_coordinates
+from pipeline.tracking.track import smooth_coordinates
 
 FRAMES = np.arange(40.0)
 

@@ -15,8 +15,7 @@ from pipeline.simulation.press import simulate_press
 from pipeline.simulation.shapes import list_labelled_shapes, make_shape
 from pipeline.training import touch_squares
 from pipeline.training.loop import to_tensors
-from pipeline.training.partial_touches import simulate_partial_touch
-from pipeline.training.touch_pose import TouchPoseTask, compute_rotation_loss, flip_touch
+from pipeline.training.touch_pose import TouchPoseTask, compute_rotation_loss, flip_touch, simulate_partial_touch
 from pipeline.training.touch_squares import simulate_touch_squares
 
 

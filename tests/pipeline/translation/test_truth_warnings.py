@@ -10,7 +10,7 @@ import pytest
 
 from app.session.sample import SAMPLE_RECORDING
 from pipeline.base.arrays import freeze
-from pipeline.base.stage_warnings import StageWarning, select_warnings
+from pipeline.base.errors import StageWarning, select_warnings
 from pipeline.engine.digests import compute_cached_digest
 from pipeline.engine.graph import StageResult
 from pipeline.geometry.camera import Camera
@@ -18,7 +18,7 @@ from pipeline.recordings import open_recording
 from pipeline.stages.stage import GroundTruth
 from pipeline.translation.frame_selection import find_contact_frame, select_context_images
 from pipeline.translation.translate import Request, open_translation
-from pipeline.translation.truth_warnings import add_truth_warnings
+from pipeline.translation.truth_view import add_truth_warnings
 from pipeline.values.frames import TactileFrame, Truth
 from pipeline.values.results import TargetDepth
 

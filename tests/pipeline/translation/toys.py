@@ -14,8 +14,7 @@ from pipeline.previews.layers import make_grid_layer
 from pipeline.previews.preview import Preview
 from pipeline.stages.stage import ProbePoint, Stage
 from pipeline.translation.catalogue import BUILT_IN, Catalogue, Route
-from pipeline.values.pixel_index import make_pixel_index
-from pipeline.values.results import GeneratedTouch
+from pipeline.values.results import GeneratedTouch, make_pixel_index
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

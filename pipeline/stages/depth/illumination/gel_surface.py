@@ -6,10 +6,9 @@ from functools import cached_property
 
 import numpy as np
 
-from pipeline.base.arrays import Floats, Image
+from pipeline.base.arrays import Floats, Image, median
 from pipeline.base.errors import CalibrationError
 from pipeline.base.progress import Progress
-from pipeline.base.ranks import median
 from pipeline.calibration.calibration_table import Calibration, compute_slopes
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import change_detection, drift

@@ -16,8 +16,7 @@ import numpy as np
 from pipeline.base.arrays import Doubles, Floats
 from pipeline.calibration import near_led_prior, slope_model
 from pipeline.physics.optics import apply_shadows, pack_leds, require_optics
-from pipeline.sensors.parts import Led, Optics
-from pipeline.sensors.reference_light import compute_mean_reference_light
+from pipeline.sensors.parts import Led, Optics, compute_mean_reference_light
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth.illumination.constants import DESCRIBED_STEP, TRUSTED_STEP
 from pipeline.stages.depth.illumination.image_patch import ImagePatch, compute_cell_means

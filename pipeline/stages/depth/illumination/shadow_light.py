@@ -19,7 +19,7 @@ import numpy as np
 
 from pipeline.base.arrays import Doubles, Floats
 from pipeline.physics import optics
-from pipeline.sensors.reference_light import compute_mean_reference_light
+from pipeline.sensors.parts import compute_mean_reference_light
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth.illumination.constants import SHADOW_STEP
 from pipeline.stages.depth.illumination.image_patch import ImagePatch

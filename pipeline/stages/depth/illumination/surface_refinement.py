@@ -25,8 +25,7 @@ the clearest.
 
 import numpy as np
 
-from pipeline.base.arrays import Floats
-from pipeline.base.ranks import percentile
+from pipeline.base.arrays import Floats, percentile
 from pipeline.physics.slopes import compute_slopes
 from pipeline.stages.depth.illumination.constants import CONSTANTS
 from pipeline.stages.depth.illumination.image_patch import (
