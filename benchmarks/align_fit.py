@@ -26,9 +26,8 @@ from benchmarks.harness.results import BenchmarkResult, Measurement
 from benchmarks.harness.text_report import print_result
 from benchmarks.harness.timing import Requirement, build_measurement, summarize_times
 from benchmarks.scenes.depth_helpers import recorded_data
-from pipeline.alignment.coarse_start import align_rigidly
+from pipeline.alignment.coarse_start import align_rigidly, make_touch_pairs
 from pipeline.alignment.refine import refine_alignment
-from pipeline.alignment.touch_imprints import make_touch_pairs
 from pipeline.alignment.touches import load_paired_touches
 from pipeline.imprints.agreement import compute_correlation
 from pipeline.imprints.fitting import fit_pairs, score_fit

@@ -30,7 +30,7 @@ from pipeline.geometry import rigid
 from pipeline.geometry.distance_grid import DistanceGrid, build_grid
 from pipeline.geometry.meshes import Mesh, sample_surface
 from pipeline.registration.gauss_newton import CentredPoints, FitOptions, PoseFit, fit_pose
-from pipeline.simulation.shapes import prisms, solids
+from pipeline.simulation.shapes import solids
 
 NOISE_MM, N_MODEL, N_CONTACT, REACH_MM, TRIALS = 0.03, 20_000, 4_000, 2.0, 96
 _DEEP_MM, _TURN_DEG, _SHIFT_MM = 2.0, 5.0, 0.7
@@ -67,7 +67,7 @@ def tool() -> Tool:
     shaft = solids.transform_mesh(solids.revolve_profile(profile, 192, "shaft"), rigid.rotation([0.0, np.pi / 2, 0.0]))
     outline = [(3.0, -12.0), (9.0, -12.0), (9.0, 12.0), (3.0, 12.0)]
     bar = solids.transform_mesh(
-        prisms.make_chamfered_prism(outline, 6.0, 1.0, "bar"), rigid.translation(0.0, 0.0, -4.6)
+        solids.make_chamfered_prism(outline, 6.0, 1.0, "bar"), rigid.translation(0.0, 0.0, -4.6)
     )
     points, normals = _outer(shaft, bar, 400_000)
     low = points[:, 2] < points[:, 2].min() + _DEEP_MM

@@ -12,8 +12,7 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
-from pipeline.alignment.score import AlignmentScore
-from pipeline.alignment.sensitivity import Sensitivity
+from pipeline.alignment.score import AlignmentScore, Sensitivity
 from pipeline.sensors.alignment import AXES, Axis
 from widgets.axis_row import AxisRow
 from widgets.fonts import resize_font

@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from PyQt6.QtCore import QSize, Qt
 from PyQt6.QtWidgets import QFrame, QHBoxLayout, QLabel, QMenu, QPushButton, QSizePolicy, QToolButton, QVBoxLayout
 
-from pipeline.base.text import escape_text
+from pipeline.base.errors import escape_text
 from widgets.run_bar import RunBar
 from widgets.styling import fill, make_single_shot_timer
 

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from PyQt6.QtCore import QRectF, Qt
 from PyQt6.QtGui import QPainter
 
-from pipeline.alignment.sensitivity import UNIT_STEP, ScoreChange, Sensitivity
+from pipeline.alignment.score import UNIT_STEP, ScoreChange, Sensitivity
 from widgets.fonts import resize_font
 from widgets.painted_widget import FIXED, PaintedWidget
 from widgets.theme import ThemeColours, to_qcolor

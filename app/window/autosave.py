@@ -17,8 +17,7 @@ from app.window import dialogs
 from app.window.logs import log
 from app.window.session_controller import SessionController
 from app.work.jobs import LatestJob
-from pipeline.base.errors import TouchError
-from pipeline.base.text import escape_text
+from pipeline.base.errors import TouchError, escape_text
 from pipeline.recordings.mounts import is_mounted
 from pipeline.translation.translate import Translation
 from widgets.notification_bar import NotificationBar

@@ -11,8 +11,7 @@ from app.window.autosave import AutosaveController
 from app.window.export import ExportController
 from app.window.session_controller import SessionController
 from app.work.jobs import JobReporter
-from pipeline.base.errors import SettingProblem
-from pipeline.base.text import escape_text
+from pipeline.base.errors import SettingProblem, escape_text
 from pipeline.translation.translate import Translation
 
 _DIAMETER_MM = 6.35  # of a quarter-inch bearing ball

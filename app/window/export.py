@@ -18,8 +18,7 @@ from app.window.sweep import SweepController
 from app.work.jobs import JobFunction, JobReporter
 from app.work.requests import make_request
 from app.work.variants import format_compare_command
-from pipeline.base.errors import TouchError
-from pipeline.base.text import escape_text
+from pipeline.base.errors import TouchError, escape_text
 from pipeline.reporting.export_request import SHEET, SOURCE, ExportRequest, PaneContent, format_command, format_settings
 from widgets.export_dialog import ExportDialog
 from widgets.notification_bar import Choice, NotificationBar

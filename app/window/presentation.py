@@ -11,7 +11,7 @@ from app.window.session_controller import SessionController
 from app.work.evaluator import Evaluator
 from app.work.jobs import JobReporter
 from app.work.presentation import choose_presented_stages, make_panes, write_presentation
-from pipeline.base.text import escape_text
+from pipeline.base.errors import escape_text
 from pipeline.previews.contrast import FittedContrast
 from pipeline.reporting.video import find_h264_encoder
 from widgets.magnifier import Magnifier

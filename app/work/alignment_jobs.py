@@ -8,8 +8,7 @@ from app.work.evaluator import Evaluator
 from app.work.jobs import JobReporter
 from app.work.requests import get_depth_params, make_request
 from pipeline.alignment.refine import Refinement, refine_alignment
-from pipeline.alignment.score import AlignmentScore
-from pipeline.alignment.sensitivity import Sensitivity
+from pipeline.alignment.score import AlignmentScore, Sensitivity
 from pipeline.alignment.touches import load_paired_touches
 from pipeline.base.arrays import Doubles
 from pipeline.base.errors import SettingProblem

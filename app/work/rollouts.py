@@ -53,7 +53,7 @@ def list_trial_folder(path: Path, report: JobReporter) -> TrialFolder:
 
 def _choose_fields(trial: TrialRow) -> Mapping[str, Any]:
     """The fields of the session that translate a rollout's frames as its controller did."""
-    from pipeline.tasks.catalogue import load_task
+    from pipeline.tasks.task import load_task
     from pipeline.tasks.touches import make_touch_request
 
     task = load_task(trial.task)
@@ -67,9 +67,9 @@ def _choose_fields(trial: TrialRow) -> Mapping[str, Any]:
 def open_rollout(path: Path, report: JobReporter) -> OpenRollout:
     """Read a rollout and build its scene; raises FileProblem."""
     from pipeline.base.errors import TouchError
-    from pipeline.tasks.catalogue import load_task
     from pipeline.tasks.rollout_file import list_places, read_rollout
     from pipeline.tasks.scene_view import build_scene, compute_bounds, make_plain_scene, make_scene_layers
+    from pipeline.tasks.task import load_task
     from pipeline.tasks.traces import make_traces
 
     report.step(0.0, "reading the rollout")

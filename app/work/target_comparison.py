@@ -5,8 +5,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from pipeline.alignment.nudge import compute_pivot_mm
-from pipeline.alignment.score import AlignmentScore, score_preview
-from pipeline.alignment.sensitivity import Sensitivity, compute_sensitivities
+from pipeline.alignment.score import AlignmentScore, Sensitivity, compute_sensitivities, score_preview
 from pipeline.alignment.target_observation import TargetObservation, choose_preview_factor, observe_target
 from pipeline.alignment.touches import AlignmentTouch
 from pipeline.base.arrays import Doubles, Floats

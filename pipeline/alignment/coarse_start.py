@@ -1,4 +1,4 @@
-"""Initial alignments: a grid search over in-plane translation and rotation, since outlines have many local minima."""
+"""Initial alignments from pairs of imprints, or from a grid search in the plane: outlines have many local minima."""
 
 from collections.abc import Iterator, Sequence
 
@@ -6,17 +6,41 @@ import numpy as np
 
 from pipeline.alignment.normal_equations import ResidualNoise, compute_cost, compute_touch_distances
 from pipeline.alignment.residuals import Evidence, thin_points
-from pipeline.alignment.touch_imprints import compute_pixel_mm
 from pipeline.alignment.touches import AlignmentTouch
-from pipeline.base.arrays import Doubles, freeze
+from pipeline.base.arrays import Doubles, Floats, freeze
 from pipeline.base.errors import SettingProblem
 from pipeline.base.progress import Progress
 from pipeline.geometry import rigid
 from pipeline.geometry.camera import Camera
-from pipeline.imprints.transfer import TransferModel
+from pipeline.imprints.tiles import ImprintPairs, check_pairing
+from pipeline.imprints.transfer import ImprintPair, TransferModel
 from pipeline.sensors.alignment import Alignment, compose_motion
 from pipeline.sensors.spec import SensorSpec
 from pipeline.values.results import DepthMap
+
+
+def make_touch_pairs(touches: Sequence[AlignmentTouch]) -> ImprintPairs:
+    """Make pairs of the moments with contact on both sensors, in millimetres on either rest surface."""
+    made = tuple(_touch(t) for t in touches if t.has_contact_on_both)
+    return ImprintPairs(
+        pairs=made, notes=(f"{len(made)} of {len(touches)} moments have contact on both sensors", *check_pairing(made))
+    )
+
+
+def compute_pixel_mm(depth: DepthMap) -> float:
+    """Return the width of a pixel at the median depth."""
+    seen = depth.depth_mm[np.isfinite(depth.depth_mm)]
+    return float(np.median(seen)) / depth.camera.fx_px
+
+
+def _touch(touch: AlignmentTouch) -> ImprintPair:
+    def size(depth: DepthMap) -> tuple[float, float]:
+        return depth.camera.cols * compute_pixel_mm(depth), depth.camera.rows * compute_pixel_mm(depth)
+
+    imprint: Floats = np.nan_to_num(touch.target.indentation_mm).astype(np.float32)
+    return ImprintPair(name=str(touch.index), contact=freeze(touch.source.contact.astype(np.float32)), is_metric=True,
+                source_size=size(touch.source), imprint=freeze(imprint), target_size=size(touch.target))  # fmt: skip
+
 
 COMPARISON_NOISE = ResidualNoise(surface_mm=0.2, outline_mm=0.4)  # fixed, so that costs of different alignments compare
 COMPARISON_SCALE = ResidualNoise(surface_mm=1.0, outline_mm=2.0)

@@ -8,8 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, TypeVar, cast, get_args
 
-from pipeline.base.errors import SettingProblem
-from pipeline.base.text import hint_decimal_comma
+from pipeline.base.errors import SettingProblem, hint_decimal_comma
 
 P = TypeVar("P")
 Value = bool | int | float | str

@@ -10,8 +10,7 @@ from typing import Annotated, Any, TypeVar
 import msgspec
 from msgspec import Meta
 
-from pipeline.base.errors import FileProblem
-from pipeline.base.text import shorten_text
+from pipeline.base.errors import FileProblem, shorten_text
 
 T = TypeVar("T")
 NO_NUL = r"^[^\x00]*$"  # which no path may hold

@@ -14,8 +14,15 @@ from rich.table import Table
 
 from pipeline.alignment import refine as refinement
 from pipeline.alignment.refine import AlignmentFit, Refinement
-from pipeline.alignment.score import AlignmentScore, median_score, score_touches
-from pipeline.alignment.sensitivity import UNIT_STEP, ScoreChange, Sensitivity, compute_sensitivities
+from pipeline.alignment.score import (
+    UNIT_STEP,
+    AlignmentScore,
+    ScoreChange,
+    Sensitivity,
+    compute_sensitivities,
+    median_score,
+    score_touches,
+)
 from pipeline.alignment.target_observation import observe_target
 from pipeline.alignment.touches import AlignmentTouch, load_paired_touches
 from pipeline.base.errors import FileProblem, SettingProblem

@@ -9,9 +9,8 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from pipeline.alignment.coarse_start import align_rigidly, align_tiles, compute_described_scale
+from pipeline.alignment.coarse_start import align_rigidly, align_tiles, compute_described_scale, make_touch_pairs
 from pipeline.alignment.refine import refine_alignment
-from pipeline.alignment.touch_imprints import make_touch_pairs
 from pipeline.alignment.touches import load_paired_touches
 from pipeline.base.errors import SettingProblem, StageWarning
 from pipeline.base.frame_lists import parse_frames

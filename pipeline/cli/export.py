@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from pipeline.base.text import escape_text, shorten_text
+from pipeline.base.errors import escape_text, shorten_text
 from pipeline.cli.terminal import open_progress_bar, print_line
 from pipeline.cli.translation_options import (
     DEFAULT_OPTIONS,

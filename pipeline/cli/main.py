@@ -17,8 +17,7 @@ from cyclopts import App, CycloptsError
 
 from pipeline import __version__
 from pipeline.base import error_log
-from pipeline.base.errors import TouchError
-from pipeline.base.text import hint_decimal_comma
+from pipeline.base.errors import TouchError, hint_decimal_comma
 from pipeline.cli.terminal import print_error
 
 EXIT_UNEXPECTED = 1

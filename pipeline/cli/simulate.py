@@ -9,9 +9,9 @@ from pipeline.base.cluster import connect_cluster
 from pipeline.base.errors import FileProblem
 from pipeline.base.files import prepare_folder_for
 from pipeline.base.progress import SubProgress
+from pipeline.base.units import MeshUnit
 from pipeline.cli.terminal import open_progress_bar, print_line
 from pipeline.cli.translation_options import split_list
-from pipeline.geometry.meshes import MeshUnit
 from pipeline.simulation import datasets, recorder
 from pipeline.simulation.datasets import SimulationPlan
 

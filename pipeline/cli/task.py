@@ -14,11 +14,10 @@ from pipeline.base.cluster import connect_cluster
 from pipeline.base.files import prepare_folder, prepare_folder_for, write_json
 from pipeline.cli.terminal import open_progress_bar, print_line
 from pipeline.cli.translation_options import Flag, split_list
-from pipeline.tasks.catalogue import load_task
 from pipeline.tasks.rollout_bundle import copy_case
 from pipeline.tasks.rollout_file import CASE_SUFFIX
 from pipeline.tasks.runner import Summary, make_jobs, run_jobs
-from pipeline.tasks.task import ManipulationTask
+from pipeline.tasks.task import ManipulationTask, load_task
 
 
 def task(

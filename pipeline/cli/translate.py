@@ -14,10 +14,9 @@ from rich.table import Table
 
 from pipeline.base import compiling, error_log
 from pipeline.base.cluster import connect_cluster
-from pipeline.base.errors import SettingProblem, TouchError
+from pipeline.base.errors import SettingProblem, TouchError, escape_text
 from pipeline.base.files import prepare_folder
 from pipeline.base.progress import SILENT, Progress, SubProgress
-from pipeline.base.text import escape_text
 from pipeline.calibration.force_scale import UNKNOWN_SCALE
 from pipeline.cli.terminal import open_progress_bar, print_error, print_line
 from pipeline.cli.translation_options import (
@@ -31,8 +30,7 @@ from pipeline.cli.translation_options import (
 from pipeline.engine.cache import Cache
 from pipeline.engine.graph import Graph
 from pipeline.reporting.frame_report import FrameReport
-from pipeline.reporting.report import write_frame, write_report
-from pipeline.reporting.resume import FinishedFrame, compute_frame_key, load_finished_frame
+from pipeline.reporting.report import FinishedFrame, compute_frame_key, load_finished_frame, write_frame, write_report
 from pipeline.translation.catalogue import with_settings
 from pipeline.translation.force import list_force_metrics, measure_force
 from pipeline.translation.translate import Request, Translation, open_translation

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from pipeline.base.errors import SettingProblem, UnknownSensor
-from pipeline.geometry.meshes import MeshUnit
+from pipeline.base.units import MeshUnit
 from pipeline.recordings.formats import describe_formats
 
 if TYPE_CHECKING:

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,12 +12,7 @@ from numpy.typing import NDArray
 from pipeline.base.arrays import Doubles, Indices, freeze
 from pipeline.base.errors import FileProblem, MeshProblem, SettingProblem
 from pipeline.base.files import read_bytes
-
-MeshUnit = Literal["auto", "mm", "cm", "m", "in", "inch"]
-
-UNIT_MM: Mapping[str, float] = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4, "inch": 25.4}
-"""Millimetres per unit."""
-
+from pipeline.base.units import UNIT_MM
 
 SMALLEST_MM, LARGEST_MM = 1.0, 400.0  # extents of objects that a fingertip can touch: a screw to a long tool
 _MERGE_MM = 1e-6  # STL repeats each vertex in float32; true neighbours lie micrometres apart

@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.arrays import Image, freeze
-from pipeline.base.errors import FileProblem
+from pipeline.base.errors import FileProblem, escape_text
 from pipeline.base.files import read_arrays
-from pipeline.base.text import escape_text
 from pipeline.recordings import image_files
 from pipeline.recordings.formats import ReadOptions, RecordingFiles, with_index_check
 from pipeline.recordings.gel_images import make_gel_converter

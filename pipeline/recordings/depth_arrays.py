@@ -14,9 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.arrays import Floats, freeze
-from pipeline.base.errors import CalibrationError, FileProblem
+from pipeline.base.errors import CalibrationError, FileProblem, escape_text
 from pipeline.base.files import read_arrays
-from pipeline.base.text import escape_text
 from pipeline.geometry.camera import Camera, make_camera
 from pipeline.recordings import image_files, resampling
 from pipeline.recordings.formats import DepthUnit, ReadOptions, RecordingFiles, with_index_check

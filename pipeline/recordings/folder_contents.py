@@ -9,8 +9,7 @@ import re
 from collections.abc import Iterable
 from pathlib import Path
 
-from pipeline.base.errors import FileProblem
-from pipeline.base.text import escape_text
+from pipeline.base.errors import FileProblem, escape_text
 from pipeline.recordings.formats import RecordingFiles, list_formats, list_suffixes
 from pipeline.recordings.image_files import is_image_file, is_reference_file, natural_sort_key
 

@@ -12,9 +12,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from pipeline.base.errors import FileProblem
+from pipeline.base.errors import FileProblem, escape_text
 from pipeline.base.files import read_json
-from pipeline.base.text import escape_text
 from pipeline.base.typed_data import Name, convert
 from pipeline.recordings import torch_files
 from pipeline.values.frames import Grasp

@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.arrays import freeze
-from pipeline.base.errors import CalibrationError, FileProblem, TouchError
+from pipeline.base.errors import CalibrationError, FileProblem, TouchError, escape_text
 from pipeline.base.files import require_file
-from pipeline.base.text import escape_text
 from pipeline.geometry import rigid
 from pipeline.geometry.camera import Camera, make_camera
 from pipeline.geometry.meshes import Mesh, validate_mesh

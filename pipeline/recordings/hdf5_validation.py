@@ -7,8 +7,7 @@ import math
 from pathlib import Path
 from typing import Any, NoReturn
 
-from pipeline.base.errors import FileProblem
-from pipeline.base.text import escape_text
+from pipeline.base.errors import FileProblem, escape_text
 from pipeline.recordings import hdf5_layout as layout
 
 MAX_OBJECTS = 2_000  # groups and datasets; a recording of twenty sensors has three hundred

@@ -6,12 +6,10 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from pipeline.base.arrays import Image
-from pipeline.base.errors import FileProblem
-from pipeline.base.text import escape_text
+from pipeline.base.errors import FileProblem, escape_text
 from pipeline.recordings import image_files
-from pipeline.recordings.difference_images import estimate_no_change_grey
 from pipeline.recordings.formats import ReadOptions, RecordingFiles, with_index_check
-from pipeline.recordings.gel_images import make_gel_converter
+from pipeline.recordings.gel_images import estimate_no_change_grey, make_gel_converter
 from pipeline.recordings.reference_images import denoise_reference, select_reference_frame
 from pipeline.values.frames import Recording, Stream, TactileFrame
 

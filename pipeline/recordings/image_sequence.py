@@ -9,7 +9,7 @@ import numpy as np
 
 from pipeline.base.arrays import Image
 from pipeline.base.errors import FileProblem, StageWarning
-from pipeline.recordings import difference_images, image_files
+from pipeline.recordings import gel_images, image_files
 from pipeline.recordings.formats import ReadOptions, with_index_check
 from pipeline.recordings.gel_images import make_gel_converter
 from pipeline.recordings.reference_images import denoise_reference, select_reference_frame
@@ -44,7 +44,7 @@ def make_stream(
     sensor. Raises FileProblem for a first frame that cannot be decoded, or a reference of another size.
     """
     first = images.frame(0)
-    is_difference = options.reference is None and difference_images.estimate_no_change_grey(first) is not None
+    is_difference = options.reference is None and gel_images.estimate_no_change_grey(first) is not None
     reference, start, n_averaged = None if is_difference else first, 0, 0
     if options.reference is not None:
         reference = image_files.read_rgb(options.reference)

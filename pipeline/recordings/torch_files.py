@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.arrays import Image, freeze
-from pipeline.base.errors import FileProblem
+from pipeline.base.errors import FileProblem, is_utf8_encodable
 from pipeline.base.files import describe_os_error, require_file
-from pipeline.base.text import is_utf8_encodable
 from pipeline.recordings.formats import RecordingFiles
 
 _ZIP_SIGNATURE, _PICKLE_SIGNATURE = b"PK\x03\x04", b"\x80"  # first bytes; the second is a pickle's protocol mark

@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 
 from pipeline.base.arrays import Image, freeze
-from pipeline.base.errors import FileProblem
+from pipeline.base.errors import FileProblem, is_utf8_encodable
 from pipeline.base.files import require_file
 from pipeline.base.native_stderr import silence_native_libraries
-from pipeline.base.text import is_utf8_encodable
 from pipeline.recordings.formats import ReadOptions, RecordingFiles
 from pipeline.recordings.image_sequence import make_stream
 from pipeline.values.frames import Recording

@@ -12,9 +12,8 @@ import msgspec
 import numpy as np
 
 from pipeline.base.arrays import Doubles, freeze
-from pipeline.base.errors import FileProblem
+from pipeline.base.errors import FileProblem, escape_text
 from pipeline.base.files import read_toml, write_text
-from pipeline.base.text import escape_text
 from pipeline.base.typed_data import Name, Note, convert
 from pipeline.geometry import rigid
 from pipeline.sensors.alignment import ALIGNMENT_PARTS, Alignment, RotationDeg, TranslationMm

@@ -13,8 +13,7 @@ from pipeline.geometry import membrane
 from pipeline.geometry.camera import Camera
 from pipeline.geometry.membrane import Membrane
 from pipeline.sensors.kinds import GetSection, SensorKind
-from pipeline.sensors.part_parsing import parse_part
-from pipeline.sensors.parts import Bubble, DepthCamera
+from pipeline.sensors.parts import Bubble, DepthCamera, parse_part
 
 if TYPE_CHECKING:
     from pipeline.sensors.spec import SensorSpec

@@ -10,8 +10,7 @@ from pipeline.geometry import membrane
 from pipeline.geometry.camera import Camera
 from pipeline.geometry.membrane import Membrane
 from pipeline.sensors.kinds import GetSection, SensorKind
-from pipeline.sensors.part_parsing import parse_optics, parse_part
-from pipeline.sensors.parts import Gel
+from pipeline.sensors.parts import Gel, parse_optics, parse_part
 
 _BLACK_GREY = 2  # grey level; no lit gel is this dark everywhere
 _WHITE_GREY = 254  # grey level; no gel is this bright everywhere, noise takes clipped pixels down to here

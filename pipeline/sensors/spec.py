@@ -27,8 +27,7 @@ from pipeline.geometry.camera import Camera
 from pipeline.geometry.membrane import Membrane
 from pipeline.sensors.descriptions import DESCRIPTION, DescriptionSection, find_descriptions, read_description
 from pipeline.sensors.kinds import SensorKind, get_kind, list_kinds
-from pipeline.sensors.part_parsing import parse_limits, parse_part
-from pipeline.sensors.parts import Bubble, DepthCamera, Gel, Markers, Optics, SensorLimits
+from pipeline.sensors.parts import Bubble, DepthCamera, Gel, Markers, Optics, SensorLimits, parse_limits, parse_part
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

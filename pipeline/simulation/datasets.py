@@ -15,8 +15,9 @@ import numpy as np
 
 from pipeline.base.arrays import Doubles, Floats, Image
 from pipeline.base.errors import SettingProblem
+from pipeline.base.units import MeshUnit
 from pipeline.engine.digests import compute_digest
-from pipeline.geometry.meshes import Mesh, MeshUnit
+from pipeline.geometry.meshes import Mesh
 from pipeline.physics.shear import TangentialLoad
 from pipeline.sensors import alignment
 from pipeline.sensors.spec import SensorSpec, load_sensor

@@ -18,8 +18,9 @@ from pipeline.base.arrays import Doubles
 from pipeline.base.files import read_toml
 from pipeline.base.progress import SILENT, Progress
 from pipeline.base.typed_data import FileName, Number, convert
+from pipeline.base.units import MeshUnit
 from pipeline.geometry import rigid
-from pipeline.geometry.meshes import Mesh, MeshUnit
+from pipeline.geometry.meshes import Mesh
 from pipeline.simulation import shapes
 from pipeline.simulation.shapes.solids import transform_mesh
 from pipeline.tasks.grasp import SOURCE, TARGET, run_through_touches

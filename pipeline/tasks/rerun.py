@@ -7,8 +7,7 @@ import numpy as np
 
 from pipeline.base.errors import NotConverged
 from pipeline.base.progress import SILENT, Progress
-from pipeline.tasks.catalogue import load_task
-from pipeline.tasks.task import Decision, RecordedRollout, Rollout
+from pipeline.tasks.task import Decision, RecordedRollout, Rollout, load_task
 
 SAME_MM, SAME_N = 1e-3, 1e-2  # of poses and forces: rounding of another processor
 _LEAST_MM = 0.05  # a share that is named

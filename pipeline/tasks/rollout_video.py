@@ -17,7 +17,6 @@ from pipeline.previews.display_params import DisplayParams
 from pipeline.previews.preview import Preview
 from pipeline.reporting.pane_figures import render_pane
 from pipeline.reporting.video import write_video
-from pipeline.tasks.catalogue import load_task
 from pipeline.tasks.rerun import describe_error
 from pipeline.tasks.rollout_file import read_rollout
 from pipeline.tasks.scene_image import SceneCamera, SceneDrawing
@@ -31,7 +30,7 @@ from pipeline.tasks.scene_view import (
     make_plain_scene,
     make_scene_layers,
 )
-from pipeline.tasks.task import RecordedRollout
+from pipeline.tasks.task import RecordedRollout, load_task
 from pipeline.tasks.touches import NONE, TRUE, make_touch_request
 from pipeline.tasks.traces import describe_tick, make_traces
 from pipeline.translation.translate import open_translation

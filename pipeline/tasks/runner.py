@@ -13,9 +13,8 @@ from pipeline.base.errors import NotConverged, SettingProblem
 from pipeline.base.processes import WorkerPool, limit_threads
 from pipeline.base.progress import SILENT, Progress
 from pipeline.engine.digests import compute_digest
-from pipeline.tasks.catalogue import load_task
 from pipeline.tasks.rollout_file import read_summary, summarise, write_rollout
-from pipeline.tasks.task import TrialPlan
+from pipeline.tasks.task import TrialPlan, load_task
 from pipeline.tasks.touches import check_touch
 
 TASKS_VERSION = 2  # incremented when a plan gives another rollout: older ones on disk are run again then

@@ -9,8 +9,7 @@ from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh
 from pipeline.previews.colours import Rgb, repeat_colour
 from pipeline.previews.layers import Layer, ViewBounds, make_lines_layer, make_mesh_layer
-from pipeline.tasks.catalogue import load_task
-from pipeline.tasks.task import RecordedRollout, SceneBody, TaskScene
+from pipeline.tasks.task import RecordedRollout, SceneBody, TaskScene, load_task
 
 OBJECT_COLOUR: Rgb = (0, 114, 178)  # true pose: blue, a solid (Okabe-Ito)
 ESTIMATE_COLOUR: Rgb = (213, 94, 0)  # estimated pose: vermilion, dashed edges

@@ -1,4 +1,7 @@
-"""What a task is: trials of cases, each a rollout with decisions and an outcome. All values can be pickled."""
+"""What a task is: trials of cases, each a rollout with decisions and an outcome. All values can be pickled.
+
+A task is one module with `TASK` and one line in `_TASKS`, or an entry point in `tactoscope.tasks`.
+"""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
@@ -8,6 +11,8 @@ from typing import Protocol
 import numpy as np
 
 from pipeline.base.arrays import Doubles, freeze
+from pipeline.base.entry_points import load_entry_points, load_reference
+from pipeline.base.errors import SettingProblem
 from pipeline.base.progress import SILENT, Progress
 from pipeline.geometry.meshes import Mesh
 from pipeline.values.frames import Pairing, TactileFrame, Truth
@@ -173,3 +178,21 @@ class ManipulationTask:
     published: Mapping[tuple[str, str], str] = field(default_factory=dict)  # (case, touch) -> the paper's result
     load_case: Callable[[Path], str] | None = None  # the name of a user's TOML file as a case; raises TouchError
     build_scene: Callable[[RecordedRollout], TaskScene] | None = None  # None = the object alone
+
+
+_TASKS = {
+    "insertion": "pipeline.tasks.insertion:TASK",
+    "stack": "pipeline.tasks.stack:TASK",
+    "marble": "pipeline.tasks.marble:TASK",
+}
+
+
+def load_task(name: str) -> ManipulationTask:
+    """The task of this name; raises SettingProblem."""
+    added = {task.name: task for task in load_entry_points("tactoscope.tasks") if isinstance(task, ManipulationTask)}
+    if name in added:
+        return added[name]
+    if name not in _TASKS:
+        known = ", ".join(sorted({*_TASKS, *added}))
+        raise SettingProblem(f"no task {name!r}; there are {known}, and TOML files of tools for insertion")
+    return load_reference(_TASKS[name])

@@ -14,7 +14,7 @@ from pipeline.physics import bubble_camera
 from pipeline.stages.depth.bubble_depth import compute_displacement
 from pipeline.stages.depth.bubble_network_input import make_network_input
 from pipeline.stages.depth.bubble_network_output import decode_tensors
-from pipeline.training import bubble_noise, bubble_presses
+from pipeline.training import bubble_presses
 from pipeline.training.bubble_presses import BubblePress
 from pipeline.training.task import VALIDATION_SEED, SimulatedPresses
 
@@ -115,7 +115,7 @@ def _compute_iou(a: Any, b: Any) -> float:
 
 
 def _make_example(press: BubblePress, rng: np.random.Generator, *, plain: bool) -> Example:
-    rest, now = bubble_noise.simulate_noisy_depth_pair(press, rng, plain=plain)
+    rest, now = bubble_presses.simulate_noisy_depth_pair(press, rng, plain=plain)
     displacement, level, valid, _ = compute_displacement(rest, now, press.sensor.limits.indentation_max_mm, [])
     network_input = make_network_input(displacement, level, valid, press.sensor.pixel_mm)
     surface = press.sensor.rest_depth_mm.astype(np.float32) - press.indentation_mm + press.gap_mm

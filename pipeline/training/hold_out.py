@@ -12,8 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from pipeline.base.errors import SettingProblem
-from pipeline.base.text import escape_text
+from pipeline.base.errors import SettingProblem, escape_text
 from pipeline.recordings.grasp_files import is_training_split, read_split_file
 from pipeline.simulation import shapes
 from pipeline.training.task import SPLITS

@@ -20,8 +20,7 @@ from pipeline.simulation.press import make_gel_lattice, simulate_press
 from pipeline.simulation.reliefs import make_random_relief
 from pipeline.simulation.variation import vary_sensor
 from pipeline.stages.depth import gel_network, gel_network_input, illumination_channels
-from pipeline.training.object_sampling import sample_object
-from pipeline.training.sample_cache import SampleCache
+from pipeline.training.object_sampling import SampleCache, sample_object
 from pipeline.training.target_touches import CATALOGUE_SHARE, SMALL_SHARE
 from pipeline.values.frames import TactileFrame
 

@@ -18,8 +18,7 @@ from pipeline.simulation.datasets import BUBBLE_DEEPER_MM
 from pipeline.simulation.press import move_bubble_closer, simulate_press
 from pipeline.stages.touch.depth_condition import make_working_sensor
 from pipeline.stages.touch.physical_render import PhysicalRenderParams, render_touch
-from pipeline.training.object_sampling import DATA_SPLITS, DataSplit, sample_object
-from pipeline.training.sample_cache import SampleCache
+from pipeline.training.object_sampling import DATA_SPLITS, DataSplit, SampleCache, sample_object
 from pipeline.training.source_observation import SourceObservation, simulate_source_observation
 from pipeline.values.results import TargetDepth, make_pixel_index
 

@@ -20,8 +20,7 @@ from pipeline.simulation import poses, variation
 from pipeline.simulation.datasets import BUBBLE_DEEPER_MM
 from pipeline.simulation.press import move_bubble_closer, simulate_press
 from pipeline.stages.touch.depth_condition import make_working_sensor
-from pipeline.training.object_sampling import DATA_SPLITS, DataSplit, sample_object
-from pipeline.training.sample_cache import SampleCache
+from pipeline.training.object_sampling import DATA_SPLITS, DataSplit, SampleCache, sample_object
 from pipeline.training.target_touches import CATALOGUE_SHARE, DEEPER_MM, SMALL_SHARE, TRAINING_DEPTH_MM
 
 VERSION = 4  # part of the seeds: incremented when the same number gives another pair

@@ -37,8 +37,7 @@ from pipeline.physics import lattice
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.touch.depth_condition import make_working_sensor
 from pipeline.stages.touch.physical_render import PhysicalRenderParams, render_touch
-from pipeline.training.object_sampling import DATA_SPLITS
-from pipeline.training.sample_cache import SampleCache
+from pipeline.training.object_sampling import DATA_SPLITS, SampleCache
 from pipeline.training.source_observation import simulate_source_observation
 from pipeline.training.target_touches import make_target_depth
 

@@ -16,9 +16,8 @@ from pipeline.sensors.spec import SensorSpec, load_sensor
 from pipeline.simulation import poses, variation
 from pipeline.simulation.datasets import BUBBLE_DEEPER_MM
 from pipeline.simulation.press import move_bubble_closer, render_sensor_image, simulate_press
-from pipeline.training.object_sampling import DATA_SPLITS, DataSplit, find_next_contact, sample_object
+from pipeline.training.object_sampling import DATA_SPLITS, DataSplit, SampleCache, find_next_contact, sample_object
 from pipeline.training.recorded_pairs import RecordedPair
-from pipeline.training.sample_cache import SampleCache
 from pipeline.training.touch_pairs import BUBBLE, GEL
 
 Direction = Literal["gel_to_bubble", "bubble_to_gel"]

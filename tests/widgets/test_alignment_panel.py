@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from pipeline.alignment.score import AlignmentScore
-from pipeline.alignment.sensitivity import ScoreChange, Sensitivity
+from pipeline.alignment.score import AlignmentScore, ScoreChange, Sensitivity
 from pipeline.sensors.alignment import AXES
 from widgets.alignment_panel import AlignmentPanel
 

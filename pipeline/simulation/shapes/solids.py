@@ -1,4 +1,4 @@
-"""Closed bodies from rings of points: stacked with lids, revolved, or swept along a path.
+"""Closed bodies: prisms over an outline, and rings of points stacked with lids, revolved, or swept along a path.
 
 Triangles run counter-clockwise seen from outside.
 """
@@ -15,7 +15,14 @@ from pipeline.base.errors import MeshProblem, SettingProblem
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh, load_mesh
 from pipeline.geometry.symmetry import Symmetry, asymmetric
-from pipeline.simulation.shapes.polygons import compute_arc_step_rad, triangulate_polygon
+from pipeline.simulation.shapes.polygons import (
+    Outline,
+    compute_arc_step_rad,
+    inset_polygon,
+    make_arc,
+    orient_counter_clockwise,
+    triangulate_polygon,
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -146,3 +153,49 @@ def _rotate_down(face: str) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]
     turn = np.eye(4)
     turn[:3, :3] = np.stack([np.cross(side, -down), side, -down])  # rows are x, y, z; right-handed: x = y cross z
     return turn
+
+
+def make_chamfered_prism(outline_mm: Outline | Doubles, height_mm: float, chamfer_mm: float, name: str) -> Mesh:
+    """A prism over a simple polygon, its tactile face chamfered by 45 degrees.
+
+    Raises MeshProblem when the outline crosses itself or the chamfer is wider than the polygon.
+    """
+    outer = orient_counter_clockwise(outline_mm, name)
+    return stack_rings(
+        [
+            lift_outline(inset_polygon(outer, chamfer_mm), 0.0),
+            lift_outline(outer, chamfer_mm),
+            lift_outline(outer, height_mm),
+        ],
+        name,
+    )
+
+
+def make_rounded_prism(outline_mm: Outline | Doubles, height_mm: float, radius_mm: float, name: str) -> Mesh:
+    """A prism over a simple polygon, its tactile face rounded by a quarter circle.
+
+    Raises MeshProblem when the outline crosses itself or the rounding is wider than the polygon.
+    """
+    outer = orient_counter_clockwise(outline_mm, name)
+    return stack_rings([*make_rounded_rings(outer, radius_mm), lift_outline(outer, height_mm)], name)
+
+
+def stack_rings(rings_mm: Sequence[Doubles], name: str) -> Mesh:
+    """A body over level outlines (n, 3) from the tactile face up, counter-clockwise, with equal numbers of points."""
+    n, top = len(rings_mm[0]), (len(rings_mm) - 1) * len(rings_mm[0])
+    faces: list[Face] = [
+        (c, b, a) for a, b, c in triangulate_polygon(rings_mm[0][:, :2])
+    ]  # the tactile face looks to -z
+    faces += [(a + top, b + top, c + top) for a, b, c in triangulate_polygon(rings_mm[-1][:, :2])]
+    return make_mesh(np.concatenate(rings_mm), [*faces, *make_wall_faces(len(rings_mm), n)], name)
+
+
+def lift_outline(outline_mm: Doubles, z_mm: float) -> Doubles:
+    """An outline (n, 2) at a height; (n, 3)."""
+    return np.column_stack([outline_mm, np.full(len(outline_mm), z_mm)])
+
+
+def make_rounded_rings(outline_mm: Doubles, radius_mm: float) -> list[Doubles]:
+    """Level outlines (n, 3) of a tactile face rounded by a quarter circle; the last is vertical."""
+    quarter = make_arc(radius_mm, -90.0, 0.0, (0.0, radius_mm))
+    return [lift_outline(inset_polygon(outline_mm, radius_mm - float(x)), float(z)) for x, z in quarter]

@@ -7,10 +7,15 @@ import numpy as np
 from pipeline.base.arrays import Doubles
 from pipeline.geometry import rigid
 from pipeline.geometry.symmetry import X, asymmetric, cyclic, revolution
-from pipeline.simulation.shapes.polygons import make_arc, make_bow
-from pipeline.simulation.shapes.prisms import lift_outline, make_chamfered_prism
-from pipeline.simulation.shapes.sections import make_strip
-from pipeline.simulation.shapes.solids import Shape, loft, sweep_section, transform_mesh
+from pipeline.simulation.shapes.polygons import make_arc, make_bow, make_strip
+from pipeline.simulation.shapes.solids import (
+    Shape,
+    lift_outline,
+    loft,
+    make_chamfered_prism,
+    sweep_section,
+    transform_mesh,
+)
 from pipeline.simulation.shapes.training import make_ball_on_shaft
 
 

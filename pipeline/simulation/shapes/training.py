@@ -12,19 +12,28 @@ from pipeline.base.arrays import Doubles
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh
 from pipeline.geometry.symmetry import X, Z, asymmetric, cyclic, revolution
-from pipeline.simulation.shapes.polygons import make_arc, make_bow
-from pipeline.simulation.shapes.prisms import lift_outline, make_rounded_rings, stack_rings
-from pipeline.simulation.shapes.sections import (
+from pipeline.simulation.shapes.polygons import (
     FINE_MM,
     SHOULDER_MM,
     STAMP_MM,
     make_apex,
+    make_arc,
+    make_bow,
     make_crest,
     make_shoulder,
     make_stamp,
     place_on_shoulders,
 )
-from pipeline.simulation.shapes.solids import Shape, count_circle_sides, revolve_profile, sweep_section, transform_mesh
+from pipeline.simulation.shapes.solids import (
+    Shape,
+    count_circle_sides,
+    lift_outline,
+    make_rounded_rings,
+    revolve_profile,
+    stack_rings,
+    sweep_section,
+    transform_mesh,
+)
 
 _BACK_MM = 18.0  # height of bodies: more than a bubble's approach, 13 mm in data sets, and a press
 _LINE_MM, _LINE_EDGE_MM = 3.0, 1.2  # width of lines, and the radius of their edges

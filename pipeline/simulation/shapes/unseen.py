@@ -5,10 +5,15 @@ import math
 import numpy as np
 
 from pipeline.geometry.symmetry import asymmetric, cyclic, revolution
-from pipeline.simulation.shapes.polygons import make_arc, thin_curve
-from pipeline.simulation.shapes.prisms import make_chamfered_prism, make_rounded_prism
-from pipeline.simulation.shapes.sections import make_strip
-from pipeline.simulation.shapes.solids import Shape, count_circle_sides, revolve_profile, sweep_section
+from pipeline.simulation.shapes.polygons import make_arc, make_strip, thin_curve
+from pipeline.simulation.shapes.solids import (
+    Shape,
+    count_circle_sides,
+    make_chamfered_prism,
+    make_rounded_prism,
+    revolve_profile,
+    sweep_section,
+)
 from pipeline.simulation.shapes.training import make_fork_outline
 
 _BACK_MM = 8.0

@@ -4,10 +4,14 @@ import numpy as np
 
 from pipeline.base.arrays import Doubles, Floats, Indices, Mask, median, percentile
 from pipeline.physics.slopes import compute_slopes
-from pipeline.stages.depth.illumination import image_patch, selection
+from pipeline.stages.depth.illumination import selection
 from pipeline.stages.depth.illumination.gel_surface import ChangedImage
-from pipeline.stages.depth.illumination.image_patch import ImagePatch
-from pipeline.stages.depth.illumination.light import Illumination
+from pipeline.stages.depth.illumination.light import (
+    Illumination,
+    ImagePatch,
+    compute_cell_means,
+    simulate_recorded_change,
+)
 from pipeline.stages.depth.illumination.surface_refinement import clip_surface
 
 _REACH_MM = 0.8  # around a region: the flanks of a dent lie partly outside its contact
@@ -79,9 +83,9 @@ def _sum_regions(values: Floats, labels: Indices, n: int) -> Doubles:
 def _render_change(surface_mm: Floats, cells: ImagePatch, changed: ChangedImage, illumination: Illumination) -> Floats:
     """The change (rows, cols, 3) in grey levels that a surface of the window shows in its illumination."""
     light = selection.make_light(illumination, cells, changed.source)
-    surface = clip_surface(image_patch.compute_cell_means(surface_mm, cells.downsampling), cells, light)
+    surface = clip_surface(compute_cell_means(surface_mm, cells.downsampling), cells, light)
     rendered = light.render(surface, *compute_slopes(surface, cells.pixel_mm)).change
-    return image_patch.simulate_recorded_change(rendered, cells, light.blur_px)
+    return simulate_recorded_change(rendered, cells, light.blur_px)
 
 
 _FLANK, _FLANK_SHARE = 0.12, 0.1  # mm/mm of a flank, and its least share of a region's pixels

@@ -16,8 +16,8 @@ from pipeline.physics.reference_colours import MirrorDirection, mirror_image
 from pipeline.physics.slopes import compute_slopes
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth.change_detection import ImageWindow
-from pipeline.stages.depth.illumination import image_patch
 from pipeline.stages.depth.illumination.gel_surface import DEFAULT_SMOOTHING_PX, detect_changed_image
+from pipeline.stages.depth.illumination.light import downsample_patch, extract_patch, look_up_slopes
 from pipeline.stages.depth.poisson import SideBoundaries, integrate_slopes
 from pipeline.values.frames import TactileFrame
 
@@ -45,11 +45,9 @@ def _compute_curl_share(
     image: Image, reference: Floats, window: ImageWindow, source: SensorSpec, calibration: Calibration
 ) -> float:
     """The share of the squared slopes that belongs to no surface."""
-    patch = image_patch.extract_patch(
-        image, reference, window, DEFAULT_SMOOTHING_PX, source.markers, calibration.pixel_mm
-    )
-    cells = image_patch.downsample_patch(patch, image.shape)
-    gx, gy = image_patch.look_up_slopes(cells, calibration)
+    patch = extract_patch(image, reference, window, DEFAULT_SMOOTHING_PX, source.markers, calibration.pixel_mm)
+    cells = downsample_patch(patch, image.shape)
+    gx, gy = look_up_slopes(cells, calibration)
     surface_mm = integrate_slopes(gx, gy, cells.pixel_mm, SideBoundaries("free", "free", "free", "free"))
     slopes = compute_slopes(surface_mm, cells.pixel_mm)
     residual = sum(float(((a - b) ** 2).sum()) for a, b in zip((gx, gy), slopes, strict=True))

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from pipeline.alignment.nudge import nudge
-from pipeline.alignment.score import median_score, score_preview, score_touches
-from pipeline.alignment.sensitivity import UNIT_STEP, compute_sensitivities
+from pipeline.alignment.score import UNIT_STEP, compute_sensitivities, median_score, score_preview, score_touches
 from pipeline.alignment.target_observation import choose_preview_factor, find_edge, observe_target
 from pipeline.alignment.touches import AlignmentTouch, find_pivot, load_paired_touch
 from pipeline.base.arrays import freeze

@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.base.errors import FileProblem
+from pipeline.base.errors import FileProblem, escape_text
 from pipeline.base.files import (
     open_atomic,
     read_bytes,
@@ -27,7 +27,6 @@ from pipeline.base.files import (
     write_folder,
     write_json,
 )
-from pipeline.base.text import escape_text
 
 _KILLED = """
 import os, signal, sys

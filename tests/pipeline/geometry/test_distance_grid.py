@@ -9,7 +9,7 @@ from pipeline.geometry import distance_grid_store, rigid
 from pipeline.geometry.distance_grid import OPEN_MESH_NOTE, build_grid
 from pipeline.geometry.distance_grid_store import load_distance_grid
 from pipeline.geometry.meshes import Mesh, sample_surface
-from pipeline.simulation.shapes import prisms, solids
+from pipeline.simulation.shapes import solids
 from tests.pipeline.registration.solids import ball
 
 QUANTUM_MM = 2e-4  # float32 distances and 16-bit steps
@@ -18,7 +18,7 @@ EDGE_SHARE = 0.75  # of a fine step: the most that a straight line between nodes
 
 @pytest.fixture(scope="module")
 def block():
-    return prisms.make_chamfered_prism([(0, 0), (8, 0), (8, 5), (0, 5)], 4.0, 0.5, "block")
+    return solids.make_chamfered_prism([(0, 0), (8, 0), (8, 5), (0, 5)], 4.0, 0.5, "block")
 
 
 @pytest.fixture(scope="module")

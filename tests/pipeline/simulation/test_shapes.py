@@ -5,8 +5,8 @@ from pipeline.base.errors import FileProblem, MeshProblem, SettingProblem
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import sample_surface
 from pipeline.simulation import shapes
+from pipeline.simulation.shapes import make_shape as made_once
 from pipeline.simulation.shapes import polygons
-from pipeline.simulation.shapes.catalogue import make_shape as made_once
 
 CHORD_MM = 0.002  # what the shapes promise
 SYMMETRIC_MM = 0.005  # twice the chord error, once for each of the two surfaces, and a little for a ball's back

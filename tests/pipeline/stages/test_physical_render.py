@@ -8,7 +8,7 @@ from pipeline.geometry import rigid
 from pipeline.physics import gel, lattice, optics
 from pipeline.sensors.spec import load_sensor
 from pipeline.simulation.press import simulate_press
-from pipeline.simulation.shapes.prisms import make_chamfered_prism
+from pipeline.simulation.shapes.solids import make_chamfered_prism
 from pipeline.stages.touch.physical_render import PhysicalRenderParams, render_touch, skip_without_contact
 from pipeline.values.results import TargetDepth
 

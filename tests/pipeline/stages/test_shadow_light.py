@@ -17,7 +17,7 @@ from pipeline.sensors.spec import load_sensor
 from pipeline.simulation import shapes, variation
 from pipeline.simulation.press import simulate_press
 from pipeline.stages.depth.illumination import frame_illumination, selection, shadow_light
-from pipeline.stages.depth.illumination.image_patch import ImagePatch, simulate_recorded_change
+from pipeline.stages.depth.illumination.light import ImagePatch, simulate_recorded_change
 from pipeline.stages.depth.photometric import DepthParams, estimate_depth, estimate_gel_depth, make_draft_params
 from pipeline.values.frames import TactileFrame
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from pipeline.geometry import rigid
-from pipeline.simulation.shapes.prisms import make_chamfered_prism
-from pipeline.simulation.shapes.solids import transform_mesh
+from pipeline.simulation.shapes.solids import make_chamfered_prism, transform_mesh
 from pipeline.tasks.in_hand import PlanarPose
 from pipeline.tasks.insertion import BEYOND_MM, STIFFNESS_N_MM, insert
 from pipeline.tasks.peg import cut_peg

@@ -9,7 +9,6 @@ import pytest
 
 from pipeline.base.errors import FileProblem
 from pipeline.base.progress import Cancelled
-from pipeline.tasks.catalogue import load_task
 from pipeline.tasks.insertion import make_tool
 from pipeline.tasks.rerun import attribute_rollout, compare_rollouts, describe_error, run_again
 from pipeline.tasks.rollout_bundle import copy_case, replay_rollout, write_rollout_bundle
@@ -17,6 +16,7 @@ from pipeline.tasks.rollout_file import read_rollout
 from pipeline.tasks.runner import make_jobs, run_job
 from pipeline.tasks.scene_bodies import make_box
 from pipeline.tasks.scene_view import build_scene, cut_dashes, find_edges
+from pipeline.tasks.task import load_task
 from pipeline.tasks.trial_rows import compute_error_deg, is_rollout_folder, list_trials
 
 pytestmark = pytest.mark.timeout(600)  # the first grasp compiles kernels where `tactoscope prepare` has not

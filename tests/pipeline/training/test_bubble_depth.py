@@ -6,7 +6,7 @@ import pytest
 from pipeline.networks.network_factory import build_network
 from pipeline.stages.depth.bubble_network_input import N_CHANNELS
 from pipeline.stages.depth.bubble_network_output import N_OUTPUTS, decode_tensors
-from pipeline.training import bubble_noise, bubble_presses
+from pipeline.training import bubble_presses
 from pipeline.training.bubble_depth import BubbleDepthTask
 from pipeline.training.recipe import load_recipe
 
@@ -52,7 +52,7 @@ def test_the_object_touches_the_membrane_in_contact_and_lies_behind_it_elsewhere
 def test_both_frames_have_noise_and_share_their_gaps(pressed):
     rng, sensor = np.random.default_rng(0), pressed.sensor
     for _ in range(8):
-        rest, now = bubble_noise.simulate_noisy_depth_pair(pressed, rng)
+        rest, now = bubble_presses.simulate_noisy_depth_pair(pressed, rng)
         off = (rest - now) - pressed.indentation_mm
         assert 0.01 < np.nanstd(rest - sensor.rest_depth_mm) < 2.0
         assert 0.01 < np.nanstd(off) < 3.0

@@ -36,8 +36,7 @@ from pipeline.physics import optics
 from pipeline.physics.slopes import compute_slopes
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth.illumination.constants import CONSTANTS, FIELD_STEP
-from pipeline.stages.depth.illumination.image_patch import ImagePatch
-from pipeline.stages.depth.illumination.light import Light, RenderedChange
+from pipeline.stages.depth.illumination.light import ImagePatch, Light, RenderedChange
 from pipeline.stages.depth.illumination.surface_refinement import clip_surface, refine_surface
 from pipeline.stages.depth.poisson import Integrator
 

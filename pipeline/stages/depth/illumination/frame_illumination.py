@@ -18,8 +18,7 @@ from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth.illumination import selection
 from pipeline.stages.depth.illumination.constants import CONSTANTS
 from pipeline.stages.depth.illumination.gel_surface import ChangedImage, detect_changed_image, uses_illumination
-from pipeline.stages.depth.illumination.image_patch import ImagePatch
-from pipeline.stages.depth.illumination.light import Illumination
+from pipeline.stages.depth.illumination.light import Illumination, ImagePatch
 from pipeline.stages.depth.illumination.parameter_fit import LedObservation, fit_leds
 from pipeline.stages.depth.illumination.surface_refinement import refine_surface
 from pipeline.stages.depth.poisson import Integrator

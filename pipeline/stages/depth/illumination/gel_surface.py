@@ -14,9 +14,15 @@ from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import change_detection, drift
 from pipeline.stages.depth.change_detection import ImageWindow
 from pipeline.stages.depth.drift import DriftedReference
-from pipeline.stages.depth.illumination import image_patch, selection
-from pipeline.stages.depth.illumination.image_patch import ImagePatch
-from pipeline.stages.depth.illumination.light import Illumination
+from pipeline.stages.depth.illumination import selection
+from pipeline.stages.depth.illumination.light import (
+    Illumination,
+    ImagePatch,
+    downsample_patch,
+    extract_patch,
+    look_up_slopes,
+    upsample_surface,
+)
 from pipeline.stages.depth.poisson import Boundary, Integrator, SideBoundaries, integrate_slopes
 
 DEFAULT_SMOOTHING_PX = 1.0  # standard deviation, image pixels
@@ -37,11 +43,11 @@ class ChangedImage:
     @cached_property
     def patches(self) -> tuple[ImagePatch, ImagePatch]:
         """The window at image resolution, and on the refinement grid."""
-        patch = image_patch.extract_patch(
+        patch = extract_patch(
             self.image, self.reference.image, self.window, self.smoothing_px, self.source.markers,
             self.calibration.pixel_mm,
         )  # fmt: skip
-        return patch, image_patch.downsample_patch(patch, self.image.shape)
+        return patch, downsample_patch(patch, self.image.shape)
 
     def make_integrator(self, patch: ImagePatch, progress: Progress, fraction: float = 0.4) -> Integrator:
         """The integrator of a patch's slopes; it can be cancelled at every use."""
@@ -55,7 +61,7 @@ class ChangedImage:
 
     def guess_surface(self, patch: ImagePatch, integrate: Integrator) -> Floats:
         """The surface (rows, cols) in mm by the calibration table alone."""
-        return integrate(*_check_slopes(*image_patch.look_up_slopes(patch, self.calibration), self.source))
+        return integrate(*_check_slopes(*look_up_slopes(patch, self.calibration), self.source))
 
 
 def detect_changed_image(
@@ -92,7 +98,7 @@ def estimate_surface(
     surface = selection.correct_surface(guess, cells, source, illumination, integrate, draft=draft)
     if cells is patch:
         return surface
-    surface = image_patch.upsample_surface(surface, cells.downsampling, window.changed.shape)
+    surface = upsample_surface(surface, cells.downsampling, window.changed.shape)
     return selection.add_detail(surface, patch, source, illumination, changed.make_integrator(patch, progress, 0.6))
 
 

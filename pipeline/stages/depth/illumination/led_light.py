@@ -19,8 +19,7 @@ from pipeline.physics.optics import apply_shadows, pack_leds, require_optics
 from pipeline.sensors.parts import Led, Optics, compute_mean_reference_light
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth.illumination.constants import DESCRIBED_STEP, TRUSTED_STEP
-from pipeline.stages.depth.illumination.image_patch import ImagePatch, compute_cell_means
-from pipeline.stages.depth.illumination.light import Light, RenderedChange
+from pipeline.stages.depth.illumination.light import ImagePatch, Light, RenderedChange, compute_cell_means
 
 # Standard deviations between sensor instances, as `simulation.variation` draws them.
 _AZIMUTH_DEG, _ELEVATION_DEG = 8.0, 3.0

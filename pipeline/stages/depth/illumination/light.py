@@ -1,12 +1,129 @@
-"""The illumination of a gel, and what every light model can do with it."""
+"""The part of a gel image that is refined, its illumination, and what every light model can do with it."""
 
+import math
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
-from pipeline.base.arrays import Floats
-from pipeline.sensors.spec import SensorSpec
-from pipeline.stages.depth.illumination.constants import StepRule
-from pipeline.stages.depth.illumination.image_patch import ImagePatch
+import numpy as np
+
+from pipeline.base.arrays import Floats, Image, Mask
+from pipeline.calibration import slope_model
+from pipeline.calibration.calibration_table import Calibration
+from pipeline.calibration.markers import detect_markers, inpaint_markers, remove_printed_markers
+from pipeline.sensors.spec import Markers, SensorSpec
+from pipeline.stages.depth.change_detection import ImageWindow
+from pipeline.stages.depth.illumination.constants import CONSTANTS, StepRule
+
+_NO_BLUR_PX = 0.3  # a Gaussian this narrow changes nothing
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ImagePatch:
+    """The changed part of an image, at full resolution or on a coarser grid."""
+
+    x_px: Floats  # (cols,) image coordinates of the columns
+    y_px: Floats  # (rows,) image coordinates of the rows
+    change: Floats  # (rows, cols, 3) grey levels, smoothed
+    reference: Floats  # (rows, cols, 3) reference image, grey levels
+    changed: Mask  # (rows, cols) where the surface is estimated
+    downsampling: int  # image pixels along one side of a cell
+    pixel_mm: float  # width of a cell, by the calibration, which may differ from the sensor's
+    smoothing_px: float  # standard deviation of the change's smoothing, image pixels
+    unmarked_share: Floats  # (rows, cols, 1) share of a cell that no printed marker hides, now or in the reference
+
+
+def extract_patch(
+    image: Image, reference: Floats, window: ImageWindow, smoothing_px: float, markers: Markers | None, pixel_mm: float
+) -> ImagePatch:
+    """The window of an image (rows, cols, 3); printed markers, now and in the reference, are inpainted."""
+    import cv2
+
+    here = (window.rows, window.cols)
+    light = np.array(reference[here], np.float32)
+    change, unmarked = image[here].astype(np.float32) - light, np.ones(window.changed.shape, np.float32)
+    if markers is not None:
+        printed, bright = remove_printed_markers(reference, markers, pixel_mm)
+        hidden = printed[here] | detect_markers(image[here], markers, pixel_mm)
+        change = inpaint_markers(change, hidden, markers, pixel_mm)
+        light, unmarked = np.array(bright[here]), (~hidden).astype(np.float32)
+    if smoothing_px > 0:
+        change = np.asarray(cv2.GaussianBlur(change, (0, 0), smoothing_px), np.float32)
+    x, y = (np.arange(a.start, a.stop, dtype=np.float32) for a in (window.cols, window.rows))
+    return ImagePatch(
+        x_px=x, y_px=y, change=change, reference=light, changed=window.changed, downsampling=1, pixel_mm=pixel_mm,
+        smoothing_px=smoothing_px, unmarked_share=unmarked[..., None],
+    )  # fmt: skip
+
+
+def downsample_patch(patch: ImagePatch, shape: tuple[int, ...], cells: int = CONSTANTS.grid_cells) -> ImagePatch:
+    """The patch on a grid of at most `cells` cells along an image of `shape`; each cell is the mean of its pixels.
+
+    Lens blur leaves nothing finer in the light.
+    """
+    by = max(1, round(max(shape) / (cells * patch.downsampling)))
+    if by == 1:
+        return patch
+    rows, cols = (-(-n // by) for n in patch.changed.shape)
+    middle, step = np.float32(0.5 * (by - 1) * patch.downsampling), by * patch.downsampling
+    return ImagePatch(
+        x_px=patch.x_px[0] + middle + step * np.arange(cols, dtype=np.float32),
+        y_px=patch.y_px[0] + middle + step * np.arange(rows, dtype=np.float32),
+        change=compute_cell_means(patch.change, by),
+        reference=compute_cell_means(patch.reference, by),
+        changed=compute_cell_means(patch.changed.astype(np.float32), by) > 0,
+        unmarked_share=compute_cell_means(patch.unmarked_share, by).reshape(rows, cols, 1),
+        downsampling=step, pixel_mm=by * patch.pixel_mm, smoothing_px=patch.smoothing_px,
+    )  # fmt: skip
+
+
+def compute_cell_means(image: Floats, by: int) -> Floats:
+    """Means of an image (rows, cols, ...) over cells of `by` x `by` pixels; the border is replicated."""
+    import cv2
+
+    rows, cols = (-(-n // by) for n in image.shape[:2])
+    more = (0, rows * by - image.shape[0], 0, cols * by - image.shape[1])
+    whole = cv2.copyMakeBorder(image, *more, cv2.BORDER_REPLICATE)
+    return np.asarray(cv2.resize(whole, (cols, rows), interpolation=cv2.INTER_AREA), np.float32)
+
+
+def upsample_surface(surface_mm: Floats, by: int, shape: tuple[int, ...]) -> Floats:
+    """A surface of a downsampled patch at image resolution, cropped to `shape` (rows, cols)."""
+    import cv2
+
+    if by == 1:
+        return surface_mm
+    rows, cols = surface_mm.shape
+    fine = cv2.resize(surface_mm, (cols * by, rows * by), interpolation=cv2.INTER_CUBIC)
+    return np.ascontiguousarray(fine[: shape[0], : shape[1]], np.float32)
+
+
+def look_up_slopes(patch: ImagePatch, calibration: Calibration) -> tuple[Floats, Floats]:
+    """Slopes (gx, gy) (rows, cols) in mm/mm that the calibration table gives for the patch."""
+    half = 0.5 * max(calibration.rows, calibration.cols)
+    u, v = (patch.x_px - 0.5 * (calibration.cols - 1)) / half, (patch.y_px - 0.5 * (calibration.rows - 1)) / half
+    change = patch.change * slope_model.compute_gain(patch.reference)
+    return slope_model.evaluate(calibration.model, change, u.astype(np.float32), v.astype(np.float32), patch.changed)
+
+
+def blur_change(change: Floats, patch: ImagePatch, lens_blur_px: float) -> Floats:
+    """A change (rows, cols, 3) after the lens blur and the patch's smoothing."""
+    import cv2
+
+    width = math.hypot(lens_blur_px, patch.smoothing_px) / patch.downsampling
+    return np.asarray(cv2.GaussianBlur(change, (0, 0), width), np.float32) if width > _NO_BLUR_PX else change
+
+
+def simulate_recorded_change(change: Floats, patch: ImagePatch, lens_blur_px: float) -> Floats:
+    """What the camera records of a change of light (rows, cols, 3): blurred, and clipped to 0-255."""
+    recorded = np.clip(blur_change(change, patch, lens_blur_px) + patch.reference, 0.0, 255.0)
+    return np.asarray(recorded - patch.reference, np.float32)
+
+
+def sum_change_grey(patch: ImagePatch, confidence: Floats) -> float:
+    """Sum of the absolute change in grey levels, cut and weighted as misfits are."""
+    change = np.minimum(np.abs(patch.change * confidence), np.float32(2.0 * CONSTANTS.huber_grey))
+    return float(change[patch.changed].sum())
+
 
 IlluminationModel = Literal["described", "trusted", "near", "leds", "shadow_leds", "field"]
 

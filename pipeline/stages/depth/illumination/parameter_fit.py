@@ -24,14 +24,15 @@ from pipeline.physics import optics
 from pipeline.physics.slopes import compute_slopes
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth.illumination.constants import CONSTANTS
-from pipeline.stages.depth.illumination.image_patch import (
+from pipeline.stages.depth.illumination.led_light import compute_led_prior_root, make_led_light, shift_optics
+from pipeline.stages.depth.illumination.light import (
     ImagePatch,
+    Light,
+    RenderedChange,
     blur_change,
     simulate_recorded_change,
     sum_change_grey,
 )
-from pipeline.stages.depth.illumination.led_light import compute_led_prior_root, make_led_light, shift_optics
-from pipeline.stages.depth.illumination.light import Light, RenderedChange
 from pipeline.stages.depth.illumination.shadow_light import (
     compute_shadow_prior_root,
     make_described_leds,

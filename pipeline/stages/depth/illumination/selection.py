@@ -16,13 +16,15 @@ from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth.illumination import led_light, shadow_light
 from pipeline.stages.depth.illumination.constants import CONSTANTS
 from pipeline.stages.depth.illumination.field_light import fit_field, make_field_light
-from pipeline.stages.depth.illumination.image_patch import (
+from pipeline.stages.depth.illumination.light import (
+    Illumination,
+    IlluminationModel,
     ImagePatch,
+    Light,
     compute_cell_means,
     downsample_patch,
     sum_change_grey,
 )
-from pipeline.stages.depth.illumination.light import Illumination, IlluminationModel, Light
 from pipeline.stages.depth.illumination.parameter_fit import LedObservation, fit_leds, fit_shadow_leds
 from pipeline.stages.depth.illumination.surface_refinement import refine_surface
 from pipeline.stages.depth.poisson import Integrator

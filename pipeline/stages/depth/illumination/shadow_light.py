@@ -22,8 +22,7 @@ from pipeline.physics import optics
 from pipeline.sensors.parts import compute_mean_reference_light
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth.illumination.constants import SHADOW_STEP
-from pipeline.stages.depth.illumination.image_patch import ImagePatch
-from pipeline.stages.depth.illumination.light import Light, RenderedChange
+from pipeline.stages.depth.illumination.light import ImagePatch, Light, RenderedChange
 
 _DARK_GREY = np.float32(2.0)  # R0: a camera's black is not quite none
 _NOISE_PER_GREY = np.float32(0.01)  # noise grows with the light

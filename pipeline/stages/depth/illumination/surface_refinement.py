@@ -28,11 +28,11 @@ import numpy as np
 from pipeline.base.arrays import Floats, percentile
 from pipeline.physics.slopes import compute_slopes
 from pipeline.stages.depth.illumination.constants import CONSTANTS
-from pipeline.stages.depth.illumination.image_patch import (
+from pipeline.stages.depth.illumination.light import (
     ImagePatch,
+    Light,
     blur_change,
 )
-from pipeline.stages.depth.illumination.light import Light
 from pipeline.stages.depth.poisson import Integrator, solve_weighted_slopes
 
 _WALL_RANGES = ((0.1, 0.5), (0.3, 0.8), (0.6, 1.0))  # of the depth: where a wall is raised
