@@ -45,7 +45,7 @@ from pipeline.stages.cloud.back_projection import BackProjectionParams, back_pro
 from pipeline.stages.pose.signed_distances import PoseParams, track_pose
 from pipeline.stages.target_depth.surface_projection import SurfaceProjectionParams, project_cloud
 from pipeline.stages.touch.physical_render import PhysicalRenderParams, render_touch
-from pipeline.stages.touch_depth import membrane as feel
+from pipeline.stages.touch_depth import stage as touch_depth
 from pipeline.values.frames import TactileFrame
 from pipeline.values.results import DepthErrorModel, DepthMap, make_pixel_index
 
@@ -131,7 +131,7 @@ def translate_press(made: SimulatedPress, source: SensorSpec, target: SensorSpec
         measure_depth(made, source, "network"), resolve_alignment(source, target), BackProjectionParams()
     )
     touch = render_touch(project_cloud(cloud, target, SurfaceProjectionParams()), target, PhysicalRenderParams())
-    return feel.use_membrane(touch, target, NoParams())
+    return touch_depth.use_membrane(touch, target, NoParams())
 
 
 def chi_square(touch: DepthMap, truth: Doubles, mesh: Mesh) -> tuple[float, float, int] | None:

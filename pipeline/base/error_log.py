@@ -25,7 +25,7 @@ def format_details(error: BaseException) -> str:
 def log_error(error: BaseException) -> str:
     """Append the details to the log; returns the sentence with the log's path."""
     entry = f"{time.strftime('%Y-%m-%d %H:%M:%S')}\n{format_details(error)}\n"
-    for folder in (_own_folder(), Path(tempfile.gettempdir())):
+    for folder in (find_user_folder("log"), Path(tempfile.gettempdir())):
         path = folder / "tactoscope.log"
         with contextlib.suppress(OSError):
             folder.mkdir(parents=True, exist_ok=True)
@@ -35,7 +35,3 @@ def log_error(error: BaseException) -> str:
                 file.write(entry)
             return f"{format_sentence(error)}; the details are in '{path}'"
     return f"{format_sentence(error)}; its details could not be written"
-
-
-def _own_folder() -> Path:
-    return find_user_folder("log")

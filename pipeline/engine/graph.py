@@ -104,7 +104,7 @@ class StageResult:
 
 
 def skip_if_exact(
-    exact: Callable[[Unpack[Reads], Params], Output | None],
+    exact: Callable[..., Output | None],
     run: Callable[[Unpack[Reads], Params, Progress], Output | Skipped[Output] | Fallback[Output]],
 ) -> Callable[[Unpack[Reads], Params, Progress], Output | Skipped[Output] | Fallback[Output]]:
     """Return a method's function: the result of `exact` (*reads, params) if it has one, that of `run` otherwise."""

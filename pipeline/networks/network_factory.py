@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import warnings
-from collections.abc import Container, Mapping
+from collections.abc import Container, Generator, Mapping
 from typing import TYPE_CHECKING, Any
 
 from pipeline.base.arrays import Floats
@@ -18,8 +19,6 @@ from pipeline.networks.weights import NoWeights, Weights
 if TYPE_CHECKING:
     from torch import nn
 
-import contextlib
-from collections.abc import Generator
 
 NETWORK_CLASSES: dict[str, str] = {  # kind -> module:class; importing a module loads torch
     "compact_unet": "pipeline.networks.compact_unet:CompactUnet",

@@ -6,19 +6,18 @@ Readers, file dialogs and help texts are derived from `FORMATS`. Another package
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, TypeVar
 
 from pipeline.base.entry_points import load_entry_points, load_reference
+from pipeline.base.errors import FileProblem
 
 if TYPE_CHECKING:
     from pipeline.values.frames import Recording
 
-from collections.abc import Callable
-from typing import TypeVar
-
-from pipeline.base.errors import FileProblem
+T = TypeVar("T")
 
 DepthUnit = Literal["auto", "mm", "m", "0.1mm", "um"]
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
@@ -172,9 +171,6 @@ def describe_formats() -> str:
 
 def _patterns(suffixes: tuple[str, ...]) -> str:
     return " ".join(f"*{suffix}" for suffix in suffixes)
-
-
-T = TypeVar("T")
 
 
 def with_index_check(read: Callable[[int], T], n_frames: int, path: Path) -> Callable[[int], T]:

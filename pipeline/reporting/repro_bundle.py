@@ -121,7 +121,7 @@ def write_bundle(
             inside = _copy_inputs(translation, part)
             _record(translation, index, part / "frame.h5")
             values = {name: getattr(inside, name) for name in _WORDS}
-            values |= {name: _name(getattr(inside, name)) for name in _FILES}
+            values |= {name: getattr(getattr(inside, name), "name", None) for name in _FILES}
             values |= {"methods": dict(inside.methods), "weights": {stage: file.name for stage, file in inside.weights}}
             metrics = _write_results(part, inside, settings, index, progress)
             write_json(
@@ -283,7 +283,3 @@ def _request(asked: _RequestFile, folder: Path) -> Request:
     files = {name: None if getattr(asked, name) is None else inside(getattr(asked, name)) for name in _FILES}
     weights = tuple((stage, inside(name)) for stage, name in asked.weights.items())
     return Request(**cast("Any", files), **cast("Any", words), methods=tuple(asked.methods.items()), weights=weights)
-
-
-def _name(path: Path | None) -> str | None:
-    return None if path is None else path.name

@@ -81,22 +81,6 @@ def _no_ground_truth(_facts: GroundTruth, _sensor: SensorSpec) -> Any | None:
     return None
 
 
-def _no_steps(_value: Any) -> tuple[Any, ...]:
-    return ()
-
-
-def _no_layers(_step: Any, _context: PreviewContext, _preview: Preview) -> tuple[Layer, ...]:
-    return ()
-
-
-def _no_history(_value: Any) -> StepHistory | None:
-    return None
-
-
-def _no_metrics(_value: Any, _facts: GroundTruth) -> Mapping[str, float]:
-    return {}
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stage:
     """Everything about one stage."""
@@ -109,14 +93,16 @@ class Stage:
     make_preview: Callable[[Any, PreviewContext], Preview]
     make_layers: Callable[[Any, PreviewContext, Preview], tuple[Layer, ...]]
     trace_point: Callable[[Any, ProbePoint], ProbePoint]  # (value, point in its input) -> point here
-    compute_metrics: Callable[[Any, GroundTruth], Mapping[str, float]] = _no_metrics  # name in METRICS -> value
+    compute_metrics: Callable[[Any, GroundTruth], Mapping[str, float]] = lambda _v, _f: {}  # name in METRICS -> value
     make_ground_truth: Callable[[GroundTruth, SensorSpec], Any | None] = _no_ground_truth  # value of this stage
     preview_stages: tuple[str, ...] = ()  # other stages that the preview shows
     exaggerates_indentation: bool = True  # whether the 3D view stretches indentation
     has_steps: bool = False  # whether values may keep `steps`
-    split_steps: Callable[[Any], tuple[Any, ...]] = _no_steps  # the kept steps as values of this stage
-    make_step_layers: Callable[[Any, PreviewContext, Preview], tuple[Layer, ...]] = _no_layers  # none = as the value
-    summarise_steps: Callable[[Any], StepHistory | None] = _no_history
+    split_steps: Callable[[Any], tuple[Any, ...]] = lambda _v: ()  # the kept steps as values of this stage
+    make_step_layers: Callable[[Any, PreviewContext, Preview], tuple[Layer, ...]] = (
+        lambda _v, _c, _p: ()
+    )  # none = as the value
+    summarise_steps: Callable[[Any], StepHistory | None] = lambda _v: None
 
     @property
     def has_ground_truth(self) -> bool:

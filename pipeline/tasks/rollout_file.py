@@ -43,7 +43,8 @@ def summarise(rollout: Rollout) -> dict[str, object]:
 def write_rollout(rollout: Rollout, path: Path, key: str, plan: TrialPlan) -> None:
     """Write a rollout and the plan that it is of; raises FileProblem where nothing can be written."""
     ticks = rollout.ticks
-    bodies = {name: [tick.world_from_bodies[name] for tick in ticks] for name in _list_bodies(rollout)}
+    names = ticks[0].world_from_bodies if ticks else ()
+    bodies = {name: [tick.world_from_bodies[name] for tick in ticks] for name in names}
     own = replace(plan, touches=(rollout.touch,), tolerances_mm=(rollout.tolerance_mm,), case=_name_case(plan.case))
     with RecordingWriter(
         path, object_mesh=rollout.mesh, pairings=rollout.pairings, notes=(f"rollout: {rollout.cause}",),
@@ -63,10 +64,6 @@ def write_rollout(rollout: Rollout, path: Path, key: str, plan: TrialPlan) -> No
             },
             {"summary": json.dumps(summarise(rollout)), "plan": json.dumps(asdict(own)), "key": key},
         )
-
-
-def _list_bodies(rollout: Rollout) -> tuple[str, ...]:
-    return tuple(rollout.ticks[0].world_from_bodies) if rollout.ticks else ()
 
 
 def _name_case(case: str) -> str:

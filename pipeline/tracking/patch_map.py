@@ -125,7 +125,7 @@ def move_to_keys(
     return tuple(moved)
 
 
-def fuse_views(views: Sequence[ContactView], keys: Sequence[KeyFrame], name: str = "patch") -> Mesh | None:
+def fuse_views(views: Sequence[ContactView], keys: Sequence[KeyFrame]) -> Mesh | None:
     """The surface of all views in the sensor frame of the first; None where they have no surface."""
     import open3d
 
@@ -164,7 +164,7 @@ def fuse_views(views: Sequence[ContactView], keys: Sequence[KeyFrame], name: str
         return None
     used, corners = np.unique(triangles, return_inverse=True)
     vertices, triangles = _sort_mesh(vertices[used], corners.reshape(-1, 3).astype(np.int32))
-    return Mesh(vertices_mm=freeze(vertices), triangles=freeze(triangles), name=name)
+    return Mesh(vertices_mm=freeze(vertices), triangles=freeze(triangles), name="patch")
 
 
 def _measure_contact_share(

@@ -93,9 +93,9 @@ class _Training:
         self._run, self._now, self._group, self._source, self._progress = run, now, group, source, progress
         self._recipe, self._task = run.recipe, task
         torch.manual_seed(self._recipe.training.seed)
-        self._network = use_channels_last(
-            build_network(str(self._recipe.network["kind"]), _arguments(self._recipe))
-        ).to(group.device)
+        arguments = {key: value for key, value in self._recipe.network.items() if key != "kind"}
+        network = build_network(str(self._recipe.network["kind"]), arguments)
+        self._network = use_channels_last(network).to(group.device)
         if not now.step:
             self._load_initial_weights()
         self._average = optimising.copy_for_averaging(self._network)
@@ -284,7 +284,3 @@ def to_tensors(batch: Example, device: Any) -> dict[str, Any]:
     import torch
 
     return {name: to_channels_last(torch.from_numpy(array).to(device)) for name, array in batch.items()}
-
-
-def _arguments(recipe: Recipe) -> dict[str, Any]:
-    return {key: value for key, value in recipe.network.items() if key != "kind"}

@@ -239,13 +239,9 @@ def _fill(part: P, table: Mapping[str, Any], where: str) -> P:
 def override_pairs(recipe: Recipe, path: str, hold_out: str, share: float = 1.0) -> Recipe:
     """The recipe trained on recorded pairs, or on a share of those to train on; raises SettingProblem."""
     share = replace_value(_Data(), "share", share).share
-    network = _mark_network(recipe.network) if path else recipe.network
+    is_marked = bool(path) and recipe.network["kind"] in _MARKED_KINDS  # as trained on recorded pairs
+    network = {**recipe.network, "trained_on_recordings": 1.0} if is_marked else recipe.network
     return replace(recipe, pairs=PairFolder(path=path, hold_out=hold_out, share=share), network=network)
-
-
-def _mark_network(network: Mapping[str, Value]) -> Mapping[str, Value]:
-    """The network with the mark of recorded pairs, where its kind has one."""
-    return {**network, "trained_on_recordings": 1.0} if network["kind"] in _MARKED_KINDS else network
 
 
 def override_training(recipe: Recipe, **values: int | str) -> Recipe:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -18,9 +19,16 @@ from numpy.typing import NDArray
 from pipeline.base.arrays import Doubles, Floats
 from pipeline.base.errors import SettingProblem
 from pipeline.base.params import setting
-from pipeline.networks.square_images import normalise
+from pipeline.geometry import rigid
+from pipeline.networks.square_images import normalise, resize_to_square
+from pipeline.physics import lattice
+from pipeline.sensors.spec import SensorSpec
 from pipeline.simulation import poses, shapes
-from pipeline.training.object_sampling import DataSplit
+from pipeline.stages.touch.depth_condition import make_working_sensor
+from pipeline.stages.touch.physical_render import PhysicalRenderParams, render_touch
+from pipeline.training.object_sampling import DATA_SPLITS, DataSplit, SampleCache
+from pipeline.training.source_observation import simulate_source_observation
+from pipeline.training.target_touches import make_target_depth
 from pipeline.training.task import VALIDATION_SEED, SimulatedPresses, augmentation_setting
 from pipeline.training.touch_squares import load_nominal_sensors, simulate_touch_squares
 
@@ -29,17 +37,6 @@ if TYPE_CHECKING:
 
     from pipeline.training.task import Example, Split
 
-from functools import lru_cache
-
-from pipeline.geometry import rigid
-from pipeline.networks.square_images import resize_to_square
-from pipeline.physics import lattice
-from pipeline.sensors.spec import SensorSpec
-from pipeline.stages.touch.depth_condition import make_working_sensor
-from pipeline.stages.touch.physical_render import PhysicalRenderParams, render_touch
-from pipeline.training.object_sampling import DATA_SPLITS, SampleCache
-from pipeline.training.source_observation import simulate_source_observation
-from pipeline.training.target_touches import make_target_depth
 
 TouchSensor = Literal["gelslim", "soft_bubble"]
 _LEVER_MM = 10.0  # one radian of rotation weighs as this translation

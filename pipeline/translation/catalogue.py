@@ -158,13 +158,13 @@ def with_settings(methods: tuple[Method, ...], assignments: Sequence[str]) -> di
     return params
 
 
-def with_weights(given: Mapping[str, Path], assignment: str, catalogue: Catalogue = BUILT_IN) -> dict[str, Path]:
+def with_weights(given: Mapping[str, Path], assignment: str) -> dict[str, Path]:
     """`given` (stage -> file) with one `stage=file`, or one `file` for the first stage whose method takes weights.
 
     Raises SettingProblem for a `word=file` whose word is no stage, unless a file of that whole name exists.
     """
     stage, equals, name = (part.strip() for part in assignment.partition("="))
-    stages = [entry.name for entry in catalogue.stages]
+    stages = [entry.name for entry in BUILT_IN.stages]
     if equals and stage in stages:
         return {**given, stage: Path(name)}
     if equals and not Path(assignment).exists() and "/" not in stage:

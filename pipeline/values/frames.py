@@ -49,10 +49,6 @@ class Truth:
     force_n: Doubles | None = None  # (3,) on the sensor: right, down, away from the camera (a press is < 0)
 
 
-def _no_truth(_index: int) -> Truth | None:
-    return None
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stream:
     """The frames of one sensor, read on demand."""
@@ -61,12 +57,8 @@ class Stream:
     sensor: str  # name of a sensor description; "" = not known
     n_frames: int
     frame: Callable[[int], TactileFrame]  # raises FileProblem naming file, frame and field
-    truth: Callable[[int], Truth | None] = _no_truth
+    truth: Callable[[int], Truth | None] = lambda _i: None
     has_truth: bool = False
-
-
-def _nothing() -> None:
-    return None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -93,10 +85,6 @@ class Grasp:
         return " ".join(part for part in (self.tool, str(self.number), f"({self.split})" if self.split else "") if part)
 
 
-def _no_pair_problem(_index: int) -> str:
-    return ""
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recording:
     """One or several sensors that record the same touches: frame `i` of each stream is the same moment."""
@@ -107,14 +95,12 @@ class Recording:
     object_mesh: Mesh | None = None
     pairings: tuple[Pairing, ...] = ()
     notes: tuple[str, ...] = field(default=())  # sentences: what was assumed, converted or left out
-    close: Callable[[], None] = _nothing
+    close: Callable[[], None] = lambda: None
     symmetry: Symmetry | None = None  # of the object; None = not known, and no poses count as equal
     refresh: Callable[[], Recording] | None = None  # the recording with frames that came since; None = it does not grow
     alternatives: tuple[Path, ...] = ()  # the recordings of the same folder, where it holds several
     grasps: tuple[Grasp, ...] = ()  # one per frame index; () = the data set names none
-    find_pair_problem: Callable[[int], str] = (
-        _no_pair_problem  # why frames of this index are not of one touch; "" = fine
-    )
+    find_pair_problem: Callable[[int], str] = lambda _i: ""  # why its frames are not of one touch; "" = fine
 
     def stream(self, name_or_sensor: str = "") -> Stream:
         """The stream with this name or sensor, the first one for ""; raises SettingProblem."""

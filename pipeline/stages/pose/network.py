@@ -51,7 +51,7 @@ def predict_pose(
     progress: Progress = SILENT,
 ) -> ObjectPose | Skipped:
     """Predict sensor_from_object (4, 4) in mm of the given mesh from the tactile image."""
-    skipped = signed_distances.skip_without_contact(touch_depth, mesh, params)
+    skipped = signed_distances.skip_without_contact(touch_depth, mesh)
     if skipped is not None or mesh is None:
         assert skipped is not None
         return Skipped(output=skipped, reason=skipped.notes[0])
@@ -115,7 +115,7 @@ def _register(
     params: PoseParams,
     progress: Progress = SILENT,
 ) -> ObjectPose | Skipped:
-    skipped = signed_distances.skip_without_contact(touch_depth, mesh, params)
+    skipped = signed_distances.skip_without_contact(touch_depth, mesh)
     if skipped is not None:
         return Skipped(output=skipped, reason=skipped.notes[0])
     return signed_distances.estimate_pose(touch_depth, mesh, params, progress)

@@ -159,18 +159,8 @@ def estimate_pose_icp(
     )  # fmt: skip
 
 
-def skip_pose(
-    touch_depth: DepthMap,
-    mesh: Mesh | None,
-    previous: ObjectPose | None,  # noqa: ARG001 - the inputs of the method
-    params: PoseParams,
-) -> ObjectPose | None:
-    """`skip_without_contact` with the inputs of `estimate_or_track_pose`."""
-    return skip_without_contact(touch_depth, mesh, params)
-
-
-def skip_without_contact(touch_depth: DepthMap, mesh: Mesh | None, params: PoseParams) -> ObjectPose | None:  # noqa: ARG001
-    """The unknown pose if there is no mesh or no contact, else None; same inputs as `estimate_pose`."""
+def skip_without_contact(touch_depth: DepthMap, mesh: Mesh | None, *_: object) -> ObjectPose | None:
+    """The unknown pose if there is no mesh or no contact, else None, whatever else a method reads."""
     if not touch_depth.contact.any():
         return _make_unknown_pose(NO_CONTACT)
     return _make_unknown_pose(NO_MESH) if mesh is None else None
@@ -180,7 +170,7 @@ def prepare_search(
     touch_depth: DepthMap, mesh: Mesh | None, params: PoseParams, progress: Progress = SILENT
 ) -> ObjectPose | tuple[PoseSearch, Mesh]:  # fmt: skip
     """The prepared search and mesh, or the unknown pose where a search is impossible."""
-    early = skip_without_contact(touch_depth, mesh, params)
+    early = skip_without_contact(touch_depth, mesh)
     if early is not None or mesh is None:
         return early or _make_unknown_pose(NO_MESH)
     _check_face(params)

@@ -188,16 +188,6 @@ def generate_touch_from_depth(
     return replace(touch, notes=(*_warn_outside_view(target), NOTE.format("the target depth"), *touch.notes))
 
 
-def skip_without_contact(
-    view: TargetDepth,
-    target: SensorSpec,
-    weights: Weights | NoWeights,  # noqa: ARG001 - the method's arguments
-    params: LatentParams,  # noqa: ARG001 - the method's arguments
-) -> GeneratedTouch | None:
-    """The reference touch if the target depth has no contact, else None."""
-    return physical_render.skip_without_contact(view, target, physical_render.PhysicalRenderParams())
-
-
 def _warn_outside_view(target: SensorSpec) -> tuple[UnseenObjectWarning, ...]:
     """A warning for a bubble, which feels more of an object than any source sees."""
     return (UnseenObjectWarning(OUTSIDE_VIEW),) if target.sensor_kind.is_depth else ()

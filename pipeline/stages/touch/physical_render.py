@@ -12,7 +12,7 @@ from typing import Literal, assert_never
 
 import numpy as np
 
-from pipeline.base.arrays import Doubles, Floats, Image, Indices, Mask, freeze
+from pipeline.base.arrays import Floats, Image, Indices, Mask, freeze
 from pipeline.base.entry_points import load_reference
 from pipeline.base.errors import OutsideViewWarning, SettingProblem, ShapeError, StageWarning, UnseenObjectWarning
 from pipeline.base.memo import Memo
@@ -75,11 +75,11 @@ def render_touch(
     view: TargetDepth, target: SensorSpec, params: PhysicalRenderParams, progress: Progress = SILENT
 ) -> GeneratedTouch:
     """Simulate what `target` would record of `view`; raises ShapeError for a view of another image size."""
-    reference_touch = skip_without_contact(view, target, params)
+    reference_touch = skip_without_contact(view, target)
     if reference_touch is not None:
         return reference_touch
     view, gap_notes = _drop_invalid_pixels(view)
-    reference_touch = skip_without_contact(view, target, params)
+    reference_touch = skip_without_contact(view, target)
     if reference_touch is not None:
         return replace(reference_touch, notes=(*gap_notes, *reference_touch.notes))
     progress.step(0.0, "pressing the target's membrane")
@@ -94,8 +94,8 @@ def render_touch(
     return touch
 
 
-def skip_without_contact(view: TargetDepth, target: SensorSpec, params: PhysicalRenderParams) -> GeneratedTouch | None:  # noqa: ARG001 - the stage contract
-    """The reference touch if the view has no contact, else None; cached per sensor."""
+def skip_without_contact(view: TargetDepth, target: SensorSpec, *_: object) -> GeneratedTouch | None:
+    """The reference touch if the view has no contact, else None, whatever else a method reads; cached per sensor."""
     if view.contact.shape != target.camera.shape:
         raise ShapeError(
             f"the target view must have the shape {target.camera.shape} of {target.name}, got {view.contact.shape}"
@@ -166,7 +166,8 @@ def render_gel_touch(
     if target.gel is None:
         raise SettingProblem(f"{target.name} has no gel: its description lacks [gel]")
     # An object at the image border continues outside: the pad is larger than the camera's view.
-    margin = int(np.ceil(target.gel.thickness_mm / target.pixel_mm)) if _touches_border(view.contact) else 0
+    is_cut = view.contact[[0, -1]].any() or view.contact[:, [0, -1]].any()
+    margin = int(np.ceil(target.gel.thickness_mm / target.pixel_mm)) if is_cut else 0
     mask = np.pad(view.contact, margin, mode="edge")
     padded = np.pad(indentation_mm, margin, mode="edge")
     tolerance_mm = 1e-3 * params.tolerance_um
@@ -210,9 +211,10 @@ def render_bubble_touch(
         notes.append(
             StageWarning("the bubble's air pressure did not converge: the shape outside the contact is inaccurate")
         )
-    depth = _limit_to_surface(
-        view, surface_depth, bubble_camera.compute_depth_from_deviation(target, solution.deviation_mm, on)
-    )
+    # Lattice cells end at the centres of the object's outermost pixels, so the membrane falls off half a pixel early:
+    # it is nowhere behind the measured surface.
+    depth = bubble_camera.compute_depth_from_deviation(target, solution.deviation_mm, on)
+    depth = np.where(view.contact, np.minimum(depth, surface_depth), depth)
     touching = lattice.sample_mask_at_pixels(target.camera, solution.contact, on, depth)
     # On a noisy surface the contact force acts on noise peaks only: pixels within the gap are added.
     with np.errstate(invalid="ignore"):
@@ -257,20 +259,10 @@ def _reaches_edge(contact: Mask, in_view: Mask) -> bool:
     return bool((contact & outside).any())
 
 
-def _limit_to_surface(view: TargetDepth, surface_depth: Floats, depth: Doubles) -> Doubles:
-    """The membrane's depth, nowhere behind the measured surface.
-
-    The lattice cells end at the centres of the outermost pixels of the object, so the membrane falls off half a pixel
-    before the object's edge.
-    """
-    return np.where(view.contact, np.minimum(depth, surface_depth), depth)
-
-
 def _make_touch(
     view: TargetDepth, target: SensorSpec, image: Image | Floats, surface: Floats, contact: Mask, notes: list[str]
 ) -> GeneratedTouch:
-    pixel_index = np.arange(contact.size, dtype=np.int32).reshape(contact.shape)
-    source: Indices = np.where(view.source_index >= 0, pixel_index, np.int32(-1))
+    source: Indices = np.where(view.source_index >= 0, make_pixel_index(contact.shape), np.int32(-1))
     return GeneratedTouch(
         image=image, camera=target.camera, source_index=freeze(source), in_view=view.in_view,
         membrane=replace(_make_membrane(target, surface, contact), error=view.error), notes=tuple(notes),
@@ -285,7 +277,3 @@ def _make_membrane(target: SensorSpec, surface: Floats, contact: Mask) -> DepthM
         camera=target.camera,
         source_index=make_pixel_index(contact.shape),
     )
-
-
-def _touches_border(mask: Mask) -> bool:
-    return bool(mask[[0, -1]].any() or mask[:, [0, -1]].any())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,38 +17,30 @@ _HALF = 0.5
 NO_CHANGE = "physics: the network changes nothing; its corrections are smaller than their expected errors"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class EdgeUncertainty:
-    """Uncertainty of edge positions from a coarse source."""
-
-    blur_mm: float = 0.0  # standard deviation of the edge position, blurs the membrane
-    contact_margin_mm: float = 0.0  # by which contact extends beyond the source's pixel centres
-
-
-NO_EDGE_UNCERTAINTY = EdgeUncertainty()
-
-
 def render_correction(
     first: GeneratedTouch,
     target: SensorSpec,
     sample: ResidualSample,
     seed: int | None,
-    edge_uncertainty: EdgeUncertainty = NO_EDGE_UNCERTAINTY,
+    *,
+    edge_blur_mm: float = 0.0,
+    contact_margin_mm: float = 0.0,
 ) -> GeneratedTouch:
     """`first` with a sample's correction, resampled from the working grid to the target's pixels.
 
     The membrane is limited to the sensor's maximum indentation. `seed` sets the sensor noise, None = no noise. The
-    whole image is in view; `membrane.expected_error_mm` holds the uncertainty. With `edge_uncertainty` edges are
-    blurred, as in the mean over all possible edge positions. Warnings of what physics leaves out are dropped.
+    whole image is in view; `membrane.expected_error_mm` holds the uncertainty. From a coarse source the membrane is
+    blurred by the standard deviation `edge_blur_mm` of edges, as in the mean over their positions, and contact extends
+    `contact_margin_mm` beyond the source's pixel centres. Warnings of what physics leaves out are dropped.
     """
     prior_membrane = first.membrane
     assert prior_membrane is not None
     error_mm = freeze(_resize(sample.expected_error_mm, target.camera.shape))
-    image, corrected = _render_state(prior_membrane, target, sample.final, seed, edge_uncertainty)
+    image, corrected = _render_state(prior_membrane, target, sample.final, seed, edge_blur_mm, contact_margin_mm)
     steps = [
         TouchStep(image=rendered, sigma=state.sigma, membrane=membrane)
         for state in sample.states
-        for rendered, membrane in (_render_state(prior_membrane, target, state, None, edge_uncertainty),)
+        for rendered, membrane in (_render_state(prior_membrane, target, state, None, edge_blur_mm, contact_margin_mm),)
     ]
     return replace(
         first,
@@ -61,14 +53,14 @@ def render_correction(
 
 
 def _render_state(
-    first: DepthMap, target: SensorSpec, state: DenoisingState, seed: int | None, edge_uncertainty: EdgeUncertainty
+    first: DepthMap, target: SensorSpec, state: DenoisingState, seed: int | None, edge_blur_mm: float, margin_mm: float
 ) -> tuple[Image | Floats, DepthMap]:
     shape = target.camera.shape
     surface = first.indentation_mm + _resize(state.residual_mm, shape)
-    if edge_uncertainty.blur_mm > 0.0:
-        surface = _blur(surface, edge_uncertainty.blur_mm / target.pixel_mm)
+    if edge_blur_mm > 0.0:
+        surface = _blur(surface, edge_blur_mm / target.pixel_mm)
     surface = np.minimum(surface, np.float32(target.limits.indentation_max_mm)).astype(np.float32)
-    prior_contact = _dilate(first.contact, edge_uncertainty.contact_margin_mm / target.pixel_mm)
+    prior_contact = _dilate(first.contact, margin_mm / target.pixel_mm)
     contact: Mask = prior_contact.astype(np.float32) + _resize(state.contact_correction, shape) > _HALF
     depth: Floats = (target.rest_depth_mm - surface).astype(np.float32)
     corrected = replace(

@@ -45,7 +45,9 @@ T2D2 = Method(
     name="t2d2",
     title="T2D2 diffusion",
     help="physical render plus a residual from a network trained on the target sensor",
-    run=skip_if_exact(t2d2.skip_without_contact, fall_back_without_weights(t2d2.generate_touch, fallback=PHYSICS)),
+    run=skip_if_exact(
+        physical_render.skip_without_contact, fall_back_without_weights(t2d2.generate_touch, fallback=PHYSICS)
+    ),
     params=DiffusionParams,
     reads=(*PHYSICS.reads, "touch_weights"),
     weights=t2d2.select_weights,
@@ -70,7 +72,7 @@ LATENT_T2D2 = Method(
     title="T2D2 latent diffusion (the paper's)",
     help="200 steps from noise, conditioned on the target depth and its mask",
     run=skip_if_exact(
-        latent_diffusion.skip_without_contact,
+        physical_render.skip_without_contact,
         fall_back_without_weights(latent_diffusion.generate_touch_from_depth, fallback=PHYSICS),
     ),
     params=LatentParams,
@@ -153,7 +155,7 @@ def _summarise_steps(touch: GeneratedTouch) -> StepHistory | None:
     changes = [heights[0] * 0, *(b - a for a, b in pairwise(heights))]
     last_mm = tuple(_rms_mm(h - heights[-1]) for h in heights)
     span_mm = max(float(np.ptp(heights[-1])), 1e-9)
-    settled = next(k for k, h in enumerate(heights) if _percentile_99(h - heights[-1]) <= span_mm / 255)
+    settled = next(k for k, h in enumerate(heights) if np.percentile(np.abs(h - heights[-1]), 99.0) <= span_mm / 255)
     return StepHistory(
         curves=(
             StepCurve(name="changed", unit="mm", values=tuple(_rms_mm(o) for o in changes)),
@@ -168,10 +170,6 @@ def _summarise_steps(touch: GeneratedTouch) -> StepHistory | None:
 
 def _rms_mm(gap: Floats) -> float:
     return float(np.sqrt((gap.astype(np.float64) ** 2).mean()))
-
-
-def _percentile_99(gap: Floats) -> float:
-    return float(np.percentile(np.abs(gap), 99.0))
 
 
 def _compute_metrics(touch: GeneratedTouch, facts: GroundTruth) -> Mapping[str, float]:

@@ -39,7 +39,7 @@ from pipeline.stages.touch.confidence_weighting import (
 from pipeline.stages.touch.depth_condition import make_working_sensor
 from pipeline.stages.touch.image_condition import build_image_condition
 from pipeline.stages.touch.residual_diffusion import DiffusionParams, sample_residual
-from pipeline.stages.touch.residual_render import EdgeUncertainty, render_correction, report_change
+from pipeline.stages.touch.residual_render import render_correction, report_change
 from pipeline.stages.touch.touch_from_change import check_depth_limit
 from pipeline.values.frames import TactileFrame
 from pipeline.values.results import DepthMap, GeneratedTouch
@@ -108,34 +108,24 @@ def generate_touch(
             (StageWarning(NETWORK_ONLY_WARNING),) if is_weighted else ()
         )  # replaces the notes of the reference touch
         touch = render_correction(replace(rest, notes=network_warnings), target, sample, seed)
-        return _add_warnings(touch, frame, source, calibration, check_depth_limit(touch, source, target, alignment))
+        warnings = depth.warn_of_mismatch(frame, source, calibration)
+        limits = check_depth_limit(touch, source, target, alignment)
+        return replace(touch, notes=(*warnings, *limits, *touch.notes))
     sample = express_as_correction(sample, membrane)
     error_ratio = compute_error_ratio(sample, membrane.contact & physical.in_view)
     if error_ratio > _MAX_ERROR_RATIO:
         why = f"it deviates from the measured contact by {error_ratio:.0f} times its expected error"
         return Fallback(result=physical, reason=f"physics: the network contradicts the source; {why}")
     sample = shrink_to_prior(sample, physical.in_view, params.confidence_weighting, read_error_calibration(network))
-    edge_uncertainty = _estimate_edge_uncertainty(source, target, network)
-    return report_change(render_correction(physical, target, sample, seed, edge_uncertainty), physical)
-
-
-def _estimate_edge_uncertainty(source: SensorSpec, target: SensorSpec, network: ResidualNetwork) -> EdgeUncertainty:
-    """Uncertainty of edges from a source whose pixels are larger than the working grid's."""
+    # Edges are uncertain where the source's pixels are larger than the working grid's.
     grid_mm = get_touch_format(target.kind).grid_factor * target.pixel_mm
     source_pixel_mm = source.pixel_mm if source.pixel_mm > grid_mm else 0.0
-    blur_px, margin_px = cast("float", network.blur_px), cast("float", network.contact_margin_px)
-    return EdgeUncertainty(blur_mm=source_pixel_mm * blur_px, contact_margin_mm=source_pixel_mm * margin_px)
-
-
-def _add_warnings(
-    touch: GeneratedTouch,
-    frame: TactileFrame,
-    source: SensorSpec,
-    calibration: Calibration | None,
-    more_warnings: tuple[StageWarning, ...],
-) -> GeneratedTouch:
-    """A touch without depth, with the warnings about the source frame and `more_warnings`."""
-    return replace(touch, notes=(*depth.warn_of_mismatch(frame, source, calibration), *more_warnings, *touch.notes))
+    touch = render_correction(
+        physical, target, sample, seed,
+        edge_blur_mm=source_pixel_mm * cast("float", network.blur_px),
+        contact_margin_mm=source_pixel_mm * cast("float", network.contact_margin_px),
+    )  # fmt: skip
+    return report_change(touch, physical)
 
 
 def _render_cached(*reads: Any) -> GeneratedTouch:

@@ -1,18 +1,66 @@
-"""The stage *touch_depth*: depth of the generated touch in the target's frame."""
+"""The stage *touch_depth*: depth of the generated touch in the target's frame; the pose is registered to it.
+
+A method that computes the membrane (physics) passes it on. Any generated image can also go through the target's depth
+method, which shows how much of a touch the image preserves.
+"""
+
+from dataclasses import replace
 
 from pipeline.base.params import NoParams
-from pipeline.engine.graph import Method, skip_if_exact
+from pipeline.base.progress import SILENT, Progress
+from pipeline.engine.graph import Fallback, Method, skip_if_exact
+from pipeline.sensors.spec import SensorSpec
+from pipeline.stages.depth import photometric as depth
 from pipeline.stages.depth.photometric import DepthParams
-from pipeline.stages.depth.photometric import make_draft_params as depth_draft
 from pipeline.stages.depth_map_stage import make_depth_stage
-from pipeline.stages.touch_depth import membrane
+from pipeline.values.frames import TactileFrame
+from pipeline.values.results import DepthMap, GeneratedTouch
+
+NO_CONTACT = "no contact: the target's membrane is at rest"
+NO_MEMBRANE = "the generated touch has no membrane: its depth is estimated from the image"
+
+
+def use_membrane(
+    touch: GeneratedTouch,
+    target: SensorSpec,
+    params: NoParams,  # noqa: ARG001 - a method's arguments
+    progress: Progress = SILENT,
+) -> DepthMap | Fallback:
+    """The membrane of the generated touch; estimated from its image where there is none."""
+    if touch.membrane is None:
+        return Fallback(result=estimate_from_image(touch, target, DepthParams(), progress), reason=NO_MEMBRANE)
+    return replace(touch.membrane, in_view=touch.in_view)
+
+
+def skip_without_contact(touch: GeneratedTouch, *_: object) -> DepthMap | None:
+    """The membrane at rest if the touch has no contact, else None, whatever else a method reads."""
+    if touch.membrane is None or touch.membrane.contact.any():
+        return None
+    return replace(touch.membrane, in_view=touch.in_view, notes=(NO_CONTACT,))
+
+
+def estimate_from_image(
+    touch: GeneratedTouch, target: SensorSpec, params: DepthParams, progress: Progress = SILENT
+) -> DepthMap:
+    """Depth of the generated image by the target's depth method and reference image; raises as the depth stage does."""
+    frame = _make_frame(touch, target)
+    touch_depth = depth.skip_without_contact(frame, target, None, params) or depth.estimate_depth(
+        frame, target, None, params, progress
+    )
+    return replace(touch_depth, in_view=touch.in_view)
+
+
+def _make_frame(touch: GeneratedTouch, target: SensorSpec) -> TactileFrame:
+    reference = target.render_reference()
+    return TactileFrame(sensor=target.name, image=touch.image, reference=reference, origin="generated touch")
+
 
 MEMBRANE = Method(
     stage="touch_depth",
     name="membrane",
     title="Membrane",
     help="the membrane computed with the generated touch",
-    run=skip_if_exact(membrane.skip_without_contact, membrane.use_membrane),
+    run=skip_if_exact(skip_without_contact, use_membrane),
     params=NoParams,
     reads=("touch", "target"),
 )
@@ -21,10 +69,10 @@ FROM_IMAGE = Method(
     name="from_image",
     title="From the image",
     help="the target's depth method on the generated image",
-    run=skip_if_exact(membrane.skip_without_contact, membrane.estimate_from_image),
+    run=skip_if_exact(skip_without_contact, estimate_from_image),
     params=DepthParams,
     reads=("touch", "target"),
-    draft=depth_draft,
+    draft=depth.make_draft_params,
 )
 
 

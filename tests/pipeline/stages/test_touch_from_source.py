@@ -23,7 +23,7 @@ from pipeline.stages.touch import vqvae
 from pipeline.stages.touch.image_condition import reproject_square
 from pipeline.stages.touch.physical_render import make_reference_touch
 from pipeline.stages.touch.touch_from_change import make_touch_from_change
-from pipeline.stages.touch_depth.membrane import NO_MEMBRANE
+from pipeline.stages.touch_depth.stage import NO_MEMBRANE
 from pipeline.translation.catalogue import BUILT_IN
 from pipeline.values.frames import TactileFrame
 

@@ -16,7 +16,7 @@ from pipeline.base.errors import SettingProblem
 from pipeline.base.params import list_settings
 from pipeline.reporting.frame_report import FrameReport
 from pipeline.reporting.report import collect_stage_arrays, write_frame, write_report
-from pipeline.stages.touch_depth.membrane import NO_MEMBRANE
+from pipeline.stages.touch_depth.stage import NO_MEMBRANE
 from pipeline.translation import pixel_trace
 from pipeline.translation.catalogue import BUILT_IN, default_params, with_method, with_setting
 from pipeline.translation.translate import Request, open_translation
