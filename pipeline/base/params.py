@@ -95,10 +95,16 @@ def replace_value(params: P, name: str, value: Value) -> P:
         ) from None
     if rule.choices and new not in rule.choices:
         raise SettingProblem(f"{name} must be one of {', '.join(rule.choices)}, got {value!r}")
-    if isinstance(new, (int, float)) and not isinstance(new, bool) and not rule.low <= new <= rule.high:
-        unit = f" {rule.unit}" if rule.unit else ""
-        raise SettingProblem(f"{name} must lie within {rule.low:g} and {rule.high:g}{unit}, got {new:g}")
+    if isinstance(new, (int, float)) and not isinstance(new, bool):
+        check_range(name, new, rule.low, rule.high, rule.unit)
     return cast("P", replace(cast("Any", params), **{name: new}))
+
+
+def check_range(name: str, value: float, low: float, high: float, unit: str = "") -> None:
+    """Raise SettingProblem for a value outside [low, high], and for NaN."""
+    if not low <= value <= high:
+        least, most, got = (str(one) if isinstance(one, int) else f"{one:g}" for one in (low, high, value))
+        raise SettingProblem(f"{name} must lie within {least} and {most}{f' {unit}' if unit else ''}, got {got}")
 
 
 def _convert(value: Value, kind: type) -> Value:

@@ -9,6 +9,7 @@ from rich.table import Table
 from pipeline.base.arrays import Image
 from pipeline.base.errors import FileProblem, SettingProblem
 from pipeline.base.files import prepare_folder_for
+from pipeline.base.params import check_range
 from pipeline.calibration.calibration_file import save
 from pipeline.calibration.calibration_table import Calibration
 from pipeline.calibration.quality_notes import format_calibration
@@ -46,10 +47,9 @@ def balls(
         pattern: File names of the folder to use, such as `ball_6.310mm_*`.
         seed: Seed of the fit; the same seed gives the same table.
     """
-    if not 0.1 <= diameter_mm <= MAX_BALL_DIAMETER_MM:
-        raise SettingProblem(f"--diameter-mm must lie within 0.1 and {MAX_BALL_DIAMETER_MM:g} mm, got {diameter_mm:g}")
-    if pixel_mm is not None and not 1e-4 <= pixel_mm <= 10.0:
-        raise SettingProblem(f"--pixel-mm must lie within 0.0001 and 10 mm, got {pixel_mm:g}")
+    check_range("--diameter-mm", diameter_mm, 0.1, MAX_BALL_DIAMETER_MM, "mm")
+    if pixel_mm is not None:
+        check_range("--pixel-mm", pixel_mm, 1e-4, 10.0, "mm")
     if seed < 0:
         raise SettingProblem(f"--seed must be 0 or more, got {seed}")
     if not pattern:

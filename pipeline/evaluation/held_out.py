@@ -4,8 +4,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
-from pipeline.base.errors import FileProblem, SettingProblem
+from pipeline.base.errors import FileProblem
 from pipeline.base.files import set_aside
+from pipeline.base.params import check_range
 from pipeline.base.progress import SILENT, Progress, SubProgress
 from pipeline.engine import disk_store
 from pipeline.engine.digests import compute_digest
@@ -59,8 +60,7 @@ def load_or_simulate(
     records what they are compared with. Raises SettingProblem for an invalid number of grasps, FileProblem if the
     folder cannot be written.
     """
-    if not 1 <= held_out.grasps <= MAX_GRASPS:
-        raise SettingProblem(f"--grasps must lie within 1 and {MAX_GRASPS}, got {held_out.grasps}")
+    check_range("--grasps", held_out.grasps, 1, MAX_GRASPS)
     template = SimulationPlan(
         sensors=sensors, object_source="", n_poses=held_out.grasps, seed=_SEEDS[of], vary=held_out.sensor_variation
     )

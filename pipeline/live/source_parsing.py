@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.base.errors import FileProblem, SettingProblem
+from pipeline.base.params import check_range
 from pipeline.geometry.meshes import Mesh
 from pipeline.geometry.symmetry import Symmetry
 from pipeline.live.source import LiveFrame, LiveSource, LiveSourceLost
@@ -34,10 +35,7 @@ class SimulatedSource:
 
     def __init__(self, *, sensor: str = "gelslim", tool: str = "sphere", rate_hz: float = 15.0, seed: int = 0) -> None:
         """Raises SettingProblem for an unknown sensor or object, or a rate out of range."""
-        if not RATE_RANGE_HZ[0] <= rate_hz <= RATE_RANGE_HZ[1]:
-            raise SettingProblem(
-                f"the rate must lie within {RATE_RANGE_HZ[0]:g} and {RATE_RANGE_HZ[1]:g} Hz, got {rate_hz:g}"
-            )
+        check_range("the rate", rate_hz, *RATE_RANGE_HZ, "Hz")
         like = SimulationPlan(
             sensors=(sensor,), object_source=tool, n_poses=FRAMES_PER_CYCLE, seed=seed, sequence="all"
         )

@@ -83,12 +83,16 @@ class DescriptionSection:
             raise CalibrationError(f"the sensor description lacks the section [{name}]: '{path}'")
         self._items, self._name, self._path, self._assumed = cast("dict[str, Any]", section), name, path, assumed
 
-    def _read_value(self, key: str, unit: str) -> float | tuple[float, ...]:
-        """The value of `key`, given in `unit`; raises CalibrationError and FileProblem."""
+    def _read_value(self, key: str, unit: str, low: float, high: float) -> float | tuple[float, ...]:
+        """The value of `key`, given in `unit` and within [low, high]; raises CalibrationError and FileProblem."""
         where = f"{self._name}.{key}"
         entry = convert(self._items.get(key), _Entry, DESCRIPTION, self._path, within=where)
         if entry.unit != unit or unit not in _UNITS:
             raise CalibrationError(f"{where} must be given in {unit!r}, got {entry.unit!r}: '{self._path}'")
+        values = entry.value if isinstance(entry.value, tuple) else (entry.value,)
+        if not all(low <= value <= high for value in values):
+            got = f"{entry.value:g}" if isinstance(entry.value, float) else repr(entry.value)
+            raise CalibrationError(f"{where} must lie within {low:g} and {high:g} {unit}, got {got}: '{self._path}'")
         if entry.assumed:
             self._assumed.append(where)
         return entry.value
@@ -99,25 +103,16 @@ class DescriptionSection:
 
     def read_number(self, key: str, unit: str, low: float = -np.inf, high: float = np.inf) -> float:
         """A number within [low, high]; raises CalibrationError and FileProblem."""
-        value = self._read_value(key, unit)
+        value = self._read_value(key, unit, low, high)
         if isinstance(value, tuple):
             raise CalibrationError(f"{self._name}.{key} must be one number, got {value!r}: '{self._path}'")
-        if not low <= value <= high:
-            raise CalibrationError(
-                f"{self._name}.{key} must lie within {low:g} and {high:g} {unit}, got {value:g}: '{self._path}'"
-            )
         return value
 
     def read_vector(
         self, key: str, unit: str, low: float = -np.inf, high: float = np.inf
     ) -> tuple[float, float, float]:
         """Three numbers within [low, high]; raises CalibrationError and FileProblem."""
-        value = self._read_value(key, unit)
+        value = self._read_value(key, unit, low, high)
         if not isinstance(value, tuple) or len(value) != 3:
             raise CalibrationError(f"{self._name}.{key} must be a list of 3 numbers, got {value!r}: '{self._path}'")
-        x, y, z = value
-        if not low <= min(x, y, z) <= max(x, y, z) <= high:
-            raise CalibrationError(
-                f"{self._name}.{key} must lie within {low:g} and {high:g} {unit}, got {value!r}: '{self._path}'"
-            )
-        return x, y, z
+        return value

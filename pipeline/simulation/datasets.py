@@ -15,6 +15,7 @@ import numpy as np
 
 from pipeline.base.arrays import Doubles, Floats, Image
 from pipeline.base.errors import SettingProblem
+from pipeline.base.params import check_range
 from pipeline.base.units import MeshUnit
 from pipeline.engine.digests import compute_digest
 from pipeline.geometry.meshes import Mesh
@@ -81,20 +82,13 @@ def make_plans(tools: tuple[str, ...], like: SimulationPlan) -> tuple[Simulation
     Raises SettingProblem for unknown names and values out of range.
     """
     fewest = 1 if like.sequence == "grid" else 2
-    if not fewest <= like.n_poses <= MAX_POSES:
-        raise SettingProblem(f"--poses must lie within {fewest} and {MAX_POSES}, got {like.n_poses:.12g}")
-    if not 0 <= like.seed < 1 << 63:
-        raise SettingProblem(f"--seed must lie within 0 and {(1 << 63) - 1}")
-    if not 0.0 <= like.vary <= variation.MAX_STRENGTH:
-        raise SettingProblem(f"--vary must lie within 0 and {variation.MAX_STRENGTH:g}, got {like.vary:g}")
+    check_range("--poses", like.n_poses, fewest, MAX_POSES)
+    check_range("--seed", like.seed, 0, (1 << 63) - 1)
+    check_range("--vary", like.vary, 0.0, variation.MAX_STRENGTH)
     if not like.sensors or len({load_sensor(name).name for name in like.sensors}) < len(like.sensors):
         raise SettingProblem(f"--sensors must name each sensor once, got {', '.join(like.sensors) or 'none'!r}")
-    if not 0.0 <= like.bubble_deeper_mm <= MAX_BUBBLE_DEEPER_MM:
-        raise SettingProblem(
-            f"--bubble-deeper-mm must lie within 0 and {MAX_BUBBLE_DEEPER_MM:g} mm, got {like.bubble_deeper_mm:g}"
-        )
-    if not 0.0 <= like.drag_mm <= MAX_DRAG_MM:
-        raise SettingProblem(f"--drag-mm must lie within 0 and {MAX_DRAG_MM:g} mm, got {like.drag_mm:g}")
+    check_range("--bubble-deeper-mm", like.bubble_deeper_mm, 0.0, MAX_BUBBLE_DEEPER_MM, "mm")
+    check_range("--drag-mm", like.drag_mm, 0.0, MAX_DRAG_MM, "mm")
     names = tuple(dict.fromkeys(name for tool in tools for name in _expand_group(tool)))
     if not names:
         raise SettingProblem("--tools must name at least one object")

@@ -10,7 +10,8 @@ from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
-from pipeline.base.errors import FileProblem, NotConverged, SettingProblem, TouchError
+from pipeline.base.errors import FileProblem, NotConverged, TouchError
+from pipeline.base.params import check_range
 from pipeline.base.processes import WorkerPool
 from pipeline.base.progress import SILENT, Cancelled, Progress
 from pipeline.recordings import hdf5
@@ -129,8 +130,7 @@ def record_plan(
 
 def make_worker_pool(jobs: int) -> ProcessPoolExecutor:
     """A pool of single-threaded processes that ignore Ctrl-C, which their parent handles."""
-    if not 1 <= jobs <= 64:
-        raise SettingProblem(f"--jobs must lie within 1 and 64, got {jobs}")
+    check_range("--jobs", jobs, 1, 64)
     return WorkerPool(jobs)
 
 

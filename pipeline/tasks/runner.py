@@ -10,6 +10,7 @@ from typing import Any
 from pipeline import __version__
 from pipeline.base.cluster import ClusterPool
 from pipeline.base.errors import NotConverged, SettingProblem
+from pipeline.base.params import check_range
 from pipeline.base.processes import WorkerPool, limit_threads
 from pipeline.base.progress import SILENT, Progress
 from pipeline.engine.digests import compute_digest
@@ -45,12 +46,10 @@ def make_jobs(
     unknown = [case for case in cases if case not in task.cases]
     if unknown:
         raise SettingProblem(f"{task.name} has no case {unknown[0]!r}; there are {', '.join(task.cases)}")
-    if n_trials < 0 or n_trials > MAX_TRIALS:
-        raise SettingProblem(f"--trials must lie within 1 and {MAX_TRIALS}, got {n_trials}")
+    check_range("--trials", n_trials or 1, 1, MAX_TRIALS)
     if any(not 0.0 < one <= 20.0 for one in tolerances_mm):
         raise SettingProblem("--tolerance-mm must lie above 0 and within 20 mm")
-    if not 0 <= seed < 1 << 31:
-        raise SettingProblem(f"--seed must lie within 0 and {(1 << 31) - 1}, got {seed}")
+    check_range("--seed", seed, 0, (1 << 31) - 1)
     for touch in touches:
         if touch not in task.further_touches:
             check_touch(touch, task.source, task.target)
@@ -102,8 +101,7 @@ def run_jobs(
     """
     if cluster is not None:
         return [one for found in cluster.map(run_job, jobs, progress) for one in found]
-    if not 1 <= n_processes <= 64:
-        raise SettingProblem(f"--jobs must lie within 1 and 64, got {n_processes}")
+    check_range("--jobs", n_processes, 1, 64)
     done = 0
     try:
         with WorkerPool(n_processes) as pool:

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.base.errors import NotConverged, SettingProblem
+from pipeline.base.errors import NotConverged
+from pipeline.base.params import check_range
 from pipeline.base.processes import WorkerPool
 from pipeline.training.task import SPLITS, HasFewExamples, Split, Task
 
@@ -81,8 +82,7 @@ class ExampleSource:
 @contextmanager
 def open_example_source(task: Task, seed: int, batch: int, workers: int) -> Generator[ExampleSource, None, None]:
     """Examples made by `workers` processes, in this process for 0; raises SettingProblem."""
-    if not 0 <= workers <= MAX_WORKERS:
-        raise SettingProblem(f"--workers must lie within 0 and {MAX_WORKERS}, got {workers}")
+    check_range("--workers", workers, 0, MAX_WORKERS)
     if not workers:
         yield ExampleSource(task, seed, batch, None, 0)
         return

@@ -44,13 +44,13 @@ def sample_object(
     return name, shapes.make_shape(name).mesh
 
 
-def find_next_contact(simulate: Callable[[int], T | None], index: int) -> T:
+def find_next_contact(simulate: Callable[[int], T | None], index: int, none: str = "no contact in") -> T:
     """Touch `index`, or the next one that `simulate` returns; raises SettingProblem after a hundred without contact."""
     for k in range(index, index + _MAX_EMPTY):
         touch = simulate(k)
         if touch is not None:
             return touch
-    raise SettingProblem(f"no contact in {_MAX_EMPTY} touches from {index} on; choose another press_seed")
+    raise SettingProblem(f"{none} {_MAX_EMPTY} touches from {index} on; choose another press_seed")
 
 
 def _make_small_body(rng: np.random.Generator) -> Mesh:

@@ -8,18 +8,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.base.arrays import Floats
-from pipeline.base.errors import SettingProblem
 from pipeline.networks.touch_formats import get_touch_format
 from pipeline.stages.touch.depth_condition import build_depth_condition
 from pipeline.training.denoising import DenoisingTask
-from pipeline.training.object_sampling import DataSplit
+from pipeline.training.object_sampling import DataSplit, find_next_contact
 from pipeline.training.target_touches import TargetTouchSample, simulate_target_touch
 from pipeline.training.task import VALIDATION_SEED, augmentation_setting
 
 if TYPE_CHECKING:
     from pipeline.training.task import Example, Split
-
-MAX_EMPTY = 100  # touches in a row without a contact
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,11 +36,11 @@ class TouchResidualTask(DenoisingTask):
 
     def _get_touch(self, split: DataSplit, seed: int, index: int) -> TargetTouchSample:
         """Touch `index`, or the next one that a source observes."""
-        for k in range(index, index + MAX_EMPTY):
-            touch = simulate_target_touch(self.target, split, seed, k, self.folder)
-            if touch is not None:
-                return touch
-        raise SettingProblem(f"no source observes any of {MAX_EMPTY} touches from {index} on; choose another seed")
+        return find_next_contact(
+            lambda k: simulate_target_touch(self.target, split, seed, k, self.folder),
+            index,
+            "no source observes any of",
+        )
 
     def _make_example(self, touch: TargetTouchSample) -> Example:
         condition = build_depth_condition(

@@ -7,13 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pipeline.base.errors import SettingProblem
 from pipeline.sensors import alignment
 from pipeline.stages.touch.image_condition import build_image_condition
 from pipeline.training.condition_squares import sample_depth_noise
 from pipeline.training.conditioned_touch import ConditionedTouch, condition_recorded_pair, jitter_touch
 from pipeline.training.denoising import DenoisingTask
-from pipeline.training.object_sampling import DataSplit
+from pipeline.training.object_sampling import DataSplit, find_next_contact
 from pipeline.training.recorded_pairs import RecordedPair
 from pipeline.training.task import VALIDATION_SEED, augmentation_setting
 from pipeline.training.touch_pairs import (
@@ -24,7 +23,7 @@ from pipeline.training.touch_pairs import (
     place_nominal_sensors,
     simulate_touch_pair,
 )
-from pipeline.training.touch_residual import MAX_EMPTY, flip_example, make_residual_example
+from pipeline.training.touch_residual import flip_example, make_residual_example
 from pipeline.training.touch_squares import list_pair_sensors
 
 if TYPE_CHECKING:
@@ -69,11 +68,9 @@ class TouchToTouchTask(DenoisingTask):
 
     def _get_pair(self, split: DataSplit, seed: int, index: int) -> TouchPair:
         """Pair `index`, or the next one with contact on the gel."""
-        for k in range(index, index + MAX_EMPTY):
-            pair = simulate_touch_pair(split, seed, k, self.folder)
-            if pair is not None:
-                return pair
-        raise SettingProblem(f"the gel has no contact in {MAX_EMPTY} touches from {index} on; choose another seed")
+        return find_next_contact(
+            lambda k: simulate_touch_pair(split, seed, k, self.folder), index, "the gel has no contact in"
+        )
 
     def _make_example(self, pair: TouchPair, rng: np.random.Generator) -> Example:
         gel, bubble = place_nominal_sensors(float(pair.deeper_mm[0]))
