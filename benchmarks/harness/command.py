@@ -11,7 +11,7 @@ from benchmarks.harness.plot import plot_result
 from benchmarks.harness.regressions import collect_measurements, find_regressions, read_measurements
 from benchmarks.harness.runner import BenchmarkRun, list_benchmarks, run_benchmark, select_benchmarks
 from benchmarks.harness.text_report import format_result
-from pipeline.base.files import prepare_folder, prepare_folder_for, write_json
+from pipeline.base.files import check_folder, check_folder_for, write_json
 from pipeline.base.machine import THREAD_SETTINGS, describe_machine, format_machine
 from pipeline.cli.terminal import print_line
 
@@ -37,9 +37,9 @@ def run_benchmarks(
     """
     selected, earlier = select_benchmarks(names), {} if against is None else read_measurements(against)
     if json_file is not None:
-        prepare_folder_for(json_file)
+        check_folder_for(json_file)
     if plots is not None:
-        prepare_folder(plots)
+        check_folder(plots)
     about = describe_machine(THREAD_SETTINGS)
     print_line(format_machine(about))
     done: list[BenchmarkRun] = []

@@ -146,14 +146,14 @@ def _replace_folder(part: Path, folder: Path, before: Path) -> None:
     part.replace(folder)
 
 
-def prepare_folder(folder: Path) -> None:
-    """Make sure that `folder` exists and is writable, before long work.
+def check_folder(folder: Path) -> None:
+    """Make sure that `folder` is writable or can be made, before long work; nothing is left where that work fails.
 
     Raises FileProblem otherwise.
     """
+    existing = next(place for place in (folder.absolute(), *folder.absolute().parents) if os.path.lexists(place))
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(prefix=".ready", dir=folder):
+        with tempfile.TemporaryDirectory(prefix=".ready", dir=existing):
             pass
     except OSError as error:
         raise FileProblem(
@@ -161,11 +161,11 @@ def prepare_folder(folder: Path) -> None:
         ) from error
 
 
-def prepare_folder_for(path: Path) -> None:
-    """Make sure that the file `path` can be written."""
+def check_folder_for(path: Path) -> None:
+    """Make sure that the file `path` can be written, before long work."""
     if path.is_dir():
         raise FileProblem("this is a folder, not a file; choose another name", path)
-    prepare_folder(path.parent)
+    check_folder(path.parent)
 
 
 @contextlib.contextmanager
@@ -175,6 +175,7 @@ def open_growing_file(path: Path, what: str) -> Generator[BinaryIO, None, None]:
     The writer keeps it valid at every moment. Raises FileProblem, also for an OSError of the block itself.
     """
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("w+b") as file:
             yield file
     except OSError as error:

@@ -26,7 +26,7 @@ from pipeline.alignment.score import (
 from pipeline.alignment.target_observation import observe_target
 from pipeline.alignment.touches import AlignmentTouch, load_paired_touches
 from pipeline.base.errors import FileProblem, SettingProblem
-from pipeline.base.files import prepare_folder_for
+from pipeline.base.files import check_folder_for
 from pipeline.base.frame_lists import parse_frames
 from pipeline.cli.terminal import TerminalProgress, open_progress_bar, print_line
 from pipeline.cli.translation_options import Flag
@@ -132,7 +132,7 @@ def prepare_alignment_file(out: Path) -> None:
         raise FileProblem("an alignment is written as TOML; give --out a name that ends in .toml", out)
     if out.exists():
         raise FileProblem("this alignment exists already and is kept; choose another --out", out)
-    prepare_folder_for(out)
+    check_folder_for(out)
 
 
 def write_alignment(out: Path, file: AlignmentFile) -> None:

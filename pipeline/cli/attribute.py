@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from pipeline.base.errors import SettingProblem
-from pipeline.base.files import prepare_folder_for, write_json
+from pipeline.base.files import check_folder_for, write_json
 from pipeline.base.frame_lists import parse_frames
 from pipeline.base.progress import SubProgress
 from pipeline.cli.terminal import open_progress_bar, print_line
@@ -45,7 +45,7 @@ def attribute(
     with closing(open_translation(options.build_request(recording, target))) as translation:
         params = with_settings(translation.methods, settings)
         if json is not None:
-            prepare_folder_for(json)
+            check_folder_for(json)
         indices = parse_frames("", translation.n_frames) if frame is None else [translation.check_index(frame)]
         graph = translation.build_graph(like=Graph((), cache=Cache(_CACHE_BYTES)))
         with open_progress_bar() as progress:

@@ -8,7 +8,7 @@ from rich.table import Table
 
 from pipeline.base.arrays import Image
 from pipeline.base.errors import FileProblem, SettingProblem
-from pipeline.base.files import prepare_folder_for
+from pipeline.base.files import check_folder_for
 from pipeline.base.params import check_range
 from pipeline.calibration.calibration_file import save
 from pipeline.calibration.calibration_table import Calibration
@@ -54,7 +54,7 @@ def balls(
         raise SettingProblem(f"--seed must be 0 or more, got {seed}")
     if not pattern:
         raise SettingProblem("--pattern is empty; '*' takes every image")
-    prepare_folder_for(out)
+    check_folder_for(out)
     spec = load_sensor(sensor)
     frames = _load_presses(presses, sensor, reference, pattern)
     for mismatch in dict.fromkeys(describe_mismatch(frame, spec) for frame in frames[:_CHECKED_FRAMES]):

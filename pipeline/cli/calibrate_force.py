@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.table import Table
 
 from pipeline.base.errors import SettingProblem
-from pipeline.base.files import prepare_folder_for
+from pipeline.base.files import check_folder_for
 from pipeline.base.frame_lists import parse_frames
 from pipeline.calibration.force_scale import ForceScale, fit_force_scale, format_force_scale, save_force_scale
 from pipeline.cli.terminal import open_progress_bar, print_line
@@ -41,7 +41,7 @@ def force(
         forces: Weighed normal force of each press in N, such as `1.2,5.0`; default: the forces in the recording.
         frames: Frames of these presses, in the same order, such as `3,17`; default: all.
     """
-    prepare_folder_for(out)
+    check_folder_for(out)
     path = out if out.suffix == ".npz" else out.with_name(out.name + ".npz")
     request = options.build_request(presses, find_sensor(presses, options))
     with closing(open_translation(request)) as translation:

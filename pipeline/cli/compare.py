@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from pipeline.base.errors import SettingProblem
-from pipeline.base.files import prepare_folder
+from pipeline.base.files import check_folder
 from pipeline.base.params import replace_value
 from pipeline.cli.terminal import open_progress_bar, print_line
 from pipeline.cli.translation_options import DEFAULT_OPTIONS, TargetName, TranslationOptions
@@ -82,9 +82,9 @@ def compare(
     with ExitStack() as stack:
         translation = stack.enter_context(closing(open_translation(options.build_request(recording, target))))
         progress = stack.enter_context(open_progress_bar())
-        translation.check_index(frame)
+        translation.stream.frame(translation.check_index(frame))  # a damaged one leaves nothing to compare
         params, display = _parse_settings(translation, settings)
-        prepare_folder(out.parent)
+        check_folder(out.parent)
         steps: Iterator[Comparison]
         if across or down:
             plan = _parse_plan(translation, params, across, down, metric)

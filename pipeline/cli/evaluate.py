@@ -13,7 +13,7 @@ from rich.table import Table
 
 from pipeline.base.cluster import connect_cluster
 from pipeline.base.errors import SettingProblem
-from pipeline.base.files import prepare_folder, prepare_folder_for, write_json
+from pipeline.base.files import check_folder, check_folder_for, write_json
 from pipeline.base.machine import describe_machine, format_machine
 from pipeline.base.progress import SubProgress
 from pipeline.cli.terminal import open_progress_bar, print_line
@@ -107,11 +107,11 @@ def evaluate(
         pose_methods=tuple(name for name in judges if name in POSE_METHODS or name != "network"),
     )  # fmt: skip
     if json is not None:
-        prepare_folder_for(json)
+        check_folder_for(json)
     if plots is not None:
-        prepare_folder(plots)
+        check_folder(plots)
     if figures is not None:
-        prepare_folder(figures)
+        check_folder(figures)
     machine = describe_machine()
     drawn: list[Path] = []
     points: list[SweepPoint] = []

@@ -7,7 +7,7 @@ from typing import Literal
 
 from pipeline.base.cluster import connect_cluster
 from pipeline.base.errors import FileProblem
-from pipeline.base.files import prepare_folder_for
+from pipeline.base.files import check_folder_for
 from pipeline.base.progress import SubProgress
 from pipeline.base.units import MeshUnit
 from pipeline.cli.terminal import open_progress_bar, print_line
@@ -65,7 +65,7 @@ def simulate(
     if n_finished == total:
         raise FileProblem("all of this is simulated already and is kept; choose another --out or --seed", out)
     for path in files:
-        prepare_folder_for(path)
+        check_folder_for(path)
     n_unsolved = 0
     with ExitStack() as stack:
         # Checks `jobs`; starts no process before there is work.

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from pipeline.base.cluster import connect_cluster
-from pipeline.base.files import prepare_folder, prepare_folder_for, write_json
+from pipeline.base.files import check_folder, check_folder_for, write_json
 from pipeline.cli.terminal import open_progress_bar, print_line
 from pipeline.cli.translation_options import Flag, split_list
 from pipeline.tasks.rollout_bundle import copy_case
@@ -58,9 +58,9 @@ def task(
         attribute=attribute, folder=None if record is None else record.resolve(),
     )  # fmt: skip
     if json is not None:
-        prepare_folder_for(json)
+        check_folder_for(json)
     if record is not None:
-        prepare_folder(record)
+        check_folder(record)
         if name.endswith(CASE_SUFFIX):
             copy_case(Path(name), record)
     chosen = load_task(planned[0].plan.task)

@@ -8,7 +8,7 @@ from cyclopts import Parameter
 from rich.console import Console
 from rich.table import Table
 
-from pipeline.base.files import prepare_folder
+from pipeline.base.files import check_folder
 from pipeline.base.frame_lists import parse_frames
 from pipeline.cli.terminal import open_progress_bar, print_line
 from pipeline.cli.translation_options import (
@@ -47,7 +47,7 @@ def track(
         frames: Frames such as `0-40` or `3,7`; default: all.
     """
     source = target or find_sensor(recording, options)
-    prepare_folder(out)
+    check_folder(out)
     with closing(open_translation(options.build_request(recording, source))) as translation:
         indices = parse_frames(frames, translation.n_frames)
         with open_progress_bar() as progress:

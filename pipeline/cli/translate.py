@@ -15,7 +15,7 @@ from rich.table import Table
 from pipeline.base import compiling, error_log
 from pipeline.base.cluster import connect_cluster
 from pipeline.base.errors import SettingProblem, TouchError, escape_text
-from pipeline.base.files import prepare_folder
+from pipeline.base.files import check_folder
 from pipeline.base.progress import SILENT, Progress, SubProgress
 from pipeline.calibration.force_scale import UNKNOWN_SCALE
 from pipeline.cli.terminal import open_progress_bar, print_error, print_line
@@ -91,7 +91,7 @@ def translate(
     translation.check_index(0)
     params = with_settings(translation.methods, settings)
     force = force or translation.force_scale is not None
-    prepare_folder(out)
+    check_folder(out)
     graph = translation.build_graph(like=Graph((), cache=Cache(CACHE_BYTES)))
     with console.status("looking for a contact") as status, compiling.report_compiling(status.update):
         indices = range(translation.n_frames) if all_frames else [_select_frame(translation, graph, params, frame)]

@@ -8,7 +8,7 @@ from types import TracebackType
 from typing import BinaryIO
 
 from pipeline.base.errors import FileProblem, TouchError
-from pipeline.base.files import open_growing_file, prepare_folder_for
+from pipeline.base.files import check_folder_for, open_growing_file
 from pipeline.recordings import hdf5_layout as layout
 from pipeline.recordings.hdf5_layout import Coding
 from pipeline.recordings.hdf5_writer import RecordingWriter
@@ -25,7 +25,7 @@ class LiveRecordingWriter(RecordingWriter):
     """
 
     def _begin(self, path: Path, coding: Coding, depth_step_mm: float) -> None:
-        prepare_folder_for(path)
+        check_folder_for(path)
         if path.exists():
             raise FileProblem("a file of this name exists; choose another name", path)
         super()._begin(path, coding, depth_step_mm)

@@ -163,7 +163,7 @@ def _read_row(dataset: Any, row: int, index: int, stream: str, path: Path, dtype
             return freeze(layout.decode_frame(dataset[row], dataset).astype(dtype, copy=False))
         except (OSError, RuntimeError):
             pass
-    raise FileProblem(f"frame {index} of {stream!r}: its {key} are damaged or cut off; other frames can be read", path,
+    raise FileProblem(f"frame {index} of {stream!r}: its {key} are damaged or cut off; try another frame", path,
                       field=f"frame {index} {stream}/{key}")  # fmt: skip
 
 

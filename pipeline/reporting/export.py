@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.base.errors import FileProblem, SettingProblem
-from pipeline.base.files import open_atomic, prepare_folder_for, require_separate, write_arrays
+from pipeline.base.files import check_folder_for, open_atomic, require_separate, write_arrays
 from pipeline.base.frame_lists import parse_frames
 from pipeline.base.progress import SILENT, Progress
 from pipeline.engine.cache import Cache
@@ -56,7 +56,7 @@ def export_file(asked: ExportRequest, progress: Progress = SILENT) -> tuple[str,
     request = asked.request
     inputs = (request.recording, request.reference, request.calibration, request.mesh, request.alignment)
     require_separate(asked.path, [*filter(None, inputs), *(file for _, file in request.weights)])
-    prepare_folder_for(asked.path)
+    check_folder_for(asked.path)
     with closing(open_translation(asked.request)) as translation:
         for pane in asked.pane.split(",") if asked.section else [asked.pane]:
             if pane not in (SHEET, SOURCE, *translation.stages):

@@ -16,7 +16,7 @@ import numpy as np
 
 from pipeline.base.arrays import Image
 from pipeline.base.errors import FileProblem
-from pipeline.base.files import open_atomic, prepare_folder_for
+from pipeline.base.files import check_folder_for, open_atomic
 from pipeline.base.native_stderr import silence_native_libraries
 
 CODECS = {".mp4": ("mp4v", "MPEG-4"), ".avi": ("MJPG", "MJPEG")}  # OpenCV's name of the codec, and the usual one
@@ -46,7 +46,7 @@ def write_video(path: Path, images: Iterable[Image], rate_hz: float) -> str:
         raise FileProblem(f"videos are written as {' or '.join(CODECS)}", path)
     ffmpeg = find_h264_encoder() if suffix == ".mp4" else ""
     first, n_images = next(images), 0
-    prepare_folder_for(path)
+    check_folder_for(path)
     with tempfile.TemporaryDirectory() as folder:
         made = Path(folder) / f"video{suffix}"
         with _encode_by_ffmpeg(ffmpeg, made, first, rate_hz) if ffmpeg else _encode(made, first, rate_hz) as write:

@@ -56,6 +56,7 @@ def copy_case(case: Path, folder: Path) -> None:
     mesh = str(read_toml(case, "the task").get("mesh", ""))
     if mesh != Path(mesh).name:
         raise FileProblem("the mesh of a recorded case must lie next to its TOML file", case, field="mesh")
+    folder.mkdir(parents=True, exist_ok=True)
     for name in (case.name, mesh):
         if (case.parent / name).resolve() != (folder / name).resolve():
             shutil.copyfile(case.parent / name, folder / name)

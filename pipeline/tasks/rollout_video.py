@@ -10,7 +10,7 @@ import numpy as np
 from pipeline.base.arrays import Image, freeze
 from pipeline.base.errors import TouchError
 from pipeline.base.figures import make_figure
-from pipeline.base.files import prepare_folder_for, require_separate
+from pipeline.base.files import check_folder_for, require_separate
 from pipeline.base.progress import SILENT, Progress
 from pipeline.previews.colours import Rgb
 from pipeline.previews.display_params import DisplayParams
@@ -53,7 +53,7 @@ class _Background(NamedTuple):
 def write_rollout_video(path: Path, out: Path, progress: Progress = SILENT) -> None:
     """Write a recorded rollout as .mp4 or .avi, one image per tick at the rate of the ticks; raises TouchError."""
     require_separate(out, [path])
-    prepare_folder_for(out)
+    check_folder_for(out)
     rollout = read_rollout(path)
     steps_s = np.diff(rollout.time_s)
     rate_hz = 1.0 / float(np.median(steps_s)) if len(steps_s) and np.median(steps_s) > 0 else _MAX_RATE_HZ

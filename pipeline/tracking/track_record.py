@@ -14,7 +14,7 @@ from msgspec import Meta
 
 from pipeline.base.arrays import Doubles
 from pipeline.base.errors import FileProblem
-from pipeline.base.files import MOST_TEXT_BYTES, format_json, prepare_folder, read_bytes, read_json, write_together
+from pipeline.base.files import MOST_TEXT_BYTES, check_folder, format_json, read_bytes, read_json, write_together
 from pipeline.base.typed_data import Name, Number, convert
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh, load_mesh
@@ -111,7 +111,7 @@ def _format_cell(value: float | str | None) -> str:
 
 def write_record(folder: Path, record: TrackRecord) -> None:
     """Write the three files into a folder, all or none; a surface only where one could be fused."""
-    prepare_folder(folder)
+    check_folder(folder)
     summary = {
         "stage": record.stage, "frames": len(record.rows), "lost": record.count("lost"), "parts": record.n_parts,
         "key_frames": list(record.key_frames), "closed_loops": record.n_loops,

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.base.errors import FileProblem, NotConverged
-from pipeline.base.files import prepare_folder
+from pipeline.base.files import check_folder
 from pipeline.base.progress import SILENT, Cancelled, Progress
 from pipeline.networks.network_factory import build_network, initialise_from, use_channels_last
 from pipeline.training import curves, optimising, state
@@ -68,7 +68,7 @@ def train(run: TrainingRun, progress: Progress = SILENT) -> TrainingState:
         raise FileProblem(
             "this folder holds a training run; give --resume to continue it, or another --out", run.folder
         )
-    prepare_folder(run.folder)
+    check_folder(run.folder)
     settings = run.recipe.training
     task = mix_recordings(run.recipe.settings, run.recipe.recordings, run.recipe.recorded_share)
     task = use_tiles(task, run.recipe.pairs) if holds_tiles(run.recipe.pairs) else use_pairs(task, run.recipe.pairs)

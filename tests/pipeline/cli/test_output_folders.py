@@ -6,6 +6,7 @@ import os
 import resource
 from pathlib import Path
 
+import h5py
 import pytest
 
 from pipeline.base.errors import FileProblem
@@ -33,6 +34,30 @@ def test_an_output_that_cannot_be_written_is_refused_before_any_work(words, firs
     monkeypatch.setattr(first_work, lambda *_, **__: pytest.fail("work was done first"))
     assert run_app(build_app(), list(words)) == EXIT_USER_ERROR
     assert "is not writable" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("translate", "--target", "soft_bubble", "--out", "o"),
+        ("track", "--out", "o"),
+        ("compare", "--target", "soft_bubble", "--out", "o/methods.png"),
+        ("attribute", "--target", "soft_bubble", "--json", "o/shares.json"),
+        ("export", "--target", "soft_bubble", "--pane", "depth", "--out", "o/forces.csv"),
+    ],
+)
+def test_frames_that_cannot_be_read_leave_no_folder(words, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    content = bytearray(SAMPLE.read_bytes())
+    with h5py.File(SAMPLE) as file:  # chunks that do not unpack
+        images = file["streams/gelslim/frames"].id
+        chunks = [images.get_chunk_info(index) for index in range(images.get_num_chunks())]
+    for chunk in chunks:
+        content[chunk.byte_offset : chunk.byte_offset + chunk.size] = bytes(chunk.size)
+    Path("damaged.h5").write_bytes(content)
+    assert run_app(build_app(), [words[0], "damaged.h5", *words[1:], "--sensor", "gelslim"]) == EXIT_USER_ERROR
+    assert "damaged" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["damaged.h5"]
 
 
 def test_a_full_disk_leaves_every_file_as_it_was(tmp_path):
