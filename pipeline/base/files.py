@@ -30,7 +30,7 @@ from pipeline.base.errors import FileProblem
 MOST_BYTES = 2 << 30  # of one image or mesh
 MOST_TEXT_BYTES = 16 << 20  # of a description, an alignment or a session, which are a few kB
 _MOST_ARRAY_BYTES = 1 << 30  # of all arrays of an .npz, which is read as a whole
-_MAX_TRIES = 10  # of replacing a folder while other processes do
+_MAX_TRIES = 10  # of making or replacing a folder while other processes do
 
 
 @contextlib.contextmanager
@@ -120,15 +120,26 @@ def _get_boot() -> str:
 @contextlib.contextmanager
 def _create_part(part: Path) -> Generator[None, None, None]:
     """Make a new folder that is locked while the context lasts, where the file system can."""
-    part.mkdir(parents=True)
-    descriptor = os.open(part, os.O_RDONLY | os.O_CLOEXEC)
+    descriptor = _lock_new_folder(part)
     try:
-        with contextlib.suppress(OSError):
-            fcntl.flock(descriptor, fcntl.LOCK_EX)
-        part.mkdir(exist_ok=True)  # another process may have taken it for a leftover before it was locked
         yield
     finally:
         os.close(descriptor)
+
+
+def _lock_new_folder(part: Path) -> int:
+    """The descriptor of a new locked folder; another process may take it for a leftover until it is locked."""
+    for _ in range(_MAX_TRIES):
+        part.mkdir(parents=True, exist_ok=True)
+        with contextlib.suppress(FileNotFoundError):
+            descriptor = os.open(part, os.O_RDONLY | os.O_CLOEXEC)
+            with contextlib.suppress(OSError):
+                fcntl.flock(descriptor, fcntl.LOCK_EX)
+            with contextlib.suppress(FileNotFoundError):
+                if os.path.samestat(os.fstat(descriptor), part.stat()):
+                    return descriptor
+            os.close(descriptor)
+    raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), os.fspath(part))
 
 
 def _replace_folder(part: Path, folder: Path, before: Path) -> None:

@@ -7,6 +7,7 @@ import os
 import pickle
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -110,6 +111,12 @@ def test_a_file_that_another_process_writes_is_no_leftover(tmp_path, monkeypatch
     assert other.returncode == 0
     assert (tmp_path / "a").read_bytes() == b"slow"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a", "b"]
+
+
+def test_many_writers_of_one_folder_do_not_take_each_other_for_leftovers(tmp_path):
+    with ThreadPoolExecutor(4) as writers:
+        list(writers.map(lambda number: write_json(tmp_path / f"{number}.json", number), range(300)))
+    assert sorted(json.loads(path.read_text()) for path in tmp_path.iterdir()) == list(range(300))
 
 
 def test_a_replaced_file_keeps_its_permissions_and_a_link_stays_one(tmp_path):
