@@ -42,9 +42,9 @@ def open_atomic(path: Path, what: str) -> Generator[BinaryIO, None, None]:
     """
     place = Path(os.path.realpath(path))
     part = place.with_name(_name_part())
+    if place.exists() and not place.is_file():
+        raise FileProblem(f"cannot write {what} (a folder or a device of this name is there)", path)
     try:
-        if place.exists() and not place.is_file():
-            raise FileProblem(f"cannot write {what} (a folder or a device of this name is there)", path)
         _remove_leftovers(place.parent)
         with _create_part(part), (part / place.name).open("w+b") as file:
             if place.exists():
@@ -55,8 +55,6 @@ def open_atomic(path: Path, what: str) -> Generator[BinaryIO, None, None]:
             (part / place.name).replace(place)
     except OSError as error:
         raise FileProblem(f"cannot write {what} ({describe_os_error(error)})", path) from error
-    finally:
-        _remove(part)
 
 
 def write_folder(folder: Path, fill: Callable[[Path], None], own: Collection[str] = ()) -> None:
@@ -78,8 +76,7 @@ def write_folder(folder: Path, fill: Callable[[Path], None], own: Collection[str
     except OSError as error:
         raise FileProblem(f"cannot write the results ({describe_os_error(error)})", folder) from error
     finally:
-        for rest in (part, before):
-            _remove(rest)
+        _remove(before)
 
 
 def _require_own(folder: Path, own: Collection[str]) -> None:
@@ -119,12 +116,17 @@ def _get_boot() -> str:
 
 @contextlib.contextmanager
 def _create_part(part: Path) -> Generator[None, None, None]:
-    """Make a new folder that is locked while the context lasts, where the file system can."""
+    """Make a new folder that lasts as long as the context, locked against other processes where the system can."""
+    missing = [folder for folder in part.parents if not folder.exists()]
     descriptor = _lock_new_folder(part)
     try:
         yield
     finally:
         os.close(descriptor)
+        _remove(part)
+        with contextlib.suppress(OSError):  # something was written
+            for folder in missing:
+                folder.rmdir()
 
 
 def _lock_new_folder(part: Path) -> int:

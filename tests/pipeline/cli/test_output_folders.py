@@ -43,7 +43,8 @@ def test_an_output_that_cannot_be_written_is_refused_before_any_work(words, firs
         ("track", "--out", "o"),
         ("compare", "--target", "soft_bubble", "--out", "o/methods.png"),
         ("attribute", "--target", "soft_bubble", "--json", "o/shares.json"),
-        ("export", "--target", "soft_bubble", "--pane", "depth", "--out", "o/forces.csv"),
+        ("export", "--target", "soft_bubble", "--pane", "depth", "--to", "o/forces.csv"),
+        ("bundle", "--target", "soft_bubble", "--out", "o/bundle"),
     ],
 )
 def test_frames_that_cannot_be_read_leave_no_folder(words, tmp_path, monkeypatch, capsys):
@@ -56,7 +57,7 @@ def test_frames_that_cannot_be_read_leave_no_folder(words, tmp_path, monkeypatch
         content[chunk.byte_offset : chunk.byte_offset + chunk.size] = bytes(chunk.size)
     Path("damaged.h5").write_bytes(content)
     assert run_app(build_app(), [words[0], "damaged.h5", *words[1:], "--sensor", "gelslim"]) == EXIT_USER_ERROR
-    assert "damaged" in capsys.readouterr().err
+    assert "its frames are damaged" in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["damaged.h5"]
 
 
