@@ -10,8 +10,6 @@ error is half of the range from the 10th to the 90th percentile of the diameters
 none where its error exceeds that of the same presses read without a calibration by more than 2 points: errors scatter
 by 7 points, so that the median of sixteen has a standard error of 1.25 x 7 / sqrt(16) = 2.2, whichever presses are
 judged.
-The last notes show that presses of one ball fit any width of a pixel alike: the share of the slopes that is left over
-does not change with it.
 """
 
 from __future__ import annotations
@@ -27,7 +25,6 @@ from benchmarks.harness.results import BenchmarkResult
 from benchmarks.harness.text_report import print_result
 from benchmarks.harness.timing import Requirement, build_measurement, summarize_times
 from benchmarks.scenes.depth_helpers import list_numbered_files, picture, recorded_data
-from pipeline.calibration.balls import calibrate_balls
 from pipeline.calibration.calibration_table import make_built_in
 from pipeline.calibration.contact_circles import find_largest_part, fit_sphere
 from pipeline.sensors.spec import load_sensor
@@ -109,23 +106,8 @@ def measure(data: str = "") -> BenchmarkResult:
         title="Balls measured with a look-up from few presses: the median of ten draws",
         unit="%",
         rows=(*(r for r, _ in found), residual),
-        notes=(*(n for _, n in found if n), *_widths(small), *_widths(slim)),
+        notes=tuple(n for _, n in found if n),
     )
-
-
-def _widths(ball: _Ball) -> Iterator[str]:
-    """What is left of the slopes of eight presses, calibrated with other widths of a pixel."""
-    parts, eight = [], list(range(8))
-    for share in (0.67, 1.0, 1.5):
-        width = share * ball.plain.pixel_mm
-        look_up = calibrate_balls([ball.pictures[i] for i in eight], ball.still, ball.source, ball.diameter_mm,
-                                  pixel_mm=width)  # fmt: skip
-        steep = np.array([p.radius_px for p in look_up.presses if p.used]) * width / (0.5 * ball.diameter_mm)
-        rms = 0.5 * 0.85 * float(np.sqrt(np.mean(steep**2)))  # of one axis, over the trusted disc
-        parts.append(
-            f"{width:.4f} mm: {look_up.residual:.3f} mm/mm, {100 * look_up.residual / rms:.0f} % of the slopes"
-        )
-    yield f"{ball.label}, eight presses, left over at a pixel of " + "; ".join(parts)
 
 
 def _label(ball: _Ball, judged: _Ball) -> str:

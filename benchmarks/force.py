@@ -29,78 +29,58 @@ from pipeline.sensors.spec import load_sensor
 from pipeline.simulation import shapes
 from pipeline.simulation.press import simulate_press
 from pipeline.simulation.variation import vary_sensor
+from pipeline.stages.depth.gel_force import estimate_gel_force
 from pipeline.values.frames import TactileFrame
 
 _RANGES = {"gelslim": (0.2, 0.8, 2.5), "digit": (0.2, 0.8, 2.5), "soft_bubble": (-1.0, 8.0, 15.0)}  # depths, place, mm
 _INSTANCES, _TOOLS, _LEAST_N = 4, 16, 0.3
 
 
-def estimate_force(sensor, frame, depth):
-    """The force by the contact model of the sensor's kind."""
-    contact = depth.contact & np.isfinite(depth.indentation_mm)
-    return load_reference(sensor.sensor_kind.force_estimator)(sensor, frame, depth.indentation_mm, contact)
-
-
-def estimate_all(sensor, frame, depth):
-    """Forces by the contact model, by volume, and by area times mean depth, up to a factor."""
-    contact, indentation_mm = depth.contact & np.isfinite(depth.indentation_mm), depth.indentation_mm
-    inside, pushed = indentation_mm[contact].sum(dtype=float), np.nansum(np.maximum(indentation_mm, 0.0), dtype=float)
-    return estimate_force(sensor, frame, depth).normal_n, pushed, inside
-
-
-def press_instance(read, name: str, number: int):
-    """(estimates (n, 3), true forces (n,), ms) of one instance; the first two presses are the weighings."""
+def press_tools(read, name: str, number: int, *, dragged: bool = False):
+    """Yield (described sensor, frame, its depth, truth) of one instance; the first two presses weigh balls."""
     source, (low, high, spread), rng = load_sensor(name), _RANGES[name], np.random.default_rng([6, number])
     unit, tools = vary_sensor(source, 800 + number), (*shapes.list_shapes("unseen"), *shapes.list_shapes("task"))
     weighed = [("sphere", low + 0.25 * (high - low), spread / 3), ("sphere", high, spread / 3)]
     held_out = [(tools[k % len(tools)], rng.uniform(low, high), spread) for k in range(_TOOLS)]
-    found, true, taken = [], [], []
     for seed, (tool, depth_mm, around_mm) in enumerate(weighed + held_out):
-        mesh = shapes.make_shape(tool).mesh
+        mesh, load = shapes.make_shape(tool).mesh, None
         pose = rigid.translation(*rng.uniform(-around_mm, around_mm, 2), 0.0)
         pose = pose @ rigid.rotation((0.0, 0.0, rng.uniform(-3, 3)))
         pose[2, 3] = -depth_mm - rigid.apply(pose, mesh.vertices_mm)[:, 2].min()
-        press = simulate_press(mesh, pose, unit, seed=seed)
+        if dragged:
+            (x, y), drag_mm = rng.normal(size=2), rng.uniform(0.1, 0.5)
+            drag_mm /= np.hypot(x, y)
+            load = TangentialLoad(displacement_mm=(drag_mm * x, drag_mm * y), friction=rng.uniform(0.3, 1.0))
+        press = simulate_press(mesh, pose, unit, seed=seed, load=load)
         if press.converged and press.force_n >= _LEAST_N:
             frame = TactileFrame(sensor=name, image=press.image, reference=unit.render_reference())
             depth = read(frame, source)
-            started = time.perf_counter()
-            found.append(estimate_all(source, frame, depth))
-            taken.append(1e3 * (time.perf_counter() - started))
-            true.append(press.force_n)
+            yield source, frame, depth, depth.contact & np.isfinite(depth.indentation_mm), press.truth.force_n
+
+
+def press_instance(read, name: str, number: int):
+    """(forces by model, by volume and by area times mean depth (n, 3), true forces (n,), ms) of one instance."""
+    found, true, taken = [], [], []
+    for source, frame, depth, contact, force_n in press_tools(read, name, number):
+        started = time.perf_counter()
+        by_model = load_reference(source.sensor_kind.force_estimator)(source, frame, depth.indentation_mm, contact)
+        taken.append(1e3 * (time.perf_counter() - started))
+        pushed = np.nansum(np.maximum(depth.indentation_mm, 0.0), dtype=float)
+        found.append((by_model.normal_n, pushed, depth.indentation_mm[contact].sum(dtype=float)))
+        true.append(-force_n[2])
     return np.array(found), np.array(true), taken
 
 
 def drag_on_instance(read, number: int):
-    """(shear by the model (n, 2), by mean marker motion times area (n, 2), true force (n, 3)) on one GelSlim, in N.
-
-    The first two presses are the weighings, dragged balls.
-    """
-    source, rng = load_sensor("gelslim"), np.random.default_rng([7, number])
-    unit, tools = vary_sensor(source, 850 + number), (*shapes.list_shapes("unseen"), *shapes.list_shapes("task"))
+    """(shear by the model, by mean marker motion in contact times its area, the truth), each (n, 2), on a GelSlim."""
     by_model, by_mean, true = [], [], []
-    for seed, tool in enumerate(("sphere", "sphere", *tools)):
-        mesh, spread_mm = shapes.make_shape(tool).mesh, 1.0 if seed < 2 else 2.5
-        pose = rigid.translation(*rng.uniform(-spread_mm, spread_mm, 2), 0.0)
-        pose = pose @ rigid.rotation((0.0, 0.0, rng.uniform(-3, 3)))
-        pose[2, 3] = -rng.uniform(0.3, 0.8) - rigid.apply(pose, mesh.vertices_mm)[:, 2].min()
-        heading, drag_mm = rng.uniform(-np.pi, np.pi), rng.uniform(0.1, 0.5)
-        load = TangentialLoad(
-            displacement_mm=(drag_mm * np.cos(heading), drag_mm * np.sin(heading)), friction=rng.uniform(0.3, 1.0)
-        )
-        press = simulate_press(mesh, pose, unit, seed=seed, load=load)
-        frame = TactileFrame(sensor="gelslim", image=press.image, reference=unit.render_reference())
-        depth = read(frame, source)
-        found = estimate_force(source, frame, depth)
-        if not press.converged or press.force_n < _LEAST_N or not found.shear_n:
-            continue
+    for source, frame, depth, contact, force_n in press_tools(read, "gelslim", number, dragged=True):
         start, end = track_markers(frame.reference, frame.image, source.markers, source.pixel_mm)
         col, row = np.round(end).astype(int).T.clip(0, np.array([[source.camera.cols], [source.camera.rows]]) - 1)
-        touched = depth.contact[row, col]
-        moved = (end - start)[touched].mean(axis=0) if touched.any() else np.zeros(2)
-        by_model.append(found.shear_n)
-        by_mean.append(moved * depth.contact.sum())
-        true.append(press.truth.force_n)
+        moved = (end - start)[contact[row, col]]
+        by_model.append(estimate_gel_force(source, frame, depth.indentation_mm, contact).shear_n)
+        by_mean.append((moved.mean(axis=0) if len(moved) else np.zeros(2)) * contact.sum())
+        true.append(force_n[:2])
     return np.array(by_model), np.array(by_mean), np.array(true)
 
 
@@ -108,8 +88,7 @@ def measure_shear(read) -> tuple:
     """The row of shear on a GelSlim, and a note."""
     off, angles = [], []
     for number in range(_INSTANCES):
-        *found, true = drag_on_instance(read, number)
-        shear = true[:, :2]
+        *found, shear = drag_on_instance(read, number)
         size = np.linalg.norm(shear, axis=1)
         scaled = [f * np.exp(np.log(size[:2] / np.linalg.norm(f[:2], axis=1)).mean()) for f in found]
         off.append([np.linalg.norm(f - shear, axis=1)[2:] / size[2:] for f in scaled])

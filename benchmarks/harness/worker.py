@@ -1,6 +1,6 @@
 """Run one benchmark: `python -m benchmarks.harness.worker BENCHMARK.py RESULT.json`.
 
-Non-finite numbers are written as Python's JSON writes them (NaN).
+Numbers of numpy become those of Python, and non-finite ones are written as its JSON writes them (NaN).
 """
 
 from __future__ import annotations
@@ -9,8 +9,8 @@ import importlib
 import json
 import sys
 from dataclasses import asdict
+from operator import methodcaller
 from pathlib import Path
-from typing import Any
 
 from benchmarks.harness.results import BenchmarkResult
 from pipeline.base.files import write_text
@@ -18,24 +18,12 @@ from pipeline.base.files import write_text
 
 def main(benchmark: str, out: str) -> None:
     """Run the benchmark module at path `benchmark` and write its result to `out`."""
-    result = _module(Path(benchmark)).measure()
+    path = Path(benchmark)
+    sys.path.insert(0, str(path.parent))  # the plain name: processes that the module starts can import it again
+    result = importlib.import_module(path.stem).measure()
     if not isinstance(result, BenchmarkResult):
-        raise TypeError(f"measure() of {Path(benchmark).name} gave a {type(result).__name__}, not a BenchmarkResult")
-    write_text(Path(out), json.dumps(asdict(result), default=_number), "the result")
-
-
-def _module(path: Path) -> Any:
-    """Import the module by its plain name, so that processes that it starts can import it again."""
-    sys.path.insert(0, str(path.parent))
-    return importlib.import_module(path.stem)
-
-
-def _number(value: object) -> object:
-    """Convert a numpy number to a Python number."""
-    as_python = getattr(value, "item", None)
-    if as_python is None:
-        raise TypeError(f"a {type(value).__name__} in a result is no number")
-    return as_python()
+        raise TypeError(f"measure() of {path.name} gave a {type(result).__name__}, not a BenchmarkResult")
+    write_text(Path(out), json.dumps(asdict(result), default=methodcaller("item")), "the result")
 
 
 if __name__ == "__main__":
