@@ -30,6 +30,7 @@ from pipeline.base.errors import FileProblem
 MOST_BYTES = 2 << 30  # of one image or mesh
 MOST_TEXT_BYTES = 16 << 20  # of a description, an alignment or a session, which are a few kB
 _MOST_ARRAY_BYTES = 1 << 30  # of all arrays of an .npz, which is read as a whole
+_POINTER_START = b"version https://git-lfs"
 _MAX_TRIES = 10  # of making or replacing a folder while other processes do
 
 
@@ -302,6 +303,9 @@ def require_file(path: Path, what: str, most_bytes: int = MOST_BYTES) -> None:
         raise FileProblem(f"cannot read {what} (this is {kind}, not a file)", path)
     if found.st_size > most_bytes:
         raise FileProblem(f"cannot read {what} ({found.st_size:.3g} bytes is too large)", path)
+    with contextlib.suppress(OSError), path.open("rb") as file:  # who reads the file says why it cannot be read
+        if file.read(len(_POINTER_START)) == _POINTER_START:
+            raise FileProblem(f"this is the Git LFS pointer of {what}; fetch the content by 'git lfs pull'", path)
 
 
 def read_bytes(path: Path, what: str, most_bytes: int = MOST_BYTES) -> bytes:

@@ -1,9 +1,10 @@
 """Reads tensors of foreign files, safetensors or torch's, without executing code."""
 
 import io
+from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
-from itertools import takewhile
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, cast
 
@@ -17,6 +18,7 @@ from pipeline.base.progress import report_reading
 from pipeline.base.torch_archive import SIGNATURE, StoredTensor, TorchArchive, open_torch_archive
 from pipeline.networks.weights import SUFFIX, load_tensors
 
+_SHARED_BY = 0.9  # share of the names; the largest part of a network that is read, an encoder, holds 0.83
 _MAX_NESTING = 3  # levels of a training checkpoint that are searched for the table of tensors
 Selection = Callable[[Collection[str]], Mapping[str, str]]  # names in the file -> name wanted: name in the file
 
@@ -37,7 +39,7 @@ def select_all(names: Collection[str]) -> Mapping[str, str]:
 def read_tensors(path: Path, select: Selection = select_all) -> TensorTable:
     """The selected tensors as float32; of a torch archive no others are read.
 
-    A prefix that all names share, such as that of distributed training, is dropped before `select` sees them.
+    A prefix that nearly all names share, such as that of distributed training, is dropped before `select` sees them.
     `select` may raise FileProblem. Raises FileProblem if the file is not a table of finite tensors.
     """
     if path.suffix == SUFFIX:
@@ -95,10 +97,16 @@ def _list_tables(content: Any, others: frozenset[str], levels: int) -> Iterator[
 
 
 def _drop_prefix(table: dict[str, Any]) -> dict[str, Any]:
-    """The table without the parts in front that all its names share, such as `module.`."""
-    shared = takewhile(lambda parts: len(set(parts)) == 1, zip(*(name.split(".")[:-1] for name in table), strict=False))
-    n = len(list(shared)) if len(table) > 1 else 0
-    return {name.split(".", n)[-1]: tensor for name, tensor in table.items()}
+    """The table without the parts in front that nearly all its names share, such as `module.`.
+
+    The few others are those of a wrapper: a counter of averages, a metric, a weighted loss.
+    """
+    while True:
+        firsts = Counter(name.partition(".")[0] for name in table if "." in name)
+        first, count = max(firsts.items(), key=itemgetter(1), default=("", 0))
+        if len(table) < 2 or count < _SHARED_BY * len(table):
+            return table
+        table = {name.partition(".")[2]: tensor for name, tensor in table.items() if name.startswith(f"{first}.")}
 
 
 def _convert(tensor: NDArray[Any], path: Path) -> Floats:

@@ -22,6 +22,7 @@ from pipeline.base.files import (
     read_cached_arrays,
     read_json,
     read_toml,
+    require_file,
     require_separate,
     set_aside,
     write_arrays,
@@ -223,6 +224,13 @@ def test_toml_and_json_that_no_one_can_read_are_refused(tmp_path, text):
     path.write_bytes(text.removeprefix("a = ").encode("latin-1"))
     with pytest.raises(FileProblem, match="not valid JSON"):
         read_json(path, "it")
+
+
+def test_a_git_lfs_pointer_is_named_with_the_remedy(tmp_path):
+    path = tmp_path / "weights.pth"
+    path.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 9\n")
+    with pytest.raises(FileProblem, match="git lfs pull"):
+        require_file(path, "the weights")
 
 
 @given(st.text())

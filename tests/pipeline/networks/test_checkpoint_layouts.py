@@ -42,6 +42,7 @@ LAYOUTS = {
     "distributed": lambda state: prefixed(state, "module."),
     "distributed checkpoint": lambda state: {"model_state_dict": prefixed(state, "module."), "optim": OPTIMISER},
     "compiled": lambda state: prefixed(state, "_orig_mod.module."),
+    "averaged": lambda state: {"n_averaged": torch.tensor(5), **prefixed(state, "module.")},
     "float16": lambda state: to(state, torch.float16),
     "bfloat16": lambda state: to(state, torch.bfloat16),
     "parameters": lambda state: {
