@@ -2,8 +2,9 @@
 
 Loops are closed by Open3D's pose graph (Choi, Zhou, Koltun 2015): its nodes are the key frames, its edges their
 registrations, weighted by the inverse of their covariance. The surface is Open3D's truncated signed distance volume of
-the contacts, which is where the membrane has the object's shape. A single frame's contact is too wide on a noisy
-bubble, so a place stays where most of the views touch it whose membrane is there.
+the contacts, which is where the membrane has the object's shape. A depth stage smooths a noisy bubble's membrane at the
+contact's edge, in every view alike, so views add what was measured: its noise averages out over them. A single frame's
+contact is too wide, so a place stays where most of the views touch it whose membrane is there.
 """
 
 from collections.abc import Callable, Sequence
@@ -19,16 +20,18 @@ from pipeline.base.arrays import Doubles, Floats, Mask, freeze
 from pipeline.geometry import rigid
 from pipeline.geometry.camera import Camera
 from pipeline.geometry.meshes import Mesh
-from pipeline.tracking.membrane_surface import MembraneSurface
 from pipeline.tracking.surface_registration import SurfaceFit, measure_overlap, orthonormalise, register_surfaces
 from pipeline.tracking.tracker import KeyFrame, TrackedFrame, is_accepted
+from pipeline.values.results import DepthMap
 
 _LOOP_OVERLAP = 0.5  # key frames whose predicted overlap is larger are registered to each other
-_MIN_VOXEL_MM = 0.08
+_MIN_VOXEL_MM, _VOXEL_PX = 0.08, 0.5  # half a pixel: the rim of whole ones is a staircase
 _TRUNCATION_VOXELS = 4.0
-_CONTACT_SHARE = 0.5  # of the views at a place
+_CONTACT_SHARE = 0.6  # of the views at a place: leaves as much area as the true contact has (docs/experiments.md)
 _BLOCK_VOXELS, _N_BLOCKS = 8, 4000  # a block's side; as many blocks as are allocated at first
 _FARTHEST_MM = 1e3
+_DETAIL_MM = 0.4  # standard deviation of the filter on what was measured: a bubble's pixel; views average the rest
+_OUTLIER_MM = 1.5  # measured farther from the stage's depth: flying pixels and false matches
 _EMPTY = (
     "No block is touched",
     "Tensor has shape {0}",
@@ -40,8 +43,7 @@ _LEAST_STD = 1e-3  # rad and mm: bounds an edge's information
 class ContactView:
     """What one frame adds to a patch map."""
 
-    key: int  # number of the key frame that it was registered to
-    sensor_from_key: Doubles  # (4, 4)
+    sensor_from_start: Doubles  # (4, 4)
     camera: Camera
     depth_mm: Floats  # (rows, cols) of the membrane; 0 = no value
     contact: Mask  # (rows, cols) without its outermost pixels
@@ -52,20 +54,32 @@ class ContactView:
         return np.where(self.contact, self.depth_mm, np.float32(0.0))
 
 
-def make_view(frame: TrackedFrame, surface: MembraneSurface, keys: Sequence[KeyFrame]) -> ContactView | None:
+def make_view(frame: TrackedFrame, depth: DepthMap) -> ContactView | None:
     """The view of a tracked frame; None where its pose is not measured in every direction."""
     import cv2
 
     if frame.sensor_from_start is None or frame.weak_directions:
         return None
-    inner = cv2.erode(surface.contact.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    inner = cv2.erode(depth.contact.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    surface_mm = depth.depth_mm if depth.measured_depth_mm is None else _restore_detail(depth, depth.measured_depth_mm)
     return ContactView(
-        key=frame.key,
-        sensor_from_key=frame.sensor_from_start @ rigid.invert(keys[frame.key].sensor_from_start),
-        camera=surface.camera,
-        depth_mm=freeze(np.where(np.isfinite(surface.depth_mm), surface.depth_mm, np.float32(0.0))),
-        contact=freeze(inner),
+        sensor_from_start=frame.sensor_from_start, camera=depth.camera, contact=freeze(inner),
+        depth_mm=freeze(np.where(np.isfinite(surface_mm), surface_mm, np.float32(0.0))),
+    )  # fmt: skip
+
+
+def _restore_detail(depth: DepthMap, measured_mm: Floats) -> Floats:
+    """The stage's depth (rows, cols) plus the filtered difference of what was measured from it."""
+    import cv2
+
+    off = measured_mm - depth.depth_mm
+    near = np.abs(off) < _OUTLIER_MM  # False where either has no value
+    pixel_mm = float(np.nanmedian(depth.depth_mm)) / depth.camera.fx_px
+    mean, share = (
+        np.asarray(cv2.GaussianBlur(values, (0, 0), max(0.5, _DETAIL_MM / pixel_mm)), np.float32)
+        for values in (np.where(near, off, np.float32(0.0)), near.astype(np.float32))
     )
+    return np.asarray(depth.depth_mm + mean / np.maximum(share, np.float32(0.05)), np.float32)
 
 
 def close_loops(keys: Sequence[KeyFrame]) -> tuple[tuple[KeyFrame, ...], int]:
@@ -125,7 +139,7 @@ def move_to_keys(
     return tuple(moved)
 
 
-def fuse_views(views: Sequence[ContactView], keys: Sequence[KeyFrame]) -> Mesh | None:
+def fuse_views(views: Sequence[ContactView]) -> Mesh | None:
     """The surface of all views in the sensor frame of the first; None where they have no surface."""
     import open3d
 
@@ -137,7 +151,7 @@ def fuse_views(views: Sequence[ContactView], keys: Sequence[KeyFrame]) -> Mesh |
         return None
     depths = [contact[contact > 0] for contact in contacts]
     typical = [float(np.median(depth)) / view.camera.fx_px for depth, view in zip(depths, views, strict=True)]
-    voxel_mm = max(_MIN_VOXEL_MM, *typical)
+    voxel_mm = max(_MIN_VOXEL_MM, _VOXEL_PX * max(typical))
     core, grid = (
         o3d.core,
         o3d.t.geometry.VoxelBlockGrid(
@@ -147,8 +161,8 @@ def fuse_views(views: Sequence[ContactView], keys: Sequence[KeyFrame]) -> Mesh |
     n_fused = 0
     for view, contact in zip(views, contacts, strict=True):
         depth = o3d.t.geometry.Image(core.Tensor(contact[:, :, None].copy()))
-        camera, placed = core.Tensor(view.camera.matrix), view.sensor_from_key @ keys[view.key].sensor_from_start
-        within = (depth, camera, core.Tensor(placed), 1.0, _FARTHEST_MM, _TRUNCATION_VOXELS)
+        camera, placed = core.Tensor(view.camera.matrix), core.Tensor(view.sensor_from_start)
+        within = (depth, camera, placed, 1.0, _FARTHEST_MM, _TRUNCATION_VOXELS)
         blocks = _unless_empty(partial(grid.compute_unique_block_coordinates, *within))
         if blocks is not None:
             grid.integrate(blocks, *within)
@@ -158,7 +172,7 @@ def fuse_views(views: Sequence[ContactView], keys: Sequence[KeyFrame]) -> Mesh |
     if surface is None or not triangles.size:
         return None
     vertices = surface.vertex.positions.numpy().astype(np.float64)
-    share = _measure_contact_share(vertices, views, keys, _TRUNCATION_VOXELS * voxel_mm)
+    share = _measure_contact_share(vertices, views, _TRUNCATION_VOXELS * voxel_mm)
     triangles = triangles[(share >= _CONTACT_SHARE)[triangles].all(axis=1)]
     if not triangles.size:
         return None
@@ -167,13 +181,11 @@ def fuse_views(views: Sequence[ContactView], keys: Sequence[KeyFrame]) -> Mesh |
     return Mesh(vertices_mm=freeze(vertices), triangles=freeze(triangles), name="patch")
 
 
-def _measure_contact_share(
-    points_mm: Doubles, views: Sequence[ContactView], keys: Sequence[KeyFrame], near_mm: float
-) -> Doubles:
+def _measure_contact_share(points_mm: Doubles, views: Sequence[ContactView], near_mm: float) -> Doubles:
     """Share (n,) of the views touching each point (n, 3), of those whose membrane is within `near_mm` of it."""
     n_there, n_touching = np.zeros(len(points_mm)), np.zeros(len(points_mm))
     for view in views:
-        points = rigid.apply(view.sensor_from_key @ keys[view.key].sensor_from_start, points_mm)
+        points = rigid.apply(view.sensor_from_start, points_mm)
         x_px, y_px, visible = view.camera.project(points)
         col, row = (np.where(visible, np.rint(at), 0).astype(np.intp) for at in (x_px, y_px))
         there = visible & (np.abs(view.depth_mm[row, col] - points[:, 2]) < near_mm)

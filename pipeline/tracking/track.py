@@ -15,7 +15,7 @@ from pipeline.tracking.track_record import MOTION, TrackError, TrackRecord, Trac
 from pipeline.tracking.tracker import KeyFrame, TrackedFrame, Tracker
 from pipeline.values.results import DepthMap
 
-_VIEW_EVERY_MM, _VIEW_EVERY_DEG = 0.3, 2.0  # motion between the views of a patch map
+_VIEW_EVERY_MM, _VIEW_EVERY_DEG = 0.15, 1.0  # motion between the views of a patch map
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,24 +48,26 @@ def track_frames(
 
     `on_frame` receives every frame, with the key frames so far, before loops are closed and the motion is smoothed.
     """
-    tracker, frames, views = Tracker(), list[TrackedFrame](), list[ContactView]()
+    tracker, frames, views = Tracker(), list[TrackedFrame](), dict[int, ContactView]()
     seen_at: Doubles | None = None
     for done, index in enumerate(indices):
         progress.step(done / len(indices), f"frame {index}")
-        surface = make_surface(read_depth(index))
-        frame = tracker.add_frame(index, surface)
+        depth = read_depth(index)
+        frame = tracker.add_frame(index, make_surface(depth))
         frames.append(frame)
         if on_frame is not None:
             on_frame(frame, tracker.keys)
         if frame.sensor_from_start is not None and frame.part == 0 and _is_elsewhere(frame.sensor_from_start, seen_at):
-            view = make_view(frame, surface, tracker.keys)
-            views += [] if view is None else [view]
+            view = make_view(frame, depth)
+            views |= {} if view is None else {done: view}
             seen_at = frame.sensor_from_start
     keys, n_loops = close_loops(tracker.keys)
-    return Track(
-        frames=smooth_frames(move_to_keys(frames, tracker.keys, keys)), keys=keys, n_loops=n_loops,
-        patch=fuse_views(views, keys),
-    )  # fmt: skip
+    smoothed = smooth_frames(move_to_keys(frames, tracker.keys, keys))
+    placed = [
+        replace(view, sensor_from_start=pose) for done, view in views.items()
+        if (pose := smoothed[done].sensor_from_start) is not None
+    ]  # fmt: skip
+    return Track(frames=smoothed, keys=keys, n_loops=n_loops, patch=fuse_views(placed))
 
 
 def _is_elsewhere(pose: Doubles, before: Doubles | None) -> bool:

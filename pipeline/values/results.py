@@ -38,6 +38,8 @@ class DepthMap:
     is_generated: bool = False  # by a network, not measured: no pixel is better known than `expected_error_mm`
     # (rows, cols) z of the object, also where the membrane bridges it; NaN = not predicted, None = only in contact
     object_depth_mm: Floats | None = None
+    # (rows, cols) z as a depth camera measured it, with its noise; NaN = no value, None = not measured directly
+    measured_depth_mm: Floats | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

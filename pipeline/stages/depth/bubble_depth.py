@@ -82,6 +82,7 @@ def estimate_depth(frame: TactileFrame, source: SensorSpec, *, smoothing_px: flo
         camera=source.camera,
         source_index=make_pixel_index(indentation.shape),
         notes=tuple(notes),
+        measured_depth_mm=freeze(np.where(read, frame.image, nothing).astype(np.float32)),
     )
 
 

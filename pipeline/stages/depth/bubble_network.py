@@ -79,6 +79,7 @@ def estimate_depth(
         notes=tuple(notes),
         object_depth_mm=freeze(np.where(touched, rest - prediction.object_displacement_mm, nothing)),
         expected_error_mm=freeze(np.where(known, prediction.expected_error_mm, nothing)),
+        measured_depth_mm=freeze(np.where(measured, frame.image, nothing).astype(np.float32)),
     )
 
 

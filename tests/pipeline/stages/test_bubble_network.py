@@ -64,6 +64,15 @@ def test_the_object_is_stated_in_contact_only():
     assert np.array_equal(np.isfinite(found.object_depth_mm), found.contact)
 
 
+def test_the_measured_depth_is_the_frame_without_its_gaps():
+    given = frame()
+    image = given.image.copy()
+    image[20:40, 20:40] = 0.0
+    found = bubble_network.estimate_depth(replace(given, image=image), SPEC, Says(), least_mm=0.7)
+    assert np.isnan(found.measured_depth_mm[20:40, 20:40]).all()
+    assert np.array_equal(found.measured_depth_mm[50:], image[50:])
+
+
 def test_without_contact_no_object_is_predicted():
     found = bubble_network.estimate_depth(frame(moved=0.0 * BALL), SPEC, Says(), least_mm=0.7)
     assert not found.contact.any()

@@ -17,7 +17,7 @@ from pipeline.tracking.membrane_surface import make_surface
 from pipeline.tracking.surface_registration import register_surfaces
 from pipeline.tracking.track import compute_error, make_record, track_frames
 from pipeline.tracking.track_record import format_patch, format_table, is_track_folder, read_record, write_record
-from pipeline.tracking.tracker import GIVE_UP_AFTER, KeyFrame
+from pipeline.tracking.tracker import GIVE_UP_AFTER, KeyFrame, TrackedFrame
 from tests.pipeline.tracking.presses import press, untouched
 
 POSITION_MM, ROTATION_DEG = 0.02, 0.1  # of perfect membranes: a fifth of a pixel's half
@@ -120,53 +120,75 @@ def test_a_closed_loop_mends_the_pose_of_a_key_frame():
 
 
 def test_the_patch_map_lies_on_the_object(tmp_path):
-    import open3d as o3d
-
     presses = [press("star", *step) for step in ((0.0, 0.0), (0.5, 0.0), (1.0, 0.4, 5.0))]
     (tmp_path / "patch.ply").write_bytes(format_patch(track(presses).patch))
     patch = load_mesh(tmp_path / "patch.ply", unit="mm")
+    assert distance_to_star_mm(patch, presses[0][1]) < 0.05
+    assert len(patch.triangles) > 1000
+
+
+def distance_to_star_mm(patch, pose):
+    """Mean distance of a patch to the star at a pose."""
+    import open3d as o3d
+
     from pipeline.simulation import shapes
 
     mesh = shapes.make_shape("star").mesh
     scene = o3d.t.geometry.RaycastingScene()
-    corners = rigid.apply(presses[0][1], mesh.vertices_mm).astype(np.float32)
+    corners = rigid.apply(pose, mesh.vertices_mm).astype(np.float32)
     scene.add_triangles(o3d.core.Tensor(corners), o3d.core.Tensor(mesh.triangles.astype(np.uint32)))
-    apart = scene.compute_distance(o3d.core.Tensor(patch.vertices_mm.astype(np.float32))).numpy()
-    assert apart.mean() < 0.05
-    assert len(patch.triangles) > 1000
+    return float(scene.compute_distance(o3d.core.Tensor(patch.vertices_mm.astype(np.float32))).numpy().mean())
 
 
 @pytest.mark.parametrize("side_px", [0, 1, 3])
 def test_a_contact_too_small_to_fuse_has_no_surface(side_px):
-    key, view = flat_view(slice(50, 50 + side_px))
-    assert patch_map.fuse_views([view], [key]) is None
+    assert patch_map.fuse_views([flat_view(slice(50, 50 + side_px))]) is None
 
 
 def flat_view(contact_cols, depth_mm=None):
-    """A key frame, and a view of a flat membrane that is in contact in a square of these columns."""
-    surface = make_surface(press("star")[0])
-    level_mm = float(np.nanmedian(surface.depth_mm)) if depth_mm is None else depth_mm
-    contact = np.zeros(surface.camera.shape, np.bool_)
+    """A view of a flat membrane that is in contact in a square of these columns."""
+    membrane = press("star")[0]
+    contact = np.zeros(membrane.contact.shape, np.bool_)
     contact[contact_cols, contact_cols] = True
-    key = KeyFrame(index=0, part=0, surface=surface, sensor_from_start=np.eye(4), covariance=np.zeros((6, 6)))
-    depth = np.full(surface.camera.shape, level_mm, np.float32)
-    return key, patch_map.ContactView(
-        key=0, sensor_from_key=np.eye(4), camera=surface.camera, depth_mm=depth, contact=contact
-    )
+    level_mm = float(np.nanmedian(membrane.depth_mm)) if depth_mm is None else depth_mm
+    return patch_map.ContactView(
+        sensor_from_start=np.eye(4), camera=membrane.camera, depth_mm=np.full(contact.shape, level_mm, np.float32),
+        contact=contact,
+    )  # fmt: skip
 
 
-def patch_width_mm(views, key):
-    return float(np.ptp(patch_map.fuse_views(views, [key]).vertices_mm[:, 0]))
+def patch_width_mm(views):
+    return float(np.ptp(patch_map.fuse_views(views).vertices_mm[:, 0]))
 
 
 def test_a_contact_that_most_views_do_not_confirm_is_no_surface():
-    (key, small), (_, wide) = flat_view(slice(80, 120)), flat_view(slice(40, 160))
-    narrow_mm = patch_width_mm([small], key)
-    assert patch_width_mm([wide], key) > 2.5 * narrow_mm
-    assert patch_width_mm([small, wide, small], key) == pytest.approx(narrow_mm, rel=0.1)
+    small, wide = flat_view(slice(80, 120)), flat_view(slice(40, 160))
+    narrow_mm = patch_width_mm([small])
+    assert patch_width_mm([wide]) > 2.5 * narrow_mm
+    assert patch_width_mm([small, wide, small]) == pytest.approx(narrow_mm, rel=0.1)
     # A membrane that is elsewhere says nothing of the place.
-    away = flat_view(slice(0, 0), depth_mm=float(small.depth_mm[0, 0]) + 5.0)[1]
-    assert patch_width_mm([small, away, away], key) == pytest.approx(narrow_mm, rel=0.1)
+    away = flat_view(slice(0, 0), depth_mm=float(small.depth_mm[0, 0]) + 5.0)
+    assert patch_width_mm([small, away, away]) == pytest.approx(narrow_mm, rel=0.1)
+
+
+def test_measured_depth_mends_what_the_stage_smoothed():
+    import cv2
+
+    exact, pose = press("star", sensor="soft_bubble")
+    smooth = np.asarray(cv2.GaussianBlur(exact.depth_mm, (0, 0), 5.0), np.float32)
+    rng = np.random.default_rng(3)
+    noisy = [exact.depth_mm + rng.normal(0.0, 0.4, smooth.shape).astype(np.float32) for _ in range(16)]
+    noisy[0][::9] += 20.0  # flying pixels
+    noisy[1][::7] = np.nan
+    frame = TrackedFrame(index=0, state="tracked", part=0, sensor_from_start=np.eye(4))
+
+    def error_mm(measured):
+        views = [
+            patch_map.make_view(frame, replace(exact, depth_mm=smooth, measured_depth_mm=image)) for image in measured
+        ]
+        return distance_to_star_mm(patch_map.fuse_views(views), pose)
+
+    assert error_mm(noisy) < 0.5 * error_mm([None])
 
 
 def test_a_track_is_the_same_after_it_was_written_and_read(tmp_path):
