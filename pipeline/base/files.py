@@ -329,7 +329,7 @@ def read_json(path: Path, what: str) -> Any:
 
 def _parse(path: Path, what: str, parse: Callable[[str], Any], language: str) -> Any:
     try:
-        return parse(read_bytes(path, what, MOST_TEXT_BYTES).decode("utf-8"))
+        return parse(read_bytes(path, what, MOST_TEXT_BYTES).decode("utf-8-sig"))  # editors of Windows mark UTF-8
     except (ValueError, RecursionError) as error:  # both languages' own errors, and that of UTF-8, are ValueErrors
         raise FileProblem(f"{what} is not valid {language} ({error})", path) from error
 

@@ -78,8 +78,8 @@ def _list_arrays(path: Path) -> set[str]:
         return set()
 
 
-def save(calibration: Calibration, path: Path) -> None:
-    """Write the calibration as .npz; a failure leaves no half-written file."""
+def save(calibration: Calibration, path: Path) -> Path:
+    """Write the calibration as .npz and return its place; a failure leaves no half-written file."""
     path = path if path.suffix == ".npz" else path.with_name(path.name + ".npz")
     model, error, share = calibration.model, calibration.expected_error, calibration.median_pressure_share
     maps: dict[str, Any] = {
@@ -97,6 +97,7 @@ def save(calibration: Calibration, path: Path) -> None:
             diameter_ratio=[] if calibration.diameter_ratio is None else [calibration.diameter_ratio],
             median_pressure_share=[] if share is None else [share], **maps,
         )  # fmt: skip
+    return path
 
 
 def load(path: Path) -> Calibration:

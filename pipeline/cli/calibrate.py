@@ -21,7 +21,7 @@ from pipeline.stages.depth.photometric import describe_mismatch
 from pipeline.values.frames import TactileFrame
 
 _CHECKED_FRAMES = 5  # presses checked for a mirrored image: one in ten does not show it
-MAX_BALL_DIAMETER_MM = 1000.0  # flat, for any gel
+MAX_BALL_DIAMETER_MM = 200.0  # nearly flat, for any gel
 
 
 def balls(
@@ -65,14 +65,14 @@ def balls(
         table = calibrate_sensor(
             images, reference_image, spec, diameter_mm, pixel_mm=pixel_mm, progress=progress, seed=seed
         )
-    save(table, out)
+    path = save(table, out)
     _print_report(table)
     if pixel_mm is None:
         print_line(
             f"presses of one ball do not determine the pixel width: {table.pixel_mm:.4f} mm is that of the description "
             f"of {spec.name}; measure yours and give --pixel-mm if it differs: all sizes and depths scale with it"
         )
-    print_line(f"calibration written to {out}; use it with --calibration")
+    print_line(f"calibration written to {path}; use it with --calibration")
     return 0
 
 

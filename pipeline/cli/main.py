@@ -9,15 +9,16 @@ import io
 import logging
 import os
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
+from itertools import pairwise
 from pathlib import Path
 
 from cyclopts import App, CycloptsError
 
 from pipeline import __version__
 from pipeline.base import error_log
-from pipeline.base.errors import TouchError, hint_decimal_comma
+from pipeline.base.errors import SettingProblem, TouchError, hint_decimal_comma
 from pipeline.cli.terminal import print_error
 
 EXIT_UNEXPECTED = 1
@@ -151,6 +152,7 @@ def run_app(app: App, tokens: list[str] | None = None) -> int:
             stream.reconfigure(errors="backslashreplace")
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # hides its messages about font caches
     try:
+        _refuse_empty_paths(sys.argv[1:] if tokens is None else tokens)
         command, bound, _ = app.parse_args(tokens, exit_on_error=False, print_error=False)
         _refuse_lossy_outputs(bound.arguments)
         code = command(*bound.args, **bound.kwargs)
@@ -173,6 +175,13 @@ def run_app(app: App, tokens: list[str] | None = None) -> int:
     return code if isinstance(code, int) else 0
 
 
+def _refuse_empty_paths(tokens: Sequence[str]) -> None:
+    """Raise SettingProblem for an empty path, which would be the current folder."""
+    for before, token in pairwise(("", *tokens)):
+        if not token and (not before.startswith("-") or before.lstrip("-") in _OUTPUTS):
+            raise SettingProblem(f"the path after {before!r} is empty; is it a variable that is not set?")
+
+
 def _refuse_lossy_outputs(arguments: Mapping[str, object]) -> None:
     """Raise FileProblem where a command would write over what it reads."""
     outputs = [out for name in _OUTPUTS for out in _list_paths(arguments.get(name))]
@@ -187,7 +196,8 @@ def _refuse_lossy_outputs(arguments: Mapping[str, object]) -> None:
 def _list_paths(value: object) -> list[Path]:
     """Return every path in an option, and every text that may be one, such as `touch=weights.safetensors`."""
     if isinstance(value, (str, Path)):
-        return [Path(str(value).rpartition("=")[2] if isinstance(value, str) else value)]
+        text = value.rpartition("=")[2] if isinstance(value, str) else value
+        return [Path(text)] if text else []
     if is_dataclass(value):
         value = [getattr(value, f.name) for f in fields(value)]
     return [path for part in value for path in _list_paths(part)] if isinstance(value, (list, tuple)) else []

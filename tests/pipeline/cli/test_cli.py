@@ -96,14 +96,15 @@ def test_the_sample_recording_translates_with_truth(tmp_path, capsys):
 def test_calibrating_states_the_expected_error_and_what_one_ball_does_not_determine(known, touches, tmp_path, capsys):
     (touches / "touch_0.png").unlink()
     pixel = ["--pixel-mm", "0.06"] if known else []
-    out = tmp_path / "mini.npz"
+    out = tmp_path / "mini"
     command = ["calibrate", "balls", str(touches), "--sensor", "gelsight_mini", "--diameter-mm", "8", *pixel,
                "--reference", str(touches / "background.png"), "--out", str(out), "--pattern", "touch_*"]  # fmt: skip
     assert run_app(build_app(), command) == 0
     outcome = " ".join(capsys.readouterr().out.split())
     assert "expected error of a ball's diameter" in outcome
     assert ("do not determine the pixel width" in outcome) is not known
-    assert calibration_file.load(out).expected_error is not None
+    assert f"calibration written to {out}.npz" in outcome
+    assert calibration_file.load(tmp_path / "mini.npz").expected_error is not None
 
 
 def test_a_sensor_described_by_a_file_of_ones_own_is_calibrated(touches, tmp_path):
@@ -384,3 +385,15 @@ def test_no_command_writes_over_what_it_reads(tmp_path, said, words):
     path.write_bytes(b"mine")
     assert "this would replace what is read" in said(*(word.format(path) for word in words))
     assert path.read_bytes() == b"mine"
+
+
+def test_a_table_is_written_again_next_to_the_recording(touches, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    command = ["export", str(touches), "--sensor", "gelsight_mini", "--target", "soft_bubble", "--pane", "depth",
+               "--frames", "2", "--to", "forces.csv"]  # fmt: skip
+    assert [run_app(build_app(), command) for _ in range(2)] == [0, 0]
+
+
+@pytest.mark.parametrize("words", [["inspect", ""], ["translate", "x.h5", "--target", "digit", "--out", ""]])
+def test_an_empty_path_is_not_taken_for_the_current_folder(said, words):
+    assert "is empty" in said(*words)

@@ -49,7 +49,7 @@ def test_a_variant_differs_from_its_parent_only_where_stated():
 
 
 def test_a_users_sensor_may_extend_one_of_the_project(tmp_path):
-    text = 'extends = "digit"\ntitle = "my digit"\n[rest]\ndepth = { value = 30.0, unit = "mm", from = "measured" }\n'
+    text = '\ufeffextends = "digit"\ntitle = "my digit"\n[rest]\ndepth = { value = 30.0, unit = "mm", from = "measured" }\n'
     s = load_sensor(own(tmp_path, text))
     assert s.title == "my digit"
     assert s.rest_depth_mm.mean() == pytest.approx(30.0)
@@ -115,7 +115,8 @@ def test_an_unknown_sensor_names_the_known_ones():
         ("[camera]", "[lens]", r"lacks the section \[camera\]"),
         ('kind = "gel"', 'kind = "skin"', "kind must be"),
         ("value = 240", "value = -240", "must lie within"),
-        ("fx = { value = 394.32", "fx = { value = 0.0", "camera.fx must lie within 1 and 100000 px"),
+        ("fx = { value = 394.32", "fx = { value = 0.0", "camera.fx must lie within 32 and 100000 px"),
+        ("fx = { value = 394.32", "fx = { value = 3.6", "camera.fx must lie within 32"),
         ("value = [0.0, 0.0, -25.0]", "value = [0.0, 0.0]", "list of 3"),
         ("fx = { value = 394.32", "fx = { value = nan", r"camera\.fx\.value: expected a number"),
         ("elevation_deg = 30.0, ", "", r"optics\.leds\[0\]\.elevation_deg: it is missing"),
@@ -145,7 +146,7 @@ def entry(key, value, unit):
         ("bubble", entry("pressure", "1e300", "kPa"), r"bubble\.pressure\.value: expected a number <="),
         ("bubble", entry("pressure", "101.0", "kPa"), "within 0 and 100 kPa"),
         ("bubble", entry("dead_volume", "1" + "0" * 400, "mm^3"), r"bubble\.dead_volume\.value: Number out of range"),
-        ("camera", entry("fx", "1e9", "px"), "within 1 and 100000 px"),
+        ("camera", entry("fx", "1e9", "px"), "within 17.5 and 100000 px"),
         ("camera", entry("cx", "-1e7", "px"), "within -100000 and 100000 px"),
         ("camera", entry("fy", "true", "px"), "expected a number or a list, got true or false"),
         ("camera", entry("fy", "[[1.0]]", "px"), r"fy\.value\[0\]: expected a number, got a list"),
