@@ -57,7 +57,7 @@ def open_window(request: Request | None, *, frame: int | None = None, tour: Path
         PreloadController(controller)
     try:
         if tour is None:
-            code = application.exec()
+            code = application.exec() if controller.window.isVisible() else 0  # closed while it was made: no end
         else:
             from app.window.tour import run_tour
 
@@ -88,6 +88,7 @@ def prepare_environment() -> None:
 
 def make_application() -> QApplication:
     """Return the application; create it if there is none."""
+    from PyQt6.QtCore import QLocale
     from PyQt6.QtWidgets import QApplication
 
     from app.shutdown import destroy_windows_at_exit
@@ -97,6 +98,7 @@ def make_application() -> QApplication:
     if isinstance(existing, QApplication):
         return existing
     application = QApplication([sys.argv[0]])
+    QLocale.setDefault(QLocale.c())  # figures have a decimal point everywhere
     locale.setlocale(locale.LC_NUMERIC, "C")  # Qt sets the user's: a C library would then read 0,5 and not 0.5
     application.setApplicationName("Tactoscope")
     return application

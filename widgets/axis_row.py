@@ -1,10 +1,11 @@
 """One axis of an alignment: a slider and a spin box."""
 
 from PyQt6.QtCore import QObject, QSignalBlocker, Qt, pyqtSignal
-from PyQt6.QtWidgets import QDoubleSpinBox, QSizePolicy, QSlider
+from PyQt6.QtWidgets import QSizePolicy, QSlider
 
 from pipeline.alignment.nudge import axis_unit
 from pipeline.sensors.alignment import Axis
+from widgets.number_box import NumberBox
 from widgets.styling import ThemedLabel, make_bold
 
 _PER_UNIT = {"mm": 20, "deg": 10}  # slider steps per unit: 0.05 mm, 0.1 deg
@@ -32,7 +33,7 @@ class AxisRow(QObject):
         self.slider.setSingleStep(1)
         self.slider.setPageStep(self._per_unit)
         self.slider.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
-        self.box = QDoubleSpinBox()
+        self.box = NumberBox()
         self.box.setDecimals(_DIGITS[unit])
         self.box.setRange(-_FARTHEST[unit], _FARTHEST[unit])
         self.box.setSingleStep(_STEP[unit])

@@ -3,9 +3,10 @@
 from collections.abc import Mapping, Sequence
 
 from PyQt6.QtCore import pyqtSignal
-from PyQt6.QtWidgets import QDialog, QDoubleSpinBox, QFormLayout, QHBoxLayout, QLabel, QLineEdit, QPushButton, QWidget
+from PyQt6.QtWidgets import QDialog, QFormLayout, QHBoxLayout, QLabel, QLineEdit, QPushButton, QWidget
 
 from widgets.choice_box import ChoiceBox
+from widgets.number_box import NumberBox
 from widgets.styling import fill
 
 _SIMULATED, _FOLDER = "simulated", "folder"  # sources that are not the name of a camera
@@ -23,7 +24,7 @@ class LiveDialog(QDialog):
         self.source, self.sensor, self.object_box = (
             ChoiceBox(f"live_{name}", f"live {name}") for name in ("source", "sensor", "object")
         )
-        self.rate, self.folder = QDoubleSpinBox(), QLineEdit()
+        self.rate, self.folder = NumberBox(), QLineEdit()
         self.browse_button, self.search_button = QPushButton("Choose…"), QPushButton("Search again")
         self.rate.setRange(0.5, 120.0)
         self.rate.setSuffix(" Hz")

@@ -21,6 +21,7 @@ from PyQt6.QtWidgets import (
 
 from pipeline.base.params import Setting, Value
 from widgets.choice_box import ChoiceBox
+from widgets.number_box import NumberBox
 
 _SLIDER_STEPS, _SLIDER_PX, _NARROW_PX = 400, 40, 24
 _MANY, _TOO_MANY, _BEND = (
@@ -169,7 +170,7 @@ def _whole(value: int, setting: Setting, edited: Callable[[Value], None]) -> Par
 
 
 def _number(value: float, setting: Setting, edited: Callable[[Value], None]) -> ParameterControl:
-    box = QDoubleSpinBox()
+    box = NumberBox()
     low, high = max(setting.low, -_WIDEST), min(setting.high, _WIDEST)
     is_bounded = math.isfinite(setting.low) and math.isfinite(setting.high)
     step = setting.step or ((high - low) / 10 if is_bounded else 0.1)

@@ -3,7 +3,6 @@
 from PyQt6.QtCore import QSignalBlocker, pyqtSignal
 from PyQt6.QtGui import QAction
 from PyQt6.QtWidgets import (
-    QDoubleSpinBox,
     QHBoxLayout,
     QLabel,
     QVBoxLayout,
@@ -13,6 +12,7 @@ from PyQt6.QtWidgets import (
 from pipeline.translation.cross_section import CrossSection, SectionLine, format_csv
 from widgets.choice_box import ChoiceBox
 from widgets.fixed_size_label import FixedSizeLabel
+from widgets.number_box import NumberBox
 from widgets.section_plot import SectionPlot
 from widgets.styling import copy_text, fill, make_button, make_command_button, set_spacing
 
@@ -38,9 +38,9 @@ class SectionPanel(QWidget):
         tip = "Copy the command line that writes this table"
         self.command = make_button("Copy command", "section_command", tip)
         self._head = set_spacing(QHBoxLayout(), 5)
-        self.ends: list[QDoubleSpinBox] = []
+        self.ends: list[NumberBox] = []
         for k, (name, tip) in enumerate(zip(_NAMES, _TIPS, strict=True)):
-            box, end = QDoubleSpinBox(), "AB"[k // 2]
+            box, end = NumberBox(), "AB"[k // 2]
             box.setObjectName(f"section_{end.lower()}_{'xy'[k % 2]}")
             box.setAccessibleName(f"{end}, {'xy'[k % 2]} in mm")
             box.setRange(-_REACH_MM, _REACH_MM)

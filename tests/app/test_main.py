@@ -46,3 +46,24 @@ def test_the_process_exits_cleanly_after_its_window(tmp_path):
         [sys.executable, "-c", _QUITS], env={**os.environ, **places}, capture_output=True, text=True, check=False
     )
     assert ended.returncode == 0, ended.stderr[-2000:]
+
+
+_CLOSED_AT_ONCE = """
+import sys
+from PyQt6.QtCore import QTimer
+from app.main import make_application, open_window
+
+application, timer = make_application(), QTimer(interval=1)
+timer.timeout.connect(lambda: [window.close() for window in application.topLevelWidgets() if window.isVisible()])
+timer.start()
+sys.exit(open_window(None))
+"""
+
+
+def test_a_window_that_is_closed_while_it_is_made_ends_the_process(tmp_path):
+    places = {"XDG_CONFIG_HOME": str(tmp_path), "XDG_STATE_HOME": str(tmp_path), "PYTHONPATH": str(Path.cwd())}
+    command = [sys.executable, "-c", _CLOSED_AT_ONCE]
+    ended = subprocess.run(
+        command, env={**os.environ, **places}, capture_output=True, text=True, check=False, timeout=120
+    )
+    assert ended.returncode == 0, ended.stderr[-2000:]

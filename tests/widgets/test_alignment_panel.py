@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from PyQt6.QtCore import Qt
 
 from pipeline.alignment.score import AlignmentScore, ScoreChange, Sensitivity
 from pipeline.sensors.alignment import AXES
@@ -46,6 +47,16 @@ def test_steps_of_a_box_are_one_change_that_ends_when_it_is_still(panel, qtbot):
     box.stepUp()
     assert heard == ["begun", ("rz", 0.1), ("rz", 0.2)]
     qtbot.waitUntil(lambda: heard[-1] == "ended", timeout=5_000)
+
+
+@pytest.mark.parametrize("typed", ["2.5", "2,5"])
+def test_a_decimal_comma_is_a_decimal_point(panel, qtbot, typed):
+    box = panel.rows["x"].box
+    box.selectAll()
+    qtbot.keyClicks(box, typed)
+    qtbot.keyClick(box, Qt.Key.Key_Return)
+    assert box.value() == 2.5
+    assert box.cleanText() == "2.500"
 
 
 def test_shown_values_are_not_said_to_anybody(panel):
