@@ -36,6 +36,7 @@ class TrackController(BackgroundController):
         self.view: TrackView | None = None
         self._tracked: Session | None = None  # what the track on screen was computed from; None = read from a folder
         self._of: Path | None = None  # recording, or the folder that is read
+        self._beside: Path | None = None  # recording that was open then
         page, window = self._page, self._window
         page.run_bar.start_button.clicked.connect(lambda: self.start_track(page.stage_box.choice))
         page.plot.step_chosen.connect(self._choose_row)
@@ -56,7 +57,7 @@ class TrackController(BackgroundController):
 
             return track_session(session, stage, catalogue, report)
 
-        self._tracked, self._of = session, session.recording
+        self._tracked, self._of, self._beside = session, session.recording, session.recording
         self._show_none("")
         self.start(work)
 
@@ -70,7 +71,7 @@ class TrackController(BackgroundController):
 
         layout = replace(self._controller.session.layout, name="track", arrangement=None)
         self._controller.change("open track", layout=layout)
-        self._tracked, self._of = None, folder
+        self._tracked, self._of, self._beside = None, folder, self._controller.session.recording
         self._show_none(f"reading {folder.name}")
         self.start(work)
 
@@ -88,9 +89,9 @@ class TrackController(BackgroundController):
 
     def show_session(self, session: Session) -> None:
         """Drop the track of another recording, offer what can be followed, and mark the current frame."""
-        if self._tracked is not None and session.recording != self._tracked.recording:
+        if self._of is not None and session.recording != self._beside:
             self.abandon()
-            self._tracked = None
+            self._tracked = self._of = None
             self._show_none(_READY if session.recording is not None else _NO_RECORDING)
         elif self.view is None and not self.is_busy and self._of is None and session.recording is not None:
             self._show_none(_READY)

@@ -167,8 +167,9 @@ def run_app(app: App, tokens: list[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_UNEXPECTED
     except Exception as error:  # noqa: BLE001 - the outermost handler
-        if isinstance(error, OSError) and error.errno in _USER_FILE_ERRORS and error.filename is not None:
-            print_error(f"{error.strerror}: '{os.fsdecode(error.filename)}'")
+        if isinstance(error, OSError) and error.errno in _USER_FILE_ERRORS:
+            place = "the output" if error.filename is None else f"'{os.fsdecode(error.filename)}'"
+            print_error(f"{error.strerror}: {place}")
             return EXIT_USER_ERROR
         print_error(error_log.log_error(error))
         return EXIT_UNEXPECTED

@@ -102,7 +102,7 @@ def test_a_run_is_cancelled_and_another_recording_drops_the_track(
     assert wait_until_shown(track_window, LIMIT_S)
 
 
-def test_a_track_opens_without_a_recording(open_window, qtbot, tmp_path):
+def test_a_track_opens_without_a_recording_and_goes_with_the_next_one(open_window, qtbot, touch_file, tmp_path):
     (tmp_path / "track.csv").write_text(
         "frame,state,part,x_mm,y_mm,z_mm,rx_deg,ry_deg,rz_deg\n4,tracked,0,1,0,0,0,0,0\n"
     )
@@ -114,6 +114,9 @@ def test_a_track_opens_without_a_recording(open_window, qtbot, tmp_path):
     assert controller.window.track.isVisible()
     assert not controller.window.track.run_bar.start_button.isEnabled()
     assert controller.window.track.sentence.text().startswith(f"{tmp_path.name}: 1 of 1 frames tracked")
+    controller.open_path(touch_file)
+    assert track.view is None
+    assert controller.window.track.plot.n_steps == 0
     (tmp_path / "track.json").write_text("[")
     controller.open_path(tmp_path)
     qtbot.waitUntil(lambda: "track.json" in controller.window.banner.text, timeout=LIMIT_MS)

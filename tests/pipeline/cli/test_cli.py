@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import logging
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -397,3 +399,10 @@ def test_a_table_is_written_again_next_to_the_recording(touches, tmp_path, monke
 @pytest.mark.parametrize("words", [["inspect", ""], ["translate", "x.h5", "--target", "digit", "--out", ""]])
 def test_an_empty_path_is_not_taken_for_the_current_folder(said, words):
     assert "is empty" in said(*words)
+
+
+def test_a_full_disk_behind_the_output_is_one_sentence():
+    command = [sys.executable, "-m", "pipeline", "inspect", str(SAMPLE)]
+    with Path("/dev/full").open("wb") as full:
+        ended = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+    assert (ended.returncode, ended.stderr) == (2, "tactoscope: No space left on device: the output\n")
