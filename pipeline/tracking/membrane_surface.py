@@ -17,7 +17,7 @@ COMPUTED = DepthErrorModel(rms_mm=0.01, correlation_mm=0.5)  # where a depth map
 N_POINTS = 800  # of a surface: twice as many change a pose by a fifth of its uncertainty
 MIN_POINTS = 60  # fewer moved pixels are no touch that could be followed
 _MOVED_SHARE, _MOVED_MM = 0.15, 0.03  # moved: indented by this share of the touch, and at least by that much
-_RIM_MM = 0.8  # moved part around the contact that takes part
+RIM_MM = 0.8  # moved part around the contact that takes part
 _SMOOTHING_MM, _COARSER = 0.08, 3.0  # standard deviation of the fine level, at least 1 px; that of the coarse one
 _MAX_SMOOTHING_PX = 10.0  # pixels of no depth have no width
 OUTLINE_REACH_MM = 1.0  # distances to the contact's outline are cut off here
@@ -73,6 +73,7 @@ class MembraneSurface:
     pixels: Doubles  # (n, 2) x, y of chosen moved pixels
     error: DepthErrorModel
     pixel_mm: float  # width of a pixel on the membrane
+    n_frames: int = 1  # that it is the mean of
 
     @property
     def is_touched(self) -> bool:
@@ -89,24 +90,28 @@ def make_surface(depth: DepthMap) -> MembraneSurface:
     typical_mm = float(np.median(depth.depth_mm[known])) if known.any() else 0.0
     filled: Floats = np.where(known, depth.depth_mm, np.float32(typical_mm))
     pixel_mm = typical_mm / depth.camera.fx_px
-    moved = _find_moved(indentation, depth.contact, _RIM_MM / max(pixel_mm, 1e-9))
-    fine_px = min(max(1.0, _SMOOTHING_MM / max(pixel_mm, 1e-9)), _MAX_SMOOTHING_PX)
+    moved = _find_moved(indentation, depth.contact, RIM_MM / max(pixel_mm, 1e-9))
+    fine_px = _find_fine_px(pixel_mm)
     unknown_px = cv2.distanceTransform(known.astype(np.uint8), cv2.DIST_L2, 3) if not known.all() else None
     if unknown_px is not None:
         moved &= unknown_px > 2.5 * fine_px
+    return MembraneSurface(
+        camera=depth.camera,
+        levels=smooth_levels(filled, pixel_mm),
+        moved=moved.astype(np.float32), contact=depth.contact,
+        outline_mm=_measure_outline(depth.contact, pixel_mm), depth_mm=depth.depth_mm,
+        pixels=choose_pixels(moved), error=depth.error or COMPUTED, pixel_mm=pixel_mm,
+    )  # fmt: skip
+
+
+def choose_pixels(moved: Mask) -> Doubles:
+    """At most `N_POINTS` x, y (n, 2) of the moved pixels; the same mask gives the same ones."""
     rows, cols = np.nonzero(moved)
     if rows.size > N_POINTS:
         chosen = np.linspace(0, rows.size - 1, N_POINTS).astype(np.intp)
         chosen = np.random.default_rng(0).permutation(rows.size)[chosen]  # no stripes of a regular choice
         rows, cols = rows[chosen], cols[chosen]
-    return MembraneSurface(
-        camera=depth.camera,
-        levels=tuple(_smooth(filled, sigma) for sigma in (_COARSER * fine_px, fine_px)),
-        moved=moved.astype(np.float32), contact=depth.contact,
-        outline_mm=_measure_outline(depth.contact, pixel_mm), depth_mm=depth.depth_mm,
-        pixels=freeze(np.column_stack([cols, rows]).astype(np.float64)), error=depth.error or COMPUTED,
-        pixel_mm=pixel_mm,
-    )  # fmt: skip
+    return freeze(np.column_stack([cols, rows]).astype(np.float64))
 
 
 def _find_moved(indentation_mm: Floats, contact: Mask, rim_px: float) -> Mask:
@@ -126,6 +131,16 @@ def _measure_outline(contact: Mask, pixel_mm: float) -> Floats:
     inside, outside = (cv2.distanceTransform(m.astype(np.uint8), cv2.DIST_L2, 5) for m in (contact, ~contact))
     apart = np.clip((outside - inside) * np.float32(pixel_mm), -OUTLINE_REACH_MM, OUTLINE_REACH_MM)
     return np.asarray(cv2.GaussianBlur(apart, (0, 0), 1.0), np.float32)
+
+
+def _find_fine_px(pixel_mm: float) -> float:
+    return min(max(1.0, _SMOOTHING_MM / max(pixel_mm, 1e-9)), _MAX_SMOOTHING_PX)
+
+
+def smooth_levels(depth_mm: Floats, pixel_mm: float) -> tuple[SmoothedDepth, ...]:
+    """The coarse and the fine level of a depth image without gaps."""
+    fine_px = _find_fine_px(pixel_mm)
+    return tuple(_smooth(depth_mm, sigma_px) for sigma_px in (_COARSER * fine_px, fine_px))
 
 
 def _smooth(depth_mm: Floats, sigma_px: float) -> SmoothedDepth:

@@ -22,7 +22,7 @@ from pipeline.tracking.membrane_surface import MembraneSurface
 from pipeline.tracking.surface_residuals import Residuals, compute_residuals, sample_key_points
 
 _ITERATIONS = 12
-_CONVERGENCE_MM = (5e-3, 5e-4)  # motion of the moved part that ends the iterations, on the coarse and on the fine level
+_CONVERGENCE_MM = (2e-2, 2e-3)  # motion of the moved part that ends the iterations, on the coarse and on the fine level
 _COVARIANCE_POINTS = 200  # whose errors are correlated with each other
 _OUTLIER_FACTOR = 4.0  # residuals whose square is this many times the median weigh a quarter
 # A motion counts as measured where its predicted error is below these; an outline's normals are 6 degrees off.
@@ -42,14 +42,16 @@ class SurfaceFit:
     agreement: float  # share of those whose residuals are as small as expected
 
 
-def register_surfaces(key: MembraneSurface, current: MembraneSurface, start: Doubles) -> SurfaceFit | None:
+def register_surfaces(
+    key: MembraneSurface, current: MembraneSurface, start: Doubles, first_level: int = 0
+) -> SurfaceFit | None:
     """The motion near `start` (4, 4) that takes the key frame's membrane to the current one's.
 
-    None where too little of the key frame is inside the current image.
+    It begins on `first_level` (0 = coarse). None where too little of the key frame is inside the current image.
     """
     motion, residuals, seen = start, None, None
-    levels = [sample_key_points(key, level) for level in range(len(key.levels))]
-    for level, there in enumerate(levels):
+    for level in range(first_level, len(key.levels)):
+        there = sample_key_points(key, level)
         for _ in range(_ITERATIONS):
             residuals = compute_residuals(there, current, level, motion)
             if residuals is None:
@@ -61,7 +63,8 @@ def register_surfaces(key: MembraneSurface, current: MembraneSurface, start: Dou
             if np.linalg.norm(step[3:]) + _radius_mm(residuals) * np.linalg.norm(step[:3]) < _CONVERGENCE_MM[level]:
                 break
     assert residuals is not None
-    return _describe(motion, residuals, key)
+    assert seen is not None
+    return _describe(motion, residuals, key, seen)
 
 
 def measure_overlap(key: MembraneSurface, current_from_key: Doubles) -> float:
@@ -124,8 +127,7 @@ def _collect_constraints(residuals: Residuals) -> tuple[Doubles, Doubles]:
     )
 
 
-def _describe(motion: Doubles, residuals: Residuals, surface: MembraneSurface) -> SurfaceFit:
-    seen = _assess(residuals, surface)
+def _describe(motion: Doubles, residuals: Residuals, surface: MembraneSurface, seen: Observability) -> SurfaceFit:
     on = residuals.on_moved > 0
     small = on & (residuals.error_sq < _OUTLIER_FACTOR**2)
     points, normals = _collect_constraints(residuals)
@@ -135,7 +137,8 @@ def _describe(motion: Doubles, residuals: Residuals, surface: MembraneSurface) -
         noise_mm=surface.error.rms_mm, error=surface.error,
     )  # fmt: skip
     return SurfaceFit(
-        current_from_key=freeze(motion), covariance=freeze(2.0 * covariance), centre_mm=freeze(residuals.centre_mm),
+        current_from_key=freeze(motion), centre_mm=freeze(residuals.centre_mm),
+        covariance=freeze((1.0 + 1.0 / surface.n_frames) * covariance),
         weak_directions=seen.weak_directions, overlap=float(on.sum()) / max(residuals.n_points, 1),
         agreement=float(small.sum()) / max(int(on.sum()), 1),
     )  # fmt: skip

@@ -48,21 +48,21 @@ def track_frames(
 
     `on_frame` receives every frame, with the key frames so far, before loops are closed and the motion is smoothed.
     """
-    tracker, frames, views = Tracker(), list[TrackedFrame](), dict[int, ContactView]()
+    tracker, views = Tracker(), dict[int, ContactView]()
     seen_at: Doubles | None = None
     for done, index in enumerate(indices):
         progress.step(done / len(indices), f"frame {index}")
         depth = read_depth(index)
         frame = tracker.add_frame(index, make_surface(depth))
-        frames.append(frame)
         if on_frame is not None:
             on_frame(frame, tracker.keys)
         if frame.sensor_from_start is not None and frame.part == 0 and _is_elsewhere(frame.sensor_from_start, seen_at):
             view = make_view(frame, depth)
             views |= {} if view is None else {done: view}
             seen_at = frame.sensor_from_start
+    tracker.average_key()
     keys, n_loops = close_loops(tracker.keys)
-    smoothed = smooth_frames(move_to_keys(frames, tracker.keys, keys))
+    smoothed = smooth_frames(move_to_keys(tracker.frames, tracker.keys, keys))
     placed = [
         replace(view, sensor_from_start=pose) for done, view in views.items()
         if (pose := smoothed[done].sensor_from_start) is not None

@@ -4,15 +4,20 @@ Each frame is registered to the key frame that overlaps it most, from the motion
 frame that overlaps its key frame too little becomes a key frame itself. A return to an earlier place is measured
 against the key frame of that place, so that drift does not add up. A frame that agrees with no key frame is lost, and
 says so; it is looked for again in the frames after it.
+
+A noisy key frame's error is in the motion of all frames from it. So the first frames that follow it are averaged with
+it, as soon as they are enough or another key frame begins; they are registered once more, to their mean, and so is what
+comes after them.
 """
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from pipeline.base.arrays import Doubles, freeze
 from pipeline.geometry import rigid
+from pipeline.tracking.mean_surface import average_surfaces
 from pipeline.tracking.membrane_surface import MembraneSurface
 from pipeline.tracking.surface_registration import SurfaceFit, measure_overlap, orthonormalise, register_surfaces
 from pipeline.tracking.track_record import TrackState
@@ -23,6 +28,8 @@ MIN_AGREEMENT = 0.5  # share of points whose residuals are as small as expected;
 GIVE_UP_AFTER = 10  # lost frames, after which the next touch starts a part of its own
 _SMOOTHING = 0.3  # weight of the newest step in the velocity: a bubble's steps are smaller than their errors
 _PREDICTED_OVERLAP = 0.5  # key frames that overlap less are not tried
+_LEAST_AVERAGED, _MOST_AVERAGED = 4, 32  # frames of a mean
+_NOISY_MM = 0.1  # stated error from which means pay: gels, whose error is below, drift as far with them
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,9 +79,11 @@ def is_accepted(fit: SurfaceFit) -> bool:
 
 @dataclass(slots=True)
 class Tracker:
-    """Registers frame after frame; `keys` are the key frames so far."""
+    """Registers frame after frame; `keys` are the key frames so far, `frames` all frames, mended since they came."""
 
     keys: list[KeyFrame] = field(default_factory=list)
+    frames: list[TrackedFrame] = field(default_factory=list)
+    _following: list[tuple[int, MembraneSurface]] | None = None  # places in `frames`: newest key frame, what follows
     _part: int = -1
     _last: Doubles | None = None  # sensor_from_start of the last tracked frame of this part
     _velocity: Doubles = field(default_factory=lambda: np.eye(4))
@@ -82,6 +91,20 @@ class Tracker:
 
     def add_frame(self, index: int, surface: MembraneSurface) -> TrackedFrame:
         """Register the next frame."""
+        frame = self._place(index, surface)
+        self.frames.append(frame)
+        if frame.sensor_from_start is None:
+            return frame
+        if self._following is not None and frame.key == len(self.keys) - 1:
+            self._following.append((len(self.frames) - 1, surface))
+            if len(self._following) == _MOST_AVERAGED:
+                self.average_key()
+        if frame.overlap < NEW_KEY_OVERLAP:
+            self._start_key(surface, frame.key)
+        self._last = self.frames[-1].sensor_from_start
+        return self.frames[-1]
+
+    def _place(self, index: int, surface: MembraneSurface) -> TrackedFrame:
         if not surface.is_touched:
             self._last, self._n_lost = None, 0
             return TrackedFrame(index=index, state="no contact", part=max(self._part, 0))
@@ -94,10 +117,12 @@ class Tracker:
             if self._n_lost > GIVE_UP_AFTER:
                 return self._start_part(index, surface)
             return TrackedFrame(index=index, state="lost", part=self._part)
-        return self._accept(index, surface, *found)
+        return self._accept(index, *found)
 
     def _start_part(self, index: int, surface: MembraneSurface) -> TrackedFrame:
+        self.average_key()
         self._part, self._n_lost = self._part + 1, 0
+        self._following = [] if surface.error.rms_mm > _NOISY_MM else None
         self._last, self._velocity = np.eye(4), np.eye(4)
         key = KeyFrame(
             index=index, part=self._part, surface=surface, sensor_from_start=freeze(np.eye(4)),
@@ -135,7 +160,7 @@ class Tracker:
         best = sorted(own, key=lambda number: -overlap[number])[:2]
         return [number for number in best if overlap[number] >= _PREDICTED_OVERLAP] or best[:1]
 
-    def _accept(self, index: int, surface: MembraneSurface, number: int, fit: SurfaceFit) -> TrackedFrame:
+    def _accept(self, index: int, number: int, fit: SurfaceFit) -> TrackedFrame:
         assert self._last is not None
         key = self.keys[number]
         now = freeze(orthonormalise(fit.current_from_key @ key.sensor_from_start))
@@ -147,19 +172,46 @@ class Tracker:
         )
         self._last, self._n_lost = now, 0
         covariance = freeze(key.covariance + fit.covariance)
-        frame = TrackedFrame(
+        return TrackedFrame(
             index=index, state="tracked", part=self._part, key=number, sensor_from_start=now, covariance=covariance,
             centre_mm=fit.centre_mm, weak_directions=fit.weak_directions, overlap=fit.overlap, agreement=fit.agreement,
         )  # fmt: skip
-        if fit.overlap < NEW_KEY_OVERLAP:
-            self.keys.append(
-                KeyFrame(
-                    index=index,
-                    part=self._part,
-                    surface=surface,
-                    sensor_from_start=now,
-                    covariance=covariance,
-                    parent=number,
-                )
+
+    def _start_key(self, surface: MembraneSurface, parent: int) -> None:
+        """Make the last frame a key frame."""
+        self.average_key()
+        last = self.frames[-1]
+        assert last.sensor_from_start is not None
+        assert last.covariance is not None
+        self.keys.append(
+            KeyFrame(
+                index=last.index, part=self._part, surface=surface, sensor_from_start=last.sensor_from_start,
+                covariance=last.covariance, parent=parent,
             )
-        return frame
+        )  # fmt: skip
+        self._following = [(len(self.frames) - 1, surface)] if surface.error.rms_mm > _NOISY_MM else None
+
+    def average_key(self) -> None:
+        """Average the newest key frame and those that follow it, and register them to their mean; once."""
+        following, self._following = self._following or [], None
+        if len(following) < _LEAST_AVERAGED:
+            return
+        key, surfaces = self.keys[-1], [surface for _, surface in following]
+        key_from_start = rigid.invert(key.sensor_from_start)
+        poses = [self.frames[place].sensor_from_start for place, _ in following]
+        from_key = [pose @ key_from_start for pose in poses if pose is not None]
+        mean = average_surfaces(key.surface, surfaces, from_key)
+        fits = [register_surfaces(mean, surface, start, 1) for surface, start in zip(surfaces, from_key, strict=True)]
+        own = fits[0]
+        if own is None or not is_accepted(own):
+            return
+        # The key frame's own pose stays: the mean's is where that frame finds it.
+        start = orthonormalise(rigid.invert(own.current_from_key) @ key.sensor_from_start)
+        covariance = key.covariance + own.covariance
+        self.keys[-1] = replace(key, surface=mean, sensor_from_start=freeze(start), covariance=freeze(covariance))
+        for (place, _), fit in zip(following[1:], fits[1:], strict=True):
+            if fit is not None and is_accepted(fit):
+                self.frames[place] = replace(
+                    self.frames[place], sensor_from_start=freeze(orthonormalise(fit.current_from_key @ start)),
+                    covariance=freeze(covariance + fit.covariance), centre_mm=fit.centre_mm,
+                )  # fmt: skip

@@ -13,11 +13,13 @@ from pipeline.base.errors import FileProblem
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import load_mesh
 from pipeline.tracking import patch_map
+from pipeline.tracking.mean_surface import average_surfaces
 from pipeline.tracking.membrane_surface import make_surface
 from pipeline.tracking.surface_registration import register_surfaces
 from pipeline.tracking.track import compute_error, make_record, track_frames
 from pipeline.tracking.track_record import format_patch, format_table, is_track_folder, read_record, write_record
-from pipeline.tracking.tracker import GIVE_UP_AFTER, KeyFrame, TrackedFrame
+from pipeline.tracking.tracker import GIVE_UP_AFTER, KeyFrame, TrackedFrame, Tracker
+from pipeline.values.results import DepthErrorModel
 from tests.pipeline.tracking.presses import press, untouched
 
 POSITION_MM, ROTATION_DEG = 0.02, 0.1  # of perfect membranes: a fifth of a pixel's half
@@ -102,6 +104,49 @@ def test_missing_depth_is_left_out():
     holed[100:140, 150:200] = np.nan
     found = error(track([presses[0], (replace(presses[1][0], depth_mm=holed), None)]), presses)
     assert found.drift_mm < 2 * POSITION_MM
+
+
+def test_the_mean_of_one_place_is_that_place():
+    surface = make_surface(press("star")[0])
+    mean = average_surfaces(surface, [surface] * 3, [np.eye(4)] * 3)
+    inside = mean.moved > 0
+    assert np.abs(mean.depth_mm - surface.depth_mm)[inside].max() < 1e-3
+    assert np.count_nonzero(mean.contact ^ surface.contact) < 0.02 * np.count_nonzero(surface.contact)
+    assert mean.n_frames == 3
+
+
+def test_a_mean_is_less_noisy_than_its_frames():
+    import cv2
+
+    rng, presses = np.random.default_rng(5), [press("star", 0.1 * step, 0.0) for step in range(9)]
+    surfaces = []
+    for membrane, _ in presses:
+        noise = np.asarray(cv2.GaussianBlur(rng.normal(0.0, 1.0, membrane.depth_mm.shape), (0, 0), 4.0), np.float32)
+        surfaces.append(make_surface(replace(membrane, depth_mm=membrane.depth_mm + 0.02 * noise / noise.std())))
+    poses = [pose @ rigid.invert(presses[0][1]) for _, pose in presses]
+    mean = average_surfaces(surfaces[0], surfaces, poses)
+    errors_mm = [(surface.depth_mm - presses[0][0].depth_mm)[presses[0][0].contact] for surface in (mean, surfaces[0])]
+    assert np.abs(errors_mm[0]).mean() < 0.5 * np.abs(errors_mm[1]).mean()
+
+
+def test_a_noisy_sensor_is_tracked_against_the_mean_of_what_follows_a_key_frame():
+    tracker, stated = Tracker(), DepthErrorModel(rms_mm=0.18, correlation_mm=1.6)
+    presses = [press("star", 0.3 * step, 0.0, 2.0 * step, "soft_bubble") for step in range(6)]
+    for index, (membrane, _) in enumerate(presses):
+        tracker.add_frame(index, make_surface(replace(membrane, error=stated)))
+    before = [frame.sensor_from_start for frame in tracker.frames]
+    tracker.average_key()
+    assert [key.surface.n_frames for key in tracker.keys] == [6]
+    assert np.array_equal(tracker.frames[0].sensor_from_start, before[0])
+    assert not np.array_equal(tracker.frames[3].sensor_from_start, before[3])
+    for frame, (_, pose) in zip(tracker.frames, presses, strict=True):
+        off = frame.sensor_from_start @ rigid.invert(pose @ rigid.invert(presses[0][1]))
+        assert rigid.rotation_angle_deg(off) < 1.0
+    gel = Tracker()
+    for index in range(6):
+        gel.add_frame(index, make_surface(press("star", 0.1 * index)[0]))
+    gel.average_key()
+    assert [key.surface.n_frames for key in gel.keys] == [1], "a gel's noise is not worth the time"
 
 
 def test_a_closed_loop_mends_the_pose_of_a_key_frame():
