@@ -15,7 +15,7 @@ from PyQt6.QtWidgets import (
 from pipeline.alignment.score import AlignmentScore, Sensitivity
 from pipeline.sensors.alignment import AXES, Axis
 from widgets.axis_row import AxisRow
-from widgets.fonts import resize_font
+from widgets.base import VerticalScrollArea, resize_font
 from widgets.gauge import Gauge, GaugeScale
 from widgets.refine_box import RefineBox
 from widgets.sensitivity_bars import SensitivityBars
@@ -28,7 +28,6 @@ from widgets.styling import (
     make_single_shot_timer,
     set_spacing,
 )
-from widgets.vertical_scroll_area import VerticalScrollArea
 
 SETTLE_MS = 350  # a change by wheel or keys ends after this pause
 

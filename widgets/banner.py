@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from PyQt6.QtCore import QEvent, Qt
 from PyQt6.QtWidgets import QPlainTextEdit, QPushButton
 
-from widgets.event_listener import EventListener
+from widgets.base import EventListener
 from widgets.icons import StateIcon
 from widgets.notification_bar import Choice, NotificationBar
 from widgets.styling import copy_text

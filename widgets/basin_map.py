@@ -8,9 +8,8 @@ from PyQt6.QtCore import Qt
 from PyQt6.QtGui import QColor, QPainter, QPalette, QPen
 from PyQt6.QtWidgets import QHBoxLayout, QLabel, QVBoxLayout, QWidget
 
+from widgets.base import ChoiceBox, resize_font
 from widgets.cell_grid import NO_CELL, CellGrid, CellIndex
-from widgets.choice_box import ChoiceBox
-from widgets.fonts import resize_font
 from widgets.run_bar import StartBar
 from widgets.styling import fill, set_spacing
 from widgets.theme import CATEGORY_COLOURS, ThemeColours, to_qcolor

@@ -12,7 +12,7 @@ from PyQt6.QtWidgets import QSizePolicy, QWidget
 
 from pipeline.base.arrays import Image
 from pipeline.previews.preview import Preview
-from widgets.fonts import make_caption_font
+from widgets.base import make_caption_font
 from widgets.preview_renderer import MAX_ZOOM, MIN_ZOOM, PreviewRenderer
 from widgets.theme import (
     CASING_COLOUR,

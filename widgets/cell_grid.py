@@ -7,7 +7,7 @@ from PyQt6.QtCore import QPointF, QRectF, Qt, pyqtSignal
 from PyQt6.QtGui import QPainter, QPalette
 from PyQt6.QtWidgets import QToolTip
 
-from widgets.painted_widget import PaintedWidget
+from widgets.base import PaintedWidget
 
 CellIndex = tuple[int, int]  # row, col
 NO_CELL: CellIndex = (-1, -1)

@@ -11,8 +11,7 @@ from PyQt6.QtGui import QImage, QPainter
 
 from pipeline.base.arrays import Doubles, Floats
 from pipeline.previews.colours import ColourMapName, ColourScale, get_colour_table
-from widgets.fonts import resize_font
-from widgets.painted_widget import FIXED, YIELDS, PaintedWidget
+from widgets.base import FIXED, YIELDS, PaintedWidget, resize_font
 from widgets.styling import make_single_shot_timer
 from widgets.theme import ThemeColours, get_colour_map, to_qcolor
 

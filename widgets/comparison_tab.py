@@ -16,7 +16,7 @@ from PyQt6.QtWidgets import (
 )
 
 from pipeline.evaluation.parameter_sweep import SweepCell, format_value
-from widgets.choice_box import ChoiceBox
+from widgets.base import ChoiceBox
 from widgets.run_bar import RunBar
 from widgets.styling import fill, make_splitter, set_spacing
 from widgets.sweep_grid import SweepGrid, SweepPlot

@@ -8,8 +8,7 @@ from PyQt6.QtGui import QMouseEvent, QPainter, QPalette
 from PyQt6.QtWidgets import QHBoxLayout, QLabel, QVBoxLayout, QWidget
 
 from pipeline.tasks.task import Decision
-from widgets.choice_box import ChoiceBox
-from widgets.painted_widget import PaintedWidget
+from widgets.base import ChoiceBox, PaintedWidget
 from widgets.run_bar import StartBar
 from widgets.styling import fill, make_bold, set_spacing
 from widgets.theme import ThemeColours, to_qcolor

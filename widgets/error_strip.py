@@ -8,8 +8,7 @@ from PyQt6.QtCore import QPointF, QRectF, QSize, Qt, pyqtSignal
 from PyQt6.QtGui import QHelpEvent, QPainter, QPalette, QPen, QPolygonF
 from PyQt6.QtWidgets import QSizePolicy, QToolTip
 
-from widgets.fonts import resize_font
-from widgets.painted_widget import YIELDS, PaintedWidget
+from widgets.base import YIELDS, PaintedWidget, resize_font
 from widgets.theme import ThemeColours, get_theme_colours, to_qcolor
 
 _INSET_PX = 6  # half the slider's handle

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from PyQt6.QtCore import pyqtSignal
 from PyQt6.QtWidgets import QDialog, QFormLayout, QHBoxLayout, QLabel, QLineEdit, QPushButton, QWidget
 
-from widgets.choice_box import ChoiceBox
+from widgets.base import ChoiceBox
 from widgets.styling import fill
 
 FORMATS = (  # suffix, title, content it can hold

@@ -12,8 +12,7 @@ from PyQt6.QtGui import QFont, QFontMetrics, QPainter, QPalette, QPen, QPixmap
 from PyQt6.QtWidgets import QAbstractButton, QHBoxLayout, QSizePolicy, QWidget
 
 from pipeline.previews.preview import Preview
-from widgets.event_listener import EventListener
-from widgets.fonts import make_caption_font
+from widgets.base import EventListener, make_caption_font
 from widgets.icons import paint_state
 from widgets.preview_renderer import MAX_ZOOM, PreviewRenderer
 from widgets.styling import set_spacing

@@ -15,9 +15,7 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
-from widgets.choice_box import ChoiceBox
-from widgets.event_listener import EventListener
-from widgets.fonts import resize_font
+from widgets.base import ChoiceBox, EventListener, resize_font
 from widgets.frame_summary import THUMBNAIL_PX
 from widgets.frames_filter import RowFilter, get_limits, matches_term, replace_limits
 from widgets.frames_model import CAUSE, CONTACT, DEPTH, FRAME, METRIC, NOTE, SORT_ROLE, WARNINGS, FramesModel

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from PyQt6.QtCore import QPointF, QRectF, Qt
 from PyQt6.QtGui import QColor, QPainter, QPen, QPolygonF
 
-from widgets.painted_widget import FIXED, PaintedWidget
+from widgets.base import FIXED, PaintedWidget
 from widgets.theme import ThemeColours, to_qcolor
 
 _BAR_PX = 9

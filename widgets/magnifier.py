@@ -8,8 +8,8 @@ from PyQt6.QtGui import QColor, QPainter, QPen
 from PyQt6.QtWidgets import QWidget
 
 from pipeline.previews.preview import Preview
+from widgets.base import resize_font
 from widgets.canvas import Canvas
-from widgets.fonts import resize_font
 from widgets.theme import CROSSHAIR_COLOUR, to_qcolor
 
 MAX_RADIUS_PX = 3  # pixels on either side, fewer in a small image

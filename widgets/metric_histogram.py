@@ -7,8 +7,7 @@ import numpy as np
 from PyQt6.QtCore import QRectF, Qt, pyqtSignal
 from PyQt6.QtGui import QMouseEvent, QPainter, QPalette
 
-from widgets.fonts import resize_font
-from widgets.painted_widget import FIXED, YIELDS, PaintedWidget
+from widgets.base import FIXED, YIELDS, PaintedWidget, resize_font
 from widgets.theme import ThemeColours, to_qcolor
 
 N_BARS = 24

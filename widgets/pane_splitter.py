@@ -3,8 +3,8 @@
 from PyQt6.QtCore import QSize, Qt
 from PyQt6.QtWidgets import QWidget
 
-from widgets.fitting_splitter import FittingSplitter
 from widgets.stage_column import StageColumn
+from widgets.styling import FittingSplitter
 from widgets.view_3d_panel import View3DPanel
 
 _MOST_HIGH = 0.74  # largest share of a pane's height for the image when stacked

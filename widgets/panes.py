@@ -7,9 +7,8 @@ from typing import Any
 from PyQt6.QtCore import QEvent, QObject, QSize, pyqtSignal
 from PyQt6.QtWidgets import QFrame, QHBoxLayout, QLabel, QToolButton, QVBoxLayout, QWidget
 
-from widgets.event_listener import EventListener
+from widgets.base import EventListener, resize_font
 from widgets.filmstrip import Filmstrip
-from widgets.fonts import resize_font
 from widgets.pane_splitter import PaneSplitter
 from widgets.stage_column import StageColumn
 from widgets.styling import fill, set_spacing

@@ -20,7 +20,7 @@ from PyQt6.QtWidgets import (
 )
 
 from pipeline.base.params import Setting, Value
-from widgets.choice_box import ChoiceBox
+from widgets.base import ChoiceBox
 from widgets.number_box import NumberBox
 
 _SLIDER_STEPS, _SLIDER_PX, _NARROW_PX = 400, 40, 24

@@ -7,10 +7,9 @@ from PyQt6.QtCore import pyqtSignal
 from PyQt6.QtWidgets import QFormLayout, QHBoxLayout, QLabel, QVBoxLayout, QWidget
 
 from pipeline.base.params import Setting, Value, list_settings, replace_value
-from widgets.fixed_size_label import FixedSizeLabel
+from widgets.base import FixedSizeLabel, VerticalScrollArea
 from widgets.parameter_controls import ParameterControl, describe_setting, format_label, make_control
 from widgets.styling import fill, make_bold, make_icon_button, set_spacing
-from widgets.vertical_scroll_area import VerticalScrollArea
 
 _LABEL_PX = 112  # width of all labels, which wrap: a form takes the room of wider ones from the values
 

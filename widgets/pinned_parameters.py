@@ -7,8 +7,7 @@ from PyQt6.QtCore import QEvent, pyqtSignal
 from PyQt6.QtWidgets import QBoxLayout, QHBoxLayout, QLabel, QVBoxLayout, QWidget
 
 from pipeline.base.params import Setting, Value, list_settings, replace_value
-from widgets.event_listener import EventListener
-from widgets.fonts import resize_font
+from widgets.base import EventListener, resize_font
 from widgets.parameter_controls import ParameterControl, describe_setting, make_control
 from widgets.styling import fill, set_spacing
 

@@ -11,7 +11,7 @@ from PyQt6.QtGui import QColor, QFont, QImage, QPainter, QPalette, QPen, QPixmap
 from pipeline.base.arrays import Floats, Image
 from pipeline.previews.colours import NO_VALUE_COLOUR, ColourScale, darken_diverging
 from pipeline.previews.preview import Preview
-from widgets.fonts import make_caption_font
+from widgets.base import make_caption_font
 from widgets.theme import (
     CASING_COLOUR,
     CONTACT_COLOUR,

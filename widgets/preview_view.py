@@ -7,12 +7,10 @@ from PyQt6.QtCore import QEvent, QPointF, QSize, Qt, pyqtSignal
 from PyQt6.QtWidgets import QBoxLayout, QLabel, QVBoxLayout, QWidget
 
 from pipeline.previews.preview import Preview
+from widgets.base import EventListener, FixedSizeLabel, resize_font
 from widgets.canvas import Canvas
 from widgets.colour_bar import ColourBar
 from widgets.comparison_overlay import ComparisonOverlay
-from widgets.event_listener import EventListener
-from widgets.fixed_size_label import FixedSizeLabel
-from widgets.fonts import resize_font
 from widgets.styling import fill, set_spacing
 
 SIDE_TEXT_PX = 170  # width of text next to an image

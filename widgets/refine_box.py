@@ -10,7 +10,7 @@ from PyQt6.QtWidgets import QHBoxLayout, QLabel, QVBoxLayout, QWidget
 from pipeline.alignment.refine import AlignmentFit, Refinement
 from pipeline.base.arrays import Doubles
 from pipeline.previews.colours import Rgb
-from widgets.event_listener import EventListener
+from widgets.base import EventListener
 from widgets.run_bar import StartBar
 from widgets.styling import fill, make_button, set_spacing
 from widgets.theme import ThemeColours, get_theme_colours, to_hex

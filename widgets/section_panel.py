@@ -10,8 +10,7 @@ from PyQt6.QtWidgets import (
 )
 
 from pipeline.translation.cross_section import CrossSection, SectionLine, format_csv
-from widgets.choice_box import ChoiceBox
-from widgets.fixed_size_label import FixedSizeLabel
+from widgets.base import ChoiceBox, FixedSizeLabel
 from widgets.number_box import NumberBox
 from widgets.section_plot import SectionPlot
 from widgets.styling import copy_text, fill, make_button, make_command_button, set_spacing

@@ -12,8 +12,7 @@ from PyQt6.QtGui import QPainter, QPalette, QPen
 
 from pipeline.previews.colours import Rgb
 from pipeline.translation.cross_section import CrossSection, HeightProfile
-from widgets.fonts import resize_font
-from widgets.painted_widget import PaintedWidget
+from widgets.base import PaintedWidget, resize_font
 from widgets.theme import CATEGORY_COLOURS, ThemeColours, get_theme_colours, to_qcolor
 
 _LEFT_PX, _BELOW_PX, _ROOM_PX, _LEGEND_PX, _KEY_PX, _EDGE_PX = 60.0, 32.0, 8.0, 150.0, 26.0, 9.0

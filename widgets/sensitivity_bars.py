@@ -6,8 +6,7 @@ from PyQt6.QtCore import QRectF, Qt
 from PyQt6.QtGui import QPainter
 
 from pipeline.alignment.score import UNIT_STEP, ScoreChange, Sensitivity
-from widgets.fonts import resize_font
-from widgets.painted_widget import FIXED, PaintedWidget
+from widgets.base import FIXED, PaintedWidget, resize_font
 from widgets.theme import ThemeColours, to_qcolor
 
 # title, unit, digits, whether larger is better

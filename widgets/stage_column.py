@@ -9,10 +9,7 @@ from PyQt6.QtCore import QEvent, QSignalBlocker, Qt, pyqtSignal
 from PyQt6.QtGui import QStandardItemModel
 from PyQt6.QtWidgets import QBoxLayout, QComboBox, QFrame, QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
 
-from widgets.choice_box import ChoiceBox
-from widgets.event_listener import EventListener
-from widgets.fixed_size_label import FixedSizeLabel
-from widgets.fonts import resize_font
+from widgets.base import ChoiceBox, EventListener, FixedSizeLabel, resize_font
 from widgets.icons import StateIcon
 from widgets.pinned_parameters import PinnedParameters
 from widgets.preview_view import PreviewView

@@ -5,10 +5,9 @@ from collections.abc import Sequence
 from PyQt6.QtCore import QEvent, QObject, pyqtSignal
 from PyQt6.QtWidgets import QHBoxLayout, QWidget
 
-from widgets.event_listener import EventListener
-from widgets.fitting_splitter import FittingSplitter
+from widgets.base import EventListener
 from widgets.stage_column import StageColumn
-from widgets.styling import set_spacing
+from widgets.styling import FittingSplitter, set_spacing
 from widgets.view_3d_panel import View3DPanel
 
 _SHORT_PX = 420  # a lower row gives a caption one line, and the state none

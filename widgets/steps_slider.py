@@ -4,7 +4,7 @@ from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
 from PyQt6.QtWidgets import QHBoxLayout, QLabel, QSizePolicy, QSlider, QToolButton, QWidget
 
 from pipeline.values.results import PoseStep, TouchStep
-from widgets.fonts import resize_font
+from widgets.base import resize_font
 from widgets.styling import fill, set_spacing
 
 AnyStep = PoseStep | TouchStep

@@ -1,6 +1,6 @@
 """Shared styling: fonts, layout spacing, and buttons for commands."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TypeVar
 
 from PyQt6.QtCore import QEvent, QObject, Qt, QTimer
@@ -8,7 +8,7 @@ from PyQt6.QtGui import QAction, QGuiApplication, QPalette
 from PyQt6.QtWidgets import QBoxLayout, QLabel, QLayout, QLineEdit, QPushButton, QSplitter, QToolButton, QWidget
 
 from pipeline.previews.colours import Rgb
-from widgets.event_listener import EventListener
+from widgets.base import EventListener
 from widgets.icons import make_command_icon
 from widgets.theme import ThemeColours, get_theme_colours, to_qcolor
 
@@ -122,3 +122,30 @@ class ThemedLabel(QLabel):
             for group in (QPalette.ColorGroup.Active, QPalette.ColorGroup.Inactive):
                 own.setColor(group, QPalette.ColorRole.WindowText, colour)
             self.setPalette(own)
+
+
+class FittingSplitter(QSplitter):
+    """Fits its contents until the user drags the handle; subclasses override `fit_sizes`."""
+
+    def __init__(self) -> None:
+        super().__init__(Qt.Orientation.Vertical)
+        self.setChildrenCollapsible(False)
+        self.is_user_sized = False  # afterwards the contents keep their share
+        self._soon = make_single_shot_timer(self, 0, self.fit_sizes)
+        self.splitterMoved.connect(self.keep_sizes)
+        EventListener(self, self._soon.start, QEvent.Type.Resize)
+
+    def fit_sizes(self) -> None:
+        """Choose the sizes, unless the user set them."""
+        raise NotImplementedError
+
+    def keep_sizes(self) -> None:
+        """Keep the sizes that the user chose."""
+        self.is_user_sized = True
+
+    def restore_sizes(self, sizes: Sequence[int]) -> None:
+        """Restore user sizes; without sizes, fit the contents again."""
+        self.is_user_sized = len(sizes) == self.count()
+        if self.is_user_sized:
+            self.setSizes(list(sizes))
+        self._soon.start()

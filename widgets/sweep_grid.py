@@ -8,8 +8,8 @@ from PyQt6.QtGui import QFontMetrics, QPainter, QPalette, QPen, QPixmap, QPolygo
 
 from pipeline.evaluation.parameter_sweep import SweepCell
 from pipeline.previews.preview import Preview
+from widgets.base import EventListener
 from widgets.cell_grid import NO_CELL, CellGrid, CellIndex, CellView
-from widgets.event_listener import EventListener
 from widgets.preview_renderer import make_themed_qimage
 from widgets.theme import ThemeColours, to_qcolor
 

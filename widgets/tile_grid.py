@@ -8,8 +8,7 @@ from PyQt6.QtCore import QEvent, QPointF, QSize, Qt, pyqtSignal
 from PyQt6.QtWidgets import QBoxLayout, QFrame, QGridLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
 
 from pipeline.previews.tile import Tile
-from widgets.event_listener import EventListener
-from widgets.fonts import resize_font
+from widgets.base import EventListener, resize_font
 from widgets.preview_view import SIDE_TEXT_PX, PreviewView
 from widgets.styling import fill, make_bold, set_spacing
 

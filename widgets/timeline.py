@@ -9,8 +9,8 @@ from PyQt6.QtCore import QSignalBlocker, Qt, QTimer, pyqtSignal
 from PyQt6.QtGui import QAction
 from PyQt6.QtWidgets import QComboBox, QGridLayout, QHBoxLayout, QLabel, QSlider, QSpinBox, QWidget
 
+from widgets.base import resize_font
 from widgets.error_strip import ErrorScale, ErrorStrip
-from widgets.fonts import resize_font
 from widgets.styling import fill, make_command_button, set_spacing
 
 SPEEDS = (0.25, 0.5, 1.0, 2.0, 4.0)

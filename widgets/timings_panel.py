@@ -16,9 +16,8 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
-from widgets.fixed_size_label import FixedSizeLabel
+from widgets.base import FIXED, FixedSizeLabel, PaintedWidget
 from widgets.icons import make_state_icon
-from widgets.painted_widget import FIXED, PaintedWidget
 from widgets.styling import fill, make_bold, set_spacing
 from widgets.table_copier import prepare_table
 from widgets.theme import CATEGORY_COLOURS, ThemeColours, to_qcolor

@@ -6,7 +6,7 @@ from html import escape
 from PyQt6.QtCore import QEvent, Qt
 from PyQt6.QtWidgets import QFrame, QLabel, QScrollArea, QVBoxLayout, QWidget
 
-from widgets.event_listener import EventListener
+from widgets.base import EventListener
 from widgets.theme import get_theme_colours, to_hex
 
 _INVITATION = (

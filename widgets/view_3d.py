@@ -7,7 +7,7 @@ from PyQt6.QtCore import QEvent, QPointF, QRectF, QSize, Qt, pyqtSignal
 from PyQt6.QtGui import QImage, QPainter, QPen
 from PyQt6.QtWidgets import QSizePolicy, QWidget
 
-from widgets.event_listener import EventListener
+from widgets.base import EventListener
 from widgets.theme import CROSSHAIR_COLOUR, get_backdrop, to_qcolor
 
 _DOT_PX = 5.0

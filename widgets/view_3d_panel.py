@@ -4,9 +4,7 @@ from PyQt6.QtCore import QEvent, Qt
 from PyQt6.QtGui import QTextDocumentFragment
 from PyQt6.QtWidgets import QLabel, QSizePolicy, QVBoxLayout, QWidget
 
-from widgets.event_listener import EventListener
-from widgets.fixed_size_label import FixedSizeLabel
-from widgets.fonts import resize_font
+from widgets.base import EventListener, FixedSizeLabel, resize_font
 from widgets.styling import fill, set_spacing
 from widgets.view_3d import View3D
 

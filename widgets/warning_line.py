@@ -7,9 +7,7 @@ from typing import Any
 from PyQt6.QtCore import QEvent, Qt
 from PyQt6.QtWidgets import QHBoxLayout, QPushButton, QToolTip, QWidget
 
-from widgets.event_listener import EventListener
-from widgets.fixed_size_label import FixedSizeLabel
-from widgets.fonts import resize_font
+from widgets.base import EventListener, FixedSizeLabel, resize_font
 from widgets.icons import StateIcon
 from widgets.notification_bar import Choice, make_choice_button
 from widgets.styling import set_spacing

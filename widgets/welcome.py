@@ -8,8 +8,7 @@ from PyQt6.QtGui import QAction, QPainter, QPaintEvent, QPen
 from PyQt6.QtWidgets import QHBoxLayout, QLabel, QListWidget, QListWidgetItem, QToolButton, QVBoxLayout, QWidget
 
 from pipeline.base.errors import escape_text
-from widgets.event_listener import EventListener
-from widgets.fonts import resize_font
+from widgets.base import EventListener, resize_font
 from widgets.styling import ThemedLabel, fill, make_bold, set_spacing
 from widgets.theme import get_theme_colours, to_qcolor
 

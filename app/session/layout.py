@@ -25,6 +25,9 @@ _LARGE_COLUMNS: Mapping[str, tuple[str, ...]] = {
 }  # fmt: skip
 _Panes = Annotated[tuple[tuple[Name, Dims], ...], Meta(min_length=1, max_length=3)]  # stage and views of each
 _Size = Annotated[int, Meta(ge=0, le=100_000)]  # px
+ComparisonTabName = Literal["methods", "two", "seeds"]
+LAST_STAGE = "last"
+DEFAULT_STAGE = "touch_depth"  # of two settings: what both methods of touch have, and can be subtracted
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,6 +102,8 @@ class Layout:
 
 
 ARRANGEMENTS_FILE = "arrangements.json"
+
+
 _KIND, _VERSION = "tactoscope arrangements", 1
 
 
@@ -131,3 +136,13 @@ def save_arrangements(path: Path, layouts: Sequence[Layout]) -> None:
     except FileProblem:
         set_aside(path)
     write_json(path, {_KIND: _VERSION, "arrangements": to_plain(layouts)}, "the arrangements")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ComparisonSettings:
+    """The current tab and its controls."""
+
+    tab: ComparisonTabName = "methods"
+    order: Name = "worst first"
+    stage: Name = DEFAULT_STAGE  # of two settings, or all stages
+    seeds: int = 8

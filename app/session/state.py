@@ -11,8 +11,7 @@ from typing import Annotated, Any, cast
 import msgspec
 from msgspec import Meta
 
-from app.session.comparison_settings import ComparisonSettings
-from app.session.layout import Layout
+from app.session.layout import ComparisonSettings, Layout
 from pipeline.base.errors import FileProblem, SettingProblem
 from pipeline.base.files import read_json, write_json
 from pipeline.base.params import list_settings, replace_value

@@ -5,9 +5,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import cast
 
-from app.session.comparison_settings import LAST_STAGE, ComparisonSettings, ComparisonTabName
 from app.session.differences import describe_differences
-from app.session.layout import Layout
+from app.session.layout import LAST_STAGE, ComparisonSettings, ComparisonTabName, Layout
 from app.session.state import Session
 from app.window.background_controller import BackgroundController
 from app.window.session_controller import SessionController

@@ -26,7 +26,6 @@ from app.window.main_window import MainWindow
 from app.window.mending import MendingController
 from app.window.pan_zoom import PanZoomController
 from app.window.panels import add_panels
-from app.window.parameter_search import make_parameter_actions
 from app.window.pinned_probes import PinnedProbesController
 from app.window.presentation import PresentationController, PresentationVideoController
 from app.window.probe_3d import Probe3DController
@@ -35,7 +34,7 @@ from app.window.rollout_export import RolloutExportController
 from app.window.rollouts import RolloutController
 from app.window.section_line import SectionLineController
 from app.window.session_controller import SessionController
-from app.window.shortcuts import KeyboardController
+from app.window.shortcuts import KeyboardController, make_parameter_actions
 from app.window.step_scrubber import StepScrubberController
 from app.window.sweep import SweepController
 from app.window.themes import ThemeController
@@ -46,10 +45,9 @@ from pipeline.previews.display_params import DisplayParams
 from pipeline.sensors.spec import list_sensor_titles
 from pipeline.translation.catalogue import Catalogue
 from pipeline.translation.truth_view import ComparisonMode
-from widgets.command_palette import CommandPalette
+from widgets.command_palette import CommandPalette, ShortcutsPage
 from widgets.icons import make_command_icon
 from widgets.keyboard_focus_filter import KeyboardFocusFilter
-from widgets.shortcuts_page import ShortcutsPage
 from widgets.table_copier import TableCopier
 from widgets.timeline import Timeline
 

@@ -13,7 +13,7 @@ from PyQt6.QtWidgets import QMainWindow, QSplitter
 
 from app.session.layout import Arrangement
 from app.session.preferences import Preferences
-from widgets.fitting_splitter import FittingSplitter
+from widgets.styling import FittingSplitter
 
 
 def capture_arrangement(window: QMainWindow, name: str, only_stage: str) -> Arrangement:

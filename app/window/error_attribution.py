@@ -7,8 +7,8 @@ from pipeline.metrics.stage_metrics import describe_metric, is_stage_error
 from pipeline.stages.truth_method import TRUTH
 from pipeline.translation.error_attribution import DEFAULT_METRIC, ErrorAttribution, ErrorShare
 from pipeline.translation.translate import Translation
+from widgets.base import EventListener
 from widgets.error_attribution_panel import make_bars
-from widgets.event_listener import EventListener
 from widgets.styling import make_single_shot_timer
 
 _DELAY_MS = 250  # attribution costs several frames of computation: not while playing or browsing

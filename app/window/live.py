@@ -17,8 +17,7 @@ from pipeline.live.usb_camera import list_usb_cameras
 from pipeline.recordings.mounts import mount, unmount
 from pipeline.sensors.spec import list_sensor_titles
 from pipeline.simulation import shapes
-from widgets.live_bar import LiveBar
-from widgets.live_dialog import LiveDialog
+from widgets.live_dialog import LiveBar, LiveDialog
 
 _UPDATE_MS = 33
 _STOP_TIMEOUT_S = 1.0  # for the reader's thread on close; a camera that hangs is abandoned

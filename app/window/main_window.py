@@ -20,18 +20,16 @@ from PyQt6.QtWidgets import (
 from app.session.layout import LAYOUT_NAMES, Arrangement, Layout
 from app.window.actions import MENUS, THEME_COMMANDS, make_actions, make_stage_commands
 from app.window.dock_state import capture_arrangement, restore_arrangement
-from app.window.drawers import Drawers
-from app.window.menus import add_layout_tabs, build_menus, build_tool_bar
+from app.window.menus import Drawers, add_layout_tabs, build_menus, build_tool_bar
 from widgets.alignment_panel import AlignmentPanel
 from widgets.banner import Banner
+from widgets.base import ChoiceBox, FixedSizeLabel
 from widgets.basin_map import BasinPanel
-from widgets.choice_box import ChoiceBox
 from widgets.comparison_page import ComparisonPage
 from widgets.error_attribution_panel import ErrorAttributionPanel
-from widgets.fixed_size_label import FixedSizeLabel
 from widgets.frames_panel import FramesPanel
 from widgets.log_panel import LogPanel
-from widgets.notification_stack import NotificationStack
+from widgets.notification_bar import NotificationStack
 from widgets.panes import PanesPage
 from widgets.parameters_panel import ParametersPanel
 from widgets.probes_panel import ProbesPanel

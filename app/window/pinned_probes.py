@@ -8,7 +8,7 @@ from app.window.pixel_trace import Places
 from app.window.session_controller import SessionController
 from app.work.stage_previews import StagePreview
 from pipeline.previews.preview import Preview
-from widgets.event_listener import EventListener
+from widgets.base import EventListener
 from widgets.probes_panel import ProbeRow
 from widgets.styling import make_single_shot_timer
 

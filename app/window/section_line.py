@@ -11,7 +11,7 @@ from pipeline.translation import cross_section
 from pipeline.translation.cross_section import HeightMap, SectionLine, SectionPlane
 from pipeline.translation.pixel_trace import SOURCE
 from pipeline.values.results import DepthMap
-from widgets.event_listener import EventListener
+from widgets.base import EventListener
 from widgets.section_line_tool import SectionLineTool
 from widgets.styling import make_single_shot_timer
 

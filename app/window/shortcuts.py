@@ -1,11 +1,14 @@
-"""Keyboard use: the probe by arrow keys, and alignment numbers."""
+"""Keyboard use: the probe by arrow keys, alignment numbers, and parameters by their names."""
 
 from functools import partial
 
 from PyQt6.QtCore import QEvent, QObject, Qt
+from PyQt6.QtGui import QAction
+from PyQt6.QtWidgets import QWidget
 
+from app.window.main_window import MainWindow
 from app.window.session_controller import SessionController
-from widgets.event_listener import EventListener
+from widgets.base import EventListener
 from widgets.preview_key_filter import PreviewKeyFilter
 
 _HINT = (
@@ -75,3 +78,33 @@ class KeyboardController(QObject):
             self._wants_focus = False
             self._box.setFocus(Qt.FocusReason.ShortcutFocusReason)
             self._box.selectAll()
+
+
+def make_parameter_actions(window: MainWindow, parent: QObject) -> list[QAction]:
+    """One action per parameter of the methods in use; those made before for `parent` are deleted."""
+    for old in parent.findChildren(QAction):
+        old.deleteLater()
+    actions: list[QAction] = []
+    for title, setting, control in window.parameters.list_shown():
+        action = QAction(f"{setting.label} ({title})", parent)
+        action.setToolTip(control.toolTip())
+        action.triggered.connect(partial(_focus_parameter, window, control))
+        actions.append(action)
+    return actions
+
+
+def _focus_parameter(window: MainWindow, control: QWidget, _checked: bool = False) -> None:
+    """Give the keyboard to a control, in its column if it is visible there, else in the Parameters drawer."""
+    key, _, name = control.objectName().rpartition(".")
+    column = window.columns[key.partition("/")[0]] if "/" in key else None
+    if column is not None and name in column.pinned.names and column.pinned.isVisible():
+        control = column.pinned.get_control(name)
+    else:
+        window.show_drawer(window.drawers.parameters)
+        window.parameters.ensureWidgetVisible(control)
+    target = next((child for child in control.findChildren(QWidget) if _takes_focus(child)), control)
+    target.setFocus(Qt.FocusReason.ShortcutFocusReason)
+
+
+def _takes_focus(widget: QWidget) -> bool:
+    return widget.focusPolicy() != Qt.FocusPolicy.NoFocus and not widget.isHidden()

@@ -9,9 +9,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 from app.session.state import Session
-from app.work.availability import explain_unavailable
 from app.work.jobs import JobReporter
-from app.work.requests import get_depth_params, make_request, open_request
+from app.work.requests import explain_unavailable, get_depth_params, make_request, open_request
 from app.work.stage_previews import PreviewCache, SourcePreview, add_thumbnails, summarise_frame
 from app.work.target_comparison import TargetComparison, build_target_comparison
 from pipeline.base.errors import SettingProblem, TouchError

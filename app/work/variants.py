@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from app.session.comparison_settings import LAST_STAGE
+from app.session.layout import LAST_STAGE
 from app.session.state import Session
 from app.work.evaluator import Evaluator
 from app.work.jobs import JobReporter

@@ -15,9 +15,8 @@ import cv2
 import numpy as np
 import pytest
 
-from app.session.comparison_settings import ComparisonSettings
 from app.session.file_fingerprints import describe_changed_files, fingerprint_files
-from app.session.layout import Arrangement, Layout, load_arrangements, save_arrangements
+from app.session.layout import Arrangement, ComparisonSettings, Layout, load_arrangements, save_arrangements
 from app.session.state import Session, load_session, save_session
 from pipeline.base.errors import TouchError
 from pipeline.calibration import calibration_file

@@ -8,8 +8,7 @@ from PyQt6.QtWidgets import QLabel, QVBoxLayout, QWidget
 
 from widgets import notification_bar
 from widgets.banner import Banner
-from widgets.notification_bar import NotificationBar
-from widgets.notification_stack import NotificationStack
+from widgets.notification_bar import NotificationBar, NotificationStack
 
 
 @pytest.fixture

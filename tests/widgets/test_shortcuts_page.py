@@ -6,7 +6,7 @@ from PyQt6.QtCore import Qt
 from PyQt6.QtGui import QAction, QGuiApplication
 from PyQt6.QtWidgets import QTableWidget, QTableWidgetItem
 
-from widgets.shortcuts_page import ShortcutsPage
+from widgets.command_palette import ShortcutsPage
 from widgets.table_copier import TableCopier, format_table
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from PyQt6.QtGui import QUndoStack
 
-from app.session.comparison_settings import ComparisonSettings
+from app.session.layout import ComparisonSettings
 from app.session.state import Session, load_session, save_session
 from app.session.undo import SessionChange
 from pipeline.base.errors import FileProblem

@@ -26,7 +26,7 @@ from PyQt6.QtWidgets import (
 
 from app.session.layout import LAYOUT_NAMES
 from app.window.tour import wait_until_shown
-from widgets.fonts import MIN_FONT_PT
+from widgets.base import MIN_FONT_PT
 
 LIMIT_S = 240
 _CONTROLS = (

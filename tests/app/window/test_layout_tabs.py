@@ -11,8 +11,7 @@ from PyQt6.QtWidgets import QMainWindow, QToolButton
 
 from app.session.layout import LAYOUT_NAMES
 from app.window.actions import MENUS, THEME_COMMANDS
-from widgets.action_tabs import ActionTabs
-from widgets.command_bar import CommandBar
+from widgets.command_bar import ActionTabs, CommandBar
 from widgets.icons import make_command_icon
 
 

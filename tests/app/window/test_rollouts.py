@@ -16,7 +16,7 @@ from app.window.rollout_export import RolloutExportController
 from app.window.rollouts import RolloutController
 from pipeline.tasks.rollout_bundle import replay_rollout
 from pipeline.tasks.scene_view import ESTIMATE_NAME, TRUE_NAME
-from widgets.trials_model import ERROR_MM
+from widgets.trials_panel import ERROR_MM
 
 pytestmark = pytest.mark.timeout(600)  # the first grasp compiles kernels where `tactoscope prepare` has not
 LIMIT_MS = 120_000

@@ -19,8 +19,8 @@ from PyQt6.QtWidgets import (
 
 from app.window.tour import wait_until_shown
 from tests.app.window.window_checks import resize_window
+from widgets.base import FixedSizeLabel
 from widgets.colour_bar import ColourBar
-from widgets.fixed_size_label import FixedSizeLabel
 
 LIMIT_S = 240
 SIZES = ((1366, 768), (1600, 950), (2560, 1440))

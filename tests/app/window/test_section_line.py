@@ -215,7 +215,7 @@ def test_a_low_plot_has_a_label_and_a_scale(qtbot, monkeypatch):
             said.append((text, self.fontMetrics().horizontalAdvance(text), where.width()))
             return super().drawText(where, how, text)
 
-    monkeypatch.setattr("widgets.painted_widget.QPainter", Heard)
+    monkeypatch.setattr("widgets.base.QPainter", Heard)
     plot = SectionPlot()
     qtbot.addWidget(plot)
     plot.resize(900, plot.minimumHeight())

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.session.comparison_settings import DEFAULT_STAGE, ComparisonSettings
+from app.session.layout import DEFAULT_STAGE, ComparisonSettings
 from app.session.sample import SAMPLE_RECORDING
 from app.session.state import load_session
 from app.window.comparison import ComparisonController
