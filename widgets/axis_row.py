@@ -5,7 +5,7 @@ from PyQt6.QtWidgets import QSizePolicy, QSlider
 
 from pipeline.alignment.nudge import axis_unit
 from pipeline.sensors.alignment import Axis
-from widgets.number_box import NumberBox
+from widgets.base import NumberBox
 from widgets.styling import ThemedLabel, make_bold
 
 _PER_UNIT = {"mm": 20, "deg": 10}  # slider steps per unit: 0.05 mm, 0.1 deg

@@ -1,12 +1,13 @@
-"""Small widgets and tools that the others are built from: painting, events, letters, labels, choices, scrolling."""
+"""Small widgets and tools that the others are built from: painting, events, letters, labels, choices, numbers."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
 
 from PyQt6.QtCore import QEvent, QObject, QSignalBlocker, QSize, Qt, pyqtSignal
-from PyQt6.QtGui import QFont, QPainter
+from PyQt6.QtGui import QFont, QPainter, QValidator
 from PyQt6.QtWidgets import (
     QComboBox,
+    QDoubleSpinBox,
     QFrame,
     QLabel,
     QScrollArea,
@@ -196,3 +197,11 @@ class ChoiceBox(QComboBox):
             option.currentText = option.fontMetrics.elidedText(option.currentText, end, room.width() - icon_px - 4)
         painter.drawComplexControl(QStyle.ComplexControl.CC_ComboBox, option)
         painter.drawControl(QStyle.ControlElement.CE_ComboBoxLabel, option)
+
+
+class NumberBox(QDoubleSpinBox):
+    """Writes a decimal point, as every figure of the window has, and takes a typed comma for one."""
+
+    def validate(self, input: str | None, pos: int) -> tuple[QValidator.State, str, int]:  # noqa: A002 - Qt's name
+        """Return whether the text is a number, and the text with a point; without this, 2,5 became 25."""
+        return super().validate((input or "").replace(",", "."), pos)

@@ -161,7 +161,7 @@ class ColourBar(PaintedWidget):
         ):
             if share >= _MIN_SHARE:
                 painter.fillRect(QRectF(x, 0, 3, strip.top()), to_qcolor(ink.warning_mark))
-                label = text.format(_percent(share))
+                label = text.format(f"{100 * share:.0f} %" if share >= 0.01 else f"{100 * share:.1f} %")
                 words = painter.boundingRect(line, int(place), label)
                 painter.fillRect(words.adjusted(-1, 0, 1, 0), self.palette().window())
                 painter.drawText(line, int(place), label)
@@ -218,7 +218,3 @@ def _make_strip(colour_map: ColourMapName) -> QImage:
     """Return the colours of a map from low to high, one pixel high."""
     colours = get_colour_table(colour_map)
     return QImage(colours.tobytes(), 256, 1, 3 * 256, QImage.Format.Format_RGB888).copy()
-
-
-def _percent(share: float) -> str:
-    return f"{100 * share:.0f} %" if share >= 0.01 else f"{100 * share:.1f} %"

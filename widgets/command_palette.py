@@ -19,7 +19,7 @@ from PyQt6.QtWidgets import (
 
 from widgets.base import resize_font
 from widgets.styling import fill, make_search_line, set_spacing
-from widgets.table_copier import TableCopier, prepare_table
+from widgets.tables import TableCopier, prepare_table
 
 _WIDTH_PX, _MOST_SHOWN = 560, 200
 _KEYS = (Qt.Key.Key_Up, Qt.Key.Key_Down, Qt.Key.Key_PageUp, Qt.Key.Key_PageDown)

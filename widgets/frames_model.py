@@ -3,18 +3,17 @@
 import math
 from collections.abc import Mapping
 
-from PyQt6.QtCore import QAbstractTableModel, QModelIndex, Qt, pyqtSignal
+from PyQt6.QtCore import QModelIndex, QObject, Qt, pyqtSignal
 from PyQt6.QtGui import QGuiApplication, QImage, QPixmap
-from PyQt6.QtWidgets import QWidget
 
 from pipeline.base.arrays import Image
 from widgets.frame_summary import FrameSummary
 from widgets.icons import make_state_icon
+from widgets.tables import SORT_ROLE, RowsModel
 from widgets.theme import is_dark
 
-SORT_ROLE = Qt.ItemDataRole.UserRole  # a number, so that 10 comes after 9; unknown values come last
 FRAME, METRIC, CAUSE, DEPTH, CONTACT, WARNINGS, NOTE = range(7)
-_TITLES = ("frame", "", "cause", "depth\nmm", "area\nmm²", "warn", "note")
+_TITLES = ("frame", "error", "cause", "depth\nmm", "area\nmm²", "warn", "note")
 _TIPS = (
     "frame number, with an image of the source", "",
     "the stage that most of the error comes from, by the truth; without truth the stage of its first warning",
@@ -25,7 +24,7 @@ _DECIMALS = {METRIC: 3, DEPTH: 2, CONTACT: 1, WARNINGS: 0}
 _N_WARNINGS = "frame.n_warnings"
 
 
-class FramesModel(QAbstractTableModel):
+class FramesModel(RowsModel):
     """Frame numbers, summaries and notes; a frame that nobody looked at costs nothing.
 
     Emits `noted(frame, text)` when a note is written.
@@ -33,9 +32,9 @@ class FramesModel(QAbstractTableModel):
 
     note_edited = pyqtSignal(int, str)
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
-        self._n_frames, self._figure, self._title, self._metric_tip = 0, "", "error", ""
+    def __init__(self, parent: QObject) -> None:
+        super().__init__(_TITLES, _TIPS, parent)
+        self._figure = ""  # of the metric's column
         self._known: dict[int, FrameSummary] = {}
         self._quantities: dict[int, Mapping[str, float]] = {}  # measured on request, also of frames without summary
         self._notes: Mapping[int, str] = {}
@@ -61,7 +60,7 @@ class FramesModel(QAbstractTableModel):
             waiting = [i for i, known in self._known.items() if not known.is_complete]
         else:
             known = {i for i, values in self._quantities.items() if quantity in values} if quantity else self._known
-            waiting = [i for i in range(self._n_frames) if i not in known]
+            waiting = [i for i in range(self.n_rows) if i not in known]
         return min(waiting, key=lambda i: (abs(i - frame), -i), default=-1)
 
     @property
@@ -81,7 +80,7 @@ class FramesModel(QAbstractTableModel):
 
     def get_values(self, figure: str) -> tuple[float, ...]:
         """Return a metric of every frame, NaN where unknown."""
-        return tuple(self._get_metric(i, figure) for i in range(self._n_frames))
+        return tuple(self._get_metric(i, figure) for i in range(self.n_rows))
 
     def _get_metric(self, frame: int, figure: str) -> float:
         if (quantity := self._quantities.get(frame, {}).get(figure)) is not None:
@@ -94,34 +93,35 @@ class FramesModel(QAbstractTableModel):
     def reset_frames(self, n_frames: int) -> None:
         """Start over with this many unknown frames."""
         self.beginResetModel()
-        self._n_frames = n_frames
+        self.n_rows = n_frames
         self._known, self._quantities, self._common, self._thumbnails = {}, {}, None, {}
         self.endResetModel()
 
     def grow_to(self, n_frames: int) -> None:
         """Add rows for new frames."""
-        if n_frames > self._n_frames:
-            self.beginInsertRows(QModelIndex(), self._n_frames, n_frames - 1)
-            self._n_frames = n_frames
+        if n_frames > self.n_rows:
+            self.beginInsertRows(QModelIndex(), self.n_rows, n_frames - 1)
+            self.n_rows = n_frames
             self.endInsertRows()
 
     def clear_summaries(self) -> None:
         """Clear all summaries and quantities, because the settings changed."""
         if self._known or self._quantities:
             self._known, self._quantities, self._common = {}, {}, None
-            self._emit_changed(0, self._n_frames - 1)
+            self._emit_changed(0, self.n_rows - 1)
 
     def show_metric(self, name: str, title: str, tip: str = "") -> None:
         """Set the metric, title and tooltip of the metric's column."""
-        if (name, title) != (self._figure, self._title):
-            self._figure, self._title, self._metric_tip = name, title, tip
+        titles, tips = self._headings.values()
+        if (name, title) != (self._figure, titles[METRIC]):
+            self._figure, titles[METRIC], tips[METRIC] = name, title, f"{tip}; - where unknown"
             self.headerDataChanged.emit(Qt.Orientation.Horizontal, METRIC, METRIC)
-            self._emit_changed(0, self._n_frames - 1)
+            self._emit_changed(0, self.n_rows - 1)
 
     def show_summary(self, frame: int, summary: FrameSummary) -> None:
         """Fill one row."""
         old = self._known.get(frame)
-        if old is summary or not 0 <= frame < self._n_frames:
+        if old is summary or not 0 <= frame < self.n_rows:
             return
         if summary.thumbnail is not None and frame not in self._thumbnails:
             dark = summary.thumbnail if summary.dark_thumbnail is None else summary.dark_thumbnail
@@ -131,7 +131,7 @@ class FramesModel(QAbstractTableModel):
 
     def show_quantities(self, frame: int, quantities: Mapping[str, float]) -> None:
         """Add what was measured of a frame on request: metric -> value, NaN where it could not be."""
-        if 0 <= frame < self._n_frames:
+        if 0 <= frame < self.n_rows:
             self._quantities[frame] = {**self._quantities.get(frame, {}), **quantities}
             self._emit_changed(frame, frame)
 
@@ -139,8 +139,8 @@ class FramesModel(QAbstractTableModel):
         """Show the notes of frames."""
         if notes != self._notes:
             self._notes = notes
-            if self._n_frames:
-                self.dataChanged.emit(self.index(0, NOTE), self.index(self._n_frames - 1, NOTE))
+            if self.n_rows:
+                self.dataChanged.emit(self.index(0, NOTE), self.index(self.n_rows - 1, NOTE))
 
     def get_note(self, frame: int) -> str:
         """Return the note of a frame."""
@@ -157,14 +157,6 @@ class FramesModel(QAbstractTableModel):
             return False
         self.note_edited.emit(index.row(), str(value).strip())
         return True
-
-    def rowCount(self, parent: QModelIndex = QModelIndex()) -> int:  # noqa: N802, B008 - Qt's own default
-        """Return one row per frame."""
-        return 0 if parent.isValid() else self._n_frames
-
-    def columnCount(self, parent: QModelIndex = QModelIndex()) -> int:  # noqa: N802, B008 - Qt's own default
-        """Return the number of columns."""
-        return 0 if parent.isValid() else NOTE + 1
 
     def data(self, index: QModelIndex, role: int = Qt.ItemDataRole.DisplayRole) -> object:
         """Return the text of a cell, or its sort value."""
@@ -231,18 +223,6 @@ class FramesModel(QAbstractTableModel):
             return summary.cause
         value = self._number(frame, column)
         return f"{value:.{_DECIMALS[column]}f}" if math.isfinite(value) else "-"
-
-    def headerData(  # noqa: N802
-        self, section: int, orientation: Qt.Orientation, role: int = Qt.ItemDataRole.DisplayRole
-    ) -> object:
-        """Return column titles and their tooltips."""
-        if orientation != Qt.Orientation.Horizontal or not 0 <= section <= NOTE:
-            return None
-        if role == Qt.ItemDataRole.DisplayRole:
-            return self._title if section == METRIC else _TITLES[section]
-        if role == Qt.ItemDataRole.ToolTipRole:
-            return f"{self._metric_tip}; - where unknown" if section == METRIC else _TIPS[section]
-        return None
 
     def _emit_changed(self, first: int, last: int) -> None:
         if last >= first:

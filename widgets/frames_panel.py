@@ -5,23 +5,14 @@ from collections.abc import Mapping
 from functools import partial
 
 from PyQt6.QtCore import QEvent, QModelIndex, QSize, QSortFilterProxyModel, Qt, pyqtSignal
-from PyQt6.QtWidgets import (
-    QAbstractItemView,
-    QComboBox,
-    QHeaderView,
-    QLabel,
-    QTableView,
-    QVBoxLayout,
-    QWidget,
-)
+from PyQt6.QtWidgets import QAbstractItemView, QComboBox, QHeaderView, QLabel, QTableView, QVBoxLayout, QWidget
 
 from widgets.base import ChoiceBox, EventListener, resize_font
 from widgets.frame_summary import THUMBNAIL_PX
-from widgets.frames_filter import RowFilter, get_limits, matches_term, replace_limits
-from widgets.frames_model import CAUSE, CONTACT, DEPTH, FRAME, METRIC, NOTE, SORT_ROLE, WARNINGS, FramesModel
+from widgets.frames_model import CAUSE, CONTACT, DEPTH, FRAME, METRIC, NOTE, WARNINGS, FramesModel
 from widgets.metric_histogram import MetricHistogram
 from widgets.styling import fill, make_search_line, make_single_shot_timer, set_spacing
-from widgets.table_copier import prepare_table
+from widgets.tables import SORT_ROLE, RowFilter, get_limits, matches_limit, prepare_table, replace_limits
 
 _HINT = "filter: >0.3, <2, contact, warned, noted, a word"
 _FILTER_TIP = (
@@ -38,7 +29,7 @@ class FramesPanel(QWidget):
     def __init__(self) -> None:
         super().__init__()
         self.model = FramesModel(self)
-        self._sorted = RowFilter(self.model, partial(matches_term, self.model))
+        self._sorted = RowFilter(self.model, partial(_matches_term, self.model))
         self._frame = 0
         self.metric_box = ChoiceBox("frames_figure", "metric of the frames")
         self._told = QLabel()
@@ -148,3 +139,22 @@ def _table(model: QSortFilterProxyModel) -> QTableView:
     columns.setSortIndicator(FRAME, Qt.SortOrder.AscendingOrder)
     table.setSortingEnabled(True)
     return table
+
+
+def _matches_term(model: FramesModel, frame: int, word: str) -> bool:
+    """Return whether a filter term holds for a frame; unknown values never match."""
+    summary = model.get_summary(frame)
+    is_within = matches_limit(word, float(str(model.data(model.index(frame, METRIC), SORT_ROLE))))
+    if is_within is not None:
+        return is_within
+    own = {
+        "contact": summary is not None and summary.contact_area_mm2 > 0,
+        "no-contact": summary is not None and not summary.problem and summary.contact_area_mm2 <= 0,
+        "warned": bool(model.get_specific_warnings(frame)),
+        "noted": bool(model.get_note(frame)),
+        "failed": summary is not None and bool(summary.problem),
+    }
+    if word in own:
+        return own[word]
+    texts = (model.get_note(frame), *(() if summary is None else (*summary.warnings, summary.problem)))
+    return any(word in text.lower() for text in texts)

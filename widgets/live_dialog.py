@@ -15,8 +15,7 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
-from widgets.base import ChoiceBox
-from widgets.number_box import NumberBox
+from widgets.base import ChoiceBox, NumberBox
 from widgets.styling import fill, make_bold, make_button, set_spacing
 
 _SIMULATED, _FOLDER = "simulated", "folder"  # sources that are not the name of a camera

@@ -9,14 +9,7 @@ import vtkmodules.vtkRenderingOpenGL2  # pyright: ignore[reportUnusedImport]  # 
 from numpy.typing import NDArray
 from vtkmodules.util.numpy_support import vtk_to_numpy
 from vtkmodules.vtkCommonCore import vtkUnsignedCharArray
-from vtkmodules.vtkRenderingCore import (
-    vtkActor,
-    vtkCamera,
-    vtkLight,
-    vtkPolyDataMapper,
-    vtkRenderer,
-    vtkRenderWindow,
-)
+from vtkmodules.vtkRenderingCore import vtkActor, vtkCamera, vtkLight, vtkPolyDataMapper, vtkRenderer, vtkRenderWindow
 
 from pipeline.base.arrays import Doubles, Image
 from pipeline.previews.colours import Rgb, darken_diverging

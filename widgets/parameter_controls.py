@@ -20,8 +20,7 @@ from PyQt6.QtWidgets import (
 )
 
 from pipeline.base.params import Setting, Value
-from widgets.base import ChoiceBox
-from widgets.number_box import NumberBox
+from widgets.base import ChoiceBox, NumberBox
 
 _SLIDER_STEPS, _SLIDER_PX, _NARROW_PX = 400, 40, 24
 _MANY, _TOO_MANY, _BEND = (

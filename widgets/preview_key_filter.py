@@ -1,10 +1,22 @@
-"""Keyboard control of a preview: cursor pixel, overlay handle, zoom, and the next preview."""
+"""Keys of a preview: its pixel, overlay and zoom; keys and wheel of controls: Tab enters them, Enter leaves them."""
 
 import numpy as np
 from PyQt6.QtCore import QEvent, QObject, QPointF, Qt, pyqtSignal
-from PyQt6.QtGui import QKeyEvent
+from PyQt6.QtGui import QFocusEvent, QKeyEvent
+from PyQt6.QtWidgets import (
+    QAbstractButton,
+    QAbstractItemView,
+    QAbstractSlider,
+    QAbstractSpinBox,
+    QComboBox,
+    QLineEdit,
+    QScrollBar,
+    QTabBar,
+    QWidget,
+)
 
 from widgets.preview_view import PreviewView
+from widgets.styling import make_single_shot_timer
 
 Key = Qt.Key
 ARROW_STEPS = {Key.Key_Left: (-1, 0), Key.Key_Right: (1, 0), Key.Key_Up: (0, -1), Key.Key_Down: (0, 1)}
@@ -14,6 +26,18 @@ _TABS = {Key.Key_Tab: 1, Key.Key_Backtab: -1}
 _ZOOMS = {Key.Key_Plus: 1.25, Key.Key_Equal: 1.25, Key.Key_Minus: 0.8}
 _HANDLE = {Key.Key_Comma: -0.05, Key.Key_Period: 0.05}  # steps as shares of the image width
 _KNOWN = frozenset((*ARROW_STEPS, *_ENTER, *_TABS, *_ZOOMS, *_HANDLE))
+_END_KEYS = (Qt.Key.Key_Return, Qt.Key.Key_Enter)
+_TYPED = (QAbstractSpinBox, QLineEdit)
+_Key, _Why = Qt.Key, Qt.FocusReason
+_ALONG = frozenset((_Key.Key_Left, _Key.Key_Right, _Key.Key_Home, _Key.Key_End))
+_OWN = {  # keys that are commands of the window as well
+    QAbstractButton: frozenset((_Key.Key_Space, *_END_KEYS)),
+    QComboBox: frozenset((_Key.Key_Space, _Key.Key_Home, _Key.Key_End)),
+    QAbstractSlider: _ALONG,
+    QTabBar: _ALONG,
+    QAbstractItemView: frozenset((_Key.Key_Home, _Key.Key_End, _Key.Key_Space, *_END_KEYS)),
+}
+_BY_KEYS = frozenset((_Why.TabFocusReason, _Why.BacktabFocusReason, _Why.ShortcutFocusReason))
 
 
 def get_arrow_step_px(event: QKeyEvent) -> tuple[int, int]:
@@ -83,3 +107,57 @@ class PreviewKeyFilter(QObject):
             return QPointF(0.5 * (left + right), 0.5 * (top + below))
         row, col = divmod(int(np.nanargmax(part)), part.shape[1])
         return QPointF(left + col + 0.5, top + row + 0.5)
+
+
+class KeyboardFocusFilter(QObject):
+    """Filters the events of a window's controls; register controls that are added later."""
+
+    def __init__(self, window: QWidget) -> None:
+        super().__init__(window)
+        self._window = window
+        self._soon = make_single_shot_timer(self, 0, self._back)
+        self._held: QWidget | None = None  # focused by key: a click leaves the window its shortcuts
+        self.watch_controls(window)
+
+    def watch_controls(self, part: QWidget) -> None:
+        """Watch every control in `part`."""
+        for kind in (QAbstractSpinBox, QLineEdit, *_OWN):
+            for control in part.findChildren(kind):
+                if isinstance(control, QScrollBar):
+                    continue
+                if control.focusPolicy() == Qt.FocusPolicy.WheelFocus:
+                    control.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+                control.installEventFilter(self)
+
+    def eventFilter(self, a0: QObject | None, a1: QEvent | None) -> bool:  # noqa: N802
+        """Pass the wheel of an unfocused control to its parent; let Enter end typing."""
+        if a1 is None or not isinstance(a0, QWidget):
+            return False
+        if isinstance(a1, QFocusEvent):
+            self._held = a0 if a1.gotFocus() and a1.reason() in _BY_KEYS else None
+        elif isinstance(a1, QKeyEvent) and a0 is self._held and _knows(a0, a1.key()):
+            if a1.type() == QEvent.Type.ShortcutOverride:
+                a1.accept()
+                return True
+            if a1.type() == QEvent.Type.KeyPress and isinstance(a0, QAbstractButton) and a1.key() in _END_KEYS:
+                a0.click()
+                return True
+        if a1.type() == QEvent.Type.Wheel and not a0.hasFocus() and not isinstance(a0, QLineEdit):
+            a1.ignore()
+            return True
+        typed = isinstance(a0, _TYPED) and a0.window() is self._window
+        if typed and a1.type() == QEvent.Type.KeyPress and isinstance(a1, QKeyEvent) and a1.key() in _END_KEYS:
+            self._soon.start()  # after the spin box has taken the number
+        return False
+
+    def _back(self) -> None:
+        """Return the focus to the window."""
+        focused = self._window.focusWidget()
+        if focused is not None:
+            focused.clearFocus()
+        self._window.setFocus()
+
+
+def _knows(control: QWidget, key: int) -> bool:
+    """Return whether a control uses a key itself."""
+    return any(isinstance(control, kind) and key in keys for kind, keys in _OWN.items())

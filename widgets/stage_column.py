@@ -28,6 +28,7 @@ class StageColumn(QFrame):
     """Title, state (sign and text), milliseconds, preview; emits the pixel under the mouse."""
 
     pixel_hovered = pyqtSignal(str, int, int)  # stage, row, col; -1, -1 = none
+    state_shown = pyqtSignal(str, tuple)  # with the warnings
     pixel_clicked = pyqtSignal(str, int, int)
     method_chosen = pyqtSignal(str, str)  # stage, method
 
@@ -173,6 +174,7 @@ class StageColumn(QFrame):
         old = state in ("stale", "running", "failed") and self.view.preview is not None
         self.view.canvas.set_dimmed(old)
         self.view.show_message(self._message(state, notes))
+        self.state_shown.emit(state, self.warnings)
 
     def show_result(
         self,

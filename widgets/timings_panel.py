@@ -19,7 +19,7 @@ from PyQt6.QtWidgets import (
 from widgets.base import FIXED, FixedSizeLabel, PaintedWidget
 from widgets.icons import make_state_icon
 from widgets.styling import fill, make_bold, set_spacing
-from widgets.table_copier import prepare_table
+from widgets.tables import prepare_table
 from widgets.theme import CATEGORY_COLOURS, ThemeColours, to_qcolor
 
 _BAR_PX, _MARK_PX = 18, 3

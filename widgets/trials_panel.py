@@ -5,22 +5,14 @@ from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
-from PyQt6.QtCore import QAbstractTableModel, QModelIndex, Qt, pyqtSignal
-from PyQt6.QtWidgets import (
-    QHeaderView,
-    QLabel,
-    QTableView,
-    QVBoxLayout,
-    QWidget,
-)
+from PyQt6.QtCore import QModelIndex, QObject, Qt, pyqtSignal
+from PyQt6.QtWidgets import QHeaderView, QLabel, QTableView, QVBoxLayout, QWidget
 
 from pipeline.tasks.trial_rows import TrialRow
 from widgets.base import resize_font
-from widgets.frames_filter import RowFilter, matches_limit
-from widgets.frames_model import SORT_ROLE
 from widgets.icons import make_state_icon
 from widgets.styling import fill, make_search_line, set_spacing
-from widgets.table_copier import copy_table, prepare_table
+from widgets.tables import SORT_ROLE, RowFilter, RowsModel, copy_table, matches_limit, prepare_table
 
 _HINT = "filter: fails, t2t, hex_key, >0.5, a word"
 _FILTER_TIP = "Trials that match all terms: a limit of the error in mm, or a word of any column"
@@ -36,26 +28,18 @@ _ICONS = {"succeeds": "computed", "fails": "failed", "damaged": "warning"}
 _RIGHT = int(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
 
 
-class TrialsModel(QAbstractTableModel):
+class TrialsModel(RowsModel):
     """One row per rollout."""
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self, parent: QObject) -> None:
+        super().__init__(_TITLES, _TIPS, parent)
         self.trials: tuple[TrialRow, ...] = ()
 
     def show_trials(self, trials: Sequence[TrialRow]) -> None:
         """Show these rollouts."""
         self.beginResetModel()
-        self.trials = tuple(trials)
+        self.trials, self.n_rows = tuple(trials), len(trials)
         self.endResetModel()
-
-    def rowCount(self, parent: QModelIndex = QModelIndex()) -> int:  # noqa: N802, B008 - Qt's own default
-        """Return one row per rollout."""
-        return 0 if parent.isValid() else len(self.trials)
-
-    def columnCount(self, parent: QModelIndex = QModelIndex()) -> int:  # noqa: N802, B008 - Qt's own default
-        """Return the number of columns."""
-        return 0 if parent.isValid() else len(_TITLES)
 
     def data(self, index: QModelIndex, role: int = Qt.ItemDataRole.DisplayRole) -> object:
         """Return the text of a cell, its sort value, its sign or its tooltip."""
@@ -76,15 +60,6 @@ class TrialsModel(QAbstractTableModel):
         }
         value = values.get(Qt.ItemDataRole(role))
         return None if value is None else value()
-
-    def headerData(  # noqa: N802
-        self, section: int, orientation: Qt.Orientation, role: int = Qt.ItemDataRole.DisplayRole
-    ) -> object:
-        """Return title or tooltip of a column."""
-        if orientation != Qt.Orientation.Horizontal or not 0 <= section < len(_TITLES):
-            return None
-        texts = {Qt.ItemDataRole.DisplayRole: _TITLES, Qt.ItemDataRole.ToolTipRole: _TIPS}
-        return texts[Qt.ItemDataRole(role)][section] if role in texts else None
 
 
 def format_cell(trial: TrialRow, column: int) -> str:

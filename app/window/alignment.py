@@ -47,7 +47,6 @@ class AlignmentController(QObject):
     def _connect(self) -> None:
         controller, panel = self._controller, self._panel
         controller.frame_shown.connect(self._frame_shown)
-        controller.closing.connect(self._assess_timer.stop)
         self.refinement.proposal_changed.connect(self._proposal_changed)
         controller.job.delivered.connect(self._show_part)
         controller.job.finished.connect(self._show_last_part)
@@ -106,7 +105,7 @@ class AlignmentController(QObject):
 
     def _set_visible(self, visible: bool) -> None:
         self._is_visible = visible
-        self._controller.set_observation_outline(visible)
+        self._controller.request_extra("observation", wanted=visible)
         if not visible:
             self._assess_timer.stop()
 

@@ -71,10 +71,9 @@ class RefinementController(BackgroundController):
             self._box.show_result(result.refinement, "" if opened is None else opened.target.name)
             self.proposal_changed.emit()
 
-    def show_failure(self, error: BaseException) -> None:
-        """Show the error in the banner."""
+    def show_failure(self, error: BaseException) -> None:  # noqa: ARG002 - the banner shows it
+        """Drop the refinement."""
         self.discard()
-        self._controller.show_problem(error)
 
     def show_cancelled(self) -> None:
         """Show in the box that the alignment is unchanged."""

@@ -181,7 +181,6 @@ class AutosaveController(QObject):
         self._to_recover = self._session_to_write() if self.has_unsaved_changes else None
 
     def _close(self) -> None:
-        self._timer.stop()
         self._job.close()
         if self._to_recover is None:
             self.recovery_file.remove()

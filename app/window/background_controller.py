@@ -4,6 +4,7 @@ from PyQt6.QtCore import QObject
 
 from app.window.session_controller import SessionController
 from app.work.jobs import JobFunction, LatestJob
+from pipeline.base.errors import TouchError
 from widgets.run_bar import RunBar
 
 
@@ -14,9 +15,11 @@ class BackgroundController(QObject):
     progress and cancels.
     """
 
-    def __init__(self, name: str, controller: SessionController, bar: RunBar | None = None) -> None:
+    shows_errors = False  # whether `show_failure` shows a TouchError where the user looks; others are in the banner
+
+    def __init__(self, name: str, controller: SessionController, *bars: RunBar) -> None:
         super().__init__(controller)
-        self._controller, self._bar = controller, bar
+        self._controller, self._bars = controller, bars
         self.job = LatestJob(name, self)
         self._ticket = self._oldest_shown = 0  # the newest run, and the oldest whose result is shown; 0 = none
         self.job.progressed.connect(self._handle_progress)
@@ -25,7 +28,7 @@ class BackgroundController(QObject):
         self.job.failed.connect(self._handle_failure)
         self.job.cancelled.connect(self._handle_cancellation)
         controller.closing.connect(self.job.close)
-        if bar is not None:
+        for bar in bars:
             bar.cancel_button.clicked.connect(self.cancel)
 
     @property
@@ -53,8 +56,8 @@ class BackgroundController(QObject):
         self._show_fraction(None)
 
     def _show_fraction(self, fraction: float | None) -> None:
-        if self._bar is not None:
-            self._bar.show_progress(fraction)
+        for bar in self._bars:
+            bar.show_progress(fraction)
 
     def show_progress(self, fraction: float, text: str) -> None:  # noqa: ARG002 - for those with room for a text
         """Show how far the run is, by default in the bar alone."""
@@ -67,8 +70,7 @@ class BackgroundController(QObject):
         """Show the result."""
 
     def show_failure(self, error: BaseException) -> None:
-        """Show why the run failed."""
-        self._controller.show_problem(error)
+        """Show that the run failed."""
 
     def show_cancelled(self) -> None:
         """Show that the run was cancelled."""
@@ -91,6 +93,8 @@ class BackgroundController(QObject):
         if ticket == self._ticket and isinstance(error, BaseException):
             self._show_fraction(None)
             self.show_failure(error)
+            if not (self.shows_errors and isinstance(error, TouchError)):
+                self._controller.show_problem(error)
 
     def _handle_cancellation(self, ticket: int) -> None:
         if ticket == self._ticket:

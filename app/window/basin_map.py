@@ -7,7 +7,6 @@ from app.session.state import Session
 from app.window.background_controller import BackgroundController
 from app.window.session_controller import SessionController
 from app.work.basin_jobs import BasinMapResult, run_basin_map
-from pipeline.base.errors import TouchError
 from pipeline.previews.preview import Preview
 from pipeline.registration.basin_map import ShiftAxis
 from pipeline.stages.pose.signed_distances import PoseParams
@@ -19,6 +18,8 @@ _HINT = "Registers this frame from 216 start poses around its pose, and shows wh
 
 class BasinMapController(BackgroundController):
     """Connects the tab with the session; a map of another frame or of other settings is dropped."""
+
+    shows_errors = True
 
     def __init__(self, controller: SessionController) -> None:
         self._panel = controller.window.basins
@@ -89,10 +90,8 @@ class BasinMapController(BackgroundController):
             self._panel.message.setText(f"{self._panel.map.cells[row, col].tooltip}; shown until the next frame")
 
     def show_failure(self, error: BaseException) -> None:
-        """Show the error in the tab; an unexpected one also in the banner."""
+        """Show the error in the tab."""
         self._panel.message.setText(str(error))
-        if not isinstance(error, TouchError):
-            self._controller.show_problem(error)
 
     def show_cancelled(self) -> None:
         """Show in the tab that the map was cancelled."""

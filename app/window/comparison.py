@@ -14,7 +14,7 @@ from app.work.evaluator import Evaluator
 from app.work.jobs import JobReporter
 from app.work.requests import make_request
 from app.work.variants import open_variant
-from pipeline.base.errors import SettingProblem, TouchError
+from pipeline.base.errors import SettingProblem
 from pipeline.base.processes import release_free_memory
 from pipeline.evaluation.comparison_tiles import Comparison
 from pipeline.evaluation.method_comparison import compare_methods
@@ -36,9 +36,11 @@ _NO_DIFFERENCE = "no setting differs yet: further changes are those of A (F3 sho
 class ComparisonController(BackgroundController):
     """Connects the page with the session; nothing is computed for a tab that is not visible."""
 
+    shows_errors = True
+
     def __init__(self, controller: SessionController) -> None:
-        super().__init__("compare", controller)
-        self._page = controller.window.comparison
+        self._page = page = controller.window.comparison
+        super().__init__("compare", controller, *(tab.run_bar for tab in page.tabs.values()))
         self._evaluators = tuple(Evaluator(controller.catalogue, like=controller.evaluator) for _ in "AB")
         self._method_runner = VariantRunner()
         self._shared_runner = VariantRunner(like=self._evaluators[0].graph)  # shares what the columns computed
@@ -50,11 +52,10 @@ class ComparisonController(BackgroundController):
         self._builders: Mapping[str, Callable[[Session], ComparisonSteps | str]] = {
             "methods": self._build_methods, "two": self._build_pair, "seeds": self._build_seeds,
         }  # fmt: skip
-        page, window = self._page, controller.window
+        window = controller.window
         page.choice_changed.connect(self._choose)
         page.sample_button.clicked.connect(self._sample)
         for tab in page.tabs.values():
-            tab.run_bar.cancel_button.clicked.connect(self.cancel)
             tab.grid.readout_changed.connect(window.readout.setText)
         controller.frame_shown.connect(self._update)
         controller.closing.connect(self._close)
@@ -227,10 +228,8 @@ class ComparisonController(BackgroundController):
         steps = self._builders[page.current_name](session)
         if isinstance(steps, str):
             self.abandon()
-            self._hide_progress()
             self._show(Comparison(tiles=(), summary=steps))
             return
-        page.current_tab.run_bar.show_progress(0.0)
         self.start(lambda report: _deliver_steps(steps, report), interrupt=not is_next_frame)
 
     def show_part(self, part: object) -> None:
@@ -252,34 +251,18 @@ class ComparisonController(BackgroundController):
             self._controller.views.show_variants(comparison.stage, comparison.views_3d, self._controller.session)
 
     def show_result(self, result: object) -> None:
-        """Show all tiles; the progress stays where the next frame is computed already."""
-        if isinstance(result, Comparison):
-            self._show(result)
-        if not self.job.is_busy:
-            self._hide_progress()
+        """Show all tiles."""
+        self.show_part(result)
 
     def show_failure(self, error: BaseException) -> None:
         """Show the error in place of the tiles."""
-        self._hide_progress()
         self._show(Comparison(tiles=(), summary=str(error)))
-        if not isinstance(error, TouchError):
-            super().show_failure(error)
 
     def show_cancelled(self) -> None:
         """Show that tiles are missing."""
-        self._hide_progress()
         self._page.current_tab.message.setText(f"cancelled; {self._summary}" if self._summary else "cancelled")
 
-    def show_progress(self, fraction: float, text: str) -> None:  # noqa: ARG002 - the tab shows tiles instead
-        """Show the progress in the tab."""
-        self._page.current_tab.run_bar.show_progress(fraction)
-
-    def _hide_progress(self) -> None:
-        for tab in self._page.tabs.values():
-            tab.run_bar.show_progress(None)
-
     def _close(self) -> None:
-        self._release_timer.stop()
         for evaluator in self._evaluators:
             evaluator.close()
 

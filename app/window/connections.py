@@ -15,7 +15,6 @@ from app.window.arrangements import ArrangementController
 from app.window.autosave import AutosaveController
 from app.window.ball_calibration import BallCalibrationController
 from app.window.basin_map import BasinMapController
-from app.window.colour_limits import ColourLimitController
 from app.window.comparison import ComparisonController
 from app.window.error_attribution import ErrorAttributionController
 from app.window.export import ExportController
@@ -24,7 +23,7 @@ from app.window.layouts import LayoutController
 from app.window.live import LiveController
 from app.window.main_window import MainWindow
 from app.window.mending import MendingController
-from app.window.pan_zoom import PanZoomController
+from app.window.pan_zoom import ColourLimitController, PanZoomController
 from app.window.panels import add_panels
 from app.window.pinned_probes import PinnedProbesController
 from app.window.presentation import PresentationController, PresentationVideoController
@@ -47,8 +46,8 @@ from pipeline.translation.catalogue import Catalogue
 from pipeline.translation.truth_view import ComparisonMode
 from widgets.command_palette import CommandPalette, ShortcutsPage
 from widgets.icons import make_command_icon
-from widgets.keyboard_focus_filter import KeyboardFocusFilter
-from widgets.table_copier import TableCopier
+from widgets.preview_key_filter import KeyboardFocusFilter
+from widgets.tables import TableCopier
 from widgets.timeline import Timeline
 
 

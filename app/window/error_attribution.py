@@ -29,7 +29,6 @@ class ErrorAttributionController(QObject):
         self._panel.metric_box.chosen.connect(self._choose_metric)
         self._panel.share_clicked.connect(self._toggle_truth)
         controller.frame_shown.connect(self._frame_shown)
-        controller.closing.connect(self._timer.stop)
         controller.job.delivered.connect(self._clear_for_translation)
         controller.job.finished.connect(self._show_attribution)
 

@@ -186,10 +186,9 @@ class ExportController(BackgroundController):
             (*choices, ("Show folder", show_folder)),
         )
 
-    def show_failure(self, error: BaseException) -> None:
-        """Show the error in the banner."""
+    def show_failure(self, error: BaseException) -> None:  # noqa: ARG002 - the banner shows it
+        """Leave the place to the banner."""
         self.notification.hide()
-        self._controller.show_problem(error)
 
     def show_cancelled(self) -> None:
         """Show that no file was written."""

@@ -4,7 +4,7 @@ With truth they are ranked by an error, without it by the round trip to the targ
 a frame alone, so that it comes before all else where it is chosen.
 """
 
-from PyQt6.QtCore import QObject, Qt, QTimer
+from PyQt6.QtCore import QObject, Qt
 
 from app.session.state import Session
 from app.window.session_controller import SessionController
@@ -27,12 +27,9 @@ class FrameRankingController(QObject):
         super().__init__(controller)
         self._controller, self._panel = controller, controller.window.frames
         self._chosen_metric, self._ticket = "", 0  # "" = as the recording has truth or not
-        self._timer = QTimer(self)
-        self._timer.setSingleShot(True)
-        self._timer.timeout.connect(self._rank_next)
+        self._timer = make_single_shot_timer(self, _DELAY_MS, self._rank_next)
         controller.window.drawers.frames.visibilityChanged.connect(self._set_visible)
         controller.frame_shown.connect(self._frame_shown)
-        controller.closing.connect(self._timer.stop)
         controller.job.finished.connect(self._show_summary)
         self._panel.metric_box.chosen.connect(self._choose_metric)
         window = controller.window

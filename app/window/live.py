@@ -192,7 +192,6 @@ class LiveController(QObject):
             self.set_following(on=False)
 
     def _close(self) -> None:
-        self._timer.stop()
         if self.reader is not None:
             self.reader.set_listener(None)
             self.reader.stop(_STOP_TIMEOUT_S)

@@ -32,21 +32,19 @@ from widgets.log_panel import LogPanel
 from widgets.notification_bar import NotificationStack
 from widgets.panes import PanesPage
 from widgets.parameters_panel import ParametersPanel
-from widgets.probes_panel import ProbesPanel
+from widgets.probes_panel import ProbesPanel, TracePanel
 from widgets.run_bar import RunBar
 from widgets.section_panel import SectionPanel
 from widgets.stage_column import StageColumn
 from widgets.stage_rows import StageRows
 from widgets.steps_panel import StepsPanel
-from widgets.steps_slider import StepsSlider
 from widgets.styling import fill, set_spacing
 from widgets.task_page import TaskPage
 from widgets.timeline import Timeline
 from widgets.timings_panel import TimingsPanel
-from widgets.trace_panel import TracePanel
 from widgets.track_page import TrackPage
 from widgets.view_3d import View3D
-from widgets.view_3d_panel import View3DPanel
+from widgets.view_3d_panel import StepsSlider, View3DPanel
 from widgets.warning_line import WarningLine
 
 DEFAULT_SIZE = QSize(1600, 950)

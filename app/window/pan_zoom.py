@@ -1,11 +1,15 @@
-"""Pan and zoom of the images: fitted to contact or sensor, and linked in millimetres."""
+"""The images of all columns: pan and zoom, fitted and linked in millimetres, and colour limits dragged on them."""
 
+from collections.abc import Mapping
 from functools import partial
 
 from PyQt6.QtCore import QObject, QPointF
 
+from app.session.state import DISPLAY_KEY
 from app.window.session_controller import SessionController
+from pipeline.base.params import list_settings, replace_value
 from pipeline.geometry import rigid
+from pipeline.previews.display_params import DisplayParams
 from pipeline.previews.preview import Preview
 from pipeline.sensors.spec import SensorSpec
 from pipeline.translation.pixel_trace import SOURCE
@@ -16,6 +20,7 @@ _OUTLINE_SOURCES = {
     SOURCE: "depth",
     "cloud": "target_depth",
 }  # stage whose contact is used for images without an outline
+_DIGITS = 2  # decimals of a limit in mm
 
 
 class PanZoomController(QObject):
@@ -105,3 +110,32 @@ def _transfer_point(opened: Translation, at_mm: tuple[float, float], *, to_targe
     z_mm = float(sensor.rest_depth_mm[sensor.camera.rows // 2, sensor.camera.cols // 2])
     x, y, _ = rigid.apply(target_from_source if to_target else rigid.invert(target_from_source), (*at_mm, z_mm))
     return float(x), float(y)
+
+
+class ColourLimitController(QObject):
+    """Connects the colour bars with the session."""
+
+    def __init__(self, controller: SessionController) -> None:
+        super().__init__(controller)
+        self._controller = controller
+        window = controller.window
+        bars = [column.view.colour_bar for column in (*window.columns.values(), window.truth_column)]
+        for source in (*bars, *(tab.grid for tab in window.comparison.tabs.values())):
+            source.limit_dragged.connect(self.set_limit)
+            source.limits_fitted.connect(self.set_limits)
+
+    def set_limit(self, name: str, value: float) -> None:
+        """Set a limit within its range; a drag is one undo step."""
+        self._controller.choose_params(DISPLAY_KEY, _replace_limit(self._controller.session.display, name, value))
+
+    def set_limits(self, limits: Mapping[str, float]) -> None:
+        """Set limits fitted to the shown values, as one undo step."""
+        display = self._controller.session.display
+        for name, value in limits.items():
+            display = _replace_limit(display, name, value)
+        self._controller.change("fit colour limits", params={**self._controller.session.params, DISPLAY_KEY: display})
+
+
+def _replace_limit(display: DisplayParams, name: str, value: float) -> DisplayParams:
+    _, setting = list_settings(display)[name]
+    return replace_value(display, name, min(max(round(value, _DIGITS), setting.low), setting.high))

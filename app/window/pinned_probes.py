@@ -26,7 +26,6 @@ class PinnedProbesController(QObject):
         self._timer = make_single_shot_timer(self, _DELAY_MS, self._show)
         controller.probe.pins_changed.connect(self._update_soon)
         controller.probe.results_changed.connect(self._update_soon)
-        controller.closing.connect(self._timer.stop)
         self._panel.probe_chosen.connect(controller.probe.choose_pin)
         self._panel.clear_button.clicked.connect(controller.probe.clear_trace)
         EventListener(self._panel, self._update_soon, QEvent.Type.Show, QEvent.Type.Hide)
@@ -42,7 +41,7 @@ class PinnedProbesController(QObject):
             marks = [(number, place) for number, (_, places) in traces.items() if (place := places[name]) is not None]
             column.view.canvas.show_marks(tuple(marks))
         is_visible = self._panel.isVisible()
-        self._controller.set_probe_errors(is_visible and bool(traces))
+        self._controller.request_extra("truth", wanted=is_visible and bool(traces))
         if is_visible:
             names = [name for name in self._window.visible_columns() if self._get_preview(name) is not None]
             titles = ["probe", *(title for name in names for title in self._make_titles(name))]

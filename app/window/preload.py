@@ -23,7 +23,7 @@ class PreloadController(QObject):
         self.sampler_timer = make_single_shot_timer(self, _SAMPLER_DELAY_MS, self._preload_samplers)
         controller.frame_shown.connect(self._preload_samplers_soon)
         controller.session_shown.connect(self._stop)
-        controller.closing.connect(self._close)
+        controller.closing.connect(self.job.close)
         if controller.session.recording is None:
             self.start_timer.start()
 
@@ -39,8 +39,3 @@ class PreloadController(QObject):
         opened = self._controller.views.translation
         if opened is not None and self._controller.is_idle and not self._controller.window.timeline.is_playing:
             self.job.submit(lambda _: preload_samplers(opened.weights.values()))
-
-    def _close(self) -> None:
-        self.start_timer.stop()
-        self.sampler_timer.stop()
-        self.job.close()

@@ -7,7 +7,6 @@ from app.window.background_controller import BackgroundController
 from app.window.rollouts import RolloutController
 from app.window.session_controller import SessionController
 from app.work.rollouts import attribute_decisions
-from pipeline.base.errors import TouchError
 from pipeline.tasks.rerun import describe_error
 from pipeline.tasks.task import Decision
 
@@ -16,6 +15,8 @@ _SUCCEEDS = "succeeds: there is no failure to attribute"
 
 class RolloutAttributionController(BackgroundController):
     """Connects the decision's panel with the rollout on screen."""
+
+    shows_errors = True
 
     def __init__(self, controller: SessionController, rollouts: RolloutController) -> None:
         super().__init__("rollout attribution", controller, controller.window.task.decision.run_bar)
@@ -91,8 +92,6 @@ class RolloutAttributionController(BackgroundController):
         """Show why there are no shares."""
         self._end()
         self._panel.show_decision(str(error), None, can_attribute=self._can_attribute)
-        if not isinstance(error, TouchError):
-            super().show_failure(error)
 
     def show_cancelled(self) -> None:
         """Show the decision again."""

@@ -28,6 +28,7 @@ _NOT_READ = {
 class RolloutController(BackgroundController):
     """Connects the page with the session; nothing is read while another layout is shown."""
 
+    shows_errors = True
     rollout_shown = pyqtSignal()  # another rollout, or none
     decision_shown = pyqtSignal(int)  # the decision that acts at the tick on screen
 
@@ -145,8 +146,6 @@ class RolloutController(BackgroundController):
         self._page.show_message(str(error))
         self._controller.views.show_page_scene("task", (), None, self._controller.session)
         self.rollout_shown.emit()
-        if not isinstance(error, TouchError):
-            super().show_failure(error)
 
     def _show_rollout(self, opened: OpenRollout) -> None:
         self.shown, page, session = opened, self._page, self._controller.session

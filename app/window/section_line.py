@@ -12,7 +12,7 @@ from pipeline.translation.cross_section import HeightMap, SectionLine, SectionPl
 from pipeline.translation.pixel_trace import SOURCE
 from pipeline.values.results import DepthMap
 from widgets.base import EventListener
-from widgets.section_line_tool import SectionLineTool
+from widgets.section_panel import SectionLineTool
 from widgets.styling import make_single_shot_timer
 
 _DELAY_MS = 15  # updates within it are drawn together
@@ -80,9 +80,7 @@ class SectionLineController(QObject):
         )
 
     def _close(self) -> None:
-        """Stop the timers and remove the lines: the window may outlive Python."""
-        for timer in (self._line_timer, self._curve_timer):
-            timer.stop()
+        """Remove the lines: the window may outlive Python."""
         for tool in self._tools.values():
             tool.show_line(None)
 

@@ -4,9 +4,9 @@ from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import get_args
+from typing import Literal, get_args
 
-from PyQt6.QtCore import pyqtSignal
+from PyQt6.QtCore import QTimer, pyqtSignal
 
 from app.session.state import Session
 from app.session.undo import list_sessions
@@ -51,9 +51,8 @@ class SessionController(SessionDocument):
         self.probe = PixelProbe(window)
         self.views = StageViews(window, self.probe)
         self._ticket = self._oldest_shown = self._opening_ticket = self._background_ticket = 0
-        self.is_closed = self._is_pending = self._with_observation = self._with_probe_errors = self._must_refresh = (
-            False  # must_refresh: stages were dropped
-        )
+        self.is_closed = self._is_pending = self._must_refresh = False  # must_refresh: stages were dropped
+        self._extras: set[str] = set()  # that panels request
         self._open_requests: set[Request | None] = {None}  # that are open: as requested, and with names resolved
         self._failed_requests: set[Request | None] = set()
         self._is_skipping = False  # over undo steps that need no computation
@@ -136,16 +135,10 @@ class SessionController(SessionDocument):
             cameras, self.views.scene if self._is_open() and not self._opening_ticket else None
         )
 
-    def set_observation_outline(self, visible: bool) -> None:
-        """Show or hide the outline of the target's own touch."""
-        if visible != self._with_observation:
-            self._with_observation = visible
-            self.refresh()
-
-    def set_probe_errors(self, visible: bool) -> None:
-        """Read the truth of every stage, or no longer, for the errors at pinned pixels."""
-        if visible != self._with_probe_errors:
-            self._with_probe_errors = visible
+    def request_extra(self, extra: Literal["observation", "truth"], *, wanted: bool) -> None:
+        """Compute the outline of the target's own touch or the truth of every stage as well, or no longer."""
+        if wanted != (extra in self._extras):
+            self._extras ^= {extra}
             self.refresh()
 
     def set_comparison_mode(self, mode: ComparisonMode) -> None:
@@ -199,8 +192,9 @@ class SessionController(SessionDocument):
         self.is_closed = True
         self.undo_stack.blockSignals(True)  # it outlives the actions connected to it
         self.window.timeline.play(on=False)
-        self._stale_timer.stop()
         self.closing.emit()
+        for timer in self.findChildren(QTimer):  # those of all features, too
+            timer.stop()
         self.job.close()
         self.evaluator.close()
         self.views.scene.close()
@@ -315,9 +309,9 @@ class SessionController(SessionDocument):
     def _request_stages(self, *, other_request: bool) -> None:
         session, stages = self._session_to_compute(), self.window.visible_columns()
         evaluate = partial(
-            self.evaluator.evaluate_frame, with_observation=self._with_observation,
+            self.evaluator.evaluate_frame, with_observation="observation" in self._extras,
             get_current=lambda: self.views.translation,
-            with_truth=bool(self.views.comparison_mode) or self.window.shows_truth_column or self._with_probe_errors,
+            with_truth=bool(self.views.comparison_mode) or self.window.shows_truth_column or "truth" in self._extras,
         )  # fmt: skip
         interrupt = other_request or not (self._draft_stage or self._interrupt_timer.isActive())
         self._draft_stage = self._dragged_key.partition("/")[0]

@@ -19,7 +19,7 @@ from pipeline.translation.translate import Request, Translation
 from pipeline.translation.truth_view import ComparisonMode, TruthView
 from widgets.preview_view import PreviewView
 from widgets.scene_renderer import SceneRenderer
-from widgets.steps_slider import AnyStep
+from widgets.view_3d_panel import AnyStep
 
 PageScene = Literal["track", "task"]  # pages with a 3D scene of their own
 _PREVIEWED = "target_depth"  # stage that an alignment drag previews
@@ -48,6 +48,8 @@ class StageViews:
         self.page_views: Mapping[PageScene, int] = {"track": last - 1, "task": last}
         self._page_layers: dict[PageScene, tuple[Layer, ...]] = {}
         self._page_bounds: dict[PageScene, ViewBounds] = {}
+        for name, thumbnail in window.panes.filmstrip.thumbnails.items():
+            window.columns[name].state_shown.connect(thumbnail.show_state)
 
     def show_translation(self, t: Translation, session: Session) -> None:
         """Show another recording, or the same one between other sensors."""
@@ -80,10 +82,10 @@ class StageViews:
         window.source.setItemText(0, "as recorded")
         for column in (*window.columns.values(), window.truth_column):
             column.view.show_preview(None)
+            column.warnings = ()
             column.show_state("waiting")
         for thumbnail in window.panes.filmstrip.thumbnails.values():
             thumbnail.show_preview(None)
-            thumbnail.show_state("waiting", ())
         for index in self._layers:
             self.scene.show_layers(index, ())
         self._layers, self._steps, self._shown, self._results = {}, {}, {}, {}
@@ -119,7 +121,6 @@ class StageViews:
             self._results = {}  # the old results are of another frame or other parameters
             column.show_state("read", part.read_ms)
             self._probe.set_results(self._results, part.frame, part.ground_truth)
-        self._update_thumbnail(name)
         column.view.canvas.render_now()
         index = self._order.index(name)
         self._layers[index] = part.layers
@@ -148,10 +149,6 @@ class StageViews:
         column.view.show_preview(other.truth)
         column.show_state("read")
         self.scene.show_layers(len(self._order), other.layers)
-
-    def _update_thumbnail(self, name: str) -> None:
-        column = self._window.columns[name]
-        self._window.panes.filmstrip.thumbnails[name].show_state(column.state, column.warnings)
 
     def show_wipe(self, before: Preview, after: Preview) -> None:
         """Show two target depth previews, divided by a handle, until the stage is computed again."""
@@ -196,7 +193,6 @@ class StageViews:
         """Mark pending columns as stale, and the first one as running."""
         for name in self._list_pending():
             self._window.columns[name].show_state("stale")
-            self._update_thumbnail(name)
         self.mark_running()
 
     def mark_running(self) -> None:
@@ -204,14 +200,12 @@ class StageViews:
         pending = self._list_pending()
         if pending and self._window.columns[pending[0]].state == "stale":
             self._window.columns[pending[0]].show_state("running")
-            self._update_thumbnail(pending[0])
 
     def mark_dropped(self) -> None:
         """Mark a running column as stale: the computation was dropped."""
         for name in self._list_pending():
             if self._window.columns[name].state == "running":
                 self._window.columns[name].show_state("stale")
-                self._update_thumbnail(name)
 
     def mark_failed(self, error: object) -> None:
         """Mark the first pending column as failed, and those after it as waiting for it."""
@@ -223,13 +217,11 @@ class StageViews:
                 column.show_state("failed", None, (text,))
             else:
                 column.show_state("waiting", None, (f"waits for {pending[0]}",))
-            self._update_thumbnail(name)
 
     def mark_cancelled(self) -> None:
         """Mark pending columns as cancelled."""
         for name in self._list_pending():
             self._window.columns[name].show_state("waiting", None, ("cancelled",))
-            self._update_thumbnail(name)
 
     def reset_cameras(self, session: Session) -> None:
         """Fit the cameras of all 3D views, and update their captions."""

@@ -144,9 +144,8 @@ class SweepController(BackgroundController):
         self._tab.show_state(f"{result} pairs done; click a cell to use its values", runs=False)
 
     def show_failure(self, error: BaseException) -> None:
-        """Show the error in the tab and in the banner."""
+        """Show the error in the tab, too."""
         self._tab.show_state(str(error), runs=False)
-        super().show_failure(error)
 
     def show_cancelled(self) -> None:
         """Show how many cells were computed."""

@@ -110,10 +110,9 @@ class TrackController(BackgroundController):
         self._window.actions_by_name["export_track"].setEnabled(self._tracked is not None)
         self._show_frame()
 
-    def show_failure(self, error: BaseException) -> None:
+    def show_failure(self, error: BaseException) -> None:  # noqa: ARG002 - the banner shows it
         """Show why there is no track."""
         self._show_none("")
-        super().show_failure(error)
 
     def show_cancelled(self) -> None:
         """Show that the run was cancelled."""

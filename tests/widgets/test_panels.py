@@ -16,10 +16,10 @@ from widgets.frame_summary import FrameSummary
 from widgets.frames_model import CONTACT, DEPTH, FRAME, METRIC
 from widgets.frames_panel import FramesPanel
 from widgets.log_panel import LogPanel
-from widgets.steps_slider import StepsSlider
+from widgets.probes_panel import TracePanel
 from widgets.theme import get_theme_colours, to_hex
 from widgets.timings_panel import TimingRow, TimingsPanel
-from widgets.trace_panel import TracePanel
+from widgets.view_3d_panel import StepsSlider
 
 
 def test_the_banner_is_hidden_until_there_is_a_problem(qtbot):

@@ -17,8 +17,8 @@ from app.window.scene_geometry import _format_captions
 from pipeline.alignment.refine import AlignmentFit, Refinement
 from pipeline.sensors.alignment import Alignment
 from widgets.plain_text_style import PlainTextStyle
+from widgets.probes_panel import TracePanel
 from widgets.refine_box import RefineBox
-from widgets.trace_panel import TracePanel
 
 HOSTILE = "<img src='/dev/zero'><b>mine</b>"
 FIT = AlignmentFit(surface_mm=0.1, outline_mm=0.2, share_compared=1.0, n_touches=3)

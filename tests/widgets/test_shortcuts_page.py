@@ -7,7 +7,7 @@ from PyQt6.QtGui import QAction, QGuiApplication
 from PyQt6.QtWidgets import QTableWidget, QTableWidgetItem
 
 from widgets.command_palette import ShortcutsPage
-from widgets.table_copier import TableCopier, format_table
+from widgets.tables import TableCopier, format_table
 
 
 def make_table(qtbot):

@@ -8,7 +8,7 @@ from PyQt6.QtTest import QTest
 
 from app.session.sample import SAMPLE_RECORDING
 from app.window.tour import wait_until_shown
-from widgets.table_copier import format_table
+from widgets.tables import format_table
 
 LIMIT_S = 240
 PIXELS = [(80, 110), (30, 50), (30, 110), (30, 170), (130, 110)]

@@ -9,7 +9,7 @@ from PyQt6.QtGui import QAction
 from PyQt6.QtWidgets import QMainWindow, QPushButton
 
 from app.window.tour import wait_until_shown
-from widgets.keyboard_focus_filter import KeyboardFocusFilter
+from widgets.preview_key_filter import KeyboardFocusFilter
 
 LIMIT_S = 240
 _Key, _How = Qt.Key, Qt.KeyboardModifier
