@@ -3,7 +3,8 @@
     python sample_data/make_training_touches.py [N_TOUCHES]
 
 The touches are those of `pipeline.training.target_touches`, first press seed, as the recipes t2d2_* train on them; the
-numbers are those of `pipeline.metrics.familiarity`. The window and `translate` rank frames by the distance from them.
+numbers are those of `pipeline.translation.round_trip`. The window and `translate` rank frames by the distance from
+them.
 """
 
 from __future__ import annotations
@@ -16,11 +17,11 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from pipeline.base.files import write_arrays
-from pipeline.metrics.familiarity import describe_touch
 from pipeline.networks.weights_registry import WEIGHTS_FOLDER
 from pipeline.sensors.spec import load_sensor
 from pipeline.stages.touch.depth_condition import make_working_sensor
 from pipeline.training.target_touches import simulate_target_touch
+from pipeline.translation.round_trip import describe_touch
 
 SENSORS, N_TOUCHES, PRESS_SEED = ("soft_bubble", "gelslim"), 300, 1
 

@@ -195,7 +195,7 @@ def _invert_optics(sensor: SensorSpec) -> _Inversion:
 
     rng = np.random.default_rng(0)
     shape = sensor.camera.shape
-    plain = optics.render_reference(_remove_markers(sensor))
+    plain = optics.render_reference(replace(sensor, markers=None))
     scale = slope_model.compute_gain(plain)
     u, v = slope_model.compute_positions(shape)
     parts: list[tuple[Floats, ...]] = []
@@ -216,10 +216,6 @@ def _invert_optics(sensor: SensorSpec) -> _Inversion:
     )  # fmt: skip
     rms = float(np.sqrt(np.mean((slope_model.predict(model, samples) - g) ** 2)))
     return _Inversion(coefficients=model.coefficients, slope_max=model.slope_max, residual=rms)
-
-
-def _remove_markers(sensor: SensorSpec) -> SensorSpec:
-    return sensor if sensor.markers is None else replace(sensor, markers=None)
 
 
 def make_thumbnail(reference: Image) -> Image:

@@ -98,10 +98,12 @@ def evaluate(
         chosen = with_method(chosen, assignment)
     files = parse_weights(weights)
     trained = find_trained_hold_out(files) if recordings is not None and hold_out is None else hold_out
+    if only and recordings is not None:  # recorded pairs are always compared with the untouched image, mean and physics
+        only = tuple(dict.fromkeys((*only, *BASELINES, "physics")))
     judges = () if poses == "none" else split_list(poses)
     request = EvaluationRequest(
         split=split, held_out=HeldOutOptions(grasps=grasps, sensor_variation=vary, folder=folder),
-        directions=tuple(parse_direction(text) for text in directions), candidates=_add_baselines(only, recordings),
+        directions=tuple(parse_direction(text) for text in directions), candidates=only,
         methods=chosen, settings=settings, weights=files,
         pairs=PairFolder(path=os.fspath(recordings) if recordings else "", hold_out=trained or ""),
         pose_methods=tuple(name for name in judges if name in POSE_METHODS or name != "network"),
@@ -148,11 +150,6 @@ def parse_weights(assignments: Sequence[str]) -> dict[str, Path]:
             )
         files[name] = Path(file)
     return files
-
-
-def _add_baselines(only: tuple[str, ...], recordings: Path | None) -> tuple[str, ...]:
-    """Recorded pairs are always compared with the untouched image, the mean touch and physics."""
-    return tuple(dict.fromkeys((*only, *BASELINES, "physics"))) if only and recordings is not None else only
 
 
 def _print_tables(table: EvaluationTable, *, is_recorded: bool) -> None:

@@ -10,13 +10,12 @@ import numpy as np
 
 from pipeline.base.arrays import Floats, freeze
 from pipeline.base.errors import SettingProblem
-from pipeline.engine.graph import Method
 from pipeline.evaluation.held_out import PressRecordings
 from pipeline.evaluation.published_results import PAPER_MODELS
 from pipeline.networks.weights import NoWeights
 from pipeline.recordings import open_recording
 from pipeline.sensors.spec import SensorSpec, load_sensor
-from pipeline.translation.catalogue import BUILT_IN, Catalogue
+from pipeline.translation.catalogue import BUILT_IN
 
 RECORDED, NO_CONTACT, MEAN_TOUCH = "recorded", "no_contact", "mean"
 BASELINES = (NO_CONTACT, MEAN_TOUCH)  # need no source
@@ -47,18 +46,14 @@ def select_candidates(
     target: SensorSpec,
     only: Sequence[str] = (),
     weights: Mapping[str, Path] = MappingProxyType({}),
-    catalogue: Catalogue = BUILT_IN,
 ) -> CandidateSet:
     """Baselines, then the catalogue's methods in its order; `only` names some of all.
 
-    `weights` (method -> file) replace shipped ones. Raises SettingProblem for an unknown name, or for a file that its
-    method cannot use.
+    `weights` (method -> file) replace shipped ones. Raises SettingProblem for a file that its method cannot use.
     """
-    check_candidate_names(only, catalogue)
-    methods: tuple[Method, ...] = catalogue.stage("touch").methods
     candidates = [Candidate(name=name, title=title) for name, title in _TITLES.items()]
     excluded: list[str] = []
-    for method in methods:
+    for method in BUILT_IN.stage("touch").methods:
         file = weights.get(method.name)
         found = None if method.weights is None else method.weights(source, target, file)
         if isinstance(found, NoWeights) and file is not None and (not only or method.name in only):
@@ -75,9 +70,9 @@ def select_candidates(
     )
 
 
-def check_candidate_names(names: Sequence[str], catalogue: Catalogue = BUILT_IN) -> None:
+def check_candidate_names(names: Sequence[str]) -> None:
     """Check that each name is a baseline or a method of the catalogue; raises SettingProblem."""
-    known = [*_TITLES, *(m.name for m in catalogue.stage("touch").methods)]
+    known = [*_TITLES, *(m.name for m in BUILT_IN.stage("touch").methods)]
     unknown = sorted(set(names) - set(known))
     if unknown:
         raise SettingProblem(f"no candidate is called {unknown[0]!r}; there are {', '.join(known)}")

@@ -26,10 +26,8 @@ def load_encoder_weights(target: SensorSpec) -> Weights | NoWeights:
 def encode_change(target: SensorSpec, change: Floats) -> Floats | None:
     """Features (n,) of a change (rows, cols, channels) of a sensor; None without encoder."""
     known = load_encoder_weights(target)
-    return None if isinstance(known, NoWeights) else _compute_features(known, target, change)
-
-
-def _compute_features(known: Weights, target: SensorSpec, change: Floats) -> Floats:
+    if isinstance(known, NoWeights):
+        return None
     import torch
 
     from pipeline.networks.network_factory import load_network

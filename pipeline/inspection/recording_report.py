@@ -74,7 +74,7 @@ def inspect_recording(
         checks += _check_grasps(recording)
         checks += _check_synchrony(recording)
         if recording.object_mesh is not None:
-            checks += check_mesh(recording.object_mesh, str(recording.path))
+            checks += [check(recording.object_mesh, str(recording.path)) for check in (_check_size, _check_surface)]
         return InspectionReport(
             path=recording.path,
             format=recording.format,
@@ -179,11 +179,6 @@ def _compute_timing(times: Sequence[float]) -> tuple[float, float]:
         return math.nan, math.nan
     duration_s = float(known[-1] - known[0])
     return duration_s, (len(known) - 1) / duration_s
-
-
-def check_mesh(mesh: Mesh, path: str) -> list[Check]:
-    """Checks of size, closedness and orientation of the mesh of the recording at `path`."""
-    return [_check_size(mesh, path), _check_surface(mesh, path)]
 
 
 def measure_contact_offset_mm(truth: Truth, sensor: SensorSpec, mesh: Mesh) -> float:

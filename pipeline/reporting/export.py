@@ -206,14 +206,6 @@ def _video(work: _Work) -> None:
     write_video(work.asked.path, draw_images(), _rate_hz(work.translation, indices))
 
 
-def _write_rerun(work: _Work) -> None:
-    viewer_files.write_rrd(work.asked.path, _sample_stages(work), work.translation.mesh)
-
-
-def _write_mcap(work: _Work) -> None:
-    viewer_files.write_mcap(work.asked.path, _sample_stages(work))
-
-
 def _sample_stages(work: _Work) -> Iterator[StageSample]:
     """Yield source and stages of every requested frame, or the requested pane, with points in the target's frame."""
     translation, indices = work.translation, work.frame_indices
@@ -258,5 +250,7 @@ def _number(value: float) -> str:
 
 _WRITERS: Mapping[str, Callable[[_Work], None]] = {
     ".png": _picture, ".pdf": _picture, ".ply": _points, ".npz": _arrays, ".csv": _table,
-    ".mp4": _video, ".avi": _video, ".rrd": _write_rerun, ".mcap": _write_mcap,
+    ".mp4": _video, ".avi": _video,
+    ".rrd": lambda work: viewer_files.write_rrd(work.asked.path, _sample_stages(work), work.translation.mesh),
+    ".mcap": lambda work: viewer_files.write_mcap(work.asked.path, _sample_stages(work)),
 }  # fmt: skip

@@ -113,7 +113,8 @@ def record_plan(
                 try:
                     while done < plan.n_poses and (done == written or time.monotonic() < due_s):
                         moment = next(moments)
-                        _append_moment(writer, moment)
+                        for frame, truth in moment.frames:
+                            writer.append(frame.sensor, frame, truth)
                         done, unsolved = done + 1, unsolved + moment.n_unsolved
                         progress.step(done / plan.n_poses, f"{plan.object_name}: {done} of {plan.n_poses}")
                 except (Cancelled, KeyboardInterrupt) as error:
@@ -150,11 +151,6 @@ def _open_writer(plan: SimulationPlan, path: Path, start: int) -> RecordingWrite
         pairings=datasets.compute_pairings(plan),
         notes=(datasets.describe_plan(plan),), coding="row differences", depth_step_mm=BUBBLE_STEP_MM,
     )  # fmt: skip
-
-
-def _append_moment(writer: RecordingWriter, moment: SimulatedMoment) -> None:
-    for frame, truth in moment.frames:
-        writer.append(frame.sensor, frame, truth)
 
 
 def _iterate_moments(plan: SimulationPlan, start: int, pool: Executor | None) -> Generator[SimulatedMoment, None, None]:

@@ -48,7 +48,7 @@ def spanner() -> Shape:
     lip = math.degrees(math.asin(mouth / head))
     neck = math.degrees(math.asin(handle / head))
     near = make_arc(head, lip + 10.0, 195.0 - neck)
-    tail = _rotate(np.array([(24.0, -handle), (24.0, handle)]), 195.0)
+    tail = np.array([(24.0, -handle), (24.0, handle)]) @ rigid.rotation((0.0, 0.0, math.radians(195.0)))[:2, :2].T
     far = make_arc(head, 195.0 + neck, 350.0 - lip)
     floor = [(7.6, -mouth), (depth + 2.0, -mouth), (depth, -2.0), (depth, 2.0), (depth + 2.0, mouth), (7.6, mouth)]
     return Shape(
@@ -100,11 +100,6 @@ def _make_rectangle(round_: Doubles, half_x_mm: float, half_y_mm: float) -> Doub
     """The outline of a rectangle with one point for each of a circle, corners included."""
     scale = np.maximum(np.abs(round_[:, 0]), np.abs(round_[:, 1]))[:, None]
     return round_ / scale * (half_x_mm, half_y_mm)
-
-
-def _rotate(points: Doubles, angle_deg: float) -> Doubles:
-    turn = rigid.rotation((0.0, 0.0, math.radians(angle_deg)))[:2, :2]
-    return points @ turn.T
 
 
 def _make_ring(angle: Doubles, radius_mm: Doubles, z_mm: Doubles) -> Doubles:

@@ -136,7 +136,8 @@ def measure_gel_depth(
         dents = false_contacts.remove_light_changes(pressed, surface, changed, used)
         if pressed.any() and not dents.any():
             notes, surface = [*notes, _LIGHT_CHANGE], np.zeros_like(surface)
-        pressed = false_contacts.remove_false_contacts(dents, surface, pixel_mm, _border(shape)[here], window.changed)
+        border = np.pad(np.zeros((shape[0] - 2, shape[1] - 2), np.bool_), 1, constant_values=True)[here]
+        pressed = false_contacts.remove_false_contacts(dents, surface, pixel_mm, border, window.changed)
         pressed = contact.fill_small_holes(pressed, round(_HOLE_MM2 / pixel_mm**2))
         narrow_px = _BORDER_GEL * (0.0 if source.gel is None else source.gel.thickness_mm) / pixel_mm
         touched[here] = contact.remove_border_artifacts(pressed, surface, *here, shape, narrow_px)
@@ -240,12 +241,6 @@ def _compute_distance(touched: Mask, pixel_mm: float, gel: Gel) -> Floats:
 
     distance_px = cv2.distanceTransform((~touched).astype(np.uint8), cv2.DIST_L2, 5)
     return np.asarray(distance_px, np.float32) * np.float32(pixel_mm / gel.thickness_mm)
-
-
-def _border(shape: tuple[int, int]) -> Mask:
-    border = np.ones(shape, np.bool_)
-    border[1:-1, 1:-1] = False
-    return border
 
 
 def _warn_of_image(part: Image, source: SensorSpec, window: ImageWindow) -> list[str]:

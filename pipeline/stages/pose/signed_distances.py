@@ -173,7 +173,8 @@ def prepare_search(
     early = skip_without_contact(touch_depth, mesh)
     if early is not None or mesh is None:
         return early or _make_unknown_pose(NO_MESH)
-    _check_face(params)
+    if params.face not in ("auto", *FACES):
+        raise SettingProblem(f"pose.face must be one of auto, {', '.join(FACES)}, got {params.face!r}")
     scene = extract_scene(touch_depth, params.max_points, params.seed)
     too_few = f"only {len(scene.points_mm)} contact points have a surface normal; a pose needs at least {_MIN_POINTS}"
     if len(scene.points_mm) < _MIN_POINTS:
@@ -189,11 +190,6 @@ def prepare_search(
         scene=scene, points=points, object=prepared, outward=FACES.get(params.face),
         max_distance_mm=params.max_distance_mm, n_iterations=params.n_iterations, keep_steps=params.keep_steps,
     ), mesh  # fmt: skip
-
-
-def _check_face(params: PoseParams) -> None:
-    if params.face not in ("auto", *FACES):
-        raise SettingProblem(f"pose.face must be one of auto, {', '.join(FACES)}, got {params.face!r}")
 
 
 def _search_pose(

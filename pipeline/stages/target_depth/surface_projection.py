@@ -93,9 +93,15 @@ def project_checked_cloud(cloud: Cloud, target: SensorSpec, params: ProjectionPa
     pushed = target.rest_depth_mm.reshape(-1) - rasterisation.depth_mm
     indentation = np.where(rasterisation.contact & (pushed > 0.0), pushed, 0.0).astype(np.float32)
     n_contact = int(np.count_nonzero(rasterisation.contact))
-    n_hidden = kernels.mark_hidden_points(
+    n_hidden: int = kernels.mark_hidden_points(
         flatten_read_only(cloud.points_mm), rasterisation.depth_mm, pack_camera(target.camera), SAME_SURFACE_MM, pixel
     )
+    if surface is None:
+        drawing_notes = projection_notes.note_shared_pixels(n_inside, rasterisation.n_drawn_px)
+    else:
+        drawing_notes = projection_notes.note_omitted_triangles(
+            rasterisation, surface.jump_mm, surface.grazing_deg, int(n_hidden)
+        )
     return TargetDepth(
         depth_mm=freeze(rasterisation.depth_mm.reshape(shape)),
         contact=freeze(rasterisation.contact.reshape(shape)),
@@ -105,7 +111,7 @@ def project_checked_cloud(cloud: Cloud, target: SensorSpec, params: ProjectionPa
         in_view=_compute_field_of_view(cloud, target),
         notes=(
             *projection_notes.note_visibility(rasterisation, n_inside, cloud.points_mm),
-            *_drawing_notes(rasterisation, n_inside, surface, int(n_hidden)),
+            *drawing_notes,
             *projection_notes.note_contact(
                 target, n_drawn=rasterisation.n_drawn_px, n_contact=n_contact,
                 gap_mm=0.0 if n_contact else _measure_gap_mm(cloud.points_mm[pixel >= 0], rasterisation, target,
@@ -184,14 +190,6 @@ def _measure_gap_mm(
         z = rasterisation.depth_mm[rasterisation.point_index >= 0].astype(np.float64)
         seen = np.stack([z * ray_x[col], z * ray_y[row], z], axis=-1)
     return float(target.membrane.signed_distance_mm(seen).min(initial=np.inf))
-
-
-def _drawing_notes(
-    rasterisation: Rasterisation, n_inside: int, surface: SurfaceProjectionParams | None, n_hidden: int
-) -> tuple[str, ...]:
-    if surface is None:
-        return projection_notes.note_shared_pixels(n_inside, rasterisation.n_drawn_px)
-    return projection_notes.note_omitted_triangles(rasterisation, surface.jump_mm, surface.grazing_deg, n_hidden)
 
 
 def _rasterise(cloud: Cloud, camera: Camera, target: SensorSpec, params: SurfaceProjectionParams) -> Rasterisation:

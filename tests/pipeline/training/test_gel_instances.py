@@ -10,8 +10,7 @@ from pipeline.networks.gel_depth import GelDepthPrediction
 from pipeline.networks.network_factory import build_network
 from pipeline.stages.depth import gel_network_input, illumination_channels
 from pipeline.training import instance_samples
-from pipeline.training.gel_instances import GelInstancesTask, mirror_example
-from pipeline.training.gel_loss import compute_loss
+from pipeline.training.gel_instances import GelInstancesTask, compute_loss, mirror_example
 from pipeline.training.recipe import load_recipe
 
 TASK = GelInstancesTask(n_frames=4)

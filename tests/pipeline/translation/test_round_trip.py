@@ -10,9 +10,15 @@ import numpy as np
 import pytest
 
 from pipeline.geometry import rigid
-from pipeline.metrics.familiarity import compute_training_distance, describe_touch, load_training_features
 from pipeline.metrics.stage_metrics import METRICS, ROUND_TRIP, TRAINING_DISTANCE, describe_metric
-from pipeline.translation.round_trip import measure_round_trip, measure_training_distance, reverse_translation
+from pipeline.translation.round_trip import (
+    compute_training_distance,
+    describe_touch,
+    load_training_features,
+    measure_round_trip,
+    measure_training_distance,
+    reverse_translation,
+)
 from pipeline.translation.translate import Request, open_translation
 
 SAMPLE_RECORDING = Path(__file__).parents[3] / "sample_data" / "recordings" / "first_touch.h5"
