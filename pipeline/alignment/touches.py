@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.alignment.nudge import compute_pivot_mm
-from pipeline.base.arrays import Doubles, freeze
+from pipeline.base.arrays import Doubles
 from pipeline.base.errors import SettingProblem
 from pipeline.base.progress import SILENT, Progress
 from pipeline.calibration.calibration_table import Calibration
@@ -15,7 +15,7 @@ from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth.photometric import DepthParams, estimate_depth, skip_without_contact
 from pipeline.translation.translate import Translation, estimate_camera_shift_mm
 from pipeline.values.frames import TactileFrame, Truth
-from pipeline.values.results import DepthMap, make_pixel_index
+from pipeline.values.results import DepthMap, make_depth_map
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -110,10 +110,4 @@ def _make_exact(frame: TactileFrame, spec: SensorSpec, truth: Truth | None) -> D
     rest = spec.rest_depth_mm if camera == spec.camera else spec.membrane.rest_depth_mm(camera)
     if frame.is_depth and frame.reference is not None and frame.camera is not None:
         rest = np.asarray(frame.reference, np.float64)
-    return DepthMap(
-        indentation_mm=truth.indentation_mm,
-        depth_mm=freeze((rest - truth.indentation_mm).astype(np.float32)),
-        contact=truth.contact,
-        camera=camera,
-        source_index=make_pixel_index(camera.shape),
-    )
+    return make_depth_map(rest, truth.indentation_mm, truth.contact, camera)

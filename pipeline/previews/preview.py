@@ -232,15 +232,15 @@ def make_indentation_scale(sensor: SensorSpec, display: DisplayParams) -> Colour
     )
 
 
-def make_deviation_scale(sensor: SensorSpec, display: DisplayParams) -> ColourScale:
-    """The scale of a reading's deviation from rest: either way as far as indentations of this kind of sensor go."""
+def make_deviation_scale(sensor: SensorSpec, display: DisplayParams, quantity: str = DEVIATION_LABEL) -> ColourScale:
+    """The scale of a distance from rest: either way as far as indentations of this kind of sensor go."""
     limit, sets = display.get_limit_mm(sensor), f"{sensor.sensor_kind.display_group}_limit_mm"
     return ColourScale(
         colour_map="diverging",
         low=-limit,
         high=limit,
         unit="mm",
-        quantity=DEVIATION_LABEL,
+        quantity=quantity,
         low_setting=sets,
         high_setting=sets,
     )

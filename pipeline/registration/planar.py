@@ -172,7 +172,7 @@ def estimate_planar_pose(
     fit = register_planar(model_mm, scene.points_mm, placed, n_iterations, progress, keep_steps=keep_steps)
     notes = (NOTE, *fit.notes) if face != "auto" else (NOTE, f"face {_FACE} by default; choose the face", *fit.notes)
     return ObjectPose(
-        sensor_from_object=freeze(fit.scene_from_model), covariance=None, observable=None, weak_directions=(),
+        sensor_from_object=freeze(fit.scene_from_model),
         rmse_mm=fit.inlier_rmse_mm, fitness=fit.fitness, scene_mm=freeze(scene.points_mm.astype(np.float32)),
         source_index=freeze(scene.pixel), steps=fit.steps, stop_reason=fit.stop_reason, starts_tried=len(SWEEP_DEG),
         notes=notes,

@@ -186,9 +186,6 @@ def _pose(path: Path) -> ObjectPose | None:
         others = arrays.get("pose.alternatives", ())
         return ObjectPose(
             sensor_from_object=freeze(arrays["pose.sensor_from_object"]),
-            covariance=None,
-            observable=None,
-            weak_directions=(),
             rmse_mm=float(arrays["pose.rmse_mm"]),
             fitness=float(arrays["pose.fitness"]),
             scene_mm=freeze(arrays["pose.scene_mm"]),

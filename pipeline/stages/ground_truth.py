@@ -9,7 +9,7 @@ from pipeline.base.arrays import freeze
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.stage import GroundTruth, SensorRole
 from pipeline.values.frames import Truth
-from pipeline.values.results import DepthMap, GeneratedTouch, ObjectPose, TargetDepth, make_pixel_index
+from pipeline.values.results import DepthMap, GeneratedTouch, ObjectPose, TargetDepth, make_depth_map, make_pixel_index
 
 _NOTE = "ground truth of the recording"
 
@@ -22,14 +22,7 @@ def build_depth_map(ground_truth: GroundTruth, sensor_role: SensorRole, sensor: 
         return None
     if truth.indentation_mm.shape != shape or truth.contact.shape != shape:
         return None
-    return DepthMap(
-        indentation_mm=truth.indentation_mm,
-        depth_mm=freeze((sensor.rest_depth_mm - truth.indentation_mm).astype(np.float32)),
-        contact=truth.contact,
-        camera=sensor.camera,
-        source_index=make_pixel_index(shape),
-        notes=(_NOTE,),
-    )
+    return make_depth_map(sensor.rest_depth_mm, truth.indentation_mm, truth.contact, sensor.camera, notes=(_NOTE,))
 
 
 def build_target_depth(ground_truth: GroundTruth, target: SensorSpec) -> TargetDepth | None:
@@ -71,6 +64,6 @@ def build_pose(ground_truth: GroundTruth, target: SensorSpec) -> ObjectPose | No
     pixels = np.zeros(0, np.int32) if depth is None else np.flatnonzero(depth.contact).astype(np.int32)
     points = np.zeros((0, 3)) if depth is None else depth.camera.back_project(depth.depth_mm).reshape(-1, 3)[pixels]
     return ObjectPose(
-        sensor_from_object=truth.sensor_from_object, covariance=None, observable=None, weak_directions=(), rmse_mm=0.0,
+        sensor_from_object=truth.sensor_from_object, rmse_mm=0.0,
         fitness=1.0, scene_mm=freeze(points.astype(np.float32)), source_index=freeze(pixels), notes=(_NOTE,),
     )  # fmt: skip

@@ -7,6 +7,7 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pipeline.base.arrays import Doubles, Floats, Image, Indices, Mask, freeze
 from pipeline.base.memo import memoise
@@ -109,11 +110,11 @@ class ObjectPose:
     """Pose of the object in the target frame; `sensor_from_object` is None where it cannot be estimated."""
 
     sensor_from_object: Doubles | None  # (4, 4) mm
-    covariance: Doubles | None  # (6, 6) of (rotation rad, translation mm) about the scene centroid
-    observable: Doubles | None  # (6, 6) projector onto the observable directions
-    weak_directions: tuple[str, ...]  # unobservable directions such as "slides along y"
-    rmse_mm: float
-    fitness: float
+    covariance: Doubles | None = None  # (6, 6) of (rotation rad, translation mm) about the scene centroid
+    observable: Doubles | None = None  # (6, 6) projector onto the observable directions
+    weak_directions: tuple[str, ...] = ()  # unobservable directions such as "slides along y"
+    rmse_mm: float = math.nan
+    fitness: float = 0.0
     scene_mm: Floats  # (n, 3) registered points, target frame
     source_index: Indices  # (n,) -> pixel of the DepthMap of the generated touch
     steps: tuple[PoseStep, ...] = field(default=(), metadata=UNDIGESTED)
@@ -121,6 +122,16 @@ class ObjectPose:
     starts_tried: int = 0
     notes: tuple[str, ...] = ()
     alternatives: tuple[Doubles, ...] = ()  # (4, 4) each, best first: other poses that fit this touch as well
+
+
+def make_depth_map(
+    rest_mm: NDArray[np.floating], indentation_mm: Floats, contact: Mask, camera: Camera, notes: tuple[str, ...] = ()
+) -> DepthMap:
+    """The membrane that is indented (rows, cols) from its rest surface, with each pixel as its own source."""
+    return DepthMap(
+        indentation_mm=freeze(indentation_mm), depth_mm=freeze((rest_mm - indentation_mm).astype(np.float32)),
+        contact=freeze(contact), camera=camera, source_index=make_pixel_index(contact.shape), notes=notes,
+    )  # fmt: skip
 
 
 @memoise(16)

@@ -5,13 +5,14 @@ import numpy as np
 from pipeline.base.arrays import Indices, freeze
 from pipeline.engine.graph import Method, skip_if_exact
 from pipeline.geometry.camera import Camera
-from pipeline.previews.colours import ColourScale, apply_colour_map
+from pipeline.previews.colours import apply_colour_map
 from pipeline.previews.layers import Layer, make_cloud_layer, make_membrane_layer, stretch_depth
-from pipeline.previews.preview import PointPositions, Preview, compute_pixel_mm
+from pipeline.previews.preview import PointPositions, Preview, compute_pixel_mm, make_deviation_scale
 from pipeline.stages.cloud import back_projection
 from pipeline.stages.stage import PreviewContext, ProbePoint, Stage, look_up_element, to_xyz
 from pipeline.values.results import Cloud
 
+_REACH_LABEL = "past rest surface, + toward camera"
 PREVIEW_SCALE = 0.5  # of the target's resolution, so that neighbouring points leave no holes
 
 BACK_PROJECTION = Method(
@@ -35,12 +36,12 @@ def _make_preview(cloud: Cloud, context: PreviewContext) -> Preview:
     reach = np.full(camera.shape, np.nan, dtype=np.float32)
     if len(cloud.points_mm):
         reach[drawn] = -target.membrane.signed_distance_mm(cloud.points_mm[index[drawn]])
-    scale = _make_scale(context)
+    scale = make_deviation_scale(context.target, context.display, _REACH_LABEL)
     return Preview(
         pixels=apply_colour_map(reach, scale), values=freeze(reach), scale=scale, frame_name=f"{target.name} frame",
         positions_mm=PointPositions(cloud.points_mm, index), element_index=index, camera=camera,
         pixel_mm=compute_pixel_mm(camera, target),
-        caption=f"{len(cloud.points_mm)} points; past rest surface, + toward camera",
+        caption=f"{len(cloud.points_mm)} points; {_REACH_LABEL}",
     )  # fmt: skip
 
 
@@ -48,7 +49,7 @@ def _make_layers(cloud: Cloud, context: PreviewContext, _preview: Preview) -> tu
     """The points over the faint rest surface."""
     points = stretch_depth(cloud.points_mm, context.target, context.display.get_depth_stretch(context.target))
     reach = -context.target.membrane.signed_distance_mm(cloud.points_mm).astype(np.float32)
-    scale = _make_scale(context)
+    scale = make_deviation_scale(context.target, context.display, _REACH_LABEL)
     colours = apply_colour_map(reach, scale)
     layer = make_cloud_layer("cloud", points.astype(np.float32), colours, 3.0, scale.colour_map)
     return (layer, make_membrane_layer(context.target))
@@ -61,17 +62,6 @@ def _trace_point(cloud: Cloud, before: ProbePoint) -> ProbePoint:
         return ProbePoint(stage="cloud", index=-1, text=why)
     x, y, z = to_xyz(cloud.points_mm[point])
     return ProbePoint(stage="cloud", index=point, point_mm=(x, y, z), text=f"({x:.2f}, {y:.2f}, {z:.2f}) mm")
-
-
-def _make_scale(context: PreviewContext) -> ColourScale:
-    limit, setting = (
-        context.display.get_limit_mm(context.target),
-        f"{context.target.sensor_kind.display_group}_limit_mm",
-    )
-    return ColourScale(
-        colour_map="diverging", low=-limit, high=limit, unit="mm", quantity="past rest surface, + toward camera",
-        low_setting=setting, high_setting=setting,
-    )  # fmt: skip
 
 
 def _splat(cloud: Cloud, camera: Camera) -> Indices:

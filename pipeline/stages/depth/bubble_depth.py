@@ -1,18 +1,19 @@
 """Depth of a bubble: its depth image, filled and denoised, against the reference."""
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.arrays import Floats, Mask, freeze
-from pipeline.base.errors import AT_BORDER, ShapeError, StageWarning
+from pipeline.base.errors import AT_BORDER, StageWarning
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import bubble_contact
 from pipeline.stages.depth.bubble_network_input import estimate_rest_surface
 from pipeline.values.frames import TactileFrame
-from pipeline.values.results import DepthMap, make_pixel_index
+from pipeline.values.results import DepthMap, make_depth_map
 
 _BLOCK_PX = 8
 _MEASURED_SHARE_MIN = 0.5  # share of measured pixels below which a frame is not called untouched
@@ -58,8 +59,7 @@ def estimate_depth(frame: TactileFrame, source: SensorSpec, *, smoothing_px: flo
     The rest surface is the reference depth without its noise, so no shape of the bubble is assumed; with `smoothing_px`
     0 it is the reference itself. Small gaps are filled; in larger ones indentation and depth are NaN.
     """
-    if frame.reference is None:
-        raise ShapeError("a bubble's depth needs a reference depth image")
+    assert frame.reference is not None  # checked
     notes: list[str] = []
     moved, rest, read, seen = compute_displacement(
         frame.reference, frame.image, source.limits.indentation_max_mm, notes
@@ -75,15 +75,8 @@ def estimate_depth(frame: TactileFrame, source: SensorSpec, *, smoothing_px: flo
     elif np.concatenate([touched[0], touched[-1], touched[:, 0], touched[:, -1]]).any():
         notes.append(AT_BORDER)
     nothing = np.float32(np.nan)
-    return DepthMap(
-        indentation_mm=freeze(np.where(seen, indentation, nothing)),
-        depth_mm=freeze(np.where(seen, rest - indentation, nothing)),
-        contact=freeze(touched),
-        camera=source.camera,
-        source_index=make_pixel_index(indentation.shape),
-        notes=tuple(notes),
-        measured_depth_mm=freeze(np.where(read, frame.image, nothing).astype(np.float32)),
-    )
+    depth = make_depth_map(rest, np.where(seen, indentation, nothing), touched, source.camera, tuple(notes))
+    return replace(depth, measured_depth_mm=freeze(np.where(read, frame.image, nothing).astype(np.float32)))
 
 
 def compute_displacement(

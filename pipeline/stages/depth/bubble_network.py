@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from pipeline.base.arrays import Floats, Mask, freeze
-from pipeline.base.errors import AT_BORDER, ShapeError
+from pipeline.base.errors import AT_BORDER
 from pipeline.base.progress import Progress
 from pipeline.calibration.calibration_table import Calibration
 from pipeline.sensors.spec import SensorSpec
@@ -54,8 +54,7 @@ def estimate_depth(
     less of that than it leaves out (docs/experiments.md). `expected_error_mm` is the error of the object's surface and,
     elsewhere, of the membrane.
     """
-    if frame.reference is None:
-        raise ShapeError("a bubble's depth needs a reference depth image")
+    assert frame.reference is not None  # checked
     notes: list[str] = []
     moved, rest, measured, known = compute_displacement(
         frame.reference, frame.image, source.limits.indentation_max_mm, notes

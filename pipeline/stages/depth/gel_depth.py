@@ -14,7 +14,7 @@ from typing import cast
 import numpy as np
 
 from pipeline.base.arrays import Floats, Image, Mask, freeze
-from pipeline.base.errors import AT_BORDER, ShapeError, StageWarning
+from pipeline.base.errors import AT_BORDER, StageWarning
 from pipeline.base.progress import Progress
 from pipeline.calibration import near_led_prior
 from pipeline.calibration.calibration_table import Calibration, check_calibration, make_built_in
@@ -32,7 +32,7 @@ from pipeline.stages.depth.illumination import frame_illumination, gel_surface
 from pipeline.stages.depth.illumination.light import Illumination
 from pipeline.stages.depth.poisson import Boundary
 from pipeline.values.frames import TactileFrame
-from pipeline.values.results import DepthMap, make_pixel_index
+from pipeline.values.results import DepthMap, make_depth_map
 
 _FADE_START, _FADE_END = 0.2, 0.6  # gel thicknesses from the contact, see `_relax_surface`
 _FAR = 0.7  # gel thicknesses from the contact: the gel is neither indented nor pulled down there (`rest_level`)
@@ -96,9 +96,7 @@ def measure_gel_depth(
 
     See `photometric.estimate_depth`. The surface is None where nothing has changed. A draft takes fewer iterations.
     """
-    image, reference = cast("Image", frame.image), cast("Image | None", frame.reference)
-    if reference is None:
-        raise ShapeError("a gel's depth needs a reference image")
+    image, reference = cast("Image", frame.image), cast("Image", frame.reference)
     check_calibration(calibration, source.name, image)
     shape, pixel_mm = source.camera.shape, calibration.pixel_mm
     indentation, touched = np.zeros(shape, np.float32), np.zeros(shape, np.bool_)
@@ -154,15 +152,7 @@ def measure_gel_depth(
             notes.append(_WEAK_SHADING)
         notes += _limit_depth(indentation, touched, source.limits.indentation_max_mm)
     progress.step(1.0, "depth is ready")
-    result = DepthMap(
-        indentation_mm=freeze(indentation),
-        depth_mm=freeze((source.rest_depth_mm - indentation).astype(np.float32)),
-        contact=freeze(touched),
-        camera=source.camera,
-        source_index=make_pixel_index(shape),
-        notes=tuple(notes),
-    )
-    return result, measured
+    return make_depth_map(source.rest_depth_mm, indentation, touched, source.camera, tuple(notes)), measured
 
 
 def describe_if_no_contact(image: Image, reference: Image, no_touch_grey: float) -> tuple[str, ...] | None:

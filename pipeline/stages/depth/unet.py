@@ -23,7 +23,7 @@ from pipeline.networks.weights import NoWeights, Weights
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import photometric
 from pipeline.values.frames import TactileFrame
-from pipeline.values.results import DepthMap, make_pixel_index
+from pipeline.values.results import DepthMap, make_depth_map
 
 _NOT_SHIPPED = NoWeights(why="no weights of a U-Net are shipped; give yours as --weights depth=unet_bigdata.pth")
 _TOUCHES = 1  # class of the mask network
@@ -60,15 +60,11 @@ def estimate_depth(
         return replace(physical, contact=freeze(touches & np.isfinite(physical.depth_mm)))
     progress.step(0.5, "running the network")
     indentation_mm = predict_indentation_mm(network, frame.image, frame.reference)
-    return DepthMap(
-        indentation_mm=freeze(indentation_mm),
-        depth_mm=freeze((seen_by.rest_depth_mm - indentation_mm).astype(np.float32)),
-        contact=freeze(indentation_mm > source.limits.contact_min_mm),
-        camera=seen_by.camera,
-        source_index=make_pixel_index(indentation_mm.shape),
-        notes=(f"these weights predict no contact: it is where the indentation exceeds "
-               f"{source.limits.contact_min_mm:g} mm",),
-    )  # fmt: skip
+    least_mm = source.limits.contact_min_mm
+    note = f"these weights predict no contact: it is where the indentation exceeds {least_mm:g} mm"
+    return make_depth_map(
+        seen_by.rest_depth_mm, indentation_mm, indentation_mm > least_mm, seen_by.camera, notes=(note,)
+    )
 
 
 def predict_indentation_mm(network: Any, image: NDArray[Any], reference: NDArray[Any]) -> Floats:

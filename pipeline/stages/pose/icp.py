@@ -79,8 +79,7 @@ def register_icp(
     best = history[-1]
     is_known = best.fitness > 0
     return ObjectPose(
-        sensor_from_object=best.sensor_from_object if is_known else None, covariance=None, observable=None,
-        weak_directions=(),
+        sensor_from_object=best.sensor_from_object if is_known else None,
         rmse_mm=best.rmse_mm if is_known else math.nan, fitness=best.fitness,
         scene_mm=freeze(scene.points_mm.astype(np.float32)), source_index=freeze(scene.pixel),
         steps=tuple(history) if keep_steps else (), stop_reason=_describe_stop(len(history) - 1,

@@ -66,9 +66,8 @@ def predict_pose(
     nearest = float(points[:, 2].min()) - float(rigid.apply(at, mesh.vertices_mm)[:, 2].min())
     progress.step(1.0, "predicted")
     return ObjectPose(
-        sensor_from_object=freeze(rigid.translation(0.0, 0.0, nearest) @ at), covariance=None, observable=None,
-        weak_directions=(),
-        rmse_mm=math.nan, fitness=0.0, scene_mm=points, source_index=pixel, notes=(NOTE,),
+        sensor_from_object=freeze(rigid.translation(0.0, 0.0, nearest) @ at),
+        scene_mm=points, source_index=pixel, notes=(NOTE,),
     )  # fmt: skip
 
 

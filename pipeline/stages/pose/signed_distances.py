@@ -5,7 +5,6 @@ starts are scored by contact and by free space, the best are registered on the o
 ambiguity is reported: unobservable directions, and other poses that fit equally well.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -248,7 +247,7 @@ def _make_pose(search: PoseSearch, best: SelectedPose, n_tried: int, notes: tupl
 def _make_unknown_pose(why: str, scene: ContactScene | None = None) -> ObjectPose:
     points, pixel = _freeze_scene(scene)
     return ObjectPose(
-        sensor_from_object=None, covariance=None, observable=None, weak_directions=(), rmse_mm=math.nan, fitness=0.0,
+        sensor_from_object=None,
         scene_mm=points, source_index=pixel, notes=(why,),
     )  # fmt: skip
 

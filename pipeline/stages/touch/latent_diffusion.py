@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from pipeline.base.arrays import Floats
-from pipeline.base.errors import ShapeError, UnseenObjectWarning
+from pipeline.base.errors import UnseenObjectWarning
 from pipeline.base.params import setting
 from pipeline.base.progress import SILENT, Progress, SubProgress
 from pipeline.calibration.calibration_table import Calibration
@@ -156,8 +156,7 @@ def generate_touch(
     generates the depths of the alignment that it was trained on.
     """
     depth.check_frame(frame, source)
-    if frame.reference is None:
-        raise ShapeError(f"the touch by latent diffusion needs a reference image of {source.name}; add --reference")
+    assert frame.reference is not None  # checked
     if depth.skip_without_contact(frame, source, calibration, depth.DepthParams()) is not None:
         return physical_render.skip_to_reference_touch(target)
     net: Any = network

@@ -23,7 +23,7 @@ from pipeline.engine.graph import Skipped
 from pipeline.geometry.camera import MIN_DEPTH_MM
 from pipeline.physics import bubble, bubble_camera, gel, lattice, optics
 from pipeline.sensors.spec import SensorSpec
-from pipeline.values.results import DepthMap, GeneratedTouch, TargetDepth, make_pixel_index
+from pipeline.values.results import GeneratedTouch, TargetDepth, make_depth_map, make_pixel_index
 
 GelSurfaceMode = Literal["press", "follow"]
 
@@ -121,7 +121,9 @@ _reference_touches: Memo[str, GeneratedTouch] = Memo(8)
 
 def _make_reference_touch(target: SensorSpec) -> GeneratedTouch:
     shape = target.camera.shape
-    rest_membrane = _make_membrane(target, np.zeros(shape, np.float32), np.zeros(shape, np.bool_))
+    rest_membrane = make_depth_map(
+        target.rest_depth_mm, np.zeros(shape, np.float32), np.zeros(shape, np.bool_), target.camera
+    )
     return GeneratedTouch(
         image=target.render_reference(),
         camera=target.camera,
@@ -263,17 +265,8 @@ def _make_touch(
     view: TargetDepth, target: SensorSpec, image: Image | Floats, surface: Floats, contact: Mask, notes: list[str]
 ) -> GeneratedTouch:
     source: Indices = np.where(view.source_index >= 0, make_pixel_index(contact.shape), np.int32(-1))
+    membrane = make_depth_map(target.rest_depth_mm, surface, contact, target.camera)
     return GeneratedTouch(
         image=image, camera=target.camera, source_index=freeze(source), in_view=view.in_view,
-        membrane=replace(_make_membrane(target, surface, contact), error=view.error), notes=tuple(notes),
+        membrane=replace(membrane, error=view.error), notes=tuple(notes),
     )  # fmt: skip
-
-
-def _make_membrane(target: SensorSpec, surface: Floats, contact: Mask) -> DepthMap:
-    return DepthMap(
-        indentation_mm=freeze(surface),
-        depth_mm=freeze((target.rest_depth_mm - surface).astype(np.float32)),
-        contact=freeze(contact),
-        camera=target.camera,
-        source_index=make_pixel_index(contact.shape),
-    )

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.base.errors import ShapeError
 from pipeline.base.params import NoParams
 from pipeline.base.progress import SILENT, Progress
 from pipeline.calibration.calibration_table import Calibration
@@ -71,8 +70,7 @@ def generate_touch(
 ) -> GeneratedTouch | Skipped:
     """Generate what `target` would record, at 128 x 128 pixels; raises ShapeError without a reference image."""
     depth.check_frame(frame, source)
-    if frame.reference is None:
-        raise ShapeError(f"the touch by VQ-VAE needs a reference image of {source.name}; add --reference")
+    assert frame.reference is not None  # checked
     if depth.skip_without_contact(frame, source, calibration, depth.DepthParams()) is not None:
         return physical_render.skip_to_reference_touch(target)
     square = resize_to_square(source.sensor_kind.compute_relative_change(frame.image, frame.reference))
