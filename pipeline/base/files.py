@@ -165,14 +165,22 @@ def check_folder(folder: Path) -> None:
 
     Raises FileProblem otherwise.
     """
-    existing = next(place for place in (folder.absolute(), *folder.absolute().parents) if os.path.lexists(place))
     try:
-        with tempfile.TemporaryDirectory(prefix=".ready", dir=existing):
+        with tempfile.TemporaryDirectory(prefix=".ready", dir=_find_existing(folder.absolute())):
             pass
     except OSError as error:
         raise FileProblem(
             f"this folder is not writable ({describe_os_error(error)}); choose another place", folder
         ) from error
+
+
+def _find_existing(folder: Path) -> Path:
+    """The folder, or the nearest one above it that exists; raises OSError for a name that the file system refuses."""
+    for place in (folder, *folder.parents):
+        with contextlib.suppress(FileNotFoundError, NotADirectoryError):
+            os.lstat(place)
+            return place
+    return folder
 
 
 def check_folder_for(path: Path) -> None:
