@@ -19,7 +19,7 @@ from pipeline.physics.shear import make_response
 from pipeline.sensors.parts import Gel
 
 # No constant matters much: half or twice as much of each moves the median error by 0.3 % of the normal force, the 90th
-# percentile by 1 % (40 presses of training objects on varied GelSlims). Without c, forces are 15 % too small.
+# percentile by 1 % (40 presses of training objects on varied GelSlims). Without c, errors double.
 _RATIO = 0.5  # standard deviation of c and e
 _NOISE_MM = 0.013  # of a marker's measured motion: 0.3 px of a GelSlim, simulated
 _SHIFT_MM = 0.05  # of the whole image

@@ -49,7 +49,8 @@ def measure_force(
     if found.shear_n is not None:
         right_n, down_n = found.shear_n
         figures[names[1]] = math.hypot(right_n, down_n) * (figures[names[0]] / normal_n if normal_n > 0 else 1.0)
-        figures[SHEAR_DIRECTION] = math.degrees(math.atan2(down_n, right_n))
+        if figures[names[1]] > 0:
+            figures[SHEAR_DIRECTION] = math.degrees(math.atan2(down_n, right_n))
         if true_n is not None:
             figures[TRUE_SHEAR] = math.hypot(float(true_n[0]), float(true_n[1]))
     return figures

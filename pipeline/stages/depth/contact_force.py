@@ -17,10 +17,13 @@ from pipeline.values.results import DepthMap
 
 
 def skip_without_contact(
-    depth: DepthMap, _source: SensorSpec, _frame: TactileFrame, _params: NoParams
+    depth: DepthMap, source: SensorSpec, _frame: TactileFrame, _params: NoParams
 ) -> ContactForce | None:
     """No force where nothing is in contact, else None."""
-    return None if depth.contact.any() else ContactForce(normal_n=0.0, notes=("no contact: no force",))
+    if depth.contact.any():
+        return None
+    shear_n = None if source.markers is None else (0.0, 0.0)
+    return ContactForce(normal_n=0.0, shear_n=shear_n, notes=("no contact: no force",))
 
 
 def estimate_force(

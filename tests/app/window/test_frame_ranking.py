@@ -14,7 +14,7 @@ from app.session.sample import SAMPLE_RECORDING
 from app.session.state import Session, load_session
 from app.window.tour import wait_until_shown
 from pipeline.calibration.force_scale import fit_force_scale, save_force_scale
-from pipeline.metrics.stage_metrics import UNCALIBRATED_FORCE
+from pipeline.metrics.stage_metrics import UNCALIBRATED_FORCE, UNCALIBRATED_SHEAR
 from widgets.frame_summary import FrameSummary
 from widgets.frames_model import CAUSE, FRAME, METRIC, NOTE, WARNINGS
 from widgets.frames_panel import FramesPanel
@@ -79,6 +79,18 @@ def test_force_of_every_frame_is_a_curve_that_takes_their_depth_alone(window, qt
     qtbot.waitUntil(lambda: "force, N" in [label.text() for label in labels], timeout=LIMIT_MS)
     qtbot.waitUntil(lambda: bool(np.isfinite(line.values).all()), timeout=LIMIT_MS)
     np.testing.assert_allclose(line.values, 2.0 * before, rtol=1e-6)
+
+
+def test_shear_of_every_frame_of_a_marked_gel_is_a_curve(open_window, qtbot):
+    controller = open_window(SAMPLE_RECORDING, source="gelslim", target="soft_bubble", frame=5)
+    assert wait_until_shown(controller, 240), controller.window.banner.text
+    panel, line = controller.window.frames, controller.window.timeline.errors
+    panel.metric_box.chosen.emit(UNCALIBRATED_SHEAR)
+    qtbot.waitUntil(lambda: panel.model.find_unknown_frame(0, quantity=UNCALIBRATED_SHEAR) < 0, timeout=LIMIT_MS)
+    qtbot.waitUntil(lambda: bool(np.isfinite(line.values).all()), timeout=LIMIT_MS)
+    assert line.values[0] == 0.0  # untouched
+    force_n = [-controller.views.translation.stream.truth(i).force_n[2] for i in range(len(line.values))]
+    assert max(line.values) < 0.05 * max(force_n)  # the sample is pressed and turned, not dragged
 
 
 def test_a_click_in_the_timeline_chooses_the_frame(window, qtbot):
