@@ -203,6 +203,7 @@ def describe_record(record: TrackRecord) -> str:
     """Return the counts of a track, its drift, and what was not measured."""
     counts = [f"{record.count('tracked')} of {len(record.rows)} frames tracked", f"{record.count('lost')} lost",
               f"{record.count('no contact')} without contact"]  # fmt: skip
+    counts += [f"{len(record.problems)} not read"] if record.problems else []
     counts += [f"{record.n_parts} parts"] if record.n_parts > 1 else []
     counts += [f"key frames: {len(record.key_frames)}", f"closed loops: {record.n_loops}"]
     text = ", ".join(counts)

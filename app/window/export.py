@@ -68,10 +68,15 @@ class ExportController(BackgroundController):
 
     def start_export(self, request: ExportRequest) -> None:
         """Write a file in the background."""
-        from pipeline.reporting.export import export_file
+        from pipeline.reporting.export import ExportOutcome, export_file
+
+        def describe(result: object) -> str:
+            problems = cast("ExportOutcome", result).problems
+            left_out = f"; {len(problems)} left out: {problems[0]}" if problems else ""
+            return f"written: {escape_text(str(request.path))}{left_out}"
 
         text = f"writing {escape_text(request.path.name)}"
-        self.start_writing(text, partial(export_file, request), request.path, format_command(request))
+        self.start_writing(text, partial(export_file, request), request.path, format_command(request), describe)
 
     def start_bundle(self, folder: Path, note: str) -> None:
         """Write a repro bundle of the frame on screen in the background."""

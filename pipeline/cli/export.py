@@ -11,7 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from pipeline.base.errors import escape_text, shorten_text
-from pipeline.cli.terminal import open_progress_bar, print_line
+from pipeline.cli.terminal import open_progress_bar, print_error, print_line
 from pipeline.cli.translation_options import (
     DEFAULT_OPTIONS,
     RecordingPath,
@@ -41,7 +41,7 @@ def export(
     section: tuple[float, float, float, float] | None = None,
     settings: _DisplaySettings = (),
 ) -> int:
-    """Write one file of a translation.
+    """Write one file of a translation; returns 2 if frames that could not be read are left out, else 0.
 
     Args:
         out: File to write: .png or .pdf of a pane or the sheet, .ply of a pane's points in mm, .npz of its arrays, .csv
@@ -59,11 +59,13 @@ def export(
         frames=frames, section=section or (), path=out,
     )  # fmt: skip
     with open_progress_bar() as progress:
-        fallbacks = export_file(request, progress)
-    for fallback in fallbacks:
+        outcome = export_file(request, progress)
+    for problem in outcome.problems:
+        print_error(problem)
+    for fallback in outcome.fallbacks:
         print_line(f"fallback used: {fallback}")
     print_line(f"{pane} written to {os.fspath(out)}")
-    return 0
+    return 2 if outcome.problems else 0
 
 
 def bundle(

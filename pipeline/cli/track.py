@@ -10,7 +10,7 @@ from rich.table import Table
 
 from pipeline.base.files import check_folder
 from pipeline.base.frame_lists import parse_frames
-from pipeline.cli.terminal import open_progress_bar, print_line
+from pipeline.cli.terminal import open_progress_bar, print_error, print_line
 from pipeline.cli.translation_options import (
     DEFAULT_OPTIONS,
     RecordingPath,
@@ -41,6 +41,8 @@ def track(
 ) -> int:
     """Write track.csv, track.json and the fused surface patch.ply; report drift where true poses are known.
 
+    Returns 0, or 2 if some frame could not be read and so counts as lost.
+
     Args:
         out: Folder for the results.
         target: Sensor whose generated touches are followed with `--stage touch_depth`.
@@ -55,8 +57,10 @@ def track(
                 translation, stage, with_settings(translation.methods, settings), indices, progress
             )
     write_record(out, record)
+    for problem in record.problems:
+        print_error(problem)
     _print_summary(record, out)
-    return 0
+    return 2 if record.problems else 0
 
 
 def _print_summary(record: TrackRecord, out: Path) -> None:

@@ -1,6 +1,7 @@
 """A reference image where a recording has none or a bad one: the median of images with touches at different places."""
 
-from collections.abc import Callable
+import contextlib
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -51,14 +52,18 @@ def _compute_median(files: RecordingFiles, progress: Progress) -> tuple[Image, i
 
 
 def _stack_median(n: int, read: Callable[[int], Image], path: Path, progress: Progress) -> tuple[Image, int]:
-    first = read(0)
+    def read_each(indices: Iterable[int]) -> Iterator[Image]:
+        for index in indices:
+            progress.step(index / n, f"image {index}")
+            with contextlib.suppress(FileProblem):  # the report of the recording names it
+                yield read(index)
+
+    first = next(read_each(range(n)), None)
+    if first is None:
+        raise FileProblem("none of the images can be read; record them anew", path)
     n_chosen = min(n, _MAX_IMAGES, max(_MIN_IMAGES, _MAX_BYTES // first.nbytes))
-    stack: list[Image] = []
-    for index in sorted({round(k) for k in np.linspace(0, n - 1, n_chosen)}):
-        progress.step(index / n, f"image {index}")
-        image = read(index)
-        if image.shape == first.shape:
-            stack.append(image)
+    chosen = sorted({round(k) for k in np.linspace(0, n - 1, n_chosen)})
+    stack = [image for image in read_each(chosen) if image.shape == first.shape]
     if len(stack) < _MIN_IMAGES:
         raise FileProblem(f"a median needs {_MIN_IMAGES} images of one size, there are {len(stack)}", path)
     return freeze(np.median(np.stack(stack), axis=0).round().astype(np.uint8)), len(stack)

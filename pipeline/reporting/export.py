@@ -8,8 +8,9 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing
-from typing import TYPE_CHECKING, Any
+from contextlib import closing, suppress
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -34,6 +35,7 @@ from pipeline.values.frames import TactileFrame
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+T = TypeVar("T")
 DEFAULT_VIDEO_RATE_HZ = 10.0  # of a video, where the recording has no timestamps
 _CACHE_BYTES = 32 * 1024 * 1024
 _UNDATED: Mapping[str, Mapping[str, None]] = {  # no dates in the files: the same content gives the same bytes
@@ -41,8 +43,16 @@ _UNDATED: Mapping[str, Mapping[str, None]] = {  # no dates in the files: the sam
 }  # fmt: skip
 
 
-def export_file(asked: ExportRequest, progress: Progress = SILENT) -> tuple[str, ...]:
-    """Write the requested file, complete or not at all; return why other methods answered, if any did.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExportOutcome:
+    """What the reader of a written file should know."""
+
+    fallbacks: tuple[str, ...]  # stages that another method answered, and why
+    problems: tuple[str, ...]  # frames that could not be read and are left out, and why
+
+
+def export_file(asked: ExportRequest, progress: Progress = SILENT) -> ExportOutcome:
+    """Write the requested file, complete or not at all; of many frames, those that can be read.
 
     Raises TouchError.
     """
@@ -64,7 +74,8 @@ def export_file(asked: ExportRequest, progress: Progress = SILENT) -> tuple[str,
                 raise SettingProblem(f"no pane {pane!r} on this route; there are {known}")
         work = _Work(asked, translation, progress)
         write(work)
-    return tuple(sorted(work.replaced))
+    problems = tuple(f"frame {index}: {problem}" for index, problem in work.problems.items())
+    return ExportOutcome(fallbacks=tuple(sorted(work.replaced)), problems=problems)
 
 
 class _Work:
@@ -74,12 +85,27 @@ class _Work:
         self.asked, self.translation, self.progress = asked, translation, progress
         self.params, self.display = asked.parse_params(translation.methods), asked.display_params
         self.replaced: set[str] = set()
+        self.problems: dict[int, FileProblem] = {}
         self._graph = translation.build_graph(like=Graph((), cache=Cache(_CACHE_BYTES)))
 
     @property
     def frame_indices(self) -> list[int]:
         """Frames of a table or a video."""
         return parse_frames(self.asked.frames, self.translation.n_frames)
+
+    def make_each(self, make: Callable[[int], T]) -> Iterator[T]:
+        """Yield what `make` returns for each requested frame; those that cannot be read are noted and left out."""
+        indices = self.frame_indices
+        for done, index in enumerate(indices):
+            self.progress.step(done / len(indices), f"frame {index}")
+            try:
+                made = make(index)
+            except FileProblem as error:
+                self.problems[index] = error
+            else:
+                yield made
+        if len(self.problems) == len(indices):
+            raise self.problems[indices[0]]
 
     def evaluate_frame(self, index: int, *, every: bool = False) -> tuple[TactileFrame, dict[str, StageResult]]:
         """Return a frame and its stages up to the requested one, or `every` one."""
@@ -157,12 +183,12 @@ def _arrays(work: _Work) -> None:
 
 def _table(work: _Work) -> None:
     """Write force and all metrics against truth, one row per frame; up to the requested stage, if it is one."""
-    rows: list[tuple[int, float, Mapping[str, float]]] = []
-    indices = work.frame_indices
-    for done, index in enumerate(indices):
-        work.progress.step(done / len(indices), f"frame {index}")
+
+    def make_row(index: int) -> tuple[int, float, Mapping[str, float]]:
         frame, results = work.evaluate_frame(index, every=work.asked.pane == SOURCE)
-        rows.append((index, frame.time_s, work.compute_all_metrics(results, index)))
+        return index, frame.time_s, work.compute_all_metrics(results, index)
+
+    rows = list(work.make_each(make_row))
     names = sorted({name for _, _, metrics in rows for name in metrics})
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
@@ -196,24 +222,20 @@ def _section(work: _Work) -> None:
 
 def _video(work: _Work) -> None:
     """Write the frames at the recording's own rate."""
-    indices = work.frame_indices
-
-    def draw_images() -> Iterator[Any]:
-        for done, index in enumerate(indices):
-            work.progress.step(done / len(indices), f"frame {index}")
-            yield _rgb(work.draw_figure(index))
-
-    write_video(work.asked.path, draw_images(), _rate_hz(work.translation, indices))
+    images = work.make_each(lambda index: _rgb(work.draw_figure(index)))
+    write_video(work.asked.path, images, _rate_hz(work.translation, work.frame_indices))
 
 
 def _sample_stages(work: _Work) -> Iterator[StageSample]:
     """Yield source and stages of every requested frame, or the requested pane, with points in the target's frame."""
-    translation, indices = work.translation, work.frame_indices
+    translation = work.translation
     panes = (SOURCE, *translation.stages) if work.asked.pane == SHEET else (work.asked.pane,)
-    for done, index in enumerate(indices):
-        work.progress.step(done / len(indices), f"frame {index}")
+
+    def evaluate(index: int) -> tuple[TactileFrame, dict[str, StageResult], dict[str, float]]:
         frame, results = work.evaluate_frame(index, every=True)
-        metrics = translation.compute_metrics(results, index)
+        return frame, results, translation.compute_metrics(results, index)
+
+    for frame, results, metrics in work.make_each(evaluate):
         target_from_source = translation.alignment.target_from_source
         for name in panes:
             shown = pane_figures.render_pane(name, frame, results, translation, work.display, work.asked.content)
@@ -221,9 +243,9 @@ def _sample_stages(work: _Work) -> Iterator[StageSample]:
             value = None if name == SOURCE else results[name].output
             points_mm = rigid.apply(target_from_source, shown.points_mm) if is_source else shown.points_mm
             yield StageSample(
-                name=name, frame=index, pixels=shown.preview.pixels, points_mm=points_mm.astype(np.float32),
+                name=name, frame=frame.index, pixels=shown.preview.pixels, points_mm=points_mm.astype(np.float32),
                 rgb=shown.rgb, depth_mm=getattr(value, "depth_mm", None),
-                time_s=frame.time_s if np.isfinite(frame.time_s) else index / DEFAULT_VIDEO_RATE_HZ,
+                time_s=frame.time_s if np.isfinite(frame.time_s) else frame.index / DEFAULT_VIDEO_RATE_HZ,
                 target_from_object=getattr(value, "sensor_from_object", None),
                 metrics={key: number for key, number in metrics.items() if key.startswith(f"{name}.")},
             )  # fmt: skip
@@ -238,7 +260,10 @@ def _rgb(drawn: Figure) -> Any:
 
 
 def _rate_hz(translation: Translation, indices: Sequence[int]) -> float:
-    times = np.array([translation.stream.frame(index).time_s for index in indices[:32]])
+    times: list[float] = []
+    for index in indices[:32]:
+        with suppress(FileProblem):
+            times.append(translation.stream.frame(index).time_s)
     steps = np.diff(times)
     steps = steps[np.isfinite(steps) & (steps > 0)]
     return float(np.clip(1.0 / np.median(steps), 1.0, 120.0)) if steps.size else DEFAULT_VIDEO_RATE_HZ

@@ -1,8 +1,11 @@
 """Track the membrane of one stage through a recording, for the command line and the window alike."""
 
+import contextlib
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 from pipeline.base.arrays import Doubles
+from pipeline.base.errors import FileProblem
 from pipeline.base.progress import SILENT, Progress
 from pipeline.tracking.track import compute_error, make_record, make_row, track_frames
 from pipeline.tracking.track_record import TrackRecord, TrackRow
@@ -20,24 +23,36 @@ def track_recording(
 ) -> TrackRecord:
     """Follow the object through the frames `indices` by the depth of a stage; `on_row` receives every frame at once.
 
-    Rows of the result may differ from those that `on_row` received: closed loops move them.
+    Rows of the result may differ from those that `on_row` received: closed loops move them. Frames that cannot be read
+    count as lost; raises FileProblem where none can.
     """
-    graph = translation.build_graph()
+    graph, problems = translation.build_graph(), dict[int, FileProblem]()
 
-    def read_depth(index: int) -> DepthMap:
-        return graph.evaluate([stage], translation.read_inputs(index, progress=progress), params)[stage].output
+    def read_depth(index: int) -> DepthMap | None:
+        try:
+            inputs = translation.read_inputs(index, progress=progress)
+        except FileProblem as error:
+            problems[index] = error
+            return None
+        return graph.evaluate([stage], inputs, params)[stage].output
 
     track = track_frames(
         indices, read_depth, progress,
         None if on_row is None else lambda frame, keys: on_row(make_row(frame, keys)),
     )  # fmt: skip
-    return make_record(track, stage, compute_error(track, lambda index: _read_pose(translation, stage, index)))
+    if problems and len(problems) == len(indices):
+        raise problems[indices[0]]
+    record = make_record(track, stage, compute_error(track, lambda index: _read_pose(translation, stage, index)))
+    return replace(record, problems=tuple(f"frame {index}: {problem}" for index, problem in problems.items()))
 
 
 def _read_pose(translation: Translation, stage: str, index: int) -> Doubles | None:
-    """The true pose `sensor_from_object` (4, 4) in the frame of the followed sensor; None where unknown."""
-    truth = translation.read_source_truth(index)
-    if stage == "touch_depth":
-        other = translation.read_target_observation(index)
-        truth = None if other is None else other[1]
+    """The true pose `sensor_from_object` (4, 4) in the frame of the followed sensor; None where unknown or damaged."""
+    truth = None
+    with contextlib.suppress(FileProblem):
+        if stage == "touch_depth":
+            other = translation.read_target_observation(index)
+            truth = None if other is None else other[1]
+        else:
+            truth = translation.read_source_truth(index)
     return None if truth is None else truth.sensor_from_object

@@ -40,11 +40,11 @@ class Track:
 
 def track_frames(
     indices: Sequence[int],
-    read_depth: Callable[[int], DepthMap],
+    read_depth: Callable[[int], DepthMap | None],
     progress: Progress = SILENT,
     on_frame: Callable[[TrackedFrame, Sequence[KeyFrame]], None] | None = None,
 ) -> Track:
-    """Follow the object through the frames `indices`; `read_depth` gives the membrane of a frame.
+    """Follow the object through the frames `indices`; `read_depth` gives the membrane of a frame, None = lost.
 
     `on_frame` receives every frame, with the key frames so far, before loops are closed and the motion is smoothed.
     """
@@ -53,13 +53,14 @@ def track_frames(
     for done, index in enumerate(indices):
         progress.step(done / len(indices), f"frame {index}")
         depth = read_depth(index)
-        frame = tracker.add_frame(index, make_surface(depth))
+        frame = tracker.add_frame(index, None if depth is None else make_surface(depth))
         if on_frame is not None:
             on_frame(frame, tracker.keys)
-        if frame.sensor_from_start is not None and frame.part == 0 and _is_elsewhere(frame.sensor_from_start, seen_at):
+        pose = frame.sensor_from_start
+        if depth is not None and pose is not None and frame.part == 0 and _is_elsewhere(pose, seen_at):
             view = make_view(frame, depth)
             views |= {} if view is None else {done: view}
-            seen_at = frame.sensor_from_start
+            seen_at = pose
     tracker.average_key()
     keys, n_loops = close_loops(tracker.keys)
     smoothed = smooth_frames(move_to_keys(tracker.frames, tracker.keys, keys))

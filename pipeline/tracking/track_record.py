@@ -77,6 +77,7 @@ class TrackRecord:
     n_loops: int = 0  # closed
     error: TrackError | None = None  # against true poses, where they are known
     patch: Mesh | None = None  # in the sensor frame of the first part's first frame
+    problems: tuple[str, ...] = ()  # frames that could not be read, which count as lost, and why
 
     def count(self, state: TrackState) -> int:
         """Return the number of frames in a state."""
@@ -85,7 +86,7 @@ class TrackRecord:
     @property
     def n_parts(self) -> int:
         """Number of parts that do not know of each other."""
-        return len({row.part for row in self.rows if row.state != "no contact"})
+        return len({row.part for row in self.rows if row.state == "tracked"})
 
     @property
     def weak_directions(self) -> tuple[str, ...]:
@@ -115,7 +116,7 @@ def write_record(folder: Path, record: TrackRecord) -> None:
     summary = {
         "stage": record.stage, "frames": len(record.rows), "lost": record.count("lost"), "parts": record.n_parts,
         "key_frames": list(record.key_frames), "closed_loops": record.n_loops,
-        "error": None if record.error is None else asdict(record.error),
+        "error": None if record.error is None else asdict(record.error), "problems": record.problems,
     }  # fmt: skip
     contents = {TABLE: format_table(record.rows).encode(), SUMMARY: format_json(summary).encode()}
     if record.patch is not None:
@@ -144,6 +145,7 @@ class _Summary(msgspec.Struct, kw_only=True):
     key_frames: tuple[_Count, ...] = ()
     closed_loops: _Count = 0
     error: TrackError | None = None
+    problems: tuple[Name, ...] = ()
 
 
 def is_track_folder(path: Path) -> bool:
@@ -158,7 +160,7 @@ def read_record(folder: Path) -> TrackRecord:
     patch = folder / PATCH
     return TrackRecord(
         stage=summary.stage, rows=_read_rows(folder / TABLE), key_frames=summary.key_frames,
-        n_loops=summary.closed_loops, error=summary.error,
+        n_loops=summary.closed_loops, error=summary.error, problems=summary.problems,
         patch=load_mesh(patch, unit="mm") if patch.is_file() else None,
     )  # fmt: skip
 

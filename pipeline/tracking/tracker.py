@@ -89,11 +89,11 @@ class Tracker:
     _velocity: Doubles = field(default_factory=lambda: np.eye(4))
     _n_lost: int = 0
 
-    def add_frame(self, index: int, surface: MembraneSurface) -> TrackedFrame:
-        """Register the next frame."""
-        frame = self._place(index, surface)
+    def add_frame(self, index: int, surface: MembraneSurface | None) -> TrackedFrame:
+        """Register the next frame; one without a surface could not be read, and counts as lost."""
+        frame = self._lose(index) if surface is None else self._place(index, surface)
         self.frames.append(frame)
-        if frame.sensor_from_start is None:
+        if surface is None or frame.sensor_from_start is None:
             return frame
         if self._following is not None and frame.key == len(self.keys) - 1:
             self._following.append((len(self.frames) - 1, surface))
@@ -112,12 +112,14 @@ class Tracker:
             return self._start_part(index, surface)
         found = self._register(surface)
         if found is None:
-            self._n_lost += 1
-            self._velocity = np.eye(4)
-            if self._n_lost > GIVE_UP_AFTER:
-                return self._start_part(index, surface)
-            return TrackedFrame(index=index, state="lost", part=self._part)
+            lost = self._lose(index)
+            return self._start_part(index, surface) if self._n_lost > GIVE_UP_AFTER else lost
         return self._accept(index, *found)
+
+    def _lose(self, index: int) -> TrackedFrame:
+        self._n_lost += 1
+        self._velocity = np.eye(4)
+        return TrackedFrame(index=index, state="lost", part=max(self._part, 0))
 
     def _start_part(self, index: int, surface: MembraneSurface) -> TrackedFrame:
         self.average_key()

@@ -1,4 +1,7 @@
-"""A place that cannot be written is refused before any work; what is written together is written whole or not at all."""
+"""A place that cannot be written is refused before any work; what is written together is written whole or not at all.
+
+A frame that cannot be read is named once, and the others are written.
+"""
 
 from __future__ import annotations
 
@@ -12,10 +15,21 @@ import pytest
 from pipeline.base.errors import FileProblem
 from pipeline.base.files import write_together
 from pipeline.cli.main import EXIT_USER_ERROR, build_app, run_app
+from pipeline.reporting.video import count_frames
 
 SAMPLE = Path(__file__).parents[3] / "sample_data" / "recordings" / "first_touch.h5"
 NOWHERE = "/proc/x"
 _ONE = (str(SAMPLE), "--target", "soft_bubble", "--sensor", "gelslim")
+
+
+def write_damaged(path, indices):
+    """Write the sample with frames that do not unpack."""
+    content = bytearray(SAMPLE.read_bytes())
+    with h5py.File(SAMPLE) as file:
+        chunks = [file["streams/gelslim/frames"].id.get_chunk_info(index) for index in indices]
+    for chunk in chunks:
+        content[chunk.byte_offset : chunk.byte_offset + chunk.size] = bytes(chunk.size)
+    path.write_bytes(content)
 
 
 @pytest.mark.parametrize(
@@ -49,16 +63,35 @@ def test_an_output_that_cannot_be_written_is_refused_before_any_work(words, firs
 )
 def test_frames_that_cannot_be_read_leave_no_folder(words, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    content = bytearray(SAMPLE.read_bytes())
-    with h5py.File(SAMPLE) as file:  # chunks that do not unpack
-        images = file["streams/gelslim/frames"].id
-        chunks = [images.get_chunk_info(index) for index in range(images.get_num_chunks())]
-    for chunk in chunks:
-        content[chunk.byte_offset : chunk.byte_offset + chunk.size] = bytes(chunk.size)
-    Path("damaged.h5").write_bytes(content)
+    write_damaged(Path("damaged.h5"), range(16))
     assert run_app(build_app(), [words[0], "damaged.h5", *words[1:], "--sensor", "gelslim"]) == EXIT_USER_ERROR
     assert "its frames are damaged" in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["damaged.h5"]
+
+
+@pytest.mark.parametrize(
+    ("words", "written", "rows"),
+    [
+        (("track", "--out", "o"), "o/track.csv", [("6", "tracked"), ("7", "lost"), ("8", "tracked")]),
+        (
+            ("export", "--target", "soft_bubble", "--pane", "depth", "--to", "o.csv"),
+            "o.csv",
+            [("6", "0.6"), ("8", "0.8")],
+        ),
+        (("export", "--target", "soft_bubble", "--pane", "depth", "--to", "o.avi"), "o.avi", 2),
+    ],
+)
+def test_one_frame_that_cannot_be_read_does_not_cost_the_others(words, written, rows, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    write_damaged(Path("damaged.h5"), [7])
+    options = ("--sensor", "gelslim", "--frames", "6-8")
+    assert run_app(build_app(), [words[0], "damaged.h5", *words[1:], *options]) == EXIT_USER_ERROR
+    assert capsys.readouterr().err.count("frame 7: ") == 1
+    if written.endswith(".avi"):
+        assert count_frames(Path(written)) == rows
+    else:
+        lines = Path(written).read_text().splitlines()[1:]
+        assert [tuple(line.split(",")[:2]) for line in lines] == rows
 
 
 def test_a_full_disk_leaves_every_file_as_it_was(tmp_path):

@@ -45,6 +45,16 @@ def test_presses_vanish_from_the_median(tmp_path, capsys):
     assert "reference.png is the reference" in said
 
 
+def test_damaged_images_are_left_out_of_the_median(tmp_path):
+    still, presses = draw_presses(25)
+    write_images(tmp_path / "a", presses)
+    for index in (0, 7):
+        (tmp_path / "a" / f"press_{index}.png").write_bytes(b"not an image")
+    made, n_images = write_reference(tmp_path / "a", tmp_path / "new.png")
+    assert n_images == 23
+    assert np.abs(made - still).max() < 4
+
+
 def test_a_bad_reference_in_the_folder_does_not_count(tmp_path):
     still, presses = draw_presses(25)
     write_images(tmp_path / "a", presses)
