@@ -5,7 +5,8 @@ starts from another sensor's file. Descriptions come with the project, from the 
 of other packages, whose values are paths of a TOML or of a folder of them, or by `register_sensors`.
 """
 
-from collections.abc import Mapping
+import difflib
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, cast
 
@@ -24,7 +25,7 @@ _Number = Annotated[float, Meta(ge=-1e9, le=1e9)]  # finite; values derived from
 _UNITS = {"px", "mm", "px/mm", "kPa", "N/mm", "1", "deg", "grey", "rgb", "grey/px", "mm^3"}
 
 
-class _Entry(msgspec.Struct, kw_only=True, frozen=True):
+class _Entry(msgspec.Struct, kw_only=True, frozen=True, forbid_unknown_fields=True):
     """One number of a description, or a list of numbers."""
 
     value: _Number | tuple[_Number, ...]
@@ -74,6 +75,16 @@ def read_description(path: Path, children: tuple[Path, ...] = ()) -> dict[str, A
     return {key: value for key, value in merged.items() if key not in without}
 
 
+def refuse_unknown_keys(found: Iterable[str], known: Iterable[str], path: Path, within: str = "") -> None:
+    """Raise CalibrationError for a key that nothing reads; the sentence names the known key that is most like it."""
+    for key in found:
+        if key not in known:
+            nearest = difflib.get_close_matches(key, known, 1, 0.0)[0]
+            raise CalibrationError(
+                f"the sensor description has {within}{key}; do you mean {within}{nearest}?: '{path}'"
+            )
+
+
 class DescriptionSection:
     """One [section] of a description."""
 
@@ -82,10 +93,16 @@ class DescriptionSection:
         if not isinstance(section, dict):
             raise CalibrationError(f"the sensor description lacks the section [{name}]: '{path}'")
         self._items, self._name, self._path, self._assumed = cast("dict[str, Any]", section), name, path, assumed
+        self.known_keys = set[str]()  # that somebody has asked for
+
+    def refuse_unknown_keys(self) -> None:
+        """Raise CalibrationError for a key that nobody has asked for."""
+        refuse_unknown_keys(self._items, self.known_keys, self._path, f"{self._name}.")
 
     def _read_value(self, key: str, unit: str, low: float, high: float) -> float | tuple[float, ...]:
         """The value of `key`, given in `unit` and within [low, high]; raises CalibrationError and FileProblem."""
         where = f"{self._name}.{key}"
+        self.known_keys.add(key)
         entry = convert(self._items.get(key), _Entry, DESCRIPTION, self._path, within=where)
         if entry.unit != unit or unit not in _UNITS:
             raise CalibrationError(f"{where} must be given in {unit!r}, got {entry.unit!r}: '{self._path}'")
@@ -99,6 +116,7 @@ class DescriptionSection:
 
     def has(self, key: str) -> bool:
         """Whether the section has `key`."""
+        self.known_keys.add(key)
         return key in self._items
 
     def read_number(self, key: str, unit: str, low: float = -np.inf, high: float = np.inf) -> float:

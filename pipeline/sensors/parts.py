@@ -184,7 +184,7 @@ def parse_numbers(kind: type[Any], s: DescriptionSection) -> dict[str, float]:
 def parse_limits(s: DescriptionSection, change_unit: str) -> SensorLimits:
     """[limits]; `change_unit` is the unit of `no_contact_change`, grey or mm."""
     values = parse_numbers(SensorLimits, s)
-    if "depth_rms_mm" in values:
+    if s.has("depth_correlation") or "depth_rms_mm" in values:
         values["depth_correlation_mm"] = s.read_number("depth_correlation", "mm", 1e-3, 100.0)
     return SensorLimits(**values, no_contact_change=s.read_number("no_contact_change", change_unit, 0.0, 255.0))
 
@@ -192,5 +192,6 @@ def parse_limits(s: DescriptionSection, change_unit: str) -> SensorLimits:
 def parse_optics(s: DescriptionSection, data: dict[str, Any], path: Path) -> Optics:
     """[optics] with the lists of LEDs and glows in the description `data`."""
     lights = convert(data["optics"], _Lights, DESCRIPTION, path, within="optics")
+    s.known_keys.update(_Lights.__struct_fields__)
     base = s.read_vector("base", "rgb", 0.0, 255.0)
     return Optics(base_rgb=base, leds=lights.leds, glows=lights.glows, **parse_numbers(Optics, s))

@@ -25,6 +25,7 @@ from pipeline.engine.digests import UNDIGESTED, compute_cached_digest, compute_d
 from pipeline.geometry import rigid
 from pipeline.geometry.camera import Camera
 from pipeline.geometry.membrane import Membrane
+from pipeline.sensors import descriptions
 from pipeline.sensors.descriptions import DESCRIPTION, DescriptionSection, find_descriptions, read_description
 from pipeline.sensors.kinds import SensorKind, get_kind, list_kinds
 from pipeline.sensors.parts import Bubble, DepthCamera, Gel, Markers, Optics, SensorLimits, parse_limits, parse_part
@@ -79,6 +80,7 @@ class SensorSpec:
 
 _SIDES_PX = (8, 10_000)  # range of an image side; smaller images show no slope and no edge
 _WIDEST_VIEW = 10.0  # image side over focal length, 157 degrees; a lens's focal length in mm exceeds it
+_OPTIONAL_KEYS = ("title", "kind", "without", "rest", "markers", "depth_camera")  # beside sections that a kind reads
 _FOCAL_PX = 1e5  # largest focal length: a pixel covers 0.01 mm at a metre
 
 _with_cameras: Memo[tuple[str, Camera], SensorSpec] = Memo(32)
@@ -123,9 +125,10 @@ def load_sensor(name_or_file: str) -> SensorSpec:
 
 def _build(name: str, data: dict[str, Any], path: Path, surface: Membrane | None) -> SensorSpec:
     assumed: list[str] = []
+    sections: dict[str, DescriptionSection] = {}
 
     def section(key: str) -> DescriptionSection:
-        return DescriptionSection(data, key, path, assumed)
+        return sections.setdefault(key, DescriptionSection(data, key, path, assumed))
 
     kinds, key = list_kinds(), data.get("kind")
     if not isinstance(key, str) or key not in kinds:
@@ -142,6 +145,11 @@ def _build(name: str, data: dict[str, Any], path: Path, surface: Membrane | None
         surface = kind.parse_membrane(section, camera, parts)
     shift_mm = align.read_vector("translation", "mm", -rigid.MAX_TRANSLATION_MM, rigid.MAX_TRANSLATION_MM)
     pose = rigid.from_parts(shift_mm, align.read_vector("rotation_vector", "deg", -360.0, 360.0))
+    limits = parse_limits(section("limits"), kind.change_unit)
+    markers = parse_part(Markers, section("markers")) if "markers" in data else None
+    descriptions.refuse_unknown_keys(data, {*sections, *_OPTIONAL_KEYS}, path)
+    for read in sections.values():
+        read.refuse_unknown_keys()
     return SensorSpec(
         name=name,
         title=str(data.get("title", name)),
@@ -150,8 +158,8 @@ def _build(name: str, data: dict[str, Any], path: Path, surface: Membrane | None
         membrane=surface,
         rest_depth_mm=surface.rest_depth_mm(camera),
         alignment_from_sensor=freeze(pose),
-        limits=parse_limits(section("limits"), kind.change_unit),
-        markers=parse_part(Markers, section("markers")) if "markers" in data else None,
+        limits=limits,
+        markers=markers,
         assumed_keys=tuple(assumed),
         **parts,
     )

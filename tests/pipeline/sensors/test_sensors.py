@@ -57,6 +57,22 @@ def test_a_users_sensor_may_extend_one_of_the_project(tmp_path):
     assert s.camera == load_sensor("digit").camera
 
 
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("[gel]\nthicknes = {}", r"gel\.thicknes; do you mean gel\.thickness"),
+        ("[optics]\nglowz = []", r"optics\.glowz; do you mean optics\.glows"),
+        ("[marker]\npitch = {}", "marker; do you mean markers"),
+        ('titel = "my digit"', "titel; do you mean title"),
+        ('[rest]\ndepth = {value = 20.0, unit = "mm", from = "measured", asumed = true}', "unknown field asumed"),
+    ],
+)
+def test_a_misspelled_key_is_named_with_the_one_that_is_meant(tmp_path, text, words):
+    text = text.replace("{}", '{ value = 2.0, unit = "mm", from = "measured" }')
+    with pytest.raises((CalibrationError, FileProblem), match=rf"{words}.*mine\.toml"):
+        load_sensor(own(tmp_path, f'extends = "digit"\n{text}\n'))
+
+
 def test_an_edited_description_is_read_again(tmp_path):
     depth = '[rest]\ndepth = {{ value = {}, unit = "mm", from = "measured" }}\n'
     parent = own(tmp_path, 'extends = "digit"\n' + depth.format("30.0"), name="parent.toml")
