@@ -65,12 +65,12 @@ def write_folder(folder: Path, fill: Callable[[Path], None], own: Collection[str
     FileProblem.
     """
     part, before = (folder.with_name(_name_part()) for _ in range(2))
-    _require_own(folder, own)
+    require_own(folder, own)
     try:
         _remove_leftovers(folder.parent)
         with _create_part(part):
             fill(part)
-            _require_own(folder, own)
+            require_own(folder, own)
             _replace_folder(part, folder, before)
     except FileProblem as error:
         raise error.relocate(folder, instead_of=part) from error
@@ -80,8 +80,10 @@ def write_folder(folder: Path, fill: Callable[[Path], None], own: Collection[str
         _remove(before)
 
 
-def _require_own(folder: Path, own: Collection[str]) -> None:
-    """Raise FileProblem where `folder` holds files that this program did not write there."""
+def require_own(folder: Path, own: Collection[str]) -> None:
+    """Raise FileProblem where `folder` is a file, or holds files that this program did not write there."""
+    if folder.is_file():
+        raise FileProblem("this is a file, not a folder; choose another name", folder)
     found = {entry.name for entry in folder.iterdir()} if folder.is_dir() else set[str]()
     foreign = sorted(found - set(own)) or ([] if not found or next(iter(own), "") in found else sorted(found))
     if foreign:

@@ -13,11 +13,10 @@ from rich.console import Console
 from rich.table import Table
 
 from pipeline.base.errors import SettingProblem
-from pipeline.base.files import check_folder
 from pipeline.base.params import replace_value
 from pipeline.cli.terminal import open_progress_bar, print_line
 from pipeline.cli.translation_options import DEFAULT_OPTIONS, TargetName, TranslationOptions
-from pipeline.evaluation.comparison_tiles import Comparison, write_tiles
+from pipeline.evaluation.comparison_tiles import Comparison, check_tiles_folder, write_tiles
 from pipeline.evaluation.method_comparison import SortOrder, compare_methods
 from pipeline.evaluation.parameter_sweep import SweepAxis, SweepPlan, compare_grid, parse_axis
 from pipeline.evaluation.seed_comparison import compare_seeds
@@ -84,7 +83,7 @@ def compare(
         progress = stack.enter_context(open_progress_bar())
         translation.stream.frame(translation.check_index(frame))  # a damaged one leaves nothing to compare
         params, display = _parse_settings(translation, settings)
-        check_folder(out.parent)
+        check_tiles_folder(out)
         steps: Iterator[Comparison]
         if across or down:
             plan = _parse_plan(translation, params, across, down, metric)

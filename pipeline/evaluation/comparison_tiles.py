@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.base.arrays import Image
-from pipeline.base.files import open_atomic, write_folder, write_json
+from pipeline.base.files import check_folder, open_atomic, require_own, write_folder, write_json
 from pipeline.previews.layers import Layer
 from pipeline.previews.tile import Tile
 from pipeline.translation.translate import Translation
@@ -48,8 +48,17 @@ def write_tiles(folder: Path, tiles: Sequence[Tile]) -> None:
             )
         write_json(part / TABLE_FILE, {"tiles": entries}, "the comparison")
 
-    old = sorted(entry.name for entry in folder.glob("[0-9][0-9]_*.png")) if folder.is_dir() else []
-    write_folder(folder, fill, (TABLE_FILE, *old))
+    write_folder(folder, fill, _list_own_files(folder))
+
+
+def check_tiles_folder(folder: Path) -> None:
+    """Make sure that tiles can be written to `folder`, before long work; raises FileProblem."""
+    require_own(folder, _list_own_files(folder))
+    check_folder(folder.parent)
+
+
+def _list_own_files(folder: Path) -> tuple[str, ...]:
+    return (TABLE_FILE, *sorted(entry.name for entry in folder.glob("[0-9][0-9]_*.png")))
 
 
 def _encode_png(pixels: Image) -> bytes:

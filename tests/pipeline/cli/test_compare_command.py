@@ -50,8 +50,11 @@ def test_what_is_wrong_with_a_sweep_is_one_sentence(tmp_path, capsys, pairs, say
     assert not (tmp_path / "ways").exists()
 
 
-def test_a_folder_with_something_else_in_it_stays(tmp_path, capsys):
+@pytest.mark.parametrize(("out", "says"), [(".", "holds other files ('mine.txt')"), ("mine.txt", "is a file")])
+def test_what_is_in_the_way_stays_and_is_named_before_any_work(tmp_path, capsys, monkeypatch, out, says):
+    monkeypatch.setattr("pipeline.cli.compare.compare_pair", lambda *_: pytest.fail("work was done first"))
     (tmp_path / "mine.txt").write_text("mine")
-    assert run_app(build_app(), ["compare", *_ONE, "--variant", "--set cloud.stride=4", "--out", str(tmp_path)]) == 2
-    assert "holds other files ('mine.txt')" in capsys.readouterr().err
+    words = ["compare", *_ONE, "--variant", "--set cloud.stride=4", "--out", str(tmp_path / out)]
+    assert run_app(build_app(), words) == 2
+    assert says in capsys.readouterr().err
     assert (tmp_path / "mine.txt").read_text() == "mine"
