@@ -25,7 +25,7 @@ from pipeline.base.errors import FileProblem
 from pipeline.base.files import read_toml
 from pipeline.base.params import Value
 from pipeline.networks.tensor_files import read_tensors
-from pipeline.networks.weights import SUFFIX, Weights, is_tactoscope_file, load_tensors, load_weights
+from pipeline.networks.weights import Weights, is_safetensors, is_tactoscope_file, load_tensors, load_weights
 
 DEPTH_ANYTHING, LATENT, U_NET, VQVAE = "depth_anything", "latent", "unet", "vqvae"  # kinds of networks; and tasks
 U_NET_TASKS = {(3, 1): "depth of a gel", (1, 2): "contact of a bubble"}  # (inputs, outputs) -> what it predicts
@@ -52,7 +52,7 @@ def _or_own(kind: str) -> Callable[[ReadWeights], ReadWeights]:
     def decorate(read: ReadWeights) -> ReadWeights:
         @wraps(read)
         def read_either(path: Path) -> Weights:
-            if path.suffix != SUFFIX or not is_tactoscope_file(load_tensors(path)[0]):
+            if not (is_safetensors(path) and is_tactoscope_file(load_tensors(path)[0])):
                 return read(path)
             weights = load_weights(path)
             if weights.kind != kind:

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from pipeline.base.arrays import Floats
 from pipeline.base.errors import FileProblem
-from pipeline.base.files import read_bytes, require_file
+from pipeline.base.files import read_bytes
 from pipeline.base.progress import report_reading
 from pipeline.base.torch_archive import SIGNATURE, StoredTensor, TorchArchive, open_torch_archive
-from pipeline.networks.weights import SUFFIX, load_tensors
+from pipeline.networks.weights import is_safetensors, load_tensors, read_head
 
 _SHARED_BY = 0.9  # share of the names; the largest part of a network that is read, an encoder, holds 0.83
 _MAX_NESTING = 3  # levels of a training checkpoint that are searched for the table of tensors
@@ -42,12 +42,9 @@ def read_tensors(path: Path, select: Selection = select_all) -> TensorTable:
     A prefix that nearly all names share, such as that of distributed training, is dropped before `select` sees them.
     `select` may raise FileProblem. Raises FileProblem if the file is not a table of finite tensors.
     """
-    if path.suffix == SUFFIX:
+    if is_safetensors(path):
         return _take(_drop_prefix(load_tensors(path)[1]), select, frozenset(), path)
-    require_file(path, "the weights", most_bytes=1 << 50)
-    with path.open("rb") as file:
-        is_archive = file.read(len(SIGNATURE)) == SIGNATURE
-    if not is_archive:
+    if not read_head(path).startswith(SIGNATURE):
         table, others = _find_table(_read_legacy_file(path), path)
         return _take({name: np.asarray(t.float().numpy()) for name, t in table.items()}, select, others, path)
     with open_torch_archive(path) as archive:
@@ -129,5 +126,5 @@ def _read_legacy_file(path: Path) -> Any:
         raise
     except Exception as error:  # torch's errors for damaged files have no common base
         raise FileProblem(
-            "cannot read the weights: the file is truncated, damaged, not a torch file, or contains code", path
+            "cannot read the weights: the file is truncated, damaged, of another kind, or contains code", path
         ) from error

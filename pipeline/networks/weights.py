@@ -208,15 +208,25 @@ def _read_entries(path: Path) -> tuple[dict[str, str], dict[str, Mapping[str, An
     return {str(k): str(v) for k, v in metadata.items()}, dict(entries)
 
 
-def _refuse_torch_archive(path: Path) -> None:
+def is_safetensors(path: Path) -> bool:
+    """Whether a file, whatever its name, begins with the length of a header and that header; raises FileProblem."""
+    return read_head(path)[8:] == b"{"
+
+
+def read_head(path: Path) -> bytes:
+    """The first bytes of a file of weights, which tell its kind; raises FileProblem."""
     require_file(path, _WHAT, most_bytes=1 << 50)
     with path.open("rb") as file:
-        if file.read(len(SIGNATURE)) == SIGNATURE:
-            raise FileProblem(
-                f"{_WHAT} are a PyTorch file, which this method does not read; choose one that does, such as "
-                "depth=unet, depth=depth_anything, touch=latent or touch=vqvae",
-                path,
-            )
+        return file.read(9)
+
+
+def _refuse_torch_archive(path: Path) -> None:
+    if read_head(path).startswith(SIGNATURE):
+        raise FileProblem(
+            f"{_WHAT} are a PyTorch file, which this method does not read; choose one that does, such as "
+            "depth=unet, depth=depth_anything, touch=latent or touch=vqvae",
+            path,
+        )
 
 
 def _convert_entries(entries: Mapping[str, Mapping[str, Any]], path: Path) -> dict[str, Floats]:

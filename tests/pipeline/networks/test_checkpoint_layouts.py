@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
+from safetensors.torch import save_file
 
 from pipeline.base.errors import FileProblem
 from pipeline.networks import published_weights
@@ -84,6 +85,15 @@ def test_tensors_saved_on_a_gpu_are_read_without_one(kind, tmp_path, monkeypatch
     monkeypatch.setattr(torch.serialization, "location_tag", lambda _storage: "cuda:1")
     torch.save(state, tmp_path / "weights.ckpt", _use_new_zipfile_serialization=is_archive)
     check_equal(read(tmp_path / "weights.ckpt"), bare)
+
+
+def test_a_file_is_read_by_its_content_whatever_its_name(kind, tmp_path):
+    state, read, bare = kind
+    torch.save(state, tmp_path / "weights.safetensors")
+    tensors = {name: tensor.clone().contiguous() for name, tensor in state.items() if torch.is_tensor(tensor)}
+    save_file(tensors, tmp_path / "weights.pth")
+    for name in ("weights.safetensors", "weights.pth"):
+        check_equal(read(tmp_path / name), bare)
 
 
 def test_a_whole_network_is_refused_with_the_remedy(tmp_path):
