@@ -8,7 +8,7 @@ import numpy as np
 
 from pipeline.base.arrays import Image, freeze
 from pipeline.base.errors import FileProblem
-from pipeline.base.files import open_atomic, require_separate
+from pipeline.base.files import open_atomic, require_file, require_separate
 from pipeline.base.progress import SILENT, Progress
 from pipeline.recordings.folder_contents import find_recording
 from pipeline.recordings.formats import RecordingFiles, get_format
@@ -28,6 +28,8 @@ def write_reference(recording: Path, out: Path, progress: Progress = SILENT) -> 
 
     if not is_image_file(out):
         raise FileProblem("the reference must be an image file such as reference.png", out)
+    if not recording.is_dir():
+        require_file(recording, "the recording", most_bytes=1 << 50)
     files = find_recording(recording) if recording.is_dir() else RecordingFiles(path=recording)
     require_separate(out, [recording, *files.images])
     image, n_images = _compute_median(files, progress)

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from pipeline.base.errors import TouchError
+from pipeline.base.errors import FileProblem, TouchError
 from pipeline.cli.main import build_app, run_app
 from pipeline.recordings.image_files import read_rgb
 from pipeline.recordings.reference_estimate import write_reference
@@ -72,6 +72,11 @@ def test_no_input_is_replaced_and_the_output_is_an_image(tmp_path, out):
     with pytest.raises(TouchError):
         write_reference(tmp_path / "a", tmp_path / out)
     assert (tmp_path / "a" / "press_0.png").read_bytes() == before
+
+
+def test_a_missing_recording_is_named(tmp_path):
+    with pytest.raises(FileProblem, match=r"cannot read the recording \(No such file.*MISSING"):
+        write_reference(tmp_path / "MISSING", tmp_path / "r.png")
 
 
 def test_too_few_images_are_refused(tmp_path):
