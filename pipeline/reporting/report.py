@@ -23,6 +23,7 @@ from pipeline.engine.graph import StageResult
 from pipeline.geometry.camera import Camera
 from pipeline.metrics.stage_metrics import METRICS
 from pipeline.reporting.frame_report import FrameReport
+from pipeline.stages.depth.contact_force import FORCE
 from pipeline.translation.translate import Translation
 from pipeline.values.frames import TactileFrame
 from pipeline.values.results import ObjectPose
@@ -150,7 +151,7 @@ def compute_frame_key(
             translation.read_target_observation(index),
             translation.symmetry,
             translation.force_scale,
-            with_force,
+            with_force and FORCE.version,
             before.key if before is not None and before.pose is not None else "",
         )
     )

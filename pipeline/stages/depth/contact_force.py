@@ -45,4 +45,5 @@ FORCE = Method(
     run=skip_if_exact(skip_without_contact, estimate_force),
     params=NoParams,
     reads=("depth", "source", "frame"),
+    version=2,
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import tracemalloc
+from dataclasses import replace
 from types import SimpleNamespace
 
 import cv2
@@ -13,6 +14,7 @@ import pytest
 from pipeline.cli import translate
 from pipeline.cli.main import EXIT_UNEXPECTED, build_app, run_app
 from pipeline.metrics.stage_metrics import UNCALIBRATED_FORCE
+from pipeline.reporting import report
 from pipeline.translation.translate import Translation
 from tests.pipeline.cli.conftest import dent, save
 
@@ -69,6 +71,11 @@ def test_force_is_computed_on_request_alone_and_a_skip_is_said(typed, tmp_path, 
     assert "skipped" not in out.split("normal force", 1)[1]
     assert len(calls) == 1
     assert frames(tmp_path / "out")[0]["metrics"][UNCALIBRATED_FORCE] > 0.0
+    typed("--frame", "2", "--force")
+    assert len(calls) == 1, "kept"
+    monkeypatch.setattr(report, "FORCE", replace(report.FORCE, version=report.FORCE.version + 1))
+    typed("--frame", "2", "--force")
+    assert len(calls) == 2, "the force is by another version"
 
 
 def test_a_fallback_is_named_when_computed_and_when_resumed(typed):
