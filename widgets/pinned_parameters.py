@@ -66,39 +66,46 @@ class PinnedParameters(QWidget):
             self.setFixedHeight(height_px)
 
     def set_wide(self, wide: bool) -> None:
-        """Place all controls in one line if wide."""
+        """Place all controls in one line if wide, numbers without labels and sliders where these find no room."""
         self._is_wide = wide
+        self._leave_room_to_numbers()
         self._arrange()
+        self.reserve_height(0)
 
     def set_compact(self, compact: bool) -> None:
         """Place all controls in one line, numbers without labels and sliders, unless wide."""
         if compact != self._is_compact:
             self._is_compact = compact
             self._arrange()
+            self.reserve_height(0)
 
     def _leave_room_to_numbers(self) -> None:
         """Hide slider, name and unit where there is little room."""
-        is_narrow = not self._is_wide and self.width() < _SLIDERS_FROM_PX
+        is_narrow = self.width() < _SLIDERS_FROM_PX * (len(self._rows) if self._is_wide else 1)
         if is_narrow != self._is_narrow:
             self._is_narrow = is_narrow
-            for name in self._rows:
-                self._arrange_control(name)
+            self._arrange()
 
     def _arrange(self) -> None:
         way = QBoxLayout.Direction
         one_line = self._is_wide or self._is_compact
         self._lines.setDirection(way.LeftToRight if one_line else way.TopToBottom)
-        self._lines.setSpacing(12 if self._is_wide else 2 if self._is_compact else 1)
+        self._lines.setSpacing((2 if self._is_narrow else 12) if self._is_wide else 2 if self._is_compact else 1)
         for name in self._rows:
             self._arrange_control(name)
-        self.reserve_height(0)
 
     def _arrange_control(self, name: str) -> None:
         setting, control = self._shown[name]
-        compact = self._is_compact and not self._is_wide
+        compact = self._is_narrow if self._is_wide else self._is_compact
         self._labels[name].setHidden(compact)
         unit = f" {setting.unit}" if setting.unit else ""
-        around = ("", "") if self._is_narrow else ("", unit) if unit else (f"{setting.pinned.lower()} ", "")
+        around = (
+            ("", "")
+            if self._is_narrow and not self._is_wide
+            else ("", unit)
+            if unit
+            else (f"{setting.pinned.lower()} ", "")
+        )
         control.widget.setFixedHeight(_COMPACT_ROW_PX if compact else _ROW_PX)
         control.set_compact(compact, *around)
         for slider in control.sliders:

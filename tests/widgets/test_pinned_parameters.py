@@ -5,7 +5,8 @@ from __future__ import annotations
 import gc
 from dataclasses import dataclass
 
-from PyQt6.QtWidgets import QSpinBox
+import pytest
+from PyQt6.QtWidgets import QDoubleSpinBox, QLabel, QSlider, QSpinBox
 
 from pipeline.base.params import setting
 from widgets.pinned_parameters import PinnedParameters
@@ -66,3 +67,27 @@ def test_a_parameter_that_only_another_method_pins_is_shown(qtbot):
     pinned.offer_methods([("touch/few", FewSteps()), ("touch/unpinned", UnpinnedSteps())])
     pinned.show_params("touch/unpinned", UnpinnedSteps(), {})
     assert pinned.get_control("steps").value() == 7
+
+
+@dataclass(frozen=True)
+class Three:
+    """Three that stay in sight."""
+
+    steps: int = setting(1, label="Steps", low=1, high=1000, pinned="Steps")
+    guidance: float = setting(1.0, label="Guidance scale", unit="x", low=0.0, high=15.0, pinned="Guidance")
+    seed: int = setting(0, label="Seed", low=0, high=2**31 - 1, pinned="Seed")
+
+
+@pytest.mark.parametrize("width_px", [247, 325, 600])
+def test_one_line_shows_whole_numbers_and_sliders_where_they_fit(qtbot, width_px):
+    pinned = PinnedParameters()
+    qtbot.addWidget(pinned)
+    pinned.offer_methods([("touch/three", Three())])
+    pinned.set_wide(True)
+    pinned.show_params("touch/three", Three(), {})
+    pinned.setFixedWidth(width_px)  # as a column does
+    pinned.show()
+    box = next(box for box in pinned.findChildren(QDoubleSpinBox) if box.isVisible())
+    qtbot.waitUntil(lambda: box.width() >= box.minimumSizeHint().width(), timeout=2000)
+    for kind in (QSlider, QLabel):
+        assert any(widget.isVisible() for widget in pinned.findChildren(kind)) == (width_px == 600)
