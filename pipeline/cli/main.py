@@ -147,6 +147,7 @@ def run_app(app: App, tokens: list[str] | None = None) -> int:
     Returns the command's exit code, 2 for a user error, 130 after Ctrl-C, and 1 for an unexpected error, whose details
     are written to a log file that the sentence names.
     """
+    sys.stderr = sys.stderr or os.fdopen(os.open(os.devnull, os.O_WRONLY), "w")  # None where it is closed, as by 2>&-
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # a file name may hold bytes that are not text
             stream.reconfigure(errors="backslashreplace")

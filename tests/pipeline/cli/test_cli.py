@@ -406,3 +406,8 @@ def test_a_full_disk_behind_the_output_is_one_sentence():
     with Path("/dev/full").open("wb") as full:
         ended = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
     assert (ended.returncode, ended.stderr) == (2, "tactoscope: No space left on device: the output\n")
+
+
+def test_a_closed_stderr_leaves_the_exit_code():
+    command = f"exec '{sys.executable}' -m pipeline inspect nowhere.h5 2>&-"
+    assert subprocess.run(["sh", "-c", command], check=False).returncode == EXIT_USER_ERROR
