@@ -312,7 +312,8 @@ class MainWindow(QMainWindow):
 
     def dragEnterEvent(self, a0: QDragEnterEvent | None) -> None:  # noqa: N802
         """Accept files and folders."""
-        if a0 is not None and (mime := a0.mimeData()) is not None and mime.hasUrls():
+        mime = None if a0 is None else a0.mimeData()
+        if a0 is not None and mime is not None and any(url.isLocalFile() for url in mime.urls()):
             a0.acceptProposedAction()
 
     def dropEvent(self, a0: QDropEvent | None) -> None:  # noqa: N802

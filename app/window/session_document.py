@@ -20,6 +20,7 @@ from app.window.screenshots import write_screenshot
 from pipeline.base.errors import FileProblem, TouchError
 from pipeline.base.fingerprints import compute_fingerprint
 from pipeline.calibration.calibration_file import is_calibration_file
+from pipeline.sensors.descriptions import is_description
 from pipeline.tasks.trial_rows import is_rollout_folder
 from pipeline.tracking.track_record import is_track_folder
 from pipeline.translation.cross_section import SectionLine
@@ -100,11 +101,13 @@ class SessionDocument(QObject):
         self.window.banner.show_problem(sentence, details, self.find_remedies(error))
 
     def open_path(self, path: Path) -> None:
-        """Open a session, mesh, alignment, weights, calibration or recording, whichever `path` is."""
+        """Open a session, mesh, source sensor, alignment, weights, calibration or recording, whichever `path` is."""
         if path.name.endswith(SESSION_SUFFIX):
             self.open_session(path)
         elif path.suffix.lower() in dialogs.MESH_SUFFIXES:
             self.open_mesh(path)
+        elif path.suffix.lower() == dialogs.ALIGNMENT_SUFFIX and is_description(path):
+            self.change("choose source", source=str(path), stream="")
         elif path.suffix.lower() == dialogs.ALIGNMENT_SUFFIX:
             self.change("open alignment", alignment=path)
         elif path.suffix.lower() == dialogs.WEIGHTS_SUFFIX:

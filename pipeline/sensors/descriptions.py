@@ -5,6 +5,7 @@ starts from another sensor's file. Descriptions come with the project, from the 
 of other packages, whose values are paths of a TOML or of a folder of them, or by `register_sensors`.
 """
 
+import contextlib
 import difflib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -47,6 +48,13 @@ def find_descriptions() -> dict[str, Path]:
     places = [*_registered, *map(Path, load_entry_points("tactoscope.sensors")), DESCRIPTIONS_FOLDER]
     files = [f for place in places for f in (sorted(place.glob("*.toml")) if place.is_dir() else (place,))]
     return {file.stem: file for file in files}
+
+
+def is_description(path: Path) -> bool:
+    """Whether a TOML says of which kind a sensor is, or which one it extends."""
+    with contextlib.suppress(FileProblem):
+        return not {"kind", "extends"}.isdisjoint(read_toml(path, DESCRIPTION))
+    return False
 
 
 def read_description(path: Path, children: tuple[Path, ...] = ()) -> dict[str, Any]:

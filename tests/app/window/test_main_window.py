@@ -11,7 +11,7 @@ from pathlib import Path
 import h5py
 import pytest
 from PyQt6.QtCore import QMimeData, QPoint, QPointF, Qt, QUrl
-from PyQt6.QtGui import QDropEvent, QSurface
+from PyQt6.QtGui import QDragEnterEvent, QDropEvent, QSurface
 from PyQt6.QtWidgets import QFileDialog, QLabel
 
 from app.session.sample import SAMPLE_RECORDING
@@ -456,14 +456,31 @@ def test_a_trace_belongs_to_the_frame_of_the_image(bubble_window, qtbot, monkeyp
     wait_until_shown(bubble_window, LIMIT_S)
 
 
+def drop(window, url):
+    """Whether the window takes what is dragged over it; drops it there."""
+    mime = QMimeData()
+    mime.setUrls([url])
+    how = (Qt.DropAction.CopyAction, mime, Qt.MouseButton.LeftButton, Qt.KeyboardModifier.NoModifier)
+    over = QDragEnterEvent(QPoint(5, 5), *how)
+    over.ignore()  # as Qt sends it
+    window.dragEnterEvent(over)
+    window.dropEvent(QDropEvent(QPointF(5, 5), *how))
+    return over.isAccepted()
+
+
 def test_a_dropped_file_is_opened(open_window, touch_file):
     controller = open_window()
-    mime = QMimeData()
-    mime.setUrls([QUrl.fromLocalFile(str(touch_file))])
-    buttons, keys = Qt.MouseButton.LeftButton, Qt.KeyboardModifier.NoModifier
-    controller.window.dropEvent(QDropEvent(QPointF(5, 5), Qt.DropAction.CopyAction, mime, buttons, keys))
+    assert not drop(controller.window, QUrl("https://example.org/touch.h5"))
+    assert drop(controller.window, QUrl.fromLocalFile(str(touch_file)))
     assert wait_until_shown(controller, LIMIT_S)
     assert controller.session.recording == touch_file
+
+
+def test_a_dropped_sensor_description_is_the_source(open_window, tmp_path):
+    controller = open_window()
+    (tmp_path / "mine.toml").write_text('extends = "digit"\n')
+    drop(controller.window, QUrl.fromLocalFile(str(tmp_path / "mine.toml")))
+    assert (controller.session.source, controller.session.alignment) == (str(tmp_path / "mine.toml"), None)
 
 
 def test_a_session_file_restores_everything(bubble_window, open_window, tmp_path):
