@@ -25,7 +25,7 @@ _NOISE_MM = 0.013  # of a marker's measured motion: 0.3 px of a GelSlim, simulat
 _SHIFT_MM = 0.05  # of the whole image
 _FREEDOM = 4.0  # degrees of freedom of Student's t
 _REWEIGHTINGS = 10
-_MARKERS_MIN = 4
+_MARKERS_MIN, _MARKERS_MAX = 4, 1000  # more are grains of a noisy image, and take minutes
 _KPA_TO_N_MM2 = 1e-3
 
 
@@ -38,12 +38,12 @@ class MarkerMotion:
 
 
 def estimate_shear_force(gel: Gel, pressed: PressedCells, markers: MarkerMotion) -> tuple[float, float] | None:
-    """(right, down) in N of the traction that moves the markers; None with too few markers to tell.
+    """(right, down) in N of the traction that moves the markers; None with too few markers, or too many.
 
     The motion is that by the traction alone: without what pressing explains.
     """
     n = len(markers.places_mm)
-    if n < _MARKERS_MIN:
+    if not _MARKERS_MIN <= n <= _MARKERS_MAX:
         return None
     inside = pressed.pressure_kpa > 0
     if not inside.any():

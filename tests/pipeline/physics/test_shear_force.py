@@ -63,13 +63,15 @@ def test_an_image_gives_the_force_of_the_drag(tool):
         assert np.linalg.norm(found.shear_n - true) < max(0.15 * np.linalg.norm(true), 0.01 * touch.force_n)
 
 
-def test_no_shear_where_markers_or_the_reference_are_missing_and_zero_without_contact():
+def test_no_shear_where_markers_or_the_reference_are_missing_or_noise_and_zero_without_contact():
     touch, dotless = drag(0.2, 0.0), load_sensor("gelslim_dotless")
     reference = GELSLIM.render_reference()
     frame = TactileFrame(sensor="gelslim", image=touch.image, reference=reference)
     alone = TactileFrame(sensor="gelslim", image=touch.image, reference=None)
     grey = TactileFrame(sensor="gelslim", image=np.full_like(reference, 90), reference=np.full_like(reference, 90))
-    for sensor, given in ((GELSLIM, alone), (dotless, frame), (GELSLIM, grey)):
+    noise = np.random.default_rng(0).integers(60, 200, reference.shape, np.uint8)
+    grains = TactileFrame(sensor="gelslim", image=noise, reference=noise)
+    for sensor, given in ((GELSLIM, alone), (dotless, frame), (GELSLIM, grey), (GELSLIM, grains)):
         assert estimate_gel_force(sensor, given, touch.indentation_mm, touch.contact).shear_n is None
     nothing = np.zeros_like(touch.indentation_mm)
     assert estimate_gel_force(GELSLIM, frame, nothing, np.zeros_like(touch.contact)).shear_n == (0.0, 0.0)
