@@ -103,10 +103,6 @@ class DescriptionSection:
         self._items, self._name, self._path, self._assumed = cast("dict[str, Any]", section), name, path, assumed
         self.known_keys = set[str]()  # that somebody has asked for
 
-    def refuse_unknown_keys(self) -> None:
-        """Raise CalibrationError for a key that nobody has asked for."""
-        refuse_unknown_keys(self._items, self.known_keys, self._path, f"{self._name}.")
-
     def _read_value(self, key: str, unit: str, low: float, high: float) -> float | tuple[float, ...]:
         """The value of `key`, given in `unit` and within [low, high]; raises CalibrationError and FileProblem."""
         where = f"{self._name}.{key}"

@@ -148,8 +148,8 @@ def _build(name: str, data: dict[str, Any], path: Path, surface: Membrane | None
     limits = parse_limits(section("limits"), kind.change_unit)
     markers = parse_part(Markers, section("markers")) if "markers" in data else None
     descriptions.refuse_unknown_keys(data, {*sections, *_OPTIONAL_KEYS}, path)
-    for read in sections.values():
-        read.refuse_unknown_keys()
+    for key, read in sections.items():
+        descriptions.refuse_unknown_keys(data[key], read.known_keys, path, f"{key}.")
     return SensorSpec(
         name=name,
         title=str(data.get("title", name)),
