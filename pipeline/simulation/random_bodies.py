@@ -14,18 +14,23 @@ from pipeline.geometry.meshes import Mesh
 STEP_MM = 0.3  # of the mesh: a third of the finest detail that a bubble resolves
 _HALF_MM = 24.0  # half the square that a body lies within
 _REACH_MM = 18.0  # height of bodies: more than a bubble's approach, 13 mm in data sets
+_RIM_MM = 0.4, 1.8  # half the width of a rim
 _FAR_MM = 1e3
 
 
-def make_random_body(rng: np.random.Generator, *, unsupported_share: float = 0.25) -> Mesh:
+def make_random_body(rng: np.random.Generator, *, unsupported_share: float = 0.25, outline_share: float = 0.0) -> Mesh:
     """The tactile side of a random object, z away from the sensor, its lowest point at z = 0.
 
-    `unsupported_share`: share of the patterns without a body behind them.
+    `unsupported_share`: share of the patterns without a body behind them; `outline_share`: of those that are the rim of
+    a figure alone.
     """
     x, y = _make_plane()
     kind = rng.random()
     if kind < 0.68:
-        height = _add_body(_make_pattern(rng, x, y), rng, x, y, unsupported_share)
+        pattern = _make_pattern(rng, x, y)
+        if outline_share and rng.random() < outline_share:
+            pattern = np.abs(pattern) - rng.uniform(*_RIM_MM)
+        height = _add_body(pattern, rng, x, y, unsupported_share)
     elif kind < 0.88:
         height = _make_boulder(rng, x, y)
     else:

@@ -11,9 +11,10 @@ import numpy as np
 from pipeline.base.arrays import Floats
 from pipeline.base.params import setting
 from pipeline.physics import bubble_camera
+from pipeline.simulation.poses import DEPTH_RANGE_MM
 from pipeline.stages.depth.bubble_depth import compute_displacement
 from pipeline.stages.depth.bubble_network_input import make_network_input
-from pipeline.stages.depth.bubble_network_output import decode_tensors
+from pipeline.stages.depth.bubble_network_output import BubbleOutputTensors, decode_tensors
 from pipeline.training import bubble_presses
 from pipeline.training.bubble_presses import BubblePress
 from pipeline.training.task import VALIDATION_SEED, SimulatedPresses
@@ -37,6 +38,9 @@ class BubbleDepthTask(SimulatedPresses):
     membrane_weight: float = setting(0.5, "Membrane weight", low=0.0, high=100.0)
     mask_weight: float = setting(0.15, "Mask weight", low=0.0, high=100.0)
     uncertainty_weight: float = setting(0.05, "Uncertainty weight", low=0.0, high=100.0)
+    touch_weight: float = setting(
+        0.0, "Touch weight", low=0.0, high=100.0, help="of what a gel would feel of the object's tip"
+    )
 
     def sample(self, rng: np.random.Generator) -> Example:
         """A press with new noise: a crop of the frame, rotated by quarter turns or mirrored."""
@@ -82,8 +86,10 @@ class BubbleDepthTask(SimulatedPresses):
         masks = masks + functional.binary_cross_entropy_with_logits(prediction.object_in_view, observed)
         known = torch.where(observed > 0, error, membrane_error).detach()
         spread = (known * torch.exp(-prediction.log_error) + prediction.log_error).mean()
+        touch = _compute_touch_error(prediction, displacement - gap, batch["tip_mm"][:, 0])
         loss = surface + self.membrane_weight * membrane + self.mask_weight * masks + self.uncertainty_weight * spread
-        terms = {"surface": surface, "membrane": membrane, "masks": masks, "spread": spread}
+        loss = loss + self.touch_weight * touch
+        terms = {"surface": surface, "membrane": membrane, "masks": masks, "spread": spread, "touch": touch}
         return loss, {name: term.detach() for name, term in terms.items()}
 
     def evaluate(self, network: nn.Module, held_out: Sequence[Example]) -> dict[str, float]:
@@ -110,6 +116,19 @@ class BubbleDepthTask(SimulatedPresses):
         return dict(zip(names, np.mean(rows, axis=0).tolist(), strict=True))
 
 
+def _compute_touch_error(prediction: BubbleOutputTensors, object_mm: Tensor, behind_tip_mm: Tensor) -> Tensor:
+    """Expected error of the object's depth in a gel at a random level, where contact is stated with its probability."""
+    import torch
+
+    low, high = DEPTH_RANGE_MM
+    level = low + (high - low) * torch.rand(len(object_mm), 1, 1, device=object_mm.device) - behind_tip_mm
+    true = torch.clamp(level, min=0.0)
+    stated = torch.clamp(level + prediction.object_displacement_mm - object_mm, min=0.0)
+    share = torch.sigmoid(prediction.contact)
+    error = (share * torch.abs(stated - true) + (1.0 - share) * true).sum((1, 2))
+    return (error / ((true > 0).sum((1, 2)) + _SMALL_CONTACT_PX)).mean()
+
+
 def _compute_iou(a: Any, b: Any) -> float:
     return np.count_nonzero(a & b) / max(np.count_nonzero(a | b), 1)
 
@@ -125,5 +144,5 @@ def _make_example(press: BubblePress, rng: np.random.Generator, *, plain: bool) 
         "image": network_input.channels,
         "smooth": network_input.smooth_displacement_mm[None],
         "truth": np.stack([press.indentation_mm, press.gap_mm, press.contact.astype(np.float32)]),
-        "tip_mm": np.where(observed, behind_tip, np.float32(1e3)).astype(np.float32)[None],
+        "tip_mm": behind_tip.astype(np.float32)[None],
     }

@@ -19,11 +19,12 @@ from pipeline.simulation.datasets import BUBBLE_DEEPER_MM
 from pipeline.simulation.press import move_bubble_closer, simulate_press
 from pipeline.training.object_sampling import DATA_SPLITS, DataSplit, SampleCache, sample_object
 
-VERSION = 2  # part of the seeds: incremented when the same number gives another press
+VERSION = 3  # part of the seeds: incremented when the same number gives another press
 MAX_GAP_MM = 8.0  # larger gaps are stored as this: nothing in a frame tells them apart
 _N_GEOMETRIES = 12  # bubbles of other shapes and cameras, besides the nominal one
 _NOMINAL_SHARE, _CATALOGUE_SHARE, _AS_RECORDED_SHARE = 0.6, 0.33, 0.6  # in training: nominal geometries, training
 # objects, and poses and approach as in the data sets
+_SMALL_SHARE, _OUTLINE_SHARE = 0.45, 0.5  # a membrane bridges a free rim of 8 to 15 mm nearly as if it were a face
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,7 +50,10 @@ def simulate_bubble_press(split: DataSplit, seed: int, index: int, folder: str =
     sensor = variation.vary_sensor(_make_bubble(geometry), int(rng.integers(1 << 31)), 1.0)
 
     def make() -> BubblePress:
-        _, mesh = sample_object(split, rng, index, catalogue_share=_CATALOGUE_SHARE)
+        _, mesh = sample_object(
+            split, rng, index, catalogue_share=_CATALOGUE_SHARE, small_share=_SMALL_SHARE,
+            outline_share=_OUTLINE_SHARE,
+        )  # fmt: skip
         return _simulate_press(mesh, rng, sensor, as_recorded=not in_training)
 
     return _presses.get(f"bubble_{split}_{seed}_{index}", folder, make, sensor=sensor)
@@ -93,6 +97,7 @@ def _simulate_press(mesh: Mesh, rng: np.random.Generator, sensor: SensorSpec, *,
     )  # fmt: skip
 
 
+_QUIET_SHARE, _QUIET_NOISE = 0.15, 0.6  # of examples: little noise shows how a membrane sags between rims
 _MAX_NOISE, _MIN_NOISE = 2.0, 0.12  # times the described noise; Punyo's stereo camera has the least of those examined
 
 
@@ -135,7 +140,10 @@ def _sample_camera(sensor: SensorSpec, rng: np.random.Generator, plain: bool) ->
     camera = _load_depth_camera("soft_bubble" if rng.random() < 0.5 else "soft_bubble_stereo")
     if plain or camera is None:
         return replace(sensor, depth_camera=camera)
-    factor = float(np.clip(np.exp(rng.normal(-0.1, 0.5)), _MIN_NOISE, _MAX_NOISE))
+    if rng.random() < _QUIET_SHARE:
+        factor = rng.uniform(_MIN_NOISE, _QUIET_NOISE)
+    else:
+        factor = float(np.clip(np.exp(rng.normal(-0.1, 0.5)), _MIN_NOISE, _MAX_NOISE))
     grain = camera.grain_px * rng.uniform(0.6, 1.5)
     noisier = replace(sensor.bubble, depth_noise_mm=factor * sensor.bubble.depth_noise_mm)
     return replace(sensor, bubble=noisier, depth_camera=replace(camera, grain_px=grain))

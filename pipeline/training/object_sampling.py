@@ -27,15 +27,17 @@ T = TypeVar("T")
 
 
 def sample_object(
-    split: DataSplit, rng: np.random.Generator, index: int, *, catalogue_share: float, small_share: float = 0.0
-) -> tuple[str, Mesh]:
+    split: DataSplit, rng: np.random.Generator, index: int, *, catalogue_share: float, small_share: float = 0.0,
+    outline_share: float = 0.0,
+) -> tuple[str, Mesh]:  # fmt: skip
     """Name and mesh of object `index` of a split; the name "" is a random body.
 
     In training, `catalogue_share` are training objects and the rest random bodies, `small_share` of them small and with
-    nothing behind their pattern. Other splits go through their objects in order.
+    nothing behind their pattern, `outline_share` of the patterns rims. Other splits go through their objects in order.
     """
     if split == "training" and rng.random() >= catalogue_share:
-        return "", _make_small_body(rng) if small_share and rng.random() < small_share else make_random_body(rng)
+        make = _make_small_body if small_share and rng.random() < small_share else make_random_body
+        return "", make(rng, outline_share=outline_share)
     names = {
         "training": shapes.list_shapes("training"), "unseen_grasps": shapes.list_shapes("training"),
         "unseen_tools": shapes.list_shapes("unseen"), "all_objects": shapes.list_labelled_shapes(),
@@ -53,9 +55,9 @@ def find_next_contact(simulate: Callable[[int], T | None], index: int, none: str
     raise SettingProblem(f"{none} {_MAX_EMPTY} touches from {index} on; choose another press_seed")
 
 
-def _make_small_body(rng: np.random.Generator) -> Mesh:
+def _make_small_body(rng: np.random.Generator, *, outline_share: float) -> Mesh:
     """A random pattern on its own walls, scaled so that a gel feels nearly all of it."""
-    large = make_random_body(rng, unsupported_share=1.0)
+    large = make_random_body(rng, unsupported_share=1.0, outline_share=outline_share)
     extent = float(np.ptp(large.vertices_mm[:, :2], axis=0).max())
     scale = min(1.0, rng.uniform(*_SMALL_MM) / extent)
     return replace(large, vertices_mm=freeze(large.vertices_mm * (scale, scale, 1.0)))

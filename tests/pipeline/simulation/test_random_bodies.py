@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from pipeline.geometry import rigid
 from pipeline.physics.lattice import Lattice, rasterise_mesh, render_mesh_depth
@@ -36,6 +37,17 @@ def test_some_bodies_have_level_faces_and_some_have_none():
         shares.append((z < 1e-6).sum() / (z < 0.3).sum())
     assert max(shares) > 0.5
     assert min(shares) < 0.1
+
+
+def test_outlines_enclose_what_is_free():
+    on = Lattice(x0_mm=-24.0, y0_mm=-24.0, step_mm=STEP_MM, shape=(161, 161))
+    n_rings = []
+    for share in (0.0, 1.0):
+        bodies = [make_random_body(np.random.default_rng([5, k]), unsupported_share=1.0, outline_share=share)
+                  for k in range(24)]  # fmt: skip
+        solid = [np.isfinite(rasterise_mesh(np.asarray(m.vertices_mm), m.triangles, on)) for m in bodies]
+        n_rings.append(sum(bool((ndimage.binary_fill_holes(a) & ~a).sum() > 100) for a in solid))
+    assert n_rings[1] >= n_rings[0] + 3
 
 
 def test_a_mesh_seen_through_a_camera_lies_where_its_rays_meet_it():

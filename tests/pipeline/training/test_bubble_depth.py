@@ -77,7 +77,7 @@ def test_a_network_learns_a_touch_in_a_few_steps(task):
         optimiser.step()
         losses.append(float(loss.detach()))
     assert losses[-1] < 0.85 * losses[0]
-    assert set(parts) == {"surface", "membrane", "masks", "spread"}
+    assert set(parts) == {"surface", "membrane", "masks", "spread", "touch"}
 
 
 def test_loss_and_metrics_are_best_for_the_truth(task):
@@ -88,16 +88,22 @@ def test_loss_and_metrics_are_best_for_the_truth(task):
     observed = gap < 0.5
 
     class Knows(torch.nn.Module):
+        def __init__(self, *, fills=False):
+            super().__init__()
+            self.fills = fills  # says that the membrane touches everywhere
+
         def forward(self, image):
-            logit = [20.0 * (2.0 * mask.float() - 1.0) for mask in (touched, observed)]
-            behind = torch.log(torch.expm1(torch.clamp(gap, min=1e-3)))  # the inverse of softplus
+            logit = [20.0 * (2.0 * mask.float() - 1.0) for mask in (touched if not self.fills else gap > -1, observed)]
+            behind = torch.log(torch.expm1(torch.clamp(gap * (not self.fills), min=1e-3)))  # the inverse of softplus
             return torch.stack([moved - torch.tensor(example["smooth"]), behind, torch.full_like(gap, -6.0), *logit], 1)
 
     found = task.evaluate(Knows(), [example])
     assert found["contact IoU"] == found["observed object IoU"] == 1.0
     assert found["object surface error, mm"] < 2e-3
     batch = {k: torch.tensor(v)[None] for k, v in example.items()}
-    assert task.compute_loss(Knows(), batch)[1]["surface"] < 1e-3
+    terms, filled = (task.compute_loss(network, batch)[1] for network in (Knows(), Knows(fills=True)))
+    assert terms["surface"] < 1e-3
+    assert terms["touch"] < 0.2 * filled["touch"]
 
 
 def test_the_gap_is_not_negative_and_the_uncertainty_is_bounded():
