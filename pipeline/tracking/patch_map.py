@@ -4,7 +4,8 @@ Loops are closed by Open3D's pose graph (Choi, Zhou, Koltun 2015): its nodes are
 registrations, weighted by the inverse of their covariance. The surface is Open3D's truncated signed distance volume of
 the contacts, which is where the membrane has the object's shape. A depth stage smooths a noisy bubble's membrane at the
 contact's edge, in every view alike, so views add what was measured: its noise averages out over them. A single frame's
-contact is too wide, so a place stays where most of the views touch it whose membrane is there.
+contact is too wide here and lacks parts there, so a place stays where two fifths of the views touch it whose membrane
+is there.
 """
 
 from collections.abc import Callable, Sequence
@@ -27,7 +28,7 @@ from pipeline.values.results import DepthMap
 _LOOP_OVERLAP = 0.5  # key frames whose predicted overlap is larger are registered to each other
 _MIN_VOXEL_MM, _VOXEL_PX = 0.08, 0.5  # half a pixel: the rim of whole ones is a staircase
 _TRUNCATION_VOXELS = 4.0
-_CONTACT_SHARE = 0.6  # of the views at a place: leaves as much area as the true contact has (docs/experiments.md)
+_CONTACT_SHARE = 0.4  # of the views at a place: leaves nearly the area of the true contact (docs/experiments.md)
 _BLOCK_VOXELS, _N_BLOCKS = 8, 4000  # a block's side; as many blocks as are allocated at first
 _FARTHEST_MM = 1e3
 _DETAIL_MM = 0.4  # standard deviation of the filter on what was measured: a bubble's pixel; views average the rest
