@@ -27,8 +27,6 @@ class ResidualConstants:
     error_factor_in_view: float = 1.0
     error_factor_outside: float = 1.0
     error_exponent: float = 1.0
-    blur_px: float = 0.0
-    contact_margin_px: float = 0.0
     trained_on_recordings: float = 0.0  # 0 or 1
 
     @property

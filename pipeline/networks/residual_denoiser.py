@@ -7,10 +7,8 @@ the clean field, the noise, or v, a mixture of both (Salimans and Ho 2022); the 
 
 The last channel is the expected error of the clean field. `error_factor_in_view` and `error_factor_outside` calibrate
 it inside and outside the source's contact, `error_exponent` is its power. `noise_correlation` is the correlation length
-of the noise (`smooth_noise`). For a source coarser than the target, in source pixels: `blur_px` is the width to which
-edges are blurred (the mean over all possible edge positions), `contact_margin_px` how far contact extends beyond the
-centres of source pixels in contact. `trained_on_recordings`: by recorded pairs, which know how the sensors lie to each
-other better than their descriptions, so that physics is no prior.
+of the noise (`smooth_noise`). `trained_on_recordings`: by recorded pairs, which know how the sensors lie to each other
+better than their descriptions, so that physics is no prior.
 """
 
 from __future__ import annotations
@@ -42,8 +40,7 @@ class ResidualDenoiser(nn.Module):
         noise_correlation: float = Constants.noise_correlation,
         error_factor_in_view: float = Constants.error_factor_in_view,
         error_factor_outside: float = Constants.error_factor_outside,
-        error_exponent: float = Constants.error_exponent, blur_px: float = Constants.blur_px,
-        contact_margin_px: float = Constants.contact_margin_px,
+        error_exponent: float = Constants.error_exponent,
         trained_on_recordings: float = Constants.trained_on_recordings,
     ) -> None:  # fmt: skip
         super().__init__()
@@ -52,7 +49,6 @@ class ResidualDenoiser(nn.Module):
         self.unit_mm, self.sigma_max, self.sigma_min, self.prediction = unit_mm, sigma_max, sigma_min, prediction
         self.inputs, self.fold, self.noise_correlation = inputs, fold, noise_correlation
         self.error_factors, self.error_exponent = (error_factor_in_view, error_factor_outside), error_exponent
-        self.blur_px, self.contact_margin_px = blur_px, contact_margin_px
         self.trained_on_recordings = trained_on_recordings
         widths = [min(base_channels * 2**level, max_channels) for level in range(levels)]
         self.noise_embedding = nn.Sequential(

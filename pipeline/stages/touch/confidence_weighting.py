@@ -1,8 +1,8 @@
 """Confidence weighting: shrinks a network's correction toward physics, pixel by pixel, where its error is large.
 
 A correction as large as its expected error is taken by half, a much larger one almost completely. The expected error is
-trained on held-out touches and calibrated by `benchmarks/confidence_weighting.py`, separately inside and outside the
-source's view: on new objects a network is over-confident. Predicted errors can also be too uniform (small ones too
+trained on held-out touches and calibrated on others, separately inside and outside the source's view: on new objects a
+network is over-confident. Predicted errors can also be too uniform (small ones too
 large, large ones too small), so that weights carry an exponent besides the factors.
 """
 

@@ -18,29 +18,22 @@ NO_CHANGE = "physics: the network changes nothing; its corrections are smaller t
 
 
 def render_correction(
-    first: GeneratedTouch,
-    target: SensorSpec,
-    sample: ResidualSample,
-    seed: int | None,
-    *,
-    edge_blur_mm: float = 0.0,
-    contact_margin_mm: float = 0.0,
+    first: GeneratedTouch, target: SensorSpec, sample: ResidualSample, seed: int | None
 ) -> GeneratedTouch:
     """`first` with a sample's correction, resampled from the working grid to the target's pixels.
 
     The membrane is limited to the sensor's maximum indentation. `seed` sets the sensor noise, None = no noise. The
-    whole image is in view; `membrane.expected_error_mm` holds the uncertainty. From a coarse source the membrane is
-    blurred by the standard deviation `edge_blur_mm` of edges, as in the mean over their positions, and contact extends
-    `contact_margin_mm` beyond the source's pixel centres. Warnings of what physics leaves out are dropped.
+    whole image is in view; `membrane.expected_error_mm` holds the uncertainty. Warnings of what physics
+    leaves out are dropped.
     """
     prior_membrane = first.membrane
     assert prior_membrane is not None
     error_mm = freeze(_resize(sample.expected_error_mm, target.camera.shape))
-    image, corrected = _render_state(prior_membrane, target, sample.final, seed, edge_blur_mm, contact_margin_mm)
+    image, corrected = _render_state(prior_membrane, target, sample.final, seed)
     steps = [
         TouchStep(image=rendered, sigma=state.sigma, membrane=membrane)
         for state in sample.states
-        for rendered, membrane in (_render_state(prior_membrane, target, state, None, edge_blur_mm, contact_margin_mm),)
+        for rendered, membrane in (_render_state(prior_membrane, target, state, None),)
     ]
     return replace(
         first,
@@ -53,15 +46,12 @@ def render_correction(
 
 
 def _render_state(
-    first: DepthMap, target: SensorSpec, state: DenoisingState, seed: int | None, edge_blur_mm: float, margin_mm: float
+    first: DepthMap, target: SensorSpec, state: DenoisingState, seed: int | None
 ) -> tuple[Image | Floats, DepthMap]:
     shape = target.camera.shape
     surface = first.indentation_mm + _resize(state.residual_mm, shape)
-    if edge_blur_mm > 0.0:
-        surface = _blur(surface, edge_blur_mm / target.pixel_mm)
     surface = np.minimum(surface, np.float32(target.limits.indentation_max_mm)).astype(np.float32)
-    prior_contact = _dilate(first.contact, margin_mm / target.pixel_mm)
-    contact: Mask = prior_contact.astype(np.float32) + _resize(state.contact_correction, shape) > _HALF
+    contact: Mask = first.contact.astype(np.float32) + _resize(state.contact_correction, shape) > _HALF
     depth: Floats = (target.rest_depth_mm - surface).astype(np.float32)
     corrected = replace(
         first, indentation_mm=freeze(surface), depth_mm=freeze(depth), contact=freeze(contact), is_generated=True
@@ -96,20 +86,6 @@ def resample_to_grid(field: Floats | Mask, shape: tuple[int, int]) -> Floats:
     if whole.shape == shape:
         return whole
     return np.asarray(cv2.resize(whole, shape[::-1], interpolation=cv2.INTER_AREA), np.float32)
-
-
-def _dilate(mask: Mask, radius_px: float) -> Mask:
-    import cv2
-
-    if radius_px <= 0.0 or not mask.any():
-        return mask
-    return np.asarray(cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5)) <= radius_px
-
-
-def _blur(field: Floats, radius_px: float) -> Floats:
-    import cv2
-
-    return np.asarray(cv2.GaussianBlur(field, (0, 0), radius_px), np.float32)
 
 
 def _resize(field: Floats, shape: tuple[int, int]) -> Floats:

@@ -52,7 +52,7 @@ T2D2 = Method(
     reads=(*PHYSICS.reads, "touch_weights"),
     weights=t2d2.select_weights,
     draft=make_draft_params,
-    version=6,
+    version=7,
 )
 T2T = Method(
     stage="touch",
@@ -64,7 +64,7 @@ T2T = Method(
     reads=(*t2t.READS, "touch_weights"),
     weights=t2t.select_weights,
     draft=make_draft_params,
-    version=8,
+    version=9,
 )
 LATENT_T2D2 = Method(
     stage="touch",

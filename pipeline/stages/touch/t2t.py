@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 from pipeline.base.arrays import Floats
 from pipeline.base.errors import ShapeError, StageWarning, select_warnings
@@ -117,15 +117,7 @@ def generate_touch(
         why = f"it deviates from the measured contact by {error_ratio:.0f} times its expected error"
         return Fallback(result=physical, reason=f"physics: the network contradicts the source; {why}")
     sample = shrink_to_prior(sample, physical.in_view, params.confidence_weighting, read_error_calibration(network))
-    # Edges are uncertain where the source's pixels are larger than the working grid's.
-    grid_mm = get_touch_format(target.kind).grid_factor * target.pixel_mm
-    source_pixel_mm = source.pixel_mm if source.pixel_mm > grid_mm else 0.0
-    touch = render_correction(
-        physical, target, sample, seed,
-        edge_blur_mm=source_pixel_mm * cast("float", network.blur_px),
-        contact_margin_mm=source_pixel_mm * cast("float", network.contact_margin_px),
-    )  # fmt: skip
-    return report_change(touch, physical)
+    return report_change(render_correction(physical, target, sample, seed), physical)
 
 
 def _render_cached(*reads: Any) -> GeneratedTouch:

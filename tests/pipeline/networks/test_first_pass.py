@@ -25,7 +25,7 @@ CONDITION = RNG.normal(size=(3, 24, 31)).astype(np.float32)
 def weights(request) -> Weights:
     config = {
         "inputs": 3, "unit_mm": 0.5, "base_channels": 8, "levels": 3, "max_channels": 16, "sigma_max": 10.0,
-        "prediction": request.param, "blur_px": 0.75,
+        "prediction": request.param, "error_exponent": 2.0,
     }  # fmt: skip
     torch.manual_seed(0)
     net = build_network("residual_denoiser", config)
@@ -39,7 +39,7 @@ def weights(request) -> Weights:
 def test_one_step_is_that_of_torch(weights):
     predictor, network = load_predictor(weights), load_network(weights)
     assert isinstance(predictor, FirstPassPredictor)
-    assert (predictor.unit_mm, predictor.blur_px, predictor.sigma_min) == (0.5, 0.75, network.sigma_min)
+    assert (predictor.unit_mm, predictor.error_exponent, predictor.sigma_min) == (0.5, 2.0, network.sigma_min)
     ours, theirs = (sample_residual(net, CONDITION, DiffusionParams(keep_states=True)) for net in (predictor, network))
     for name in ("residual_mm", "contact_correction", "sigma"):
         assert getattr(ours.final, name) == pytest.approx(getattr(theirs.final, name), abs=2e-4)

@@ -43,7 +43,7 @@ def unweighted(**how):
 class ConstantDenoiser(torch.nn.Module):
     """A denoiser with constant output that records its conditions."""
 
-    unit_mm, sigma_max, sigma_min, noise_correlation, blur_px, contact_margin_px = 1.0, 8.0, 0.02, 0.0, 0.0, 0.0
+    unit_mm, sigma_max, sigma_min, noise_correlation = 1.0, 8.0, 0.02, 0.0
     error_factors, error_exponent = (1.0, 1.0), 1.0
 
     def __init__(self, residual, contact=0.0, spread=0.1):
@@ -122,36 +122,6 @@ def test_a_zero_residual_keeps_the_render_and_contact_follows_the_network():
     assert everywhere.membrane.contact.all()
     assert f"{np.count_nonzero(~physics.membrane.contact)} px" in everywhere.notes[-1]
     assert not t2d2.generate_touch(view, GEL, ConstantDenoiser(0.0, contact=-1.0), unweighted()).membrane.contact.any()
-
-
-def with_source_pixels(view, pixels):
-    """The same view from a source whose pixels are `pixels` times as wide."""
-    rows, cols = np.indices(view.contact.shape) // pixels
-    coarse = (rows * (view.contact.shape[1] // pixels + 1) + cols).astype(np.int32)
-    return replace(view, source_index=np.where(view.contact, coarse, -1))
-
-
-def test_a_coarse_source_blurs_edges_and_widens_contact():
-    view = view_of(GEL, 0.5)
-
-    def generated(pixels, blur_px, reach_px, steps=1):
-        net = ConstantDenoiser(0.0)
-        net.blur_px, net.contact_margin_px = blur_px, reach_px
-        answer = t2d2.generate_touch(with_source_pixels(view, pixels), GEL, net, unweighted(steps=steps))
-        return (answer.result if isinstance(answer, Fallback) else answer).membrane
-
-    def steepest(membrane):
-        return np.abs(np.diff(membrane.indentation_mm, axis=1)).max()
-
-    sharp = generated(8, 0.0, 0.0)
-    assert steepest(generated(8, 0.9, 0.0)) < 0.7 * steepest(sharp)
-    assert steepest(generated(8, 0.9, 0.0, steps=2)) == steepest(sharp), "a sample is one of many, and sharp"
-    assert steepest(generated(1, 0.9, 0.0)) == steepest(sharp), "of a fine source every edge is where it is expected"
-    assert np.array_equal(generated(1, 0.0, 0.9).contact, sharp.contact)
-    wider = generated(8, 0.0, 0.5).contact
-    assert (wider & sharp.contact).sum() == sharp.contact.sum()
-    across = [np.count_nonzero(mask[mask.shape[0] // 2]) for mask in (wider, sharp.contact)]
-    assert 6 <= across[0] - across[1] <= 10, "half a pixel of the source on either side"
 
 
 def test_contact_of_the_source_gel_is_kept_for_a_bubble():
