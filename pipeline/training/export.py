@@ -18,18 +18,19 @@ from pipeline.training.state import TrainingState
 
 def export_run(folder: Path, to: Path, *, half: bool = False) -> Weights:
     """Write the averaged weights of the run in `folder` with their card, also during the run; raises FileProblem."""
-    weights = make_weights(state.load_state(folder), to.stem)
+    weights = make_weights(state.load_state(folder), to.stem, half=half)
     save_weights(to, weights, use_float16=half)
     return weights
 
 
-def make_weights(run: TrainingState, name: str) -> Weights:
-    """The averaged weights of a run."""
+def make_weights(run: TrainingState, name: str, *, half: bool = False) -> Weights:
+    """The averaged weights of a run; `half` rounds them to 16 bits first, so that the ONNX file agrees with them."""
     recipe = json.loads(run.recipe)
     kind = str(recipe["network"].pop("kind"))
     if recipe["settings"].get("condition_dropout") == 0.0:
         recipe["network"]["trained_with_condition_dropout"] = False
-    tensors = {key: tensor.detach().float().cpu().numpy().copy() for key, tensor in run.averaged_tensors.items()}
+    averaged = {key: tensor.detach().cpu() for key, tensor in run.averaged_tensors.items()}
+    tensors = {key: (tensor.half() if half else tensor).float().numpy().copy() for key, tensor in averaged.items()}
     weights = Weights(name=name, kind=kind, config=recipe["network"], tensors=tensors, card=_card(run, recipe))
     return replace(weights, onnx=export_weights(weights)) if kind in ONNX_KINDS else weights
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 import torch
 
+from pipeline.networks.network_factory import build_network, export_weights
 from pipeline.networks.weights_registry import TARGET_KIND
 from pipeline.training.export import make_weights
 from pipeline.training.recipe import load_recipe
@@ -25,3 +26,13 @@ def test_weights_say_whether_guidance_can_act(dropout, guided):
 def test_the_card_names_the_kind_of_the_target(name, kind):
     run = TrainingState(recipe=serialise_recipe(load_recipe(name)), averaged_tensors={"a": torch.tensor(1.0)})
     assert make_weights(run, "made").card.get(TARGET_KIND) == kind
+
+
+def test_the_onnx_file_holds_the_weights_as_they_are_rounded():
+    recipe = load_recipe("bubble")
+    network = build_network(str(recipe.network["kind"]), {k: v for k, v in recipe.network.items() if k != "kind"})
+    run = TrainingState(recipe=serialise_recipe(recipe), averaged_tensors=network.state_dict())
+    rounded, exact = (make_weights(run, "made", half=half) for half in (True, False))
+    assert rounded.read_onnx() == export_weights(rounded) != exact.read_onnx()
+    for name, tensor in rounded.tensors.items():
+        assert (tensor == tensor.astype("float16")).all(), name
