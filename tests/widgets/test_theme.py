@@ -84,7 +84,8 @@ def test_who_sees_no_red_or_no_green_tells_better_from_worse(dark, seen):
 @pytest.mark.parametrize("kind", [QCheckBox, QSlider, QLineEdit, QSpinBox, QComboBox])
 def test_the_outline_of_a_control_stands_out_from_the_window(themes, qtbot, dark, kind):
     """3 to 1, as WCAG 2.1 asks for the shapes of controls; Fusion's own outline is darker than a dark window."""
-    QApplication.setStyle(PlainTextStyle())
+    QApplication.setStyle(PlainTextStyle())  # drops the palettes of single kinds, which a change of theme sets again
+    themes(not dark)
     themes(dark)
     ground = QWidget()
     qtbot.addWidget(ground)
