@@ -37,7 +37,7 @@ SIGNED_DISTANCES = Method(
     run=skip_if_exact(signed_distances.skip_without_contact, signed_distances.estimate_or_track_pose),
     params=signed_distances.PoseParams,
     reads=("touch_depth", "mesh", "previous"),
-    version=6,
+    version=7,
 )
 PAPER_2D = Method(
     stage="pose",

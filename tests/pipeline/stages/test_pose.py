@@ -16,6 +16,9 @@ from pipeline.registration.observability import assess_observability
 from pipeline.registration.pose_selection import MISSING_CONTACT_WARNING
 from pipeline.registration.ranking import make_judge
 from pipeline.registration.scene import extract_scene
+from pipeline.sensors.spec import load_sensor
+from pipeline.simulation.press import simulate_press
+from pipeline.simulation.shapes import make_shape
 from pipeline.stages.pose import step_history
 from pipeline.stages.pose.signed_distances import (
     PoseParams,
@@ -26,7 +29,7 @@ from pipeline.stages.pose.signed_distances import (
     skip_without_contact,
     track_pose,
 )
-from pipeline.values.results import DepthErrorModel, PoseStep
+from pipeline.values.results import DepthErrorModel, PoseStep, make_depth_map
 from tests.pipeline.registration.solids import (
     CAMERA,
     REST_MM,
@@ -82,6 +85,21 @@ def test_a_notched_wedge_is_found_and_nothing_of_it_is_weak(noise_mm):
     assert deg < TURN_TOLERANCE_DEG
     assert found.weak_directions == ()
     assert found.fitness > 0.95
+
+
+@pytest.mark.parametrize("angle_deg", [11.0, 41.0])
+def test_a_contact_far_wider_than_the_search_distance_is_found_between_two_angles(angle_deg):
+    """Half an angle off, the ends of three bars, alike in three directions, are 10 mm from where they touch."""
+    bars, bubble = make_shape("three_lines").mesh, load_sensor("soft_bubble")
+    pose = rigid.rotation((0.01, -0.01, 0.0)) @ rigid.rotation((0.0, 0.0, np.deg2rad(angle_deg)))
+    pose[2, 3] = -9.0 - rigid.apply(pose, bars.vertices_mm)[:, 2].min()
+    press = simulate_press(bars, pose, bubble, seed=None)
+    touch = make_depth_map(bubble.rest_depth_mm, press.indentation_mm, press.contact, bubble.camera, ())
+    found = estimate_pose(touch, bars, PoseParams())
+    _, turn_deg = error(found, press.sensor_from_object)
+    assert found.fitness > 0.95
+    assert found.rmse_mm < POSITION_TOLERANCE_MM
+    assert min(turn_deg, abs(turn_deg - 120.0)) < TURN_TOLERANCE_DEG
 
 
 def test_a_rod_slides_along_its_axis_and_says_so():
