@@ -41,8 +41,9 @@ The JSON files in this folder were made so, one direction at a time (`--directio
 weights (24 November 2026), times and the VQ-VAE before that. Rerun before the contact of a bubble and the light of a
 Mini became steadier, all other rows kept their errors within 0.5 %; the VQ-VAE needs `--weights vqvae=FILE`. From a
 bubble to a GelSlim all was run again on 27 November 2026, after the bubble's network was trained further and T2D2 and
-T2T onto a gel kept their edges: rows of T2D2 from a DIGIT and a Mini, and poses registered on a bubble, are from before
-that. Samples, steps and a few real pairs: [samples.md](samples.md).
+T2T onto a gel kept their edges; so were poses registered on a bubble in grasps, with the search that finds wide
+contacts. Rows of T2D2 from a DIGIT and a Mini, and poses registered on a bubble in tools, are from before that.
+Samples, steps and a few real pairs: [samples.md](samples.md).
 """
 COLUMNS = (
     "transfer", "by", "PSNR, dB", "SSIM", "Frechet (floor; FID)", "error, mm", "in contact, mm", "IoU",
