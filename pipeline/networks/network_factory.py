@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import inspect
 import warnings
 from collections.abc import Container, Generator, Mapping
 from typing import TYPE_CHECKING, Any
@@ -48,8 +49,15 @@ def build_network(kind: str, config: Mapping[str, Value]) -> nn.Module:
     if kind not in NETWORK_CLASSES:
         raise ModelMissing(f"unknown network {kind!r}; known are {', '.join(NETWORK_CLASSES)}")
     module, _, name = NETWORK_CLASSES[kind].partition(":")
+    network_class = getattr(importlib.import_module(module), name)
+    unknown = sorted(config.keys() - inspect.signature(network_class).parameters.keys())
+    if unknown:
+        raise ModelMissing(
+            f"these weights have settings that a {kind!r} lacks ({', '.join(unknown)}): another version of the program "
+            "wrote them; export or train them again"
+        )
     try:
-        return getattr(importlib.import_module(module), name)(**config)
+        return network_class(**config)
     except (TypeError, ValueError, LookupError, ArithmeticError, RuntimeError) as error:
         raise ModelMissing(f"cannot build network {kind!r}: {error}") from error
 

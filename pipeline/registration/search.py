@@ -32,7 +32,7 @@ from pipeline.registration.scene import ContactScene, select_in_reach
 from pipeline.registration.starts import InitialPose
 from pipeline.values.results import PoseStep
 
-# Half or double of any count finds no more poses and saves little time: docs/experiments.md, search_counts.
+# On gels, half or double of any count finds no more poses and saves little time: docs/experiments.md, search_counts.
 _COARSE_CONTACT, _COARSE_MODEL = 50, (500, 4000)  # points to rank initial poses: at least, at most
 _COARSE_MM2 = 1.0  # object surface per point
 _MIDDLE_CONTACT, _MIDDLE_MODEL = 150, 1500  # points to rank where these converge

@@ -15,7 +15,7 @@ from msgspec import Meta
 from pipeline.base.arrays import Doubles
 from pipeline.base.errors import FileProblem
 from pipeline.base.files import MOST_TEXT_BYTES, check_folder, format_json, read_bytes, read_json, write_together
-from pipeline.base.typed_data import Name, Number, convert
+from pipeline.base.typed_data import FileName, Name, Number, convert
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh, load_mesh
 
@@ -145,7 +145,7 @@ class _Summary(msgspec.Struct, kw_only=True):
     key_frames: tuple[_Count, ...] = ()
     closed_loops: _Count = 0
     error: TrackError | None = None
-    problems: tuple[Name, ...] = ()
+    problems: tuple[FileName, ...] = ()  # sentences that name a file
 
 
 def is_track_folder(path: Path) -> bool:

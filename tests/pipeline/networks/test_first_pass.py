@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 
+from pipeline.base.errors import ModelMissing
 from pipeline.networks.first_pass import FirstPassPredictor
 from pipeline.networks.guidance import raise_steps
 from pipeline.networks.network_factory import build_network, export_weights, load_network, load_predictor
@@ -71,3 +72,8 @@ def test_changed_guidance_gets_the_steps_that_it_needs(guidance, steps, raised):
     old = DiffusionParams(steps=steps, guidance=1.5)
     assert raise_steps(old, replace(old, guidance=guidance)).steps == raised
     assert raise_steps(old, replace(old, seed=3)).steps == steps
+
+
+def test_settings_of_another_version_are_named():
+    with pytest.raises(ModelMissing, match="blur_px"):
+        build_network("residual_denoiser", {"inputs": 6, "unit_mm": 0.2, "blur_px": 0.75})
