@@ -8,9 +8,9 @@ import os
 import signal
 import sys
 import threading
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import Future, ProcessPoolExecutor
 from functools import lru_cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection
@@ -30,6 +30,14 @@ class WorkerPool(ProcessPoolExecutor):
         watched, self._lifeline = context.Pipe(duplex=False)
         super().__init__(n, mp_context=context, initializer=_initialise, initargs=(nice, watched))
 
+    def submit(self, *args: Any, **kwargs: Any) -> Future[Any]:
+        """Submit a task; a worker that starts for it inherits that Ctrl-C is blocked, even while it imports."""
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT,))
+        try:
+            return super().submit(*args, **kwargs)
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         """Wait for the tasks; after an error drop them."""
         if kind is not None:
@@ -38,7 +46,6 @@ class WorkerPool(ProcessPoolExecutor):
 
 
 def _initialise(nice: int, lifeline: Connection) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
     if hasattr(os, "setpgrp"):
         os.setpgrp()  # signals to the group are for the parent
     threading.Thread(target=_end_with_parent, args=(lifeline,), daemon=True).start()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import signal
 import time
 
 import pytest
@@ -31,3 +32,12 @@ def test_leaving_a_pool_waits_for_its_tasks():
     with WorkerPool(1) as pool:
         running = pool.submit(time.sleep, 0.2)
     assert running.exception() is None
+
+
+def test_ctrl_c_while_a_worker_starts_is_for_the_parent():
+    with WorkerPool(1) as pool:
+        running = pool.submit(os.getpid)
+        (worker,) = multiprocessing.active_children()
+        os.kill(worker.pid, signal.SIGINT)
+        assert running.result() == worker.pid
+    assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
