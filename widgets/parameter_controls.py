@@ -79,15 +79,14 @@ class ParameterControl:
         for slider in self.sliders:
             slider.setMinimumWidth(_NARROW_PX)
 
-    def set_compact(self, compact: bool, prefix: str, suffix: str) -> None:
-        """Show the number without its slider, between `prefix` and `suffix`."""
+    def set_compact(self, compact: bool, prefix: str) -> None:
+        """Show the number without its slider, after `prefix`."""
         for slider in self.sliders:
             slider.setHidden(compact)
         across = QSizePolicy.Policy.Ignored if compact else QSizePolicy.Policy.Minimum
         for box in self._spin_boxes:
             box.setSizePolicy(across, QSizePolicy.Policy.Fixed)
             box.setPrefix(prefix if compact else "")
-            box.setSuffix(suffix if compact else "")
 
 
 def make_control(value: Value, setting: Setting, edited: Callable[[Value], None]) -> ParameterControl:

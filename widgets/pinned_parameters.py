@@ -12,6 +12,7 @@ from widgets.parameter_controls import ParameterControl, describe_setting, make_
 from widgets.styling import fill, set_spacing
 
 _LABEL_PX, _ROW_PX, _COMPACT_ROW_PX = 54, 22, 19
+_NUMBER_LETTERS = 4
 _SLIDERS_FROM_PX = 126  # width from which on a slider fits between label and number
 
 
@@ -80,7 +81,7 @@ class PinnedParameters(QWidget):
             self.reserve_height(0)
 
     def _leave_room_to_numbers(self) -> None:
-        """Hide slider, name and unit where there is little room."""
+        """Hide slider and label where there is little room."""
         is_narrow = self.width() < _SLIDERS_FROM_PX * (len(self._rows) if self._is_wide else 1)
         if is_narrow != self._is_narrow:
             self._is_narrow = is_narrow
@@ -91,23 +92,18 @@ class PinnedParameters(QWidget):
         one_line = self._is_wide or self._is_compact
         self._lines.setDirection(way.LeftToRight if one_line else way.TopToBottom)
         self._lines.setSpacing((2 if self._is_narrow else 12) if self._is_wide else 2 if self._is_compact else 1)
-        for name in self._rows:
+        for index, name in enumerate(self._rows):
+            n_letters = len(self._shown[name][0].pinned) + _NUMBER_LETTERS
+            self._lines.setStretch(index, n_letters if one_line else 1)
             self._arrange_control(name)
 
     def _arrange_control(self, name: str) -> None:
         setting, control = self._shown[name]
         compact = self._is_narrow if self._is_wide else self._is_compact
         self._labels[name].setHidden(compact)
-        unit = f" {setting.unit}" if setting.unit else ""
-        around = (
-            ("", "")
-            if self._is_narrow and not self._is_wide
-            else ("", unit)
-            if unit
-            else (f"{setting.pinned.lower()} ", "")
-        )
+        name_inside = f"{setting.pinned.lower()} " if self._is_wide or not self._is_narrow else ""
         control.widget.setFixedHeight(_COMPACT_ROW_PX if compact else _ROW_PX)
-        control.set_compact(compact, *around)
+        control.set_compact(compact, name_inside)
         for slider in control.sliders:
             slider.setHidden(compact or self._is_narrow)
 

@@ -89,5 +89,6 @@ def test_one_line_shows_whole_numbers_and_sliders_where_they_fit(qtbot, width_px
     pinned.show()
     box = next(box for box in pinned.findChildren(QDoubleSpinBox) if box.isVisible())
     qtbot.waitUntil(lambda: box.width() >= box.minimumSizeHint().width(), timeout=2000)
+    assert box.text() == ("1.00" if width_px == 600 else "guidance 1.00")
     for kind in (QSlider, QLabel):
         assert any(widget.isVisible() for widget in pinned.findChildren(kind)) == (width_px == 600)
