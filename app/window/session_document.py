@@ -18,6 +18,7 @@ from app.window.logs import describe_error, log
 from app.window.main_window import MainWindow
 from app.window.screenshots import write_screenshot
 from pipeline.base.errors import FileProblem, TouchError
+from pipeline.base.files import read_toml
 from pipeline.base.fingerprints import compute_fingerprint
 from pipeline.calibration.calibration_file import is_calibration_file
 from pipeline.sensors.descriptions import is_description
@@ -109,7 +110,9 @@ class SessionDocument(QObject):
         elif path.suffix.lower() == dialogs.ALIGNMENT_SUFFIX and is_description(path):
             self.change("choose source", source=str(path), stream="")
         elif path.suffix.lower() == dialogs.ALIGNMENT_SUFFIX:
-            self.change("open alignment", alignment=path)
+            with self._problems_in_banner():
+                read_toml(path, "the alignment")
+                self.change("open alignment", alignment=path)
         elif path.suffix.lower() == dialogs.WEIGHTS_SUFFIX:
             self.open_weights(path)
         elif is_calibration_file(path):

@@ -31,6 +31,13 @@ MOST_BYTES = 2 << 30  # of one image or mesh
 MOST_TEXT_BYTES = 16 << 20  # of a description, an alignment or a session, which are a few kB
 _MOST_ARRAY_BYTES = 1 << 30  # of all arrays of an .npz, which is read as a whole
 _POINTER_START = b"version https://git-lfs"
+_TOML_FILES = {  # a key that only such a file has -> what reads it, and what a user does with it
+    "alignment_from_source": ("the alignment", "an alignment, to be given as --alignment or dropped on the window"),
+    "kind": ("the sensor description", "the description of a sensor, to be given as --sensor or --target"),
+    "extends": ("the sensor description", "the description of a sensor, to be given as --sensor or --target"),
+    "task": ("the recipe", "the recipe of a training, to be given to 'tactoscope train' as --recipe"),
+    "depth_mm": ("the task", "a tool for insertion, to be given to 'tactoscope task'"),
+}
 _MAX_TRIES = 10  # of making or replacing a folder while other processes do
 
 
@@ -328,8 +335,12 @@ def read_bytes(path: Path, what: str, most_bytes: int = MOST_BYTES) -> bytes:
 
 
 def read_toml(path: Path, what: str) -> dict[str, Any]:
-    """Return the tables of a TOML file; raises FileProblem, also for excessive nesting."""
-    return _parse(path, what, tomllib.loads, "TOML")
+    """Return the tables of a TOML file; raises FileProblem, also for excessive nesting and a file of another use."""
+    tables = _parse(path, what, tomllib.loads, "TOML")
+    for key, (reader, use) in _TOML_FILES.items():
+        if key in tables and reader != what:
+            raise FileProblem(f"cannot read {what}: this file is {use}", path)
+    return tables
 
 
 def read_json(path: Path, what: str) -> Any:

@@ -76,7 +76,10 @@ def read_description(path: Path, children: tuple[Path, ...] = ()) -> dict[str, A
     merged = read_description(file, (*children, path))
     for key, value in data.items():
         before = merged.get(key)
-        merged[key] = {**before, **value} if isinstance(before, dict) and isinstance(value, dict) else value
+        if isinstance(before, dict) and isinstance(value, dict) and "kind" not in value:  # another kind replaces
+            merged[key] = {**before, **value}
+        else:
+            merged[key] = value
     without = data.get("without", [])
     if not isinstance(without, list):
         raise FileProblem("without must be a list of sections", path, field="without")

@@ -187,11 +187,12 @@ _membranes: Memo[tuple[Path, str, str, float], Membrane] = Memo(8)
 def load_rest_membrane(data: Mapping[str, Any], path: Path) -> Membrane | None:
     """The membrane of `[rest] kind = "mesh"`; None where the section gives numbers.
 
-    Raises FileProblem for an invalid section or file, MeshProblem for the mesh in it.
+    Raises CalibrationError or FileProblem for an invalid section or file, MeshProblem for the mesh in it.
     """
     section: Any = data.get("rest")
     if not isinstance(section, dict) or "kind" not in section:
         return None
+    descriptions.refuse_unknown_keys(section, _RestMesh.__struct_fields__, path, "rest.")
     rest = convert(section, _RestMesh, DESCRIPTION, path, within="rest")
     from pipeline.geometry.mesh_membrane import load_membrane
 

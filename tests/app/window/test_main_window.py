@@ -26,6 +26,7 @@ from pipeline.engine.graph import Graph
 from pipeline.recordings.hdf5_writer import RecordingWriter
 from pipeline.stages.cloud.back_projection import BackProjectionParams
 from pipeline.stages.depth.photometric import DepthParams
+from pipeline.training.recipe import RECIPES_FOLDER
 from tests.app.conftest import bubble_frames
 from widgets.frames_model import CONTACT, DEPTH, METRIC
 from widgets.theme import get_theme_colours
@@ -481,6 +482,14 @@ def test_a_dropped_sensor_description_is_the_source(open_window, tmp_path):
     (tmp_path / "mine.toml").write_text('extends = "digit"\n')
     drop(controller.window, QUrl.fromLocalFile(str(tmp_path / "mine.toml")))
     assert (controller.session.source, controller.session.alignment) == (str(tmp_path / "mine.toml"), None)
+
+
+def test_a_dropped_recipe_is_named_and_changes_nothing(open_window):
+    controller = open_window()
+    before = controller.session
+    drop(controller.window, QUrl.fromLocalFile(str(RECIPES_FOLDER / "bubble.toml")))
+    assert "'tactoscope train'" in controller.window.banner.text
+    assert controller.session == before
 
 
 def test_a_session_file_restores_everything(bubble_window, open_window, tmp_path):

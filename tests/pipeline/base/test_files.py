@@ -226,6 +226,18 @@ def test_toml_and_json_that_no_one_can_read_are_refused(tmp_path, text):
         read_json(path, "it")
 
 
+def test_a_toml_file_of_another_use_is_named_with_it(tmp_path):
+    path = tmp_path / "mine.toml"
+    for text, what, words in (
+        ('task = "residual"', "the alignment", "cannot read the alignment: this file is the recipe of a training"),
+        ('mesh = "key.stl"\ndepth_mm = 8', "the alignment", "a tool for insertion"),
+        ('extends = "digit"', "the recipe", "the description of a sensor, to be given as --sensor"),
+    ):
+        path.write_text(text)
+        with pytest.raises(FileProblem, match=words):
+            read_toml(path, what)
+
+
 def test_a_git_lfs_pointer_is_named_with_the_remedy(tmp_path):
     path = tmp_path / "weights.pth"
     path.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 9\n")

@@ -65,6 +65,7 @@ def test_a_users_sensor_may_extend_one_of_the_project(tmp_path):
         ("[marker]\npitch = {}", "marker; do you mean markers"),
         ('titel = "my digit"', "titel; do you mean title"),
         ('[rest]\ndepth = {value = 20.0, unit = "mm", from = "measured", asumed = true}', "unknown field asumed"),
+        ('[rest]\nkind = "mesh"\nfile = "a.stl"\nunit = "mm"\nstap = 0.1', r"rest\.stap; do you mean rest\.step"),
     ],
 )
 def test_a_misspelled_key_is_named_with_the_one_that_is_meant(tmp_path, text, words):
