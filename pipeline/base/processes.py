@@ -40,9 +40,14 @@ class WorkerPool(ProcessPoolExecutor):
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         """Wait for the tasks; after an error drop them."""
+        results: Any = self._result_queue
+        manager: Any = self._executor_manager_thread
+        self.shutdown(wait=kind is None, cancel_futures=kind is not None)
         if kind is not None:
             self._lifeline.close()  # the workers end, whatever they are doing
-        self.shutdown(wait=True, cancel_futures=kind is not None)
+            results._writer.close()  # or who reads what one of them was writing would wait for the rest of it
+            if manager is not None:
+                manager.join()
 
 
 def _initialise(nice: int, lifeline: Connection) -> None:

@@ -87,10 +87,7 @@ def open_example_source(task: Task, seed: int, batch: int, workers: int) -> Gene
         yield ExampleSource(task, seed, batch, None, 0)
         return
     with WorkerPool(workers, _NICE) as pool:
-        try:
-            yield ExampleSource(task, seed, batch, pool, _BATCHES_AHEAD * workers)
-        finally:
-            pool.shutdown(wait=False, cancel_futures=True)
+        yield ExampleSource(task, seed, batch, pool, _BATCHES_AHEAD * workers)
 
 
 def make_batch(task: Task, seed: int, start: int, n: int, check: Callable[[], None] | None = None) -> Example:
