@@ -37,12 +37,12 @@ def read(files: RecordingFiles, options: ReadOptions) -> Recording:
     try:
         reader: Any = make_reader(file, decoder_factories=_make_decoders())
         times_ns = _list_times(reader, path)
-        found, problems = list[Any](), list[str]()
+        found, problems = list[Any](), dict[str, FileProblem]()
         for topic, times in times_ns.items():
             try:
                 found.append(make_stream(_Topic(reader, topic, times, path), path, options, name=topic.strip("/")))
             except FileProblem as problem:
-                problems.append(f"the topic {topic} is left out: {problem}")
+                problems[topic] = problem
     except TouchError:
         file.close()
         raise
@@ -51,10 +51,11 @@ def read(files: RecordingFiles, options: ReadOptions) -> Recording:
         raise FileProblem(f"the MCAP file is damaged ({error!r:.80})", path) from error
     if not found:
         file.close()
-        raise FileProblem(problems[0] if problems else "the MCAP file has no topic of images", path)
+        raise next(iter(problems.values()), FileProblem("the MCAP file has no topic of images", path))
     notes = dict.fromkeys(note for _, about in found for note in about)
+    left_out = [f"the topic {topic} is left out: {problem}" for topic, problem in problems.items()]
     return Recording(path=path, format="MCAP file", streams=tuple(stream for stream, _ in found), close=file.close,
-                     notes=(*files.notes, *notes, *problems))  # fmt: skip
+                     notes=(*files.notes, *notes, *left_out))  # fmt: skip
 
 
 def _make_decoders() -> list[Any]:

@@ -199,6 +199,10 @@ def _read_network(initial_weights: str) -> Mapping[str, Value]:
 def load_initial_weights(name: str, kind: str = "") -> Weights:
     """Weights of a file, or shipped ones by name (without a suffix); raises FileProblem and SettingProblem."""
     if Path(name).suffix:
+        if not Path(name).exists():
+            raise FileProblem(
+                "the recipe starts from weights that are not there; train them first, or give --from", Path(name)
+            )
         return READERS.get(kind, load_weights)(Path(name))
     weights = weights_registry.load_shipped(name)
     if isinstance(weights, NoWeights):

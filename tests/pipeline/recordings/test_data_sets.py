@@ -112,6 +112,14 @@ def test_mcap_topics_are_streams(tmp_path, as_json):
     recording.close()
 
 
+def test_an_mcap_without_a_first_frame_is_named_once(tmp_path, monkeypatch):
+    path = tmp_path / "a.mcap"
+    monkeypatch.setitem(globals(), "encode", lambda _: b"no image")
+    write_mcap(path, draw_frames(1), as_json=True)
+    with pytest.raises(FileProblem, match=r"^frame 0 cannot be decoded: '[^']*a\.mcap'$"):
+        open_recording(path)
+
+
 def test_a_damaged_mcap_is_refused(tmp_path):
     pytest.importorskip("mcap_protobuf")
     path = tmp_path / "a.mcap"

@@ -159,6 +159,9 @@ def test_a_run_starts_from_the_initial_weights_of_its_recipe(run, tmp_path, capl
     save_weights(tmp_path / "first.safetensors", make_weights(first, "first"))
     none = replace(run.recipe, optimiser=replace(run.recipe.optimiser, learning_rate=0.0))
     none = override_training(none, initial_weights=str(tmp_path / "first.safetensors"), steps=1)
+    lost = override_training(none, initial_weights=str(tmp_path / "lost.safetensors"))
+    with pytest.raises(FileProblem, match=r"train them first, or give --from: .*lost\.safetensors"):
+        train(replace(run, recipe=lost, folder=tmp_path / "lost"))
     again = train(replace(run, recipe=none, folder=tmp_path / "again"))
     assert same(tensors(again), tensors(first))
     assert "6 tensors start from" in caplog.text
