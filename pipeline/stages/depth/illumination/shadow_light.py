@@ -27,9 +27,10 @@ from pipeline.stages.depth.illumination.light import ImagePatch, Light, Rendered
 _DARK_GREY = np.float32(2.0)  # R0: a camera's black is not quite none
 _NOISE_PER_GREY = np.float32(0.01)  # noise grows with the light
 _MAX_DEPTH_FACTOR = 2.0  # of the sensor's largest indentation, on the way to a surface
-# Standard deviations between sensor instances, found on real DIGIT presses: azimuth, log tangent of the elevation,
-# share of a LED's own colour and of the other colours.
-_AZIMUTH_RAD, _LOG_TANGENT, _OWN_SHARE, _OTHER_SHARE = math.radians(8.0), 0.12, 0.15, 0.05
+# Standard deviations between sensor instances and places: azimuth, log tangent of the elevation, share of a LED's own
+# colour and of the other colours. Presses of one ball on a real DIGIT, with their shape given, show azimuths up to 15
+# degrees and shares of other colours up to 0.15 from the mean.
+_AZIMUTH_RAD, _LOG_TANGENT, _OWN_SHARE, _OTHER_SHARE = math.radians(15.0), 0.12, 0.15, 0.15
 _FIXED_MEAN_HEIGHT = 1e6  # precision of the mean log tangent: one touch trades it with its own size
 _SHARE_LIMITS = (-0.3, 0.9)
 _OWN_COLOUR = 0.5  # of the largest share
