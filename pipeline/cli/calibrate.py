@@ -1,5 +1,6 @@
 """`tactoscope calibrate balls`: a calibration table from presses of a ball, with its residuals."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import cast
 
@@ -66,7 +67,7 @@ def balls(
             images, reference_image, spec, diameter_mm, pixel_mm=pixel_mm, progress=progress, seed=seed
         )
     path = save(table, out)
-    _print_report(table)
+    _print_report(table, [Path(frame.origin).name for frame in frames])
     if pixel_mm is None:
         print_line(
             f"presses of one ball do not determine the pixel width: {table.pixel_mm:.4f} mm is that of the description "
@@ -83,17 +84,21 @@ def _load_presses(folder: Path, sensor: str, reference: Path, pattern: str) -> l
     frames = [frame for frame in frames if Path(frame.origin).match(pattern)]
     if not frames:
         raise FileProblem(f"no image matches {pattern!r}", folder)
+    distinct = {cast("Image", frame.image).tobytes(): frame for frame in reversed(frames)}  # a copy would judge itself
+    if len(distinct) < len(frames):
+        print_line(f"warning: {len(frames) - len(distinct)} images are copies of others and left out")
+        frames = list(reversed(distinct.values()))
     image = frames[0].reference
     if image is None or image.ndim != 3:
         raise FileProblem("the reference must be a colour image of the sensor without contact", reference)
     return frames
 
 
-def _print_report(calibration: Calibration) -> None:
+def _print_report(calibration: Calibration, names: Sequence[str]) -> None:
     table = Table("press", "centre (px)", "contact radius (px)", "slope residual (mm/mm)")
     for p in calibration.presses:
-        residual = f"{p.residual:.3f}" if p.used else "not used"
-        table.add_row(str(p.index), f"{p.x_px:.1f}, {p.y_px:.1f}", f"{p.radius_px:.1f}", residual)
+        values = (f"{p.x_px:.1f}, {p.y_px:.1f}", f"{p.radius_px:.1f}", f"{p.residual:.3f}")
+        table.add_row(names[p.index], *(values if p.used else ("-", "-", "not used")))
     Console().print(table)
     for line in format_calibration(calibration):
         print_line(line)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.base.arrays import Doubles, Floats, Image
-from pipeline.base.errors import SettingProblem
+from pipeline.base.errors import FileProblem, SettingProblem
 from pipeline.base.files import open_atomic
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh
@@ -64,7 +64,10 @@ def write_rrd(path: Path, samples: Iterable[StageSample], mesh: Mesh | None) -> 
                 log.log(_OBJECT, rr.Transform3D(translation=pose[:3, 3] * _M_PER_MM, mat3x3=pose[:3, :3]))
             for name, value in sample.metrics.items():
                 log.log(f"metrics/{name.replace('.', '/')}", rr.Scalars(value))
-        log.flush()
+        try:
+            log.flush()
+        except RuntimeError as error:
+            raise FileProblem(f"cannot write the Rerun recording (no room for it in {folder!r}?)", path) from error
         log.disconnect()
         with open_atomic(path, "the Rerun recording") as file:
             file.write(made.read_bytes())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -118,6 +119,23 @@ def test_a_sensor_described_by_a_file_of_ones_own_is_calibrated(touches, tmp_pat
                "--pattern", "touch_*"]  # fmt: skip
     assert run_app(build_app(), command) == 0
     assert calibration_file.load(tmp_path / "mine.npz").sensor == "mine"
+
+
+def test_a_copy_of_a_press_does_not_count(touches, tmp_path, capsys, monkeypatch):
+    mini, presses = load_sensor("gelsight_mini"), list[int]()
+
+    def calibrate_sensor(images, *_, **__):
+        presses.append(len(images))
+        return calibration_table.make_built_in(mini)
+
+    monkeypatch.setattr(calibrate, "calibrate_sensor", calibrate_sensor)
+    command = ["calibrate", "balls", str(touches), "--sensor", "gelsight_mini", "--diameter-mm", "8", "--reference",
+               str(touches / "background.png"), "--out", str(tmp_path / "mini.npz"), "--pattern", "touch_*"]  # fmt: skip
+    assert run_app(build_app(), command) == 0
+    shutil.copy(touches / "touch_1.png", touches / "touch_again.png")
+    assert run_app(build_app(), command) == 0
+    assert presses[0] == presses[1]
+    assert "1 images are copies of others and left out" in capsys.readouterr().out
 
 
 def test_calibrating_on_images_with_swapped_colours_gives_a_warning(touches, tmp_path, capsys, monkeypatch):

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.base.errors import SettingProblem
+from pipeline.base.errors import FileProblem, SettingProblem
 from pipeline.cli.main import build_app, run_app
 from pipeline.reporting.viewer_files import write_mcap, write_rrd
 from pipeline.translation.translate import Request, open_translation
@@ -70,6 +70,18 @@ def test_mcap_holds_images_depth_points_and_pose(tmp_path, evaluated):
     position = last["/object"][1].pose.position
     pose = results["pose"].output.sensor_from_object
     np.testing.assert_allclose([1e3 * position.x, 1e3 * position.y, 1e3 * position.z], pose[:3, 3], atol=1e-6)
+
+
+def test_a_disk_that_is_full_is_named(tmp_path, monkeypatch):
+    rr = pytest.importorskip("rerun")
+
+    def flush(*_, **__):
+        raise RuntimeError("File-writer thread shut down prematurely")
+
+    monkeypatch.setattr(rr.RecordingStream, "flush", flush)
+    with pytest.raises(FileProblem, match=r"no room for it in .*a\.rrd"):
+        write_rrd(tmp_path / "a.rrd", (), None)
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(("write", "module"), [(write_rrd, "rerun"), (write_mcap, "mcap_protobuf.writer")])
