@@ -1,9 +1,11 @@
-"""Describe the machine, versions and threads that a measurement was made with."""
+"""The machine, versions and threads that a measurement is made with."""
 
+import functools
 import importlib.metadata
 import os
 import platform
 from collections.abc import Mapping
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +54,19 @@ def format_machine(about: Mapping[str, Any]) -> str:
         f"{about['cpu']}, {about['cores']} cores{load}; {threads or 'default'} threads; "
         f"Python {about['python']}, {versions}"
     )
+
+
+def limit_blas_to_one_thread() -> AbstractContextManager[Any]:
+    """A context in which numpy's BLAS uses one thread; several threads add up in another order."""
+    return _find_thread_pools().limit(limits=1, user_api="blas")
+
+
+@functools.cache
+def _find_thread_pools() -> Any:
+    """The libraries with threads that are loaded, numpy's among them; to search for them takes milliseconds."""
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController()
 
 
 def _version(package: str) -> str | None:

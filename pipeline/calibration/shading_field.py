@@ -53,13 +53,14 @@ class ShadingFieldPrior:
 def compute_shading_terms(slopes: Doubles, indentation_mm: Doubles) -> Doubles:
     """Terms of the light (n, N_SHADING_TERMS) of slopes (n, 2) in mm/mm and indentations (n,) in mm."""
     length = np.sqrt(1.0 + (slopes**2).sum(axis=1))
-    return np.stack([-slopes[:, 0] / length, -slopes[:, 1] / length, 1.0 / length - 1.0, indentation_mm], axis=1)
+    return np.stack([-slopes[:, 0] / length, -slopes[:, 1] / length, 1.0 / length - 1.0, indentation_mm]).T
 
 
 def compute_position_terms(u: Floats | Doubles, v: Floats | Doubles) -> Doubles:
     """The monomials (n, N_POSITION_TERMS) of positions (n,) in the image."""
     n = range(POSITION_DEGREE + 1)
-    return np.stack([np.asarray(u, np.float64) ** i * v**j for j in n for i in n if i + j <= POSITION_DEGREE], axis=1)
+    of_u, of_v = (np.ascontiguousarray(np.vander(w.astype(np.float64), len(n), increasing=True).T) for w in (u, v))
+    return np.stack([of_u[i] * of_v[j] for j in n for i in n if i + j <= POSITION_DEGREE]).T
 
 
 def update_field(before: ShadingFieldPrior, presses: Sequence[SurfaceSamples]) -> ShadingFieldPrior:
@@ -108,7 +109,7 @@ def _update(before: ShadingFieldPrior, presses: Sequence[tuple[SurfaceSamples, D
     precision, pull = before.precision.copy(), before.precision @ before.mean
     for press, trust in presses:
         weight = trust * (_INDEPENDENT_PIXELS / max(len(trust), 1) / _NOISE**2)
-        features = _compute_features(press)
+        features = compute_features(press)
         weighted = features * weight[:, None]
         normal, target = weighted.T @ features, weighted.T @ press.change
         for k in range(3):
@@ -126,7 +127,7 @@ def _compute_weights(coefficients: Doubles, press: SurfaceSamples) -> Doubles:
     return np.minimum(1.0, _HUBER / np.maximum(off, 1e-9))
 
 
-def _compute_features(press: SurfaceSamples) -> Doubles:
-    return (compute_position_terms(press.u, press.v)[:, :, None] * press.shading_terms[:, None, :]).reshape(
-        len(press.u), -1
-    )
+def compute_features(press: SurfaceSamples) -> Doubles:
+    """What a colour of each pixel is linear in (n, N_POSITION_TERMS x N_SHADING_TERMS), a term at a time in memory."""
+    at, terms = compute_position_terms(press.u, press.v).T, press.shading_terms.T
+    return (at[:, None] * terms).reshape(-1, len(press.u)).T

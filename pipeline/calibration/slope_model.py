@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.arrays import Doubles, Floats, Mask, freeze
+from pipeline.base.machine import limit_blas_to_one_thread
 
 OFFSET_GREY = 15.0  # limits the amplification of camera noise in dark corners
 _RIDGE_GROWTH = 4.0  # factor of the ridge for each further degree
@@ -101,8 +102,6 @@ def fit(
     `ridge` is relative to the mean square of each monomial and grows with its degree; `huber` is the residual in mm/mm
     from which a sample's influence no longer grows.
     """
-    from threadpoolctl import threadpool_limits
-
     f = compute_features(samples, colour_degree, position_degree)
     target = samples.slopes
     solution: Doubles = np.zeros((f.shape[1], 2))
@@ -110,7 +109,7 @@ def fit(
     place = np.array([j + i for j, i in _list_position_powers(position_degree)])
     stiffer = (_RIDGE_GROWTH ** (place[:, None] + list_exponents(colour_degree).sum(axis=1)[None, :] - 1.0)).ravel()
     # One thread gives the same bytes everywhere; several sum in another order and are no faster.
-    with threadpool_limits(limits=1, user_api="blas"):
+    with limit_blas_to_one_thread():
         for _ in range(3):
             weighted = f * w[:, None]
             normal = (weighted.T @ f).astype(np.float64)

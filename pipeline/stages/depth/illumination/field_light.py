@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.arrays import Doubles, Floats
+from pipeline.base.machine import limit_blas_to_one_thread
 from pipeline.calibration import near_led_prior, shading_field, slope_model
 from pipeline.calibration.shading_field import (
     N_POSITION_TERMS,
@@ -30,7 +31,6 @@ from pipeline.calibration.shading_field import (
     POSITION_DEGREE,
     ShadingFieldPrior,
     SurfaceSamples,
-    compute_position_terms,
 )
 from pipeline.physics import optics
 from pipeline.physics.slopes import compute_slopes
@@ -103,11 +103,9 @@ def estimate_likeliest_depth(
 
     `sample` returns the same pixels and colours with the depth times a factor.
     """
-    from threadpoolctl import threadpool_limits
-
     logs = np.log(CONSTANTS.field_depth_factors)
     # Several threads add up in another order, and wait for each other longer than so small a system takes.
-    with threadpool_limits(limits=1, user_api="blas"):
+    with limit_blas_to_one_thread():
         unlikeliness = [_compute_posterior(prior, sample(factor))[0] for factor in CONSTANTS.field_depth_factors]
         bend, slope, _ = np.polyfit(logs, unlikeliness, 2)
         at = -0.5 * slope / bend if bend > 0.0 else logs[int(np.argmin(unlikeliness))]
@@ -130,20 +128,21 @@ def expand_field(coefficients: Doubles, u: Floats, v: Floats) -> Floats:
 
 def _compute_posterior(prior: ShadingFieldPrior, surface: SurfaceSamples) -> tuple[float, Doubles]:
     """(-2 ln p of the colours up to a constant, posterior mean of the coefficients)."""
+    from scipy import linalg
+
     weight = CONSTANTS.field_independent_pixels / max(len(surface.u), 1) / CONSTANTS.field_noise**2
-    at = compute_position_terms(surface.u, surface.v)
-    features = (at[:, :, None] * surface.shading_terms[:, None, :]).reshape(len(at), -1)
+    features = shading_field.compute_features(surface)
     pull = prior.precision @ prior.mean
     unlikeliness = float(prior.mean @ pull) + weight * float((surface.change.astype(np.float64) ** 2).sum())
-    precision, right = prior.precision.copy(), pull.copy()
-    block = features.shape[1]
+    precision, block = prior.precision.copy(), features.shape[1]
     normal = weight * (features.T @ features)
     for k in range(3):
         colour = slice(k * block, (k + 1) * block)
         precision[colour, colour] += normal
-        right[colour] += weight * (features.T @ surface.change[:, k])
-    coefficients = np.asarray(np.linalg.solve(precision, right), np.float64)
-    return unlikeliness - float(right @ coefficients) + float(np.linalg.slogdet(precision).logabsdet), coefficients
+    right = pull + weight * (features.T @ surface.change).T.ravel()
+    root, lower = linalg.cho_factor(precision, check_finite=False, overwrite_a=True)
+    coefficients = np.asarray(linalg.cho_solve((root, lower), right, check_finite=False), np.float64)
+    return unlikeliness - float(right @ coefficients) + 2.0 * float(np.log(np.diag(root)).sum()), coefficients
 
 
 def _sample_surface(

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.arrays import Doubles, Floats
+from pipeline.base.machine import limit_blas_to_one_thread
 from pipeline.physics import optics
 from pipeline.physics.slopes import compute_slopes
 from pipeline.sensors.spec import SensorSpec
@@ -123,8 +124,6 @@ def fit_shadow_leds(source: SensorSpec, touch: LedObservation) -> Doubles | None
 
 def _fit(model: _ParameterModel, touches: Sequence[LedObservation], rule: FitRule) -> Doubles | None:
     """Deviations (m,) of the last or best iteration; None where `rule` rejects them."""
-    from threadpoolctl import threadpool_limits
-
     precision = np.linalg.inv(model.prior_root @ model.prior_root.T)
     deviations = best = np.zeros(len(precision))
     normal, least, noise, change = precision, math.inf, 0.0, 0.0
@@ -139,7 +138,7 @@ def _fit(model: _ParameterModel, touches: Sequence[LedObservation], rule: FitRul
         return float(at @ precision @ at) / rule.max_deviance + excess / rule.max_excess
 
     # Several threads add up in another order.
-    with threadpool_limits(limits=1, user_api="blas"):
+    with limit_blas_to_one_thread():
         for iteration in range(CONSTANTS.fit_iterations + 1):
             touches, misfit = _refine_surfaces(model, deviations, touches)
             if iteration < len(rule.hopeless) and compute_score(deviations, misfit) > rule.hopeless[iteration]:
