@@ -56,10 +56,13 @@ def attribute(
                 if result is not None:
                     results.append(result)
     if not results:
-        raise SettingProblem(
-            f"{metric} is not known for any of these frames; use a recording that also holds "
-            f"{translation.target.name}'s own frames of the same touches"
+        name = translation.target.name
+        remedy = (
+            f"the source is {name} too: choose another --target or --sensor"
+            if translation.source.name == name
+            else f"use a recording that also holds {name}'s own frames of the same touches"
         )
+        raise SettingProblem(f"{metric} is not known for any of these frames; {remedy}")
     results.sort(key=lambda result: result.total, reverse=True)
     _print_table(results)
     if json is not None:

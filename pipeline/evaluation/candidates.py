@@ -49,15 +49,12 @@ def select_candidates(
 ) -> CandidateSet:
     """Baselines, then the catalogue's methods in its order; `only` names some of all.
 
-    `weights` (method -> file) replace shipped ones. Raises SettingProblem for a file that its method cannot use.
+    `weights` (method -> file) replace shipped ones.
     """
     candidates = [Candidate(name=name, title=title) for name, title in _TITLES.items()]
     excluded: list[str] = []
     for method in BUILT_IN.stage("touch").methods:
-        file = weights.get(method.name)
-        found = None if method.weights is None else method.weights(source, target, file)
-        if isinstance(found, NoWeights) and file is not None and (not only or method.name in only):
-            raise SettingProblem(f"--weights {method.name}={file}: {found.why}")
+        found = None if method.weights is None else method.weights(source, target, weights.get(method.name))
         if isinstance(found, NoWeights):
             excluded.append(f"{source.name} to {target.name} by {method.name}: {found.why}")
         else:

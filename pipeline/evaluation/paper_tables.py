@@ -67,6 +67,10 @@ def evaluate_tables(
         select_candidates(load_sensor(source), load_sensor(target), request.candidates, request.weights)
         for source, target in touches
     ]
+    for method in set(request.weights).intersection(request.candidates or request.weights):
+        whys = [why for one in candidate_sets for why in one.excluded if why.split(":")[0].endswith(f" by {method}")]
+        if len(whys) == len(candidate_sets):  # a file of one direction leaves the method out of the others
+            raise SettingProblem(f"--weights {method}={request.weights[method]}: {whys[0]}")
     rows: list[TableRow] = []
     whole = SubProgress(progress, 0.15, 0.85)
     for index, ((source, target), candidate_set) in enumerate(zip(touches, candidate_sets, strict=True)):

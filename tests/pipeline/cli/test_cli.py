@@ -429,3 +429,8 @@ def test_a_full_disk_behind_the_output_is_one_sentence():
 def test_a_closed_stderr_leaves_the_exit_code():
     command = f"exec '{sys.executable}' -m pipeline inspect nowhere.h5 2>&-"
     assert subprocess.run(["sh", "-c", command], check=False).returncode == EXIT_USER_ERROR
+
+
+def test_an_error_of_a_sensor_translated_to_itself_is_not_said_to_lack_its_frames(said):
+    words = said("attribute", SAMPLE, "--target", "gelslim", "--frame", "0")
+    assert "the source is gelslim too: choose another --target or --sensor" in words

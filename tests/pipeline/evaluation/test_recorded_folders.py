@@ -55,13 +55,15 @@ def test_the_tables_hold_the_pairs_that_the_training_held_out(data, trained, tmp
     out = tmp_path / "table.json"
     code = run_app(build_app(), [
         "evaluate", "--recordings", str(data), "--split", "unseen_tools", "--weights", f"vqvae={trained}",
-        "--only", "vqvae", "--direction", "gelslim:soft_bubble", "--method", "depth=physics", "--poses", "none",
+        "--only", "vqvae", "--method", "depth=physics", "--poses", "none",
         "--json", str(out),
     ])  # fmt: skip
     said = capsys.readouterr()
     assert code == 0, said.err
     table = json.loads(out.read_text())
-    rows = {row["candidate"]: row for row in table["rows"]}
+    assert "vqvae" not in {row["candidate"] for row in table["rows"] if row["target"] == "gelslim"}
+    assert "do not translate from a bubble to a gel" in table["notes"][-1]
+    rows = {row["candidate"]: row for row in table["rows"] if row["target"] == "soft_bubble"}
     assert set(rows) == {"no_contact", "mean", "physics", "vqvae"}
     assert {row["n_touches"] for row in rows.values()} == {2}, "the fingers of the grasp that was held out"
     assert "1 validate as unseen tools (peg)" in " ".join(said.out.split())
