@@ -111,21 +111,16 @@ def inpaint(change: Floats, hidden: Mask, sigma_px: float) -> Floats:
 
     A wider mean takes over where a narrower one has no visible pixel.
     """
-    channels = change.shape[2]
-    out = np.array(change)
+    import cv2
+
+    from pipeline.calibration.marker_kernels import fill_by_means
+
     seen = (~hidden).astype(np.float32)
-    shown = change * seen[..., None]
-    filled, todo = out.reshape(-1, channels), np.flatnonzero(hidden)
+    shown = np.asarray(cv2.multiply(change, cv2.merge([seen] * change.shape[2])), np.float32)
+    out, left = shown.copy(), np.array(hidden)
     for reach in (sigma_px, 3 * sigma_px, 9 * sigma_px):
-        weight = _blur(seen, reach).ravel()[todo]
-        ready = weight > _VISIBLE_SHARE_MIN
-        at = todo[ready]
-        mean = _blur(shown, reach).reshape(-1, channels)
-        filled[at] = mean[at] / weight[ready][:, None]
-        todo = todo[~ready]
-        if not len(todo):
+        if not fill_by_means(out, _blur(shown, reach), _blur(seen, reach), np.float32(_VISIBLE_SHARE_MIN), left):
             break
-    filled[todo] = 0.0
     return out
 
 

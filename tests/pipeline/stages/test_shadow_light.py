@@ -52,7 +52,7 @@ def render_change(indentation_mm, reference, source, leds):
         x_px=np.arange(cols, dtype=np.float32), y_px=np.arange(rows, dtype=np.float32),
         change=np.zeros(reference.shape, np.float32), reference=reference.astype(np.float32),
         changed=np.ones((rows, cols), np.bool_), downsampling=1, pixel_mm=source.pixel_mm, smoothing_px=0.0,
-        unmarked_share=np.ones((rows, cols, 1), np.float32),
+        unmarked_share=np.ones((rows, cols, 3), np.float32),
     )  # fmt: skip
     light, surface = shadow_light.make_shadow_light(source, leds, patch), np.array(indentation_mm)
     return simulate_recorded_change(

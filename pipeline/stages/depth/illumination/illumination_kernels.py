@@ -135,10 +135,11 @@ def render_field_light(gx, gy, surface_mm, field, change, rate_x, rate_y):
 
 
 @inline_kernel()
-def _accumulate(sums, confidence, jx, jy, residual, observed, huber):
+def _accumulate(sums, confidence, jx, jy, rendered, change, reference, huber):
     """Add one colour to the normal equations (xx, xy, yy, to x, to y) and to the misfit; none where it is clipped."""
     xx, xy, yy, to_x, to_y, misfit = sums
-    one, zero = np.float32(1.0), np.float32(0.0)
+    one, zero, observed = np.float32(1.0), np.float32(0.0), reference + change
+    residual = observed - min(max(rendered + reference, zero), np.float32(255.0))
     jx, jy, residual = jx * confidence, jy * confidence, residual * confidence
     rendered, size = observed - residual, abs(residual)
     informative = (rendered >= _MIN_GREY or observed >= _MIN_GREY + _NOISE_GREY) and (
@@ -164,18 +165,19 @@ def _step(sx, sy, sums, max_slope):
 
 
 @kernel(fastmath=FAST)
-def update_slopes(residual, observed, confidence, changed, rate_x, rate_y, limits, line, gx, gy, weights):
+def update_slopes(rendered, recorded, confidence, changed, rate_x, rate_y, limits, line, gx, gy, weights):
     """Add the Gauss-Newton step to the slopes gx, gy of each changed pixel, zero them elsewhere; return the misfit.
 
-    residual, observed (rows, cols, 3): observed minus rendered change, and the image, in grey levels; confidence
-    (rows, cols, 3): weight of each colour. limits: see `StepRule`. line (9 TILE,): scratch. weights (3, rows, cols) is
-    written: the information matrix (xx, xy, yy) of each pixel's slopes. The misfit sums the absolute residuals before
-    the step, each at most twice the Huber limit.
+    rendered (rows, cols, 3): the change that the surface shows, in grey levels, before the camera clips it; recorded:
+    the recorded change and the reference image, each alike; confidence (rows, cols, 3): weight of each colour. limits:
+    see `StepRule`. line (9 TILE,): scratch. weights (3, rows, cols) is written: the information matrix (xx, xy, yy) of
+    each pixel's slopes. The misfit sums the absolute residuals before the step, each at most twice the Huber limit.
     """
     pull, huber, max_slope, outside = limits
     rows, cols = changed.shape
     flat = (rows, 3 * cols)
-    residual, observed, confidence = residual.reshape(flat), observed.reshape(flat), confidence.reshape(flat)
+    rendered, confidence = rendered.reshape(flat), confidence.reshape(flat)
+    change, reference = recorded[0].reshape(flat), recorded[1].reshape(flat)
     rate_x, rate_y = rate_x.reshape(flat), rate_y.reshape(flat)
     zero, misfit = np.float32(0.0), 0.0
     for row in range(rows):
@@ -185,17 +187,14 @@ def update_slopes(residual, observed, confidence, changed, rate_x, rate_y, limit
             for i in range(n):
                 t, k = np.uint64(i), _COLOURS * (np.uint64(i) + first)
                 sums = (pull, zero, pull, zero, zero, zero)
-                sums = _accumulate(
-                    sums, confidence[r, k], rate_x[r, k], rate_y[r, k], residual[r, k], observed[r, k], huber
-                )
+                sums = _accumulate(sums, confidence[r, k], rate_x[r, k], rate_y[r, k], rendered[r, k], change[r, k],
+                                   reference[r, k], huber)  # fmt: skip
                 k += _GREEN
-                sums = _accumulate(
-                    sums, confidence[r, k], rate_x[r, k], rate_y[r, k], residual[r, k], observed[r, k], huber
-                )
+                sums = _accumulate(sums, confidence[r, k], rate_x[r, k], rate_y[r, k], rendered[r, k], change[r, k],
+                                   reference[r, k], huber)  # fmt: skip
                 k += _GREEN
-                sums = _accumulate(
-                    sums, confidence[r, k], rate_x[r, k], rate_y[r, k], residual[r, k], observed[r, k], huber
-                )
+                sums = _accumulate(sums, confidence[r, k], rate_x[r, k], rate_y[r, k], rendered[r, k], change[r, k],
+                                   reference[r, k], huber)  # fmt: skip
                 line[t], line[t + _L1], line[t + _L2], line[t + _L3], line[t + _L4], line[t + _L5] = sums
             total = zero
             for i in range(n):

@@ -56,10 +56,10 @@ def make_led_light(
     source: SensorSpec, optics: Optics, patch: ImagePatch, *, trusted: bool, near: bool = False
 ) -> LedLight:
     """Light of these optics of a sensor; `near` scales it by what LEDs close to the gel change of it."""
-    ones = np.ones_like(patch.reference)
     return LedLight(
         source=source, optics=optics, patch=patch, step_rule=TRUSTED_STEP if trusted else DESCRIBED_STEP,
-        gain=_compute_near_gain(source, patch) if near else ones, confidence=patch.unmarked_share * ones,
+        gain=_compute_near_gain(source, patch) if near else np.ones_like(patch.reference),
+        confidence=patch.unmarked_share,
         blur_px=optics.blur_px, max_depth_mm=source.limits.indentation_max_mm,
     )  # fmt: skip
 

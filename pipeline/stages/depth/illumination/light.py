@@ -29,7 +29,7 @@ class ImagePatch:
     downsampling: int  # image pixels along one side of a cell
     pixel_mm: float  # width of a cell, by the calibration, which may differ from the sensor's
     smoothing_px: float  # standard deviation of the change's smoothing, image pixels
-    unmarked_share: Floats  # (rows, cols, 1) share of a cell that no printed marker hides, now or in the reference
+    unmarked_share: Floats  # (rows, cols, 3) share of a cell that no printed marker hides, now or in the reference
 
 
 def extract_patch(
@@ -51,7 +51,7 @@ def extract_patch(
     x, y = (np.arange(a.start, a.stop, dtype=np.float32) for a in (window.cols, window.rows))
     return ImagePatch(
         x_px=x, y_px=y, change=change, reference=light, changed=window.changed, downsampling=1, pixel_mm=pixel_mm,
-        smoothing_px=smoothing_px, unmarked_share=unmarked[..., None],
+        smoothing_px=smoothing_px, unmarked_share=np.asarray(cv2.merge([unmarked] * 3), np.float32),
     )  # fmt: skip
 
 
@@ -71,7 +71,7 @@ def downsample_patch(patch: ImagePatch, shape: tuple[int, ...], cells: int = CON
         change=compute_cell_means(patch.change, by),
         reference=compute_cell_means(patch.reference, by),
         changed=compute_cell_means(patch.changed.astype(np.float32), by) > 0,
-        unmarked_share=compute_cell_means(patch.unmarked_share, by).reshape(rows, cols, 1),
+        unmarked_share=compute_cell_means(patch.unmarked_share, by),
         downsampling=step, pixel_mm=by * patch.pixel_mm, smoothing_px=patch.smoothing_px,
     )  # fmt: skip
 

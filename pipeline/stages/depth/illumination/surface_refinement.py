@@ -60,15 +60,14 @@ def refine_surface(
     rule, misfit = light.step_rule, 0.0
     weights = np.empty((3, *patch.changed.shape), np.float32)
     limits, scratch = rule.pack_limits(), np.empty(N_LINES * TILE_PX, np.float32)
-    observed = patch.reference + patch.change
     for _ in range(iterations):
         surface = clip_surface(surface_mm, patch, light)
         slopes = compute_slopes(surface, patch.pixel_mm)
         change, *rates = light.render(surface, *slopes)
-        residual = observed - np.clip(blur_change(change, patch, light.blur_px) + patch.reference, 0.0, 255.0)
         misfit = update_slopes(
-            residual, observed, light.confidence, patch.changed, *rates, limits, scratch, *slopes, weights
-        )
+            blur_change(change, patch, light.blur_px), (patch.change, patch.reference), light.confidence,
+            patch.changed, *rates, limits, scratch, *slopes, weights,
+        )  # fmt: skip
         before = surface_mm
         if rule.weighted:
             raised = raise_walls(surface_mm, slopes, weights, patch.pixel_mm)
