@@ -173,7 +173,8 @@ def _parse_session(data: object, path: Path, catalogue: Catalogue) -> Session:
         raise FileProblem("this is not a session file", path)
     version = cast("dict[str, Any]", data)["tactoscope session"]
     if version != _VERSION:
-        raise FileProblem(f"the session has version {version!r}, this program reads {_VERSION}", path)
+        advice = "open its recording and choose the files again, or use the program that saved it"
+        raise FileProblem(f"the session has version {version!r}, this program reads {_VERSION}; {advice}", path)
     said = convert(cast("object", data), _SessionFile, "the session", path)
     try:
         catalogue.methods(said.route, said.methods)

@@ -10,8 +10,6 @@ from app.work.rollouts import attribute_decisions
 from pipeline.tasks.rerun import describe_error
 from pipeline.tasks.task import Decision
 
-_SUCCEEDS = "succeeds: there is no failure to attribute"
-
 
 class RolloutAttributionController(BackgroundController):
     """Connects the decision's panel with the rollout on screen."""
@@ -70,10 +68,9 @@ class RolloutAttributionController(BackgroundController):
             return
         current = decisions[min(self._rollouts.decision, len(decisions) - 1)]
         shown = current if current.shares else next((one for one in decisions if one.shares), current)
-        sentence = describe_error(shown, opened.error_title)
-        if opened.rollout.summary.succeeds:
-            sentence = f"off by {shown.error_mm:.1f} mm {opened.error_title}; it {_SUCCEEDS}"
-        elif shown is not current:
+        succeeds = opened.rollout.summary.succeeds
+        sentence = describe_error(shown, opened.error_title, succeeds=succeeds)
+        if shown is not current and not succeeds:
             sentence = f"at tick {shown.tick} {sentence}"
         self._panel.show_decision(sentence, shown, can_attribute=can)
 

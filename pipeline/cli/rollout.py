@@ -52,10 +52,10 @@ def attribute_recorded(file: Path) -> int:
     rollout = read_rollout(file)
     with open_progress_bar() as progress:
         decisions = attribute_rollout(rollout, progress)
-    title = load_task(rollout.plan.task).error_title
+    title, succeeds = load_task(rollout.plan.task).error_title, rollout.summary.succeeds
     for decision in decisions:
         if decision.shares or len(decisions) == 1:
-            print_line(f"tick {decision.tick}: {describe_error(decision, title)}")
+            print_line(f"tick {decision.tick}: {describe_error(decision, title, succeeds=succeeds)}")
     return 0
 
 

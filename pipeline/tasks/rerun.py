@@ -63,12 +63,15 @@ def attribute_rollout(rollout: RecordedRollout, progress: Progress = SILENT) -> 
     return again.decisions
 
 
-def describe_error(decision: Decision, title: str) -> str:
+def describe_error(decision: Decision, title: str, *, succeeds: bool) -> str:
     """The error at a decision by its parts, and the first truth with which the rollout succeeds.
 
-    `title` is what the task's error measures.
+    `title` is what the task's error measures; `succeeds` whether the rollout does as it is.
     """
-    text = f"fails by {decision.error_mm:.1f} mm {title}"
+    text = f"{decision.error_mm:.1f} mm {title}"
+    if succeeds:
+        return f"{text}; it succeeds: there is no failure to attribute"
+    text = f"fails by {text}"
     named = [
         f"{part.share_mm:.1f} the {part.title}"
         for part in sorted(decision.shares, key=lambda share: -share.share_mm)

@@ -109,7 +109,7 @@ def _draw_background(rollout: RecordedRollout, decision: int) -> _Background:
     title = f"{run.case}, trial {run.trial}, touch {run.touch}, {run.tolerance_mm:g} mm: {run.cause.partition(';')[0]}"
     figure.text(0.01, 0.955, title, fontsize=12, weight="bold", color="black" if run.succeeds else "#8c2d04")
     if run.decisions and not run.succeeds:
-        error = describe_error(run.decisions[decision], load_task(rollout.plan.task).error_title)
+        error = describe_error(run.decisions[decision], load_task(rollout.plan.task).error_title, succeeds=False)
         figure.text(0.01, 0.915, error, fontsize=9)
     for k, (name, preview) in enumerate(zip(_TOUCH_TITLES, read_touches(rollout, decision), strict=True)):
         axes = figure.add_axes((0.555 + 0.148 * k, 0.52, 0.14, 0.36))

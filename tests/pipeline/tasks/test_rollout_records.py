@@ -69,7 +69,9 @@ def test_run_again_it_is_the_recorded_one_and_its_shares_add_up_and_flip(failed)
     assert sum(part.share_mm for part in shares) == pytest.approx(decisions[0].error_mm)
     assert max(shares, key=lambda part: part.share_mm).stage == "touch"
     assert next(part for part in shares if part.succeeds).stage == "touch"
-    sentence = describe_error(decisions[0], "off the hole's axis")
+    sentence = describe_error(decisions[0], "off the hole's axis", succeeds=True)
+    assert sentence.startswith("1.0 mm off the hole's axis; it succeeds")
+    sentence = describe_error(decisions[0], "off the hole's axis", succeeds=False)
     assert sentence.startswith("fails by 1.0 mm off the hole's axis; of it 0.9 the generated touch")
     assert sentence.endswith("with the true touch it succeeds")
     fractions = [fraction for fraction, _ in steps]
