@@ -159,7 +159,7 @@ def _sum_products(a: Doubles, b: Doubles) -> Doubles:
 def _correlated_information(points_mm: Doubles, jacobian: Doubles, correlation_mm: float, most: int) -> Doubles:
     """Return (6, 6) J^T C J / n^2 of correlated errors of 1 mm rms, from at most `most` of the points."""
     some = np.s_[:: -(-len(points_mm) // most)]
-    apart_sq = ((points_mm[some][:, None] - points_mm[some][None]) ** 2).sum(axis=-1)
+    apart_sq = sum((w[:, None] - w) ** 2 for w in np.ascontiguousarray(points_mm[some].T))
     together = np.exp(apart_sq * (-0.5 / correlation_mm**2))
     pulls = _sum_products(together, jacobian[some])  # `together` is symmetric
     return _sum_products(jacobian[some], pulls) / len(together) ** 2

@@ -172,11 +172,11 @@ def sample_surface(level: SmoothedDepth, camera: Camera, pixels: Doubles) -> Loc
     # With p = fx z_x / z and q = fy z_y / z, a pinhole's depth image has the normal (p, q, -(1 + p x/z + q y/z)).
     p = 0.5 * camera.fx_px * (z[right] - z[left]) / z[:5]
     q = 0.5 * camera.fy_px * (z[below] - z[above]) / z[:5]
-    normals = np.stack([p, q, -(1.0 + p * ray_x[:5] + q * ray_y[:5])], axis=-1)  # (5, n, 3)
-    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    normals = np.stack([p, q, -(1.0 + p * ray_x[:5] + q * ray_y[:5])], axis=1)  # (5, 3, n): fast along the points
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     return LocalSurface(
-        points_mm=np.stack([ray_x[0] * z[0], ray_y[0] * z[0], z[0]], axis=-1),
-        normals=normals[0],
-        normals_along_x=0.5 * (normals[1] - normals[2]),
-        normals_along_y=0.5 * (normals[3] - normals[4]),
+        points_mm=np.stack([ray_x[0] * z[0], ray_y[0] * z[0], z[0]]).T,
+        normals=normals[0].T,
+        normals_along_x=0.5 * (normals[1] - normals[2]).T,
+        normals_along_y=0.5 * (normals[3] - normals[4]).T,
     )

@@ -83,12 +83,12 @@ def _weigh(residuals: Residuals) -> Doubles:
 
 def _solve(residuals: Residuals) -> Doubles:
     """The motion (6,) that the linearised residuals ask for."""
-    root = np.sqrt(_weigh(residuals))[:, None]
-    rows = (residuals.by_motion * root[:, :, None]).reshape(-1, 6)
+    root = np.sqrt(_weigh(residuals))
+    columns = (residuals.by_motion * root).reshape(6, -1)
     wanted = (residuals.errors * root).ravel()
-    information = rows.T @ rows
+    information = columns @ columns.T
     information += _DAMPING * np.diag(np.diag(information) + 1e-12)
-    return np.asarray(-np.linalg.solve(information, rows.T @ wanted), np.float64)
+    return np.asarray(-np.linalg.solve(information, columns @ wanted), np.float64)
 
 
 def _move(motion: Doubles, step: Doubles, centre_mm: Doubles) -> Doubles:

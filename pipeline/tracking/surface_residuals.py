@@ -34,11 +34,11 @@ _DISTINCT = 0.3  # change of the distance to the outline per mm: 1 where it is s
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Residuals:
-    """Residuals and their derivatives by (rotation rad, translation mm) about a centre."""
+    """Residuals and their derivatives by (rotation rad, translation mm) about a centre; points last, for speed."""
 
     centre_mm: Doubles  # (3,)
-    errors: Doubles  # (n, 5): distance, normal, outline, each in units of its expected error
-    by_motion: Doubles  # (n, 5, 6) their change by the motion
+    errors: Doubles  # (5, n): distance, normal, outline, each in units of its expected error
+    by_motion: Doubles  # (6, 5, n) their change by the motion
     outline_normals: Doubles  # (n, 3) of the contact's outline where it is near, else NaN
     here: LocalSurface
     on_moved: Doubles  # (n,) 1 on the current frame's moved part
@@ -47,7 +47,7 @@ class Residuals:
     @property
     def error_sq(self) -> Doubles:
         """Squared residual (n,) in units of the expected errors."""
-        return (self.errors**2).sum(axis=1)
+        return (self.errors**2).sum(axis=0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,26 +92,24 @@ def compute_residuals(key: KeyPoints, current: MembraneSurface, level: int, moti
     usable = in_front & find_inside(pixels, current, smooth.margin_px)
     if usable.sum() < MIN_POINTS:
         return None
-    points, pixels = points[usable], pixels[usable]
+    points, pixels = np.asfortranarray(points[usable]), np.asfortranarray(pixels[usable])
     here = sample_surface(smooth, camera, pixels)
     outline_mm, outline_change = sample_outline(current.outline_mm, pixels)
-    turned = key.surface.normals[usable] @ motion[:3, :3].T
+    turned = np.asfortranarray(key.surface.normals[usable] @ motion[:3, :3].T)
     centre = points.mean(axis=0)
-    by_x, by_y = _differentiate_pixels(points, points - centre, camera)
-    errors, by_motion = np.empty((len(points), 5)), np.empty((len(points), 5, 6))
-    errors[:, 0] = ((here.points_mm - points) * here.normals).sum(axis=1)
-    by_motion[:, 0] = -np.concatenate([_cross(points - centre, here.normals), here.normals], axis=1)
-    errors[:, 1:4] = here.normals - turned
-    by_motion[:, 1:4] = (
-        here.normals_along_x[:, :, None] * by_x[:, None] + here.normals_along_y[:, :, None] * by_y[:, None]
-    )
-    by_motion[:, 1:4, :3] += _cross_matrices(turned)  # R n turns along
-    errors[:, 4] = outline_mm - key.outline_mm[usable]
-    by_motion[:, 4] = outline_change[:, :1] * by_x + outline_change[:, 1:] * by_y
-    scale = key.expected[[0, 1, 1, 1, 2]]
+    by_x, by_y = (by.T for by in _differentiate_pixels(points, points - centre, camera))
+    errors, by_motion = np.empty((5, len(points))), np.empty((6, 5, len(points)))
+    errors[0] = ((here.points_mm - points) * here.normals).sum(axis=1)
+    by_motion[:, 0] = -np.concatenate([_cross(points - centre, here.normals), here.normals], axis=1).T
+    errors[1:4] = (here.normals - turned).T
+    by_motion[:, 1:4] = here.normals_along_x.T * by_x[:, None] + here.normals_along_y.T * by_y[:, None]
+    by_motion[:3, 1:4] += _cross_matrices(turned)  # R n turns along
+    errors[4] = outline_mm - key.outline_mm[usable]
+    by_motion[:, 4] = outline_change[:, 0] * by_x + outline_change[:, 1] * by_y
+    scale = key.expected[[0, 1, 1, 1, 2], None]
     return Residuals(
-        centre_mm=centre, errors=errors / scale, by_motion=by_motion / scale[:, None], here=here,
-        outline_normals=_find_outline_normals(outline_mm, by_motion[:, 4, 3:]),
+        centre_mm=centre, errors=errors / scale, by_motion=by_motion / scale, here=here,
+        outline_normals=_find_outline_normals(outline_mm, by_motion[3:, 4].T),
         on_moved=np.round(sample_outline(current.moved, pixels)[0]), n_points=len(key.outline_mm),
     )  # fmt: skip
 
@@ -131,7 +129,7 @@ def _differentiate_pixels(points: Doubles, arms: Doubles, camera: Camera) -> tup
 def _cross(one: Doubles, two: Doubles) -> Doubles:
     """The cross product of rows (n, 3): `np.cross` takes four times as long for so few."""
     (ax, ay, az), (bx, by, bz) = one.T, two.T
-    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=1)
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx]).T
 
 
 def _find_outline_normals(outline_mm: Doubles, change: Doubles) -> Doubles:
@@ -142,7 +140,7 @@ def _find_outline_normals(outline_mm: Doubles, change: Doubles) -> Doubles:
 
 
 def _cross_matrices(vectors: Doubles) -> Doubles:
-    """Matrices (n, 3, 3) of the cross product with each vector (n, 3)."""
+    """Matrices (3, 3, n), columns first, of the cross product with each vector (n, 3)."""
     x, y, z = vectors.T
     zero = np.zeros_like(x)
-    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(-1, 3, 3)
+    return np.stack([zero, z, -y, -z, zero, x, y, -x, zero]).reshape(3, 3, -1)
