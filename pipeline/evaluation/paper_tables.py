@@ -151,8 +151,10 @@ def _select_pose_methods(
 
 
 def _check_settings(request: EvaluationRequest) -> None:
-    """Raise SettingProblem for an unknown candidate, or a touch setting that no method has."""
+    """Raise SettingProblem for an unknown candidate, one touch method for all, or a setting that no touch method has."""
     check_candidate_names(request.candidates)
+    if "touch" in request.methods:
+        raise SettingProblem("every touch method is evaluated; name those of interest with --only, not with --method")
     known = {name for method in BUILT_IN.stage("touch").methods for name in list_settings(method.params())}
     for assignment in request.settings:
         stage, _, name = assignment.partition("=")[0].strip().partition(".")
@@ -202,4 +204,7 @@ def parse_direction(text: str) -> tuple[str, str]:
     source, arrow, target = (part.strip() for part in text.partition(":"))
     if not arrow or not source or not target:
         raise SettingProblem(f"a direction is written source:target, as gelslim:soft_bubble; got {text!r}")
-    return load_sensor(source).name, load_sensor(target).name
+    direction = load_sensor(source).name, load_sensor(target).name
+    if direction[0] == direction[1]:
+        raise SettingProblem(f"a direction is between two sensors, got {text!r}")
+    return direction

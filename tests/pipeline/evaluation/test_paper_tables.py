@@ -141,6 +141,7 @@ def test_the_command_prints_both_tables_and_writes_every_metric(cache_folder, fe
     [
         (("--direction", "gelslim"), "source:target"),
         (("--only", "magic"), "'magic'"),
+        (("--method", "touch=physics"), "name those of interest with --only"),
         (("--set", "touch.wish=3"), "'wish'"),
         (("--grasps", "0"), "--grasps must lie within"),
     ],
@@ -158,3 +159,5 @@ def test_directions_are_pairs_of_known_sensors():
     assert parse_direction("digit:gelslim") == ("digit", "gelslim")
     with pytest.raises(SettingProblem):
         parse_direction("digit:nothing")
+    with pytest.raises(SettingProblem, match="between two sensors"):
+        parse_direction("digit:digit")
