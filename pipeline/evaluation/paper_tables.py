@@ -151,7 +151,7 @@ def _select_pose_methods(
 
 
 def _check_settings(request: EvaluationRequest) -> None:
-    """Raise SettingProblem for an unknown candidate, one touch method for all, or a setting that no touch method has."""
+    """Raise SettingProblem for an unknown candidate, a touch method for all, or a setting that no touch method has."""
     check_candidate_names(request.candidates)
     if "touch" in request.methods:
         raise SettingProblem("every touch method is evaluated; name those of interest with --only, not with --method")
