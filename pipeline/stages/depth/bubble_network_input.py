@@ -10,6 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.base.arrays import Floats, Mask, freeze
+from pipeline.base.memo import Memo
+from pipeline.engine.digests import compute_cached_digest
 from pipeline.stages.depth.bubble_contact import denoise_displacement
 
 N_CHANNELS = 5
@@ -57,14 +59,14 @@ def _compute_load(smooth: Floats, pixel_mm: float) -> Floats:
 def estimate_rest_surface(rest: Floats, seen: Mask, pixel_mm: float) -> Floats:
     """The reference membrane (rows, cols) without its noise: a dome plus structure wider than 10 mm."""
     measured = seen.astype(np.float32)
-    dome = _fit_dome(rest, measured)
+    dome = _find_dome(rest, measured)
     level = np.where(seen, rest - dome, np.float32(0.0)).astype(np.float32)
     return dome + _average(level, measured, _REST_SMOOTHING_MM / pixel_mm)
 
 
 def _compute_roughness(rest: Floats, measured: Floats, pixel_mm: float) -> Floats:
     """Structure of a reference (rows, cols) too fine for a membrane; 0 where nothing was measured."""
-    level = np.where(measured > 0, rest - _fit_dome(rest, measured), np.float32(0.0)).astype(np.float32)
+    level = np.where(measured > 0, rest - _find_dome(rest, measured), np.float32(0.0)).astype(np.float32)
     rough = (level - _average(level, measured, _ROUGHNESS_MM / pixel_mm)) * measured
     return np.clip(rough, -_ROUGHNESS_MAX_MM, _ROUGHNESS_MAX_MM).astype(np.float32)
 
@@ -75,6 +77,15 @@ def _average(level: Floats, measured: Floats, sigma_px: float) -> Floats:
 
     mean, share = (np.asarray(cv2.GaussianBlur(a, (0, 0), sigma_px), np.float32) for a in (level, measured))
     return np.asarray(mean / np.maximum(share, _WEIGHT_MIN), np.float32)
+
+
+def _find_dome(rest: Floats, measured: Floats) -> Floats:
+    """The dome of a reference (rows, cols): that of a frame is asked for twice, and by most of a recording's frames."""
+    keys = compute_cached_digest(rest), compute_cached_digest(measured)
+    return _domes.get_or_make(keys, lambda: freeze(_fit_dome(rest, measured)))
+
+
+_domes: Memo[tuple[str, str], Floats] = Memo(4)
 
 
 def _fit_dome(rest: Floats, measured: Floats) -> Floats:
