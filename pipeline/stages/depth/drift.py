@@ -7,6 +7,10 @@ LEDs warm up and fade, daylight leaks in, a camera sits loosely in its housing. 
 with R the reference. A touch fits none of this: its blocks are outliers, which a redescending weight removes from the
 fit (Geman and McClure 1985), from a wide scale to a narrow one, so no initial guess is needed. If too few blocks agree,
 the drift is unknown.
+
+A touch changes light far from it as well: by light that its flanks scatter, and by gel that bulges. That looks like a
+small drift. So a small one is left alone, a large one removed, and one in between in part: noise moves the result
+gradually.
 """
 
 import math
@@ -25,9 +29,8 @@ _SCALES_GREY = (24.0, 12.0, 6.0, 3.0)  # of the weights in successive fits, befo
 _AGREEMENT_GREY = 1.5  # residual up to which a block agrees, where noise is low
 _AGREEMENT_SIGMAS = 3.0  # the same in standard deviations of a block's noise, where that is more
 _AGREEMENT_MIN = 0.3  # share of the blocks; fewer may be part of a touch
-_AGREEMENT_GAIN = (
-    0.25  # share by which more blocks must agree than without drift: stray light of a touch looks like drift
-)
+# Share by which more blocks agree than without drift: up to the first it is left alone, from the second removed whole.
+_AGREEMENT_GAIN = (0.25, 0.35)
 _PRIOR_STD = (0.05, 8.0, 10.0, 1.5)  # prior of gain, offset (grey), ramp (grey to the border), shift (px)
 _BLOCK_NOISE_GREY = 0.5
 _GAIN_MAX, _GREY_MAX, _SHIFT_MAX_PX = 0.2, 30.0, 8.0  # more is no drift: another sensor instance, or a failed LED
@@ -128,7 +131,7 @@ def describe_no_contact(still: DriftedReference) -> str:
 
 
 def fit_drift(image: Image, reference: Image) -> tuple[Drift | None, bool]:
-    """(drift from `reference` to `image`, None if unknown; whether they may be of two sensor instances)."""
+    """(drift from `reference` to `image` to remove, None if unknown; whether they may be of two sensor instances)."""
     block = max(_BLOCK_MIN_PX, round(max(image.shape) / _BLOCKS_ALONG))
     if min(image.shape[:2]) < 4 * block:
         return None, False
@@ -138,7 +141,7 @@ def fit_drift(image: Image, reference: Image) -> tuple[Drift | None, bool]:
     residual = now - still.mean.reshape(now.shape)
     change, agrees = np.abs(residual).max(axis=2), _compute_agreement_grey(residual)
     foreign = float(np.percentile(change, 25)) > _FOREIGN_GREY
-    if agrees <= _AGREEMENT_GREY and float((change < agrees).mean()) > 1.0 - _AGREEMENT_GAIN:
+    if agrees <= _AGREEMENT_GREY and float((change < agrees).mean()) > 1.0 - _AGREEMENT_GAIN[0]:
         return None, foreign
     place, shift, solution = _make_positions(*now.shape[:2]), np.zeros(2), np.zeros(14)
     for _ in range(_ITERATIONS):
@@ -152,10 +155,18 @@ def fit_drift(image: Image, reference: Image) -> tuple[Drift | None, bool]:
     alike, agree = (float((a < agrees).mean()) for a in (change, np.abs(residual).max(axis=2)))
     own = solution[:12].reshape(3, 4)
     small = float(np.abs(own[:, 0]).max()) < _GAIN_MAX and float(np.abs(own[:, 1:]).max()) < _GREY_MAX
-    if not small or math.hypot(*shift) > _SHIFT_MAX_PX or agree < max(_AGREEMENT_MIN, alike + _AGREEMENT_GAIN):
+    share = _step(agree - alike, _AGREEMENT_GAIN)
+    if not small or math.hypot(*shift) > _SHIFT_MAX_PX or agree < _AGREEMENT_MIN or share == 0.0:
         return None, foreign
+    own, shift = share * own, share * shift
     return Drift(gain=1.0 + own[:, 0], offset_grey=own[:, 1], ramp_grey=own[:, 2:],
                  shift_px=(float(shift[0]), float(shift[1]))), False  # fmt: skip
+
+
+def _step(value: float, limits: tuple[float, float]) -> float:
+    """0 below the limits, 1 above, smooth in between."""
+    at = min(max((value - limits[0]) / (limits[1] - limits[0]), 0.0), 1.0)
+    return at * at * (3.0 - 2.0 * at)
 
 
 def _compute_agreement_grey(residual: Floats | Doubles) -> float:

@@ -67,6 +67,15 @@ def test_shift_gain_and_ramp_are_measured():
     assert found.ramp_grey[:, 0] == pytest.approx([5.0] * 3, abs=0.5)
 
 
+def test_what_is_removed_grows_with_the_drift_without_a_jump():
+    still = optics.render_reference(load_sensor("gelsight_mini"))
+    fits = [drift.fit_drift(drifted(still, ramp_grey=ramp), still)[0] for ramp in np.arange(3.0, 6.0, 0.1)]
+    removed = np.array([0.0 if fit is None else fit.ramp_grey[:, 0].mean() for fit in fits])
+    assert removed[0] == 0.0  # as little is what a touch does to the light far from it
+    assert removed[-1] == pytest.approx(5.9 / 2, abs=0.3)
+    assert np.abs(np.diff(removed)).max() < 1.2
+
+
 @pytest.mark.parametrize("name", ["digit", "gelsight_mini"])
 def test_a_touch_is_no_drift_and_is_found_through_one(name):
     source, touch, truth = press(name, depth_mm=0.4)
