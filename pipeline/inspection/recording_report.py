@@ -177,8 +177,8 @@ def _compute_timing(times: Sequence[float]) -> tuple[float, float]:
     known = np.asarray([t for t in times if math.isfinite(t)])
     if len(known) < 2 or known[-1] <= known[0]:
         return math.nan, math.nan
-    duration_s = float(known[-1] - known[0])
-    return duration_s, (len(known) - 1) / duration_s
+    intervals_s = np.diff(known)  # their median is the same where a frame is lost
+    return float(known[-1] - known[0]), 1.0 / float(np.median(intervals_s[intervals_s > 0]))
 
 
 def measure_contact_offset_mm(truth: Truth, sensor: SensorSpec, mesh: Mesh) -> float:

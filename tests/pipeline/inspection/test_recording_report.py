@@ -50,6 +50,11 @@ def state(report: InspectionReport, name: str) -> tuple[str, str]:
     return found.state, found.text
 
 
+def test_a_lost_frame_does_not_change_the_rate(tmp_path: Path):
+    report = inspect_recording(record(tmp_path / "a.h5", [gel(i) for i in (0, 1, 2, 4, 5)]))
+    assert (report.streams[0].duration_s, report.streams[0].rate_hz) == pytest.approx((0.25, 20.0))
+
+
 def test_a_good_recording_passes_and_is_described(tmp_path: Path):
     frames = [gel(i) for i in range(5)] + [bubble(i) for i in range(5)]
     pair = Pairing(source="digit", target="soft_bubble", target_from_source=rigid.from_parts((0, 0, 54.0)))
