@@ -277,6 +277,7 @@ def open_translation(request: Request, catalogue: Catalogue = BUILT_IN) -> Trans
         mesh=mesh,
         notes=(
             *recording.notes,
+            *_about_source(request, recording, stream, target),
             *_about_symmetry(recording, stream, mesh),
             *_about_weights(request, methods, catalogue),
         ),
@@ -308,6 +309,14 @@ def _load_force_scale(path: Path | None, source: SensorSpec) -> ForceScale | Non
     if scale is not None and scale.sensor != source.name:
         raise CalibrationError(f"the weighings are of {scale.sensor}, not of {source.name}: '{path}'")
     return scale
+
+
+def _about_source(request: Request, recording: Recording, stream: Stream, target: SensorSpec) -> tuple[str, ...]:
+    """Return a note where nobody chose the target's own sensor as the source, and the recording has others."""
+    others = [other.name for other in recording.streams if other.sensor not in ("", target.name)]
+    if request.stream or request.source or stream.sensor != target.name or not others:
+        return ()
+    return (f"source and target are both {target.name}; choose the source {' or '.join(others)} (--stream)",)
 
 
 def _about_symmetry(recording: Recording, stream: Stream, mesh: Mesh | None) -> tuple[str, ...]:

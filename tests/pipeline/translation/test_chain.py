@@ -132,3 +132,17 @@ def test_a_pixel_of_the_real_chain_goes_there_and_back(translation, warm):
         # The nearest corner of the triangle that covers a pixel lies at most a source pixel away.
         assert abs(last.row - row) <= 1
         assert abs(last.col - col) <= 1
+
+
+def test_a_source_of_the_targets_sensor_that_nobody_chose_is_noted():
+    recording = SAMPLE.with_name("digit_gelslim.h5")
+    said = {}
+    for target, stream in (("digit", ""), ("digit", "digit"), ("gelslim", "")):
+        opened = open_translation(Request(recording=recording, target=target, stream=stream))
+        said[target, stream] = [note for note in opened.notes if "source and target" in note]
+        opened.close()
+    assert said == {
+        ("digit", ""): ["source and target are both digit; choose the source gelslim (--stream)"],
+        ("digit", "digit"): [],
+        ("gelslim", ""): [],
+    }
