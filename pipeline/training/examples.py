@@ -88,6 +88,7 @@ def open_example_source(task: Task, seed: int, batch: int, workers: int) -> Gene
         return
     with WorkerPool(workers, _NICE) as pool:
         yield ExampleSource(task, seed, batch, pool, _BATCHES_AHEAD * workers)
+        pool.shutdown(wait=False, cancel_futures=True)  # batches ahead that nobody asks for
 
 
 def make_batch(task: Task, seed: int, start: int, n: int, check: Callable[[], None] | None = None) -> Example:
