@@ -1,7 +1,6 @@
 """The machine, versions and threads that a measurement is made with."""
 
 import functools
-import importlib
 import importlib.metadata
 import os
 import platform
@@ -58,16 +57,15 @@ def format_machine(about: Mapping[str, Any]) -> str:
 
 
 def limit_blas_to_one_thread() -> AbstractContextManager[Any]:
-    """A context in which the BLAS of numpy and scipy uses one thread; several threads add up in another order."""
+    """A context in which numpy's BLAS uses one thread; several threads add up in another order."""
     return _find_thread_pools().limit(limits=1, user_api="blas")
 
 
 @functools.cache
 def _find_thread_pools() -> Any:
-    """The libraries with threads that are loaded; to search for them takes milliseconds."""
+    """The libraries with threads that are loaded first, numpy's among them; to search for them takes milliseconds."""
     from threadpoolctl import ThreadpoolController
 
-    importlib.import_module("scipy.linalg")  # has a BLAS of its own, which is not found before it is loaded
     return ThreadpoolController()
 
 

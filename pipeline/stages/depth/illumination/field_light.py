@@ -128,8 +128,6 @@ def expand_field(coefficients: Doubles, u: Floats, v: Floats) -> Floats:
 
 def _compute_posterior(prior: ShadingFieldPrior, surface: SurfaceSamples) -> tuple[float, Doubles]:
     """(-2 ln p of the colours up to a constant, posterior mean of the coefficients)."""
-    from scipy import linalg
-
     weight = CONSTANTS.field_independent_pixels / max(len(surface.u), 1) / CONSTANTS.field_noise**2
     features = shading_field.compute_features(surface)
     pull = prior.precision @ prior.mean
@@ -140,9 +138,10 @@ def _compute_posterior(prior: ShadingFieldPrior, surface: SurfaceSamples) -> tup
         colour = slice(k * block, (k + 1) * block)
         precision[colour, colour] += normal
     right = pull + weight * (features.T @ surface.change).T.ravel()
-    root, lower = linalg.cho_factor(precision, check_finite=False, overwrite_a=True)
-    coefficients = np.asarray(linalg.cho_solve((root, lower), right, check_finite=False), np.float64)
-    return unlikeliness - float(right @ coefficients) + 2.0 * float(np.log(np.diag(root)).sum()), coefficients
+    # By numpy alone: scipy's own BLAS may be loaded after the thread pools were found, and would not be limited.
+    coefficients = np.asarray(np.linalg.solve(precision, right), np.float64)
+    log_root = np.log(np.diag(np.linalg.cholesky(precision)))
+    return unlikeliness - float(right @ coefficients) + 2.0 * float(log_root.sum()), coefficients
 
 
 def _sample_surface(
