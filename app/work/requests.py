@@ -68,10 +68,11 @@ def _choose_target(request: Request) -> str:
     """Return another sensor of the recording, one of another kind first, else a built-in one that differs."""
     with closing(
         open_recording(
-            request.recording, sensor=request.source, reference=request.reference, depth_unit=request.depth_unit
+            request.recording, sensor=request.source, stream=request.stream, reference=request.reference,
+            depth_unit=request.depth_unit,
         )
     ) as recording:
-        source = recording.stream(request.stream or request.source).sensor
+        source = recording.stream(request.stream or (load_sensor(request.source).name if request.source else "")).sensor
         others = [s.sensor for s in recording.streams if s.sensor not in ("", source)]
     if others:
         kind = load_sensor(source).kind

@@ -86,8 +86,12 @@ def load_paired_touches(
     exact: bool = False,
     progress: Progress = SILENT,
 ) -> tuple[AlignmentTouch, ...]:
-    """Load the frames with contact on both sensors, in order; raises like `load_paired_touch`."""
-    wanted = tuple(indices)
+    """Load the frames with contact on both sensors, in order; raises like `load_paired_touch`.
+
+    Frames at whose time the target recorded none are left out, unless all are.
+    """
+    asked = tuple(indices)
+    wanted = translation.select_paired(asked) or asked[:1]
     touches: list[AlignmentTouch] = []
     for done, index in enumerate(wanted):
         progress.step(done / len(wanted), f"depth of frame {index} on both sides")

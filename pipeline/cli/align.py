@@ -46,18 +46,22 @@ class PairedTouchOptions:
     Args:
         target: Target sensor.
         sensor: Source sensor; default: the recording's first, gelslim for tiles.
+        stream: Name of the source's stream, if one sensor has several.
         frames: Frames of a recording, such as `0,3-7`; default: all.
         truth: Use the recording's ground-truth depth and contact, not the depth stage's.
     """
 
     target: str
     sensor: str = ""
+    stream: str = ""
     frames: str = ""
     truth: Flag = False
 
     def build_request(self, recording: Path, alignment: Path | None = None) -> Request:
         """Request from source to target sensor."""
-        return Request(recording=recording, target=self.target, source=self.sensor, alignment=alignment)
+        return Request(
+            recording=recording, target=self.target, source=self.sensor, stream=self.stream, alignment=alignment
+        )
 
 
 def score(recording: Path, *, touches: PairedTouchOptions, alignment: Path | None = None) -> int:

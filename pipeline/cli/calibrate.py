@@ -34,6 +34,7 @@ def balls(
     out: Path,
     pixel_mm: float | None = None,
     pattern: str = "*",
+    stream: str = "",
     seed: int = 0,
 ) -> int:
     """Fit, save and report a calibration table; raises TouchError for presses or options that cannot be used.
@@ -46,6 +47,7 @@ def balls(
         out: Calibration file to write (.npz).
         pixel_mm: Width of a pixel on the gel; default: the sensor description's.
         pattern: File names of the folder to use, such as `ball_6.310mm_*`.
+        stream: Name of the stream, if the presses are a recording with several.
         seed: Seed of the fit; the same seed gives the same table.
     """
     check_range("--diameter-mm", diameter_mm, 0.1, MAX_BALL_DIAMETER_MM, "mm")
@@ -57,7 +59,7 @@ def balls(
         raise SettingProblem("--pattern is empty; '*' takes every image")
     check_folder_for(out)
     spec = load_sensor(sensor)
-    frames = _load_presses(presses, sensor, reference, pattern)
+    frames = _load_presses(presses, sensor, reference, pattern, stream)
     for mismatch in dict.fromkeys(describe_mismatch(frame, spec) for frame in frames[:_CHECKED_FRAMES]):
         if mismatch:
             print_line(f"warning: {mismatch}; this calibration will fit images of that kind only")
@@ -77,10 +79,10 @@ def balls(
     return 0
 
 
-def _load_presses(folder: Path, sensor: str, reference: Path, pattern: str) -> list[TactileFrame]:
+def _load_presses(folder: Path, sensor: str, reference: Path, pattern: str, stream: str) -> list[TactileFrame]:
     """The press images that match `pattern`, all with the same reference image."""
-    stream = open_recording(folder, sensor=sensor, reference=reference).stream()
-    frames = [stream.frame(i) for i in range(stream.n_frames)]
+    presses = open_recording(folder, sensor=sensor, stream=stream, reference=reference).stream(stream)
+    frames = [presses.frame(i) for i in range(presses.n_frames)]
     frames = [frame for frame in frames if Path(frame.origin).match(pattern)]
     if not frames:
         raise FileProblem(f"no image matches {pattern!r}", folder)

@@ -13,6 +13,7 @@ def inspect(
     recording: Path,
     *,
     sensor: str = "",
+    stream: str = "",
     reference: ReferenceImagePath = None,
     depth_unit: DepthUnit = "auto",
     make_reference: Path | None = None,
@@ -22,6 +23,7 @@ def inspect(
     Args:
         recording: File or folder of any known format, or a calibration file.
         sensor: Sensor that made the recording, if the file does not name it.
+        stream: Name of the stream to report on; default: all.
         make_reference: Image file to write first: the median of the recording's images, in which touches at different
             places vanish. The report then uses it as the reference.
     """
@@ -37,7 +39,9 @@ def inspect(
         for line in [] if scale is None else force_scale.format_force_scale(scale):
             print_line(line)
         return 0
-    report = inspect_recording(recording, sensor=sensor, reference=reference, depth_unit=depth_unit)
+    report = inspect_recording(
+        recording, sensor=sensor, stream=stream, reference=reference, depth_unit=depth_unit
+    )
     for line in format_report_lines(report):
         print_line(line)
     return 0 if report.has_passed else 1

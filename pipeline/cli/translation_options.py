@@ -112,7 +112,9 @@ def find_sensor(recording: Path, options: TranslationOptions) -> str:
 
     if options.sensor:
         return options.sensor
-    with closing(open_recording(recording, depth_unit=options.depth_unit, reference=options.reference)) as opened:
+    with closing(open_recording(
+        recording, stream=options.stream, depth_unit=options.depth_unit, reference=options.reference
+    )) as opened:  # fmt: skip
         sensor = opened.stream(options.stream).sensor
     if not sensor:
         raise UnknownSensor(f"the recording does not say which sensor made it; choose one (--sensor): '{recording}'")

@@ -83,7 +83,7 @@ def compute_mean_change(recordings: tuple[PressRecordings, ...], target: str) ->
         recording = open_recording(of.target)
         try:
             stream = recording.stream(of.target_stream or target)
-            for index in of.frames or range(stream.n_frames):
+            for index in of.target_frames or range(stream.n_frames):
                 frame = stream.frame(index)
                 assert frame.reference is not None
                 one = kind.compute_relative_change(frame.image, frame.reference).astype(np.float64)

@@ -41,7 +41,8 @@ class PressRecordings:
     target: Path
     source_stream: str = ""  # name of the stream; "" = the first one of the sensor
     target_stream: str = ""
-    frames: tuple[int, ...] = ()  # () = all
+    frames: tuple[int, ...] = ()  # of the source; () = all
+    target_frames: tuple[int, ...] = ()  # their partners
     frame_names: tuple[str, ...] = ()  # touches of one grasp have one name; () = every frame is a touch of its own
     mesh: Path | None = None  # of the object, in metres; None = the recording's
 

@@ -75,7 +75,7 @@ def _make_row(
     request: EvaluationRequest, of: PressRecordings, source: str, target: str, models: Mapping[str, Candidate]
 ) -> FigureRow:
     with open_presses(of, source, target, request.methods) as translation:
-        frames = of.frames or range(translation.n_frames)
+        frames = of.frames or translation.select_paired(range(translation.n_frames))
         index = frames[len(frames) // 2]
         observed = translation.read_target_observation(index)
         assert observed is not None

@@ -25,7 +25,8 @@ def _select(places: Sequence[PairPlace]) -> PressRecordings:
     return PressRecordings(
         object_name=first.grasp.tool, source=first.recording.path, target=first.recording.path,
         source_stream=first.source_stream.name, target_stream=first.target_stream.name,
-        frames=tuple(place.index for place in places), frame_names=tuple(place.grasp.name for place in places),
+        frames=tuple(place.index for place in places), target_frames=tuple(place.target_index for place in places),
+        frame_names=tuple(place.grasp.name for place in places),
         mesh=None if first.recording.object_mesh is not None else first.grasp.mesh_file,
     )  # fmt: skip
 

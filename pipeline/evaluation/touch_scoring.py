@@ -100,7 +100,7 @@ def open_presses(
 
 def _score_touches(job: ScoringJob, translation: Translation, progress: Progress) -> Iterator[ScoredTouch]:
     mean = compute_mean_change(job.training_recordings, job.target) if job.training_recordings else None
-    indices = job.recordings.frames or range(translation.n_frames)
+    indices = job.recordings.frames or translation.select_paired(range(translation.n_frames))
     for k, index in enumerate(indices):
         progress.step(k / len(indices), f"{job.recordings.object_name} {k + 1} of {len(indices)}")
         other = translation.read_target_observation(index)

@@ -1,24 +1,25 @@
 """Report on a recording: its content, and checks of units, frames and colours."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
-from itertools import combinations
 from pathlib import Path
 
 import numpy as np
 
-from pipeline.base.errors import TouchError
+from pipeline.base.errors import StageWarning, TouchError
 from pipeline.base.progress import SILENT, Progress
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import LARGEST_MM, SMALLEST_MM, Mesh
 from pipeline.inspection import synchrony
+from pipeline.inspection.synchrony import ContactSignature
 from pipeline.inspection.stream_checks import Check, StreamChecker, check_pairings
 from pipeline.recordings import open_recording
 from pipeline.recordings.formats import DepthUnit
 from pipeline.sensors.spec import SensorSpec, list_sensor_names, load_sensor
 from pipeline.values.frames import Recording, Stream, TactileFrame, Truth
+from pipeline.values.pairing import compute_interval_s, pair_frames
 
 _STATE_LABELS = {"pass": "ok  ", "fail": "FAIL", "unknown": "?   "}
 
@@ -59,20 +60,27 @@ def inspect_recording(
     path: Path,
     *,
     sensor: str = "",
+    stream: str = "",
     reference: Path | None = None,
     depth_unit: DepthUnit = "auto",
     progress: Progress = SILENT,
 ) -> InspectionReport:
-    """Read every frame once and report content and checks; damaged frames fail a check.
+    """Read every frame once and report content and checks of all streams or one; damaged frames fail a check.
 
     Raises TouchError only where the recording cannot be opened.
     """
-    with closing(open_recording(path, sensor=sensor, reference=reference, depth_unit=depth_unit)) as recording:
-        reports = [_inspect_stream(recording, s, _find_sensor(s.sensor, sensor), progress) for s in recording.streams]
+    with closing(
+        open_recording(path, sensor=sensor, stream=stream, reference=reference, depth_unit=depth_unit)
+    ) as recording:
+        shown = (recording.stream(stream),) if stream else recording.streams
+        signatures: dict[str, dict[int, ContactSignature]] = {s.name: {} for s in shown}
+        reports = [
+            _inspect_stream(recording, s, _find_sensor(s.sensor, sensor), signatures[s.name], progress) for s in shown
+        ]
         checks = [check for _, stream_checks in reports for check in stream_checks]
         checks += check_pairings(recording)
         checks += _check_grasps(recording)
-        checks += _check_synchrony(recording)
+        checks += _check_moments(recording, shown, signatures)
         if recording.object_mesh is not None:
             checks += [check(recording.object_mesh, str(recording.path)) for check in (_check_size, _check_surface)]
         return InspectionReport(
@@ -107,10 +115,23 @@ def _check_grasps(recording: Recording) -> Iterator[Check]:
     yield Check(name="grasps", state="fail" if problems else "pass", text="; ".join(problems) or good)
 
 
-def _check_synchrony(recording: Recording) -> Iterator[Check]:
-    """Checks that two streams recorded the same touches, where this can be decided."""
-    for one, other in combinations(recording.streams, 2):
-        result = synchrony.compare_streams(one, other)
+def _check_moments(
+    recording: Recording, streams: Sequence[Stream], signatures: Mapping[str, Mapping[int, ContactSignature]]
+) -> Iterator[Check]:
+    """Checks that streams have times in common, and recorded the same touches where this can be decided.
+
+    Each stream is checked with those it has a known transform to, and with the first: all pairs would take a time that
+    grows with the square of their number.
+    """
+    by_name = {s.name: s for s in streams}
+    known = [(p.source, p.target) for p in recording.pairings if {p.source, p.target} <= by_name.keys()]
+    for names in dict.fromkeys([*((streams[0].name, s.name) for s in streams[1:]), *known]):
+        one, other = (by_name[name] for name in names)
+        pairs = pair_frames(one, other)
+        if pairs.note:
+            state = "fail" if isinstance(pairs.note, StageWarning) else "unknown"
+            yield Check(name=f"{one.name} with {other.name}", state=state, text=f"{pairs.note}: '{recording.path}'")
+        result = synchrony.compare_moments(pairs, signatures[one.name], signatures[other.name])
         if result is not None:
             good = f"strength and place of {result.n_moments} moments agree"
             state = "pass" if result.warning is None else ("fail" if result.lag_frames else "unknown")
@@ -127,8 +148,13 @@ def _find_sensor(name: str, stated: str) -> SensorSpec | None:
 
 
 def _inspect_stream(
-    recording: Recording, stream: Stream, spec: SensorSpec | None, progress: Progress
+    recording: Recording,
+    stream: Stream,
+    spec: SensorSpec | None,
+    signatures: dict[int, ContactSignature],
+    progress: Progress,
 ) -> tuple[StreamReport, list[Check]]:
+    """Content and checks of one stream; fills in the signatures of its frames by their numbers."""
     checker = StreamChecker(stream.name, str(recording.path), spec)
     times: list[float] = []
     known: set[str] = set()
@@ -142,6 +168,7 @@ def _inspect_stream(
             first = first or frame
             times.append(frame.time_s)
             checker.add_frame(frame)
+            signatures[index] = synchrony.compute_frame_signature(frame)
         if truth is not None:
             known |= {n for n in ("indentation_mm", "contact", "sensor_from_object") if getattr(truth, n) is not None}
             checker.add_truth(index, truth)
@@ -177,8 +204,7 @@ def _compute_timing(times: Sequence[float]) -> tuple[float, float]:
     known = np.asarray([t for t in times if math.isfinite(t)])
     if len(known) < 2 or known[-1] <= known[0]:
         return math.nan, math.nan
-    intervals_s = np.diff(known)  # their median is the same where a frame is lost
-    return float(known[-1] - known[0]), 1.0 / float(np.median(intervals_s[intervals_s > 0]))
+    return float(known[-1] - known[0]), 1.0 / compute_interval_s(known)
 
 
 def measure_contact_offset_mm(truth: Truth, sensor: SensorSpec, mesh: Mesh) -> float:

@@ -13,7 +13,7 @@ are three frames late.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -24,6 +24,7 @@ from pipeline.base.arrays import Doubles, Floats, Mask
 from pipeline.base.errors import StageWarning, TouchError
 from pipeline.recordings.reference_images import compute_block_means
 from pipeline.values.frames import Stream, TactileFrame
+from pipeline.values.pairing import FramePairs, pair_frames
 
 _MIN_MOMENTS, _MAX_MOMENTS = 12, 96  # fewer give no result, more only take time
 _N_ORDERS, _MAX_P_VALUE = 999, 0.05  # random orders; share of them that may agree as well
@@ -91,19 +92,33 @@ def compute_frame_signature(frame: TactileFrame) -> ContactSignature:
 
 
 def compare_streams(one: Stream, other: Stream) -> SynchronyResult | None:
-    """`compare_signatures` of frames with equal numbers, at most `_MAX_MOMENTS` spread evenly."""
-    n = min(one.n_frames, other.n_frames)
-    indices = [k * n // _MAX_MOMENTS for k in range(_MAX_MOMENTS)] if n > _MAX_MOMENTS else range(n)
-    pairs: list[tuple[ContactSignature, ContactSignature]] = []
-    for index in indices:
+    """`compare_moments` of the frames that are one moment, reading at most `_MAX_MOMENTS` of them."""
+    pairs = pair_frames(one, other)
+    signatures: tuple[dict[int, ContactSignature], ...] = {}, {}
+    for index in select_moments(pairs):
         try:
-            pairs.append((compute_frame_signature(one.frame(index)), compute_frame_signature(other.frame(index))))
+            found = [compute_frame_signature(s.frame(k)) for s, k in ((one, index), (other, pairs.partners[index]))]
         except TouchError:
             continue
-    result = compare_signatures([a for a, _ in pairs], [b for _, b in pairs])
-    return (
-        result if result is None else replace(result, lag_frames=round(result.lag_frames * max(1.0, n / _MAX_MOMENTS)))
-    )
+        signatures[0][index], signatures[1][int(pairs.partners[index])] = found
+    return compare_moments(pairs, *signatures)
+
+
+def select_moments(pairs: FramePairs) -> list[int]:
+    """Frames of the first stream, at most `_MAX_MOMENTS` spread evenly over the pairs."""
+    indices = pairs.indices.tolist()
+    n = len(indices)
+    return indices if n <= _MAX_MOMENTS else [indices[k * n // _MAX_MOMENTS] for k in range(_MAX_MOMENTS)]
+
+
+def compare_moments(
+    pairs: FramePairs, one: Mapping[int, ContactSignature], other: Mapping[int, ContactSignature]
+) -> SynchronyResult | None:
+    """`compare_signatures` of two streams' signatures by frame, where both are known; the lag is in frames."""
+    indices = [k for k in select_moments(pairs) if k in one and int(pairs.partners[k]) in other]
+    result = compare_signatures([one[k] for k in indices], [other[int(pairs.partners[k])] for k in indices])
+    scale = max(1.0, len(pairs.indices) / _MAX_MOMENTS)
+    return result if result is None else replace(result, lag_frames=round(result.lag_frames * scale))
 
 
 def compare_signatures(one: Sequence[ContactSignature], other: Sequence[ContactSignature]) -> SynchronyResult | None:

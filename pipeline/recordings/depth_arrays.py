@@ -91,7 +91,7 @@ def _make_recording(files: RecordingFiles, stack: _DepthStack, options: ReadOpti
                             time_s=float(stack.times_s[index]), origin=f"{path} [{stack.key} {index}]",
                             camera=camera)  # fmt: skip
 
-    stream = Stream(name=name, sensor=name, n_frames=n, frame=with_index_check(frame, n, path))
+    stream = Stream(name=name, sensor=name, n_frames=n, frame=with_index_check(frame, n, path), times_s=stack.times_s)
     notes = (*files.notes, *notes, escape_text(f"{stack.key} is taken as {stack.unit}"), about, *stack.notes)
     return Recording(path=path, format="depth arrays", streams=(stream,), notes=notes)
 
@@ -143,7 +143,7 @@ def _stack_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], unit: DepthUni
             raise CalibrationError(f"{error}: '{path}'") from error
     for name in _TIME_KEYS:
         if name in arrays and arrays[name].shape == (len(images),) and arrays[name].dtype.kind in "fiu":
-            stack.times_s = arrays[name]
+            stack.times_s = freeze(arrays[name].astype(np.float64))
     unused = sorted(arrays.keys() - {key, "K", "frame", *_TIME_KEYS})
     stack.notes = (f"other arrays of the file are left out: {escape_text(', '.join(unused))}",) if unused else ()
     return stack

@@ -21,22 +21,22 @@ from pipeline.recordings.formats import (
     list_formats,
 )
 from pipeline.recordings.mounts import open_mounted
-from pipeline.sensors.spec import load_sensor
+from pipeline.sensors.spec import SensorSpec, load_sensor
 from pipeline.values.frames import Recording, Stream, TactileFrame
 
 _HEAD_BYTES = 16  # enough for every signature
 
 
 def open_recording(
-    path: Path, *, sensor: str = "", reference: Path | None = None, depth_unit: DepthUnit = "auto"
+    path: Path, *, sensor: str = "", stream: str = "", reference: Path | None = None, depth_unit: DepthUnit = "auto"
 ) -> Recording:
     """The recording at `path`, a file or a folder; frames are read on demand.
 
-    `sensor` names the sensor where the file does not; it overrides the file's own name if there is only one stream.
-    `reference` is an image or depth file without contact, `depth_unit` the unit of depth arrays whose names state
+    `sensor` names the sensor where the file does not; it overrides the file's own name for the only stream, or for the
+    one that `stream` names. `reference` is an image or depth file without contact, `depth_unit` the unit of depth arrays whose names state
     none. Raises FileProblem, SettingProblem or CalibrationError.
     """
-    path, options = Path(path), ReadOptions(sensor=sensor, reference=reference, depth_unit=depth_unit)
+    path, options = Path(path), ReadOptions(sensor=sensor, stream=stream, reference=reference, depth_unit=depth_unit)
     mounted = open_mounted(path)
     if mounted is not None:
         return _override(mounted, options)
@@ -100,36 +100,52 @@ def _read_head(path: Path) -> bytes:
 def _override(recording: Recording, options: ReadOptions) -> Recording:
     """The recording with the stated sensor and reference."""
     try:
-        recording = with_sensor(recording, options.sensor)
+        recording = with_sensor(recording, options.sensor, options.stream)
         file = options.reference
         if file is None:
             return recording
         is_depth = not image_files.is_image_file(file) or image_files.read_raw_pixels(file).dtype == np.uint16
         image = depth_arrays.read_depth_image(file, options.depth_unit) if is_depth else image_files.read_rgb(file)
-        return with_reference(recording, image, file)
+        return with_reference(recording, image, file, options.stream)
     except Exception:
         recording.close()
         raise
 
 
-def with_sensor(recording: Recording, sensor: str) -> Recording:
-    """The recording with `sensor` as the sensor of its only stream, or of the streams that do not name theirs."""
+def with_sensor(recording: Recording, sensor: str, stream: str = "") -> Recording:
+    """The recording with `sensor` as the sensor of its only stream, or of the one that `stream` names.
+
+    Else of the only stream that does not name its sensor, or of those of them that have its image size.
+    """
     if not sensor:
         return recording
-    name = load_sensor(sensor).name
-    is_single = len(recording.streams) == 1
-    streams = tuple(_replace_sensor(s, name) if is_single or not s.sensor else s for s in recording.streams)
-    replaced = [s.sensor for s in recording.streams if is_single and s.sensor not in ("", name)]
+    spec = load_sensor(sensor)
+    name, asked = spec.name, [s for s in recording.streams if s.name == stream]
+    meant = asked or (list(recording.streams) if len(recording.streams) == 1 else [])
+    if not meant:
+        meant = [s for s in recording.streams if not s.sensor]
+        meant = meant if len(meant) < 2 else [s for s in meant if _has_size(s, spec)]
+    streams = tuple(_replace_sensor(s, name) if s in meant else s for s in recording.streams)
+    replaced = [s.sensor for s in meant if s.sensor not in ("", name)]
     note = (f"the file names the sensor {replaced[0]}; {name} is used instead",) if replaced else ()
     return replace(recording, streams=streams, notes=recording.notes + note)
 
 
-def with_reference(recording: Recording, reference: Image | Floats, origin: Path) -> Recording:
-    """The recording with another reference for its only stream; raises SettingProblem for several streams."""
-    if len(recording.streams) != 1:
+def _has_size(stream: Stream, spec: SensorSpec) -> bool:
+    return stream.n_frames > 0 and stream.frame(0).image.shape[:2] == spec.camera.shape
+
+
+def with_reference(recording: Recording, reference: Image | Floats, origin: Path, stream: str = "") -> Recording:
+    """The recording with another reference for its only stream, or for the one that `stream` names.
+
+    Raises SettingProblem for several streams of which none is named.
+    """
+    if len(recording.streams) != 1 and not stream:
         raise SettingProblem(
-            f"a reference can be given for one stream, this recording has {len(recording.streams)}: '{origin}'"
+            f"a reference can be given for one stream, this recording has {len(recording.streams)}; choose it with "
+            f"--stream: '{origin}'"
         )
+    changed = recording.stream(stream)
 
     def replace_reference(frame: TactileFrame) -> TactileFrame:
         if frame.image.shape != reference.shape:
@@ -138,7 +154,8 @@ def with_reference(recording: Recording, reference: Image | Floats, origin: Path
             )
         return replace(frame, reference=reference)
 
-    return replace(recording, streams=(_map_frames(recording.streams[0], replace_reference),),
+    streams = tuple(_map_frames(s, replace_reference) if s is changed else s for s in recording.streams)
+    return replace(recording, streams=streams,
                    notes=(*recording.notes, f"{origin.name} is the reference"))  # fmt: skip
 
 

@@ -40,6 +40,7 @@ class ReadOptions:
     """What the user states about a recording."""
 
     sensor: str = ""  # name or TOML file; "" = not stated
+    stream: str = ""  # name of the stream that sensor and reference are about; "" = the format's choice
     reference: Path | None = None  # image or depth file of the sensor without contact
     depth_unit: DepthUnit = "auto"  # of depth arrays whose names state none
 

@@ -7,12 +7,13 @@ from typing import Protocol
 
 import numpy as np
 
-from pipeline.base.arrays import Image
+from pipeline.base.arrays import Image, freeze
 from pipeline.base.errors import FileProblem, StageWarning
 from pipeline.recordings import gel_images, image_files
 from pipeline.recordings.formats import ReadOptions, with_index_check
-from pipeline.recordings.gel_images import make_gel_converter
+from pipeline.recordings.gel_images import GelImageConverter, make_gel_converter
 from pipeline.recordings.reference_images import denoise_reference, select_reference_frame
+from pipeline.recordings.sensor_guess import find_named_sensor
 from pipeline.values.frames import Stream, TactileFrame
 
 _MAX_CANDIDATES = 16  # frames searched for a reference: seeking in a long video is slow
@@ -36,12 +37,12 @@ class ImageSequence(Protocol):
 
 
 def make_stream(
-    images: ImageSequence, path: Path, options: ReadOptions, *, name: str
+    images: ImageSequence, path: Path, options: ReadOptions, *, name: str, may_guess: bool = True
 ) -> tuple[Stream, tuple[str, ...]]:
     """The stream of a sequence, and notes; without a stated reference its first frames are the reference.
 
     Where it clearly begins with a touch, a later frame is the reference, with a warning. `name` may hold that of a
-    sensor. Raises FileProblem for a first frame that cannot be decoded, or a reference of another size.
+    sensor; without `may_guess` a sensor that is not stated stays unknown. Raises FileProblem for a first frame that cannot be decoded, or a reference of another size.
     """
     first = images.frame(0)
     is_difference = options.reference is None and gel_images.estimate_no_change_grey(first) is not None
@@ -54,7 +55,16 @@ def make_stream(
         start, reference = select_reference_frame(reference, _sample_frames(images)) or (0, reference)
         reference, n_averaged = denoise_reference(reference, _frames_after(images, start))
     shape = (first.shape[0], first.shape[1])
-    converter = make_gel_converter(options.sensor, shape, reference, lambda: first, file_names=(name,))
+    if options.sensor or may_guess:
+        converter = make_gel_converter(options.sensor, shape, reference, lambda: first, file_names=(name,))
+    else:
+        note = f"{name} names no sensor of touch; if it is one, say which with --stream {name} --sensor NAME"
+        converter = GelImageConverter(
+            sensor="", reference=reference, notes=(note,), resampling_fit=None, implied_reference=None
+        )
+    named = find_named_sensor((name,))
+    renamed = bool(options.sensor) and named not in ("", converter.sensor)
+    notes = (f"{name} names the sensor {named}; {converter.sensor} is used instead",) if renamed else ()
     about = () if is_difference else (_describe_reference(options.reference, start, n_averaged),)
 
     def frame(index: int) -> TactileFrame:
@@ -68,8 +78,9 @@ def make_stream(
                             origin=f"{path} [frame {index}]")  # fmt: skip
 
     stream = Stream(name=name or converter.sensor or "video", sensor=converter.sensor, n_frames=images.n_frames,
-                    frame=with_index_check(frame, images.n_frames, path))  # fmt: skip
-    return stream, (*converter.notes, *about)
+                    frame=with_index_check(frame, images.n_frames, path),
+                    times_s=freeze(np.array([images.time_s(k) for k in range(images.n_frames)])))  # fmt: skip
+    return stream, (*notes, *converter.notes, *about)
 
 
 def _describe_reference(reference: Path | None, start: int, n_averaged: int) -> str:

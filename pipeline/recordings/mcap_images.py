@@ -1,79 +1,122 @@
-"""Image topics of an MCAP file as streams: Foxglove's schemas (protobuf, JSON) and those of ROS 2."""
+"""Image topics of an MCAP file as streams: Foxglove's schemas (protobuf, JSON) and those of ROS 2.
+
+Images of a topic are in the order of their header stamps, then of their sequence numbers, then of the file. The time at
+which a message was written is used where there are no stamps: a bag's clock may stand still.
+"""
 
 import base64
 import json
+import struct
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
+
 from pipeline.base.arrays import Image
 from pipeline.base.errors import FileProblem, SettingProblem, TouchError
 from pipeline.base.files import require_file
-from pipeline.recordings.encoded_images import decode_rgb, unpack_rgb
+from pipeline.recordings.encoded_images import NO_DEPTH, decode_rgb, unpack_rgb
 from pipeline.recordings.formats import ReadOptions, RecordingFiles
-from pipeline.recordings.image_sequence import make_stream
+from pipeline.recordings.mcap_records import McapChannel, McapFile, McapMessage
+from pipeline.recordings.stream_choice import make_streams
 from pipeline.values.frames import Recording
 
+PREVIEW_PROFILE = "tactoscope previews"  # profile of the files that are exported for viewers
 _SCHEMAS = frozenset({
     "foxglove.CompressedImage", "foxglove.RawImage", "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Image",
 })  # fmt: skip
-_MAX_CHUNK_BYTES = 1 << 30  # uncompressed, as stated
+_VIDEO = "CompressedVideo"  # end of the names of video schemas
+_NS_PER_S = 10**9
+_MAX_CLOCK_GAP_NS = 10 * _NS_PER_S  # by which header and log times of two topics may differ; more is two clocks
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _StampedImage:
+    """One image message, and the time in its header."""
+
+    message: McapMessage
+    stamp_ns: int  # 0 = none
 
 
 def read(files: RecordingFiles, options: ReadOptions) -> Recording:
-    """Every topic of colour images that can be read as one stream, by its name.
+    """Every topic of colour images that records touch as one stream, by its name; see `stream_choice.make_streams`.
 
     Raises FileProblem, and SettingProblem where the package `mcap` is missing.
     """
     path = files.path
     require_file(path, "the MCAP file", most_bytes=1 << 50)
+    decoders, file = _make_decoders(), McapFile(path)
     try:
-        from mcap.reader import make_reader
-    except ImportError as error:
-        raise SettingProblem(
-            "MCAP files are read by mcap, which is not installed; pip install mcap-protobuf-support"
-        ) from error
-    file = path.open("rb")
-    try:
-        reader: Any = make_reader(file, decoder_factories=_make_decoders())
-        times_ns = _list_times(reader, path)
-        found, problems = list[Any](), dict[str, FileProblem]()
-        for topic, times in times_ns.items():
-            try:
-                found.append(make_stream(_Topic(reader, topic, times, path), path, options, name=topic.strip("/")))
-            except FileProblem as problem:
-                problems[topic] = problem
+        topics, others = _list_images(file, decoders)
+        if file.profile == PREVIEW_PROFILE:
+            raise FileProblem(
+                "the file holds coloured previews that were exported for viewers, not images of a sensor; open the "
+                "recording that they were made from", path,
+            )  # fmt: skip
+        if not topics:
+            raise FileProblem(_describe_lack(others, file.notes), path)
+        times_ns, notes = _choose_times(topics)
+        start_ns = min((t for of_topic in times_ns.values() for t in of_topic.values()), default=0)
+        cameras: dict[str, Callable[[], _Topic]] = {
+            topic.strip("/"): partial(
+                _Topic, file, _sort_images(images),
+                {k: (t - start_ns) / _NS_PER_S for k, t in times_ns[topic].items()}, decoders, path,
+            )
+            for topic, images in sorted(topics.items())
+        }  # fmt: skip
+        streams, about = make_streams(cameras, path, options)
     except TouchError:
         file.close()
         raise
     except Exception as error:
         file.close()
         raise FileProblem(f"the MCAP file is damaged ({error!r:.80})", path) from error
-    if not found:
-        file.close()
-        raise next(iter(problems.values()), FileProblem("the MCAP file has no topic of images", path))
-    notes = dict.fromkeys(note for _, about in found for note in about)
-    left_out = [f"the topic {topic} is left out: {problem}" for topic, problem in problems.items()]
-    return Recording(path=path, format="MCAP file", streams=tuple(stream for stream, _ in found), close=file.close,
-                     notes=(*files.notes, *notes, *left_out))  # fmt: skip
+    return Recording(path=path, format="MCAP file", streams=streams, close=file.close,
+                     notes=(*files.notes, *file.notes, *notes, *about))  # fmt: skip
 
 
-def _make_decoders() -> list[Any]:
+class _Decoders:
     """Decoders of the packages that are installed."""
-    decoders: list[Any] = [_JsonDecoders()]
+
+    def __init__(self, factories: Sequence[Any]) -> None:
+        self._factories, self._of_channel = factories, dict[int, Any]()
+
+    def decode(self, channel: McapChannel, content: bytes) -> Any:
+        """The message with its fields as attributes; raises ValueError where no package decodes it."""
+        if id(channel) not in self._of_channel:
+            found = (f.decoder_for(channel.message_encoding, channel.schema) for f in self._factories)
+            self._of_channel[id(channel)] = next((decoder for decoder in found if decoder is not None), None)
+        decoder = self._of_channel[id(channel)]
+        if decoder is None:
+            raise ValueError(f"no decoder for {channel.message_encoding!r}")
+        return decoder(content)
+
+
+def _make_decoders() -> _Decoders:
+    try:
+        import mcap.reader as _  # noqa: F401 # the packages below need it, and it brings what unfolds chunks
+    except ImportError as error:
+        raise SettingProblem(
+            "MCAP files are read by mcap, which is not installed; pip install mcap-protobuf-support"
+        ) from error
+    factories: list[Any] = [_JsonDecoders()]
     try:
         from mcap_protobuf.decoder import DecoderFactory
 
-        decoders.append(DecoderFactory())
+        factories.append(DecoderFactory())
     except ImportError:
         pass
     try:
         from mcap_ros2.decoder import DecoderFactory as RosDecoderFactory
 
-        decoders.append(RosDecoderFactory())
+        factories.append(RosDecoderFactory())
     except ImportError:
         pass
-    return decoders
+    return _Decoders(factories)
 
 
 class _JsonDecoders:
@@ -89,45 +132,114 @@ def _decode_json(content: bytes) -> Any:
     return SimpleNamespace(**{**fields, "data": base64.b64decode(fields["data"])})
 
 
-def _list_times(reader: Any, path: Path) -> dict[str, list[int]]:
-    """Topic -> times of its images in ns; a message of each is found again by its time."""
-    summary = reader.get_summary()
-    for chunk in summary.chunk_indexes if summary else ():
-        if chunk.uncompressed_size > _MAX_CHUNK_BYTES:
-            raise FileProblem(f"a chunk states {chunk.uncompressed_size / 1e9:.1f} GB", path)
-    times: dict[str, list[int]] = {}
-    for schema, channel, message in reader.iter_messages():
-        if schema is not None and schema.name in _SCHEMAS:
-            times.setdefault(channel.topic, []).append(message.log_time)
-    return {topic: sorted(set(of_topic)) for topic, of_topic in sorted(times.items())}
+def _list_images(file: McapFile, decoders: _Decoders) -> tuple[dict[str, list[_StampedImage]], dict[str, str]]:
+    """(topic -> its images in the order of the file, topic -> schema of everything else)."""
+    topics, others = dict[str, list[_StampedImage]](), dict[str, str]()
+    for message, content in file.iterate():
+        schema = "" if message.channel.schema is None else message.channel.schema.name
+        if schema in _SCHEMAS:
+            stamp_ns = _read_stamp_ns(message.channel, content, decoders)
+            topics.setdefault(message.channel.topic, []).append(_StampedImage(message=message, stamp_ns=stamp_ns))
+        else:
+            others[message.channel.topic] = schema
+    return topics, others
+
+
+def _read_stamp_ns(channel: McapChannel, content: bytes, decoders: _Decoders) -> int:
+    """The time in the header of an image; 0 where it has none or cannot be decoded."""
+    try:
+        if channel.message_encoding == "cdr":  # the header comes first; to decode all would take a copy of the pixels
+            seconds, rest = struct.unpack_from("<iI" if content[1] & 1 else ">iI", content, 4)
+            return seconds * _NS_PER_S + rest
+        if channel.message_encoding == "json":
+            fields = json.loads(content)
+            stamp = fields.get("timestamp") or fields.get("header", {}).get("stamp") or {}
+            return int(stamp.get("sec", 0)) * _NS_PER_S + int(stamp.get("nsec", stamp.get("nanosec", 0)))
+        return int(decoders.decode(channel, content).timestamp.ToNanoseconds())
+    except (ValueError, TypeError, AttributeError, LookupError, struct.error):
+        return 0
+
+
+def _sort_images(images: Sequence[_StampedImage]) -> list[McapMessage]:
+    """Messages by stamp where all have one, then sequence number, then place in the file."""
+    by_stamp = _tells_times([image.stamp_ns for image in images])
+    return [
+        image.message
+        for image in sorted(
+            images, key=lambda i: (i.stamp_ns if by_stamp else i.message.log_time_ns, i.message.sequence)
+        )
+    ]
+
+
+def _tells_times(times_ns: Sequence[int]) -> bool:
+    """Whether times are set and tell one moment from another."""
+    return all(t > 0 for t in times_ns) and (len(times_ns) == 1 or len(set(times_ns)) > 1)
+
+
+def _choose_times(topics: Mapping[str, Sequence[_StampedImage]]) -> tuple[dict[str, dict[int, int]], tuple[str, ...]]:
+    """(topic -> id of a message -> its time in ns, notes): one clock for all topics; {} where none tells the time."""
+    stamps = {topic: [i.stamp_ns for i in images] for topic, images in topics.items()}
+    logs = {topic: [i.message.log_time_ns for i in images] for topic, images in topics.items()}
+    has_stamps, has_logs = (all(map(_tells_times, times.values())) for times in (stamps, logs))
+    gaps_ns = [float(np.median(np.subtract(stamps[topic], logs[topic]))) for topic in topics]
+    is_one_clock = not has_logs or max(gaps_ns) - min(gaps_ns) <= _MAX_CLOCK_GAP_NS
+    notes: tuple[str, ...] = ()
+    if has_stamps and not is_one_clock:
+        notes = ("the headers of the topics are of different clocks, so the times at which they were written are used",)
+    if has_stamps and is_one_clock:
+        chosen = stamps
+    elif has_logs:
+        chosen = logs
+    else:
+        chosen = {t: next((times[t] for times in (stamps, logs) if _tells_times(times[t])), []) for t in topics}
+    return {
+        topic: {id(image.message): t for image, t in zip(topics[topic], times, strict=False)}
+        for topic, times in chosen.items()
+    }, notes
+
+
+def _describe_lack(others: Mapping[str, str], notes: Sequence[str]) -> str:
+    """Why a file holds no images, as a clause."""
+    video = [topic for topic, schema in others.items() if schema.endswith(_VIDEO)]
+    if video:
+        return f"the topic {video[0]} holds video, which is not read; export it as a video file or as images"
+    if others:
+        return f"the MCAP file has no topic of images, but {', '.join(sorted(others))}"
+    return f"the MCAP file has no topic of images{f'; {notes[0]}' if notes else ''}"
 
 
 class _Topic:
     """The images of one topic."""
 
-    def __init__(self, reader: Any, topic: str, times_ns: list[int], path: Path) -> None:
-        self._reader, self._topic, self._times_ns, self._path = reader, topic, times_ns, path
+    def __init__(
+        self, file: McapFile, messages: Sequence[McapMessage], times_s: Mapping[int, float], decoders: _Decoders,
+        path: Path,
+    ) -> None:  # fmt: skip
+        self._file, self._messages, self._decoders, self._path = file, messages, decoders, path
+        self._times_s = [times_s.get(id(message), float("nan")) for message in messages]
 
     @property
     def n_frames(self) -> int:
         """Number of images."""
-        return len(self._times_ns)
+        return len(self._messages)
 
     def frame(self, index: int) -> Image:
         """(rows, cols, 3) RGB."""
-        at_ns, where = self._times_ns[index], f"frame {index}"
+        message, where = self._messages[index], f"frame {index}"
         try:
-            read = self._reader.iter_decoded_messages([self._topic], starting_at=at_ns)
-            message = next(iter(read)).decoded_message
-            if hasattr(message, "format"):
-                return decode_rgb(bytes(message.data), where, self._path)
-            shape = int(message.height), int(message.width)
-            return unpack_rgb(bytes(message.data), shape, int(message.step), str(message.encoding), where, self._path)
+            image = self._decoders.decode(message.channel, self._file.read_content(message))
+            if hasattr(image, "format"):
+                if "compresseddepth" in str(image.format).lower():
+                    raise FileProblem(f"{where} holds depth: {NO_DEPTH}", self._path, field=where)
+                return decode_rgb(bytes(image.data), where, self._path)
+            shape = int(image.height), int(image.width)
+            return unpack_rgb(bytes(image.data), shape, int(image.step), str(image.encoding), where, self._path)
         except TouchError:
             raise
         except Exception as error:
-            raise FileProblem(f"{where} of {self._topic} cannot be read", self._path, field=where) from error
+            topic = message.channel.topic
+            raise FileProblem(f"{where} of {topic} cannot be read", self._path, field=where) from error
 
     def time_s(self, index: int) -> float:
-        """Time since the first image."""
-        return 1e-9 * (self._times_ns[index] - self._times_ns[0])
+        """Time since the first image of the file; NaN where no clock tells it."""
+        return self._times_s[index]

@@ -30,14 +30,14 @@ def resolve_sensor_name(
     guess = _BY_SIZE.get(shape, "")
     if guess:
         return guess, (f"the file does not name its sensor; taken to be {guess} by its size of {cols} x {rows} px",)
-    named = _find_named_sensor(file_names)
+    named = find_named_sensor(file_names)
     if named:
         return named, (f"taken to be {named}, which the names of the files hold",)
     fits = f"may be {_AMBIGUOUS[shape]}" if shape in _AMBIGUOUS else "fits none"
     return "", (f"the file does not name its sensor, and {cols} x {rows} px {fits}; say which with --sensor",)
 
 
-def _find_named_sensor(file_names: Sequence[str]) -> str:
+def find_named_sensor(file_names: Sequence[str]) -> str:
     """The sensor whose name is a word of all file names, the longest where several are; "" for none."""
     words = {name: re.compile(rf"(?<![a-z0-9]){re.escape(name)}(?![a-z0-9])", re.IGNORECASE)
              for name in list_sensor_names()}  # fmt: skip

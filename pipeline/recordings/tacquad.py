@@ -38,7 +38,7 @@ def read(path: Path) -> Recording:
             numbers = [image.stem for image in images]
             first, last = (numbers.index(n) if n in numbers else -1 for n in ranges.get(folder, ("", "")))
             indices = range(first, last + 1) if 0 <= first <= last else range(len(images))
-            streams.append(replace(whole.streams[0], name=sensor, n_frames=len(indices),
+            streams.append(replace(whole.streams[0], name=sensor, n_frames=len(indices), times_s=None,
                                    frame=_select_frames(whole.streams[0], indices)))  # fmt: skip
             notes += [f"{sensor}: {note}" for note in whole.notes]
     n_frames = min(stream.n_frames for stream in streams)

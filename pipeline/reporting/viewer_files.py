@@ -1,6 +1,7 @@
 """Files of other viewers: .rrd of Rerun and .mcap of Foxglove, with all stages of all frames on one time line.
 
-Lengths are in metres and positions in the target's frame, as both viewers expect; times are the recording's.
+Lengths are in metres and positions in the target's frame, as both viewers expect; times are the recording's, from 0 on in
+.mcap where they are negative.
 """
 
 import tempfile
@@ -16,6 +17,7 @@ from pipeline.base.errors import FileProblem, SettingProblem
 from pipeline.base.files import open_atomic
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh
+from pipeline.recordings.mcap_images import PREVIEW_PROFILE
 
 _M_PER_MM = 1e-3
 _POINT_FIELDS = ("x", "y", "z", "red", "green", "blue", "alpha")
@@ -80,9 +82,11 @@ def write_mcap(path: Path, samples: Iterable[StageSample]) -> None:
     except ImportError as error:
         raise _make_problem("mcap-protobuf-support foxglove-schemas-protobuf", ".mcap") from error
     with open_atomic(path, "the MCAP file") as file:
-        writer: Any = Writer(file)
+        writer: Any = Writer(file, profile=PREVIEW_PROFILE)
+        start_s: float | None = None
         for sample in samples:
-            time_ns = round(sample.time_s * 1e9)
+            start_s = min(sample.time_s, 0.0) if start_s is None else start_s  # the format has no negative times
+            time_ns = max(round((sample.time_s - start_s) * 1e9), 0)
             for topic, message in _make_messages(sample, time_ns).items():
                 writer.write_message(topic, message, time_ns, time_ns, sample.frame)
         writer.finish()

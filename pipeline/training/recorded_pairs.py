@@ -25,6 +25,7 @@ from pipeline.sensors.spec import SensorSpec, load_sensor
 from pipeline.training.hold_out import Role, assign_roles
 from pipeline.training.task import Split, Task
 from pipeline.values.frames import Grasp, Recording, Stream, TactileFrame, Truth
+from pipeline.values.pairing import NO_PARTNER, pair_frames
 
 if TYPE_CHECKING:
     from torch import Tensor, nn
@@ -87,7 +88,8 @@ class PairPlace:
     recording: Recording
     source_stream: Stream
     target_stream: Stream
-    index: int
+    index: int  # of the source's frame
+    target_index: int
     grasp: Grasp
 
 
@@ -106,7 +108,7 @@ class PairSet:
         transform = recording.target_from_source(one.name, other.name)
         return RecordedPair(
             source=self.source, target=self.target, source_frame=one.frame(place.index),
-            target_frame=other.frame(place.index), target_truth=other.truth(place.index),
+            target_frame=other.frame(place.target_index), target_truth=other.truth(place.target_index),
             alignment=alignments.resolve_alignment(self.source, self.target, transform),
         )  # fmt: skip
 
@@ -122,27 +124,22 @@ def open_pairs(folder: PairFolder, source_name: str, target_name: str) -> PairSe
     source, target, path = load_sensor(source_name), load_sensor(target_name), Path(folder.path)
     files = _list_recordings(path)
     notes: dict[str, None] = {}
-    found: list[tuple[Recording, Grasp, int]] = []
+    found: list[tuple[PairPlace, ...]] = []  # of each moment, one per finger
     for file in files:
         recording = open_recording(file)
         streams = _match_streams(recording, source_name, target_name)
         if not streams:
             raise NoPairs(f"{str(file)!r} holds no pairs of {source.title} and {target.title}")
-        n = min(stream.n_frames for pair in streams for stream in pair)
-        grasps = recording.grasps or _name_grasps(file, n)
-        problems = [(k, recording.find_pair_problem(k)) for k in range(n)]
-        wrong = {k: problem for k, problem in problems if problem}
-        found += [(recording, grasps[k], k) for k in range(n) if k not in wrong]
-        notes |= dict.fromkeys(_describe_recording(recording, streams, [grasps[k].name for k in wrong]))
+        moments = _list_moments(recording, streams, file)
+        wrong = [moment[0].grasp.name for moment in moments if recording.find_pair_problem(moment[0].index)]
+        found += [moment for moment in moments if not recording.find_pair_problem(moment[0].index)]
+        notes |= dict.fromkeys(_describe_recording(recording, streams, wrong))
     if not found:
         raise FileProblem("both sensors are recorded at no moment", path)
-    hold_out = assign_roles([grasp for _, grasp, _ in found], folder.hold_out, folder.share)
+    hold_out = assign_roles([moment[0].grasp for moment in found], folder.hold_out, folder.share)
     places: dict[Role, list[PairPlace]] = {}
-    for (recording, grasp, index), role in zip(found, hold_out.roles, strict=True):
-        places.setdefault(role, []).extend(
-            PairPlace(recording=recording, source_stream=one, target_stream=other, index=index, grasp=grasp)
-            for one, other in _match_streams(recording, source_name, target_name)
-        )
+    for moment, role in zip(found, hold_out.roles, strict=True):
+        places.setdefault(role, []).extend(moment)
     return PairSet(
         source=source, target=target, notes=(*hold_out.notes, *notes),
         places={role: _shuffle(of_role) for role, of_role in places.items()},
@@ -174,6 +171,23 @@ def _match_streams(recording: Recording, source: str, target: str) -> list[tuple
     return list(zip(ones, others, strict=False))
 
 
+def _list_moments(
+    recording: Recording, streams: Sequence[tuple[Stream, Stream]], file: Path
+) -> list[tuple[PairPlace, ...]]:
+    """The places of every frame of the source that any finger has a partner for."""
+    n = max(one.n_frames for one, _ in streams)
+    grasps = recording.grasps or _name_grasps(file, n)
+    moments = [list[PairPlace]() for _ in range(n)]
+    for one, other in streams:
+        for index, partner in enumerate(pair_frames(one, other).partners.tolist()):
+            if partner != NO_PARTNER:
+                moments[index].append(
+                    PairPlace(recording=recording, source_stream=one, target_stream=other, index=index,
+                              target_index=partner, grasp=grasps[index])
+                )  # fmt: skip
+    return [tuple(moment) for moment in moments if moment]
+
+
 def _describe_recording(
     recording: Recording, streams: Sequence[tuple[Stream, Stream]], wrong: Sequence[str]
 ) -> list[str]:
@@ -182,9 +196,7 @@ def _describe_recording(
     if wrong:
         more = ", ..." if len(wrong) > _MAX_NAMES else ""
         notes.append(f"{len(wrong)} wrong pairs are left out: {', '.join(wrong[:_MAX_NAMES])}{more}; see inspect")
-    if one.n_frames != other.n_frames:
-        n = min(one.n_frames, other.n_frames)
-        notes.append(f"{one.name} has {one.n_frames} frames, {other.name} {other.n_frames}: the first {n} are paired")
+    notes += [note for pair in streams if (note := pair_frames(*pair).note)]
     if one.sensor != other.sensor and recording.target_from_source(one.name, other.name) is None:
         notes.append("the recording has no target_from_source: the sensors' descriptions are used")
     for stream in (one, other):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
@@ -32,6 +32,7 @@ from pipeline.stages.truth_method import TRUTH, get_input_name
 from pipeline.translation.catalogue import BUILT_IN, Catalogue
 from pipeline.translation.frame_selection import select_context_images
 from pipeline.values.frames import Recording, Stream, TactileFrame, Truth
+from pipeline.values.pairing import follow, pair_frames
 from pipeline.values.results import ObjectPose
 
 if TYPE_CHECKING:
@@ -114,8 +115,8 @@ class Translation:
         return replace(self, recording=recording, stream=recording.stream(self.stream.name))
 
     def with_target_as_source(self) -> Translation:
-        """Return the translation that reads the target's own recording as a source."""
-        own = self.recording.find_partner(self.stream.name, self.target.name)
+        """Return the translation that reads the target's own recording as a source, frame by frame of this one."""
+        own = self.target_stream
         assert own is not None
         load_context_images = _context_image_loader(self.calibration, self.recording, own, self.target)
         return replace(
@@ -166,8 +167,19 @@ class Translation:
         """Whether the recording holds the truth of any frame that a stage's true value is made from."""
         if stage.sensor_role == "source":
             return self.stream.has_truth
-        partner = self.recording.find_partner(self.stream.name, self.target.name)
-        return partner is not None and partner.name != self.stream.name and partner.has_truth
+        return self.target_stream is not None and self.target_stream.has_truth
+
+    @property
+    def target_stream(self) -> Stream | None:
+        """The target's own stream by this translation's frame numbers; None if it took no part."""
+        other = self.recording.find_partner(self.stream.name, self.target.name)
+        return None if other is None or other.name == self.stream.name else follow(self.stream, other)
+
+    def select_paired(self, indices: Iterable[int]) -> list[int]:
+        """Return those of some frames at whose time the target recorded one as well."""
+        other = self.recording.find_partner(self.stream.name, self.target.name)
+        paired = set() if other is None else set(pair_frames(self.stream, other).indices.tolist())
+        return [index for index in indices if index in paired]
 
     def check_given_weights(self) -> None:
         """Check that the methods can use the files that the request names; raises SettingProblem with the reason."""
@@ -195,9 +207,9 @@ class Translation:
         return self.stream.truth(index)
 
     def read_target_observation(self, index: int) -> tuple[TactileFrame, Truth | None] | None:
-        """Return what the target sensor recorded of the same touch; None if it took no part."""
-        other = self.recording.find_partner(self.stream.name, self.target.name)
-        if other is None or other.name == self.stream.name or index >= other.n_frames:
+        """Return what the target sensor recorded of the same touch; None if it recorded none at that time."""
+        other = self.target_stream
+        if other is None or not self.select_paired([index]):
             return None
         return other.frame(index), other.truth(index)
 
@@ -250,8 +262,9 @@ def open_translation(request: Request, catalogue: Catalogue = BUILT_IN) -> Trans
     methods = catalogue.methods(request.route, dict(request.methods))  # report a wrong name before anything is read
     target = load_sensor(request.target)
     recording = open_recording(
-        request.recording, sensor=request.source, reference=request.reference, depth_unit=request.depth_unit
-    )
+        request.recording, sensor=request.source, stream=request.stream, reference=request.reference,
+        depth_unit=request.depth_unit,
+    )  # fmt: skip
     said = load_sensor(request.source) if request.source else None
     stream = recording.stream(request.stream or (said.name if said else ""))
     if not stream.sensor:
@@ -278,6 +291,7 @@ def open_translation(request: Request, catalogue: Catalogue = BUILT_IN) -> Trans
         notes=(
             *recording.notes,
             *_about_source(request, recording, stream, target),
+            *_about_pairs(recording, stream, target),
             *_about_symmetry(recording, stream, mesh),
             *_about_weights(request, methods, catalogue),
         ),
@@ -312,11 +326,21 @@ def _load_force_scale(path: Path | None, source: SensorSpec) -> ForceScale | Non
 
 
 def _about_source(request: Request, recording: Recording, stream: Stream, target: SensorSpec) -> tuple[str, ...]:
-    """Return a note where nobody chose the target's own sensor as the source, and the recording has others."""
+    """Return a note where nobody chose the stream: one of several of a sensor, or the target's own sensor."""
+    alike = [other.name for other in recording.streams if other.sensor == stream.sensor]
+    if not request.stream and len(alike) > 1:
+        return (f"{len(alike)} streams are of {stream.sensor} ({', '.join(alike)}); {stream.name} is read (--stream)",)
     others = [other.name for other in recording.streams if other.sensor not in ("", target.name)]
     if request.stream or request.source or stream.sensor != target.name or not others:
         return ()
     return (f"source and target are both {target.name}; choose the source {' or '.join(others)} (--stream)",)
+
+
+def _about_pairs(recording: Recording, stream: Stream, target: SensorSpec) -> tuple[str, ...]:
+    """Return a note where frames of the source or the target's own stream have no partner."""
+    other = recording.find_partner(stream.name, target.name)
+    note = "" if other is None else pair_frames(stream, other).note
+    return (note,) if note else ()
 
 
 def _about_symmetry(recording: Recording, stream: Stream, mesh: Mesh | None) -> tuple[str, ...]:

@@ -49,7 +49,7 @@ class Truth:
     force_n: Doubles | None = None  # (3,) on the sensor: right, down, away from the camera (a press is < 0)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Stream:
     """The frames of one sensor, read on demand."""
 
@@ -59,6 +59,7 @@ class Stream:
     frame: Callable[[int], TactileFrame]  # raises FileProblem naming file, frame and field
     truth: Callable[[int], Truth | None] = lambda _i: None
     has_truth: bool = False
+    times_s: Doubles | None = None  # (n_frames,) by the recording's clock, NaN = unknown; None = no frame has a time
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,7 +88,7 @@ class Grasp:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recording:
-    """One or several sensors that record the same touches: frame `i` of each stream is the same moment."""
+    """One or several sensors that record the same touches; `pairing` tells which frames are one moment."""
 
     path: Path
     format: str  # for people: "tactoscope recording", "folder of images", ...
@@ -103,12 +104,16 @@ class Recording:
     find_pair_problem: Callable[[int], str] = lambda _i: ""  # why its frames are not of one touch; "" = fine
 
     def stream(self, name_or_sensor: str = "") -> Stream:
-        """The stream with this name or sensor, the first one for ""; raises SettingProblem."""
-        for stream in self.streams:
-            if name_or_sensor in ("", stream.name, stream.sensor):
+        """The stream with this name, else the first of this sensor, the first one for ""; raises SettingProblem."""
+        wanted = name_or_sensor.strip("/")  # as topics are written
+        named = [s for s in self.streams if s.name == wanted]
+        for stream in named or self.streams:
+            if name_or_sensor in ("", stream.sensor) or stream in named:
                 return stream
-        names = ", ".join(sorted(f"{s.name!r}" for s in self.streams))
-        raise SettingProblem(f"no stream {name_or_sensor!r} in this recording; it has {names}")
+        names = ", ".join(sorted(f"{s.name!r}{f' of {s.sensor}' if s.sensor else ''}" for s in self.streams))
+        raise SettingProblem(
+            f"no stream {name_or_sensor!r} in this recording; it has {names}; choose one with --stream"
+        )
 
     def stream_of_sensor(self, sensor: str) -> Stream | None:
         """The stream of a sensor, else None."""
