@@ -68,7 +68,10 @@ def _choose_target(request: Request) -> str:
     """Return another sensor of the recording, one of another kind first, else a built-in one that differs."""
     with closing(
         open_recording(
-            request.recording, sensor=request.source, stream=request.stream, reference=request.reference,
+            request.recording,
+            sensor=request.source,
+            stream=request.stream,
+            reference=request.reference,
             depth_unit=request.depth_unit,
         )
     ) as recording:

@@ -39,9 +39,7 @@ def inspect(
         for line in [] if scale is None else force_scale.format_force_scale(scale):
             print_line(line)
         return 0
-    report = inspect_recording(
-        recording, sensor=sensor, stream=stream, reference=reference, depth_unit=depth_unit
-    )
+    report = inspect_recording(recording, sensor=sensor, stream=stream, reference=reference, depth_unit=depth_unit)
     for line in format_report_lines(report):
         print_line(line)
     return 0 if report.has_passed else 1

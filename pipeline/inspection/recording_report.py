@@ -13,8 +13,8 @@ from pipeline.base.progress import SILENT, Progress
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import LARGEST_MM, SMALLEST_MM, Mesh
 from pipeline.inspection import synchrony
-from pipeline.inspection.synchrony import ContactSignature
 from pipeline.inspection.stream_checks import Check, StreamChecker, check_pairings
+from pipeline.inspection.synchrony import ContactSignature
 from pipeline.recordings import open_recording
 from pipeline.recordings.formats import DepthUnit
 from pipeline.sensors.spec import SensorSpec, list_sensor_names, load_sensor

@@ -33,8 +33,8 @@ def open_recording(
     """The recording at `path`, a file or a folder; frames are read on demand.
 
     `sensor` names the sensor where the file does not; it overrides the file's own name for the only stream, or for the
-    one that `stream` names. `reference` is an image or depth file without contact, `depth_unit` the unit of depth arrays whose names state
-    none. Raises FileProblem, SettingProblem or CalibrationError.
+    one that `stream` names. `reference` is an image or depth file without contact, `depth_unit` the unit of depth
+    arrays whose names state none. Raises FileProblem, SettingProblem or CalibrationError.
     """
     path, options = Path(path), ReadOptions(sensor=sensor, stream=stream, reference=reference, depth_unit=depth_unit)
     mounted = open_mounted(path)

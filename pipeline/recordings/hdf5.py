@@ -134,7 +134,8 @@ def _read_stream(group: Any, name: str, path: Path, lost: list[str]) -> Stream:
         if field.key not in group and (known_truth & field.bit).any():
             raise FileProblem(f"{shown} states that {field.key} is known but does not hold it", path, field=field.key)
     return Stream(name=shown, sensor=sensor, n_frames=n, frame=with_index_check(frame, n, path),
-                  truth=with_index_check(truth, n, path), has_truth=bool(known_truth.any()), times_s=freeze(times))  # fmt: skip
+                  truth=with_index_check(truth, n, path), has_truth=bool(known_truth.any()),
+                  times_s=freeze(times))  # fmt: skip
 
 
 def _validate_stream(group: Any, path: Path) -> tuple[int, type]:

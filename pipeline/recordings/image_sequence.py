@@ -42,7 +42,8 @@ def make_stream(
     """The stream of a sequence, and notes; without a stated reference its first frames are the reference.
 
     Where it clearly begins with a touch, a later frame is the reference, with a warning. `name` may hold that of a
-    sensor; without `may_guess` a sensor that is not stated stays unknown. Raises FileProblem for a first frame that cannot be decoded, or a reference of another size.
+    sensor; without `may_guess` a sensor that is not stated stays unknown. Raises FileProblem for a first frame that
+    cannot be decoded, or a reference of another size.
     """
     first = images.frame(0)
     is_difference = options.reference is None and gel_images.estimate_no_change_grey(first) is not None

@@ -1,26 +1,27 @@
 """Cameras of a LeRobot data set (v3, and v2 of the same file kinds) as streams: videos, or images in parquet tables."""
 
-import re
 from bisect import bisect_right
 from dataclasses import dataclass
-from itertools import accumulate
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
 import msgspec
+import numpy as np
 
 from pipeline.base.arrays import Image
-from pipeline.base.errors import FileProblem, SettingProblem
+from pipeline.base.errors import FileProblem, StageWarning
 from pipeline.base.files import read_json
 from pipeline.base.typed_data import Name, convert
 from pipeline.recordings.encoded_images import decode_rgb
 from pipeline.recordings.formats import ReadOptions, RecordingFiles
-from pipeline.recordings.image_sequence import make_stream
+from pipeline.recordings.image_sequence import ImageSequence
+from pipeline.recordings.lerobot_episodes import NO_FRAME, import_parquet, list_episodes, list_videos
+from pipeline.recordings.stream_choice import make_streams
 from pipeline.recordings.video import VideoDecoder
-from pipeline.values.frames import Recording, Stream
+from pipeline.values.frames import Recording
 
 _INFO = Path("meta") / "info.json"
-_TACTILE = re.compile(r"tactile|touch|digit|gel", re.IGNORECASE)  # in the name of a camera
 
 
 class _Feature(msgspec.Struct):
@@ -41,57 +42,67 @@ def is_data_set(folder: Path) -> bool:
 
 
 def read(files: RecordingFiles, options: ReadOptions) -> Recording:
-    """All tactile cameras, or all cameras where none is named so; episodes follow each other.
+    """All cameras that record touch, see `stream_choice.make_streams`; episodes follow each other.
 
     Raises FileProblem, and SettingProblem where a package for parquet is missing.
     """
     path = files.path
     info = convert(read_json(path / _INFO, "the data set's description"), _Info, "the data set", path / _INFO)
-    cameras = {name: feature.dtype for name, feature in info.features.items() if feature.dtype in ("video", "image")}
-    chosen = [name for name in cameras if _TACTILE.search(name)] or list(cameras)
-    if not chosen:
+    kinds = {name: feature.dtype for name, feature in info.features.items() if feature.dtype in ("video", "image")}
+    if not kinds:
         raise FileProblem("the data set has no camera", path / _INFO, field="features")
-    streams, notes, sequences = list[Stream](), list[str](), list[_Videos]()
-    for name in chosen:
-        if cameras[name] == "video":
-            images = _Videos(path, name, info.fps)
-            sequences.append(images)
-        else:
-            images = _TableImages(path, name, info.fps)
-        stream, about = make_stream(images, path, options, name=name)
-        streams.append(stream)
-        notes += about
-    left_out = [name for name in cameras if name not in chosen]
-    notes += [f"cameras without touch are left out: {', '.join(left_out)}"] if left_out else []
-    notes += [f"{info.total_episodes} episodes follow each other"] if info.total_episodes > 1 else []
+    videos = list[_Videos]()
+
+    def open_camera(name: str) -> ImageSequence:
+        if kinds[name] == "image":
+            return _TableImages(path, name, info.fps)
+        videos.append(_Videos(path, name, info.fps))
+        return videos[-1]
 
     def close() -> None:
-        for images in sequences:
+        for images in videos:
             images.close()
 
-    return Recording(path=path, format="LeRobot data set", streams=tuple(streams), close=close,
-                     notes=(*files.notes, *dict.fromkeys(notes)))  # fmt: skip
+    try:
+        streams, notes = make_streams({name: partial(open_camera, name) for name in kinds}, path, options)
+    except Exception:
+        close()
+        raise
+    if len({stream.n_frames for stream in streams}) > 1:
+        counts = ", ".join(f"{stream.name} {stream.n_frames}" for stream in streams)
+        notes += (StageWarning(f"the cameras have different numbers of frames ({counts}), so that pairs may be wrong"),)
+    notes += (f"{info.total_episodes} episodes follow each other",) if info.total_episodes > 1 else ()
+    return Recording(path=path, format="LeRobot data set", streams=streams, close=close,
+                     notes=(*files.notes, *notes))  # fmt: skip
 
 
 class _Videos:
-    """The frames of a camera's videos, one file after the other."""
+    """The frames of a camera's videos, one episode after the other."""
 
     def __init__(self, root: Path, name: str, rate_hz: float) -> None:
-        files = sorted(p for p in (root / "videos").rglob("*.mp4") if name in p.relative_to(root).parts)
-        if not files:
-            raise FileProblem(f"the data set lacks the videos of {name}", root, field=name)
-        self._videos, self._rate_hz = [VideoDecoder(file) for file in files], rate_hz
-        self._ends = list(accumulate(video.n_frames for video in self._videos))
+        self._root, self._rate_hz = root, rate_hz
+        episodes = list_episodes(root, name)
+        files = list(dict.fromkeys(e.file for e in episodes)) or list_videos(root, name)
+        self._videos = {file: VideoDecoder(file) for file in files}
+        self._frames = list[tuple[VideoDecoder, int]]()
+        for episode in episodes:
+            video = self._videos[episode.file]
+            times_s = np.array([video.time_s(k) for k in range(video.n_frames)])
+            self._frames += [(video, k) for k in episode.select_frames(times_s, rate_hz).tolist()]
+        if not episodes:
+            self._frames = [(video, k) for video in self._videos.values() for k in range(video.n_frames)]
 
     @property
     def n_frames(self) -> int:
-        """Number of frames of all files."""
-        return self._ends[-1]
+        """Number of frames of all episodes."""
+        return len(self._frames)
 
     def frame(self, index: int) -> Image:
         """(rows, cols, 3) RGB."""
-        at = bisect_right(self._ends, index)
-        return self._videos[at].frame(index - (self._ends[at - 1] if at else 0))
+        video, number = self._frames[index]
+        if number == NO_FRAME:
+            raise FileProblem(f"the video ends before frame {index}", self._root, field=f"frame {index}")
+        return video.frame(number)
 
     def time_s(self, index: int) -> float:
         """Time by the data set's rate."""
@@ -99,7 +110,7 @@ class _Videos:
 
     def close(self) -> None:
         """Release the files."""
-        for video in self._videos:
+        for video in self._videos.values():
             video.close()
 
 
@@ -116,19 +127,14 @@ class _TableImages:
     """Images in a column of parquet tables; a group of rows is read at a time."""
 
     def __init__(self, root: Path, name: str, rate_hz: float) -> None:
-        try:
-            from pyarrow import ArrowException, parquet
-        except ImportError as error:
-            raise SettingProblem(
-                "images in parquet are read by pyarrow, which is not installed; pip install pyarrow"
-            ) from error
+        parquet, error_class = import_parquet()
         self._parquet: Any = parquet
-        self._error, self._name, self._rate_hz, self._rows = ArrowException, name, rate_hz, list[_Rows]()
+        self._error, self._name, self._rate_hz, self._rows = error_class, name, rate_hz, list[_Rows]()
         end, self._cached = 0, (-1, list[Any]())
         for file in sorted((root / "data").rglob("*.parquet")):
             try:
                 about = parquet.ParquetFile(file).metadata
-            except (ArrowException, OSError) as error:
+            except (error_class, OSError) as error:
                 raise FileProblem("the table cannot be read", file) from error
             for group in range(about.num_row_groups):
                 end += about.row_group(group).num_rows

@@ -172,8 +172,8 @@ def _sort_images(images: Sequence[_StampedImage]) -> list[McapMessage]:
 
 
 def _tells_times(times_ns: Sequence[int]) -> bool:
-    """Whether times are set and tell one moment from another."""
-    return all(t > 0 for t in times_ns) and (len(times_ns) == 1 or len(set(times_ns)) > 1)
+    """Whether times are set and tell one moment from another; a clock may begin at 0, which else means "not set"."""
+    return min(times_ns) >= 0 and times_ns.count(0) < 2 and (len(times_ns) == 1 or len(set(times_ns)) > 1)
 
 
 def _choose_times(topics: Mapping[str, Sequence[_StampedImage]]) -> tuple[dict[str, dict[int, int]], tuple[str, ...]]:

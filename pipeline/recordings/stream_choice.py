@@ -1,4 +1,4 @@
-"""Streams of a container that holds several cameras: which record touch, and which sensor the user's words are about."""
+"""Streams of a container that holds several cameras: which record touch, and which of them a stated sensor is about."""
 
 import re
 from collections.abc import Callable, Mapping

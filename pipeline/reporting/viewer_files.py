@@ -1,7 +1,7 @@
 """Files of other viewers: .rrd of Rerun and .mcap of Foxglove, with all stages of all frames on one time line.
 
-Lengths are in metres and positions in the target's frame, as both viewers expect; times are the recording's, from 0 on in
-.mcap where they are negative.
+Lengths are in metres and positions in the target's frame, as both viewers expect; times are the recording's, from 0
+on in .mcap where they are negative.
 """
 
 import tempfile

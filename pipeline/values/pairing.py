@@ -17,6 +17,7 @@ from pipeline.values.frames import Stream, TactileFrame, Truth
 NO_PARTNER = -1
 _ROUNDING = 1e-6  # of an interval: times are stored in float32 or rounded to milliseconds
 _SAME_RATE = 0.1  # relative difference of two rates that count as one
+_MIN_FRAMES = 5  # of a stream whose rate is compared
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -112,7 +113,7 @@ def _describe_pairs(one: Stream, other: Stream, partners: Indices, times: Double
             f"{one.name} and {other.name} share no moment (times of {spans}), so no frame is paired; check their clocks"
         )
     rates_hz = [1.0 / compute_interval_s(t) for t in (times, other_times)]
-    differs = abs(np.log(rates_hz[0] / rates_hz[1])) > _SAME_RATE
+    differs = min(one.n_frames, other.n_frames) >= _MIN_FRAMES and abs(np.log(rates_hz[0] / rates_hz[1])) > _SAME_RATE
     rates = f"{one.name} has {rates_hz[0]:.3g} Hz and {other.name} {rates_hz[1]:.3g} Hz: " if differs else ""
     alone = ", ".join(
         f"{stream.n_frames - n} of {stream.name}" for stream in (one, other) if stream.n_frames > n

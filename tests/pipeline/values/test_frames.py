@@ -39,7 +39,10 @@ def test_a_stream_is_found_by_name_or_sensor_and_the_first_without_either():
 
 
 def test_a_missing_stream_names_the_existing_ones():
-    with pytest.raises(SettingProblem, match=r"no stream 'nose' in this recording; it has 'bubble' of soft_bubble, 'left' of gelslim; choose"):
+    with pytest.raises(
+        SettingProblem,
+        match=r"no stream 'nose' in this recording; it has 'bubble' of soft_bubble, 'left' of gelslim; choose",
+    ):
         RECORDING.stream("nose")
 
 
