@@ -12,7 +12,7 @@ from pipeline.recordings.formats import make_dialog_filter
 
 ALIGNMENT_SUFFIX = ".toml"
 WEIGHTS_SUFFIX = ".safetensors"
-MESH_SUFFIXES = (".stl", ".obj", ".ply")
+MESH_SUFFIXES = (".stl", ".obj", ".ply", ".urdf")
 UNIT_NAMES = {"mm": "millimetres", "cm": "centimetres", "m": "metres", "in": "inches"}
 _UNITS = {"auto": "Meshes, unit from size"} | {unit: f"Meshes in {name}" for unit, name in UNIT_NAMES.items()}
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +12,11 @@ from pipeline.base.arrays import Doubles, Indices, freeze
 from pipeline.base.errors import FileProblem, MeshProblem, SettingProblem
 from pipeline.base.files import read_bytes
 from pipeline.base.units import UNIT_MM
+from pipeline.geometry import urdf
+from pipeline.geometry.polygons import triangulate_polygon
 
 SMALLEST_MM, LARGEST_MM = 1.0, 400.0  # extents of objects that a fingertip can touch: a screw to a long tool
+_SMALLEST_CERTAIN_MM = 5.0  # a contact is larger than anything below, which is mostly in cm, inches or metres
 _MERGE_MM = 1e-6  # STL repeats each vertex in float32; true neighbours lie micrometres apart
 _HEADER, _TRIANGLE = 84, 50  # bytes of a binary STL
 _MAX_VERTICES = 1 << 30
@@ -41,18 +43,27 @@ class UnitProblem(MeshProblem):
 def load_mesh(path: Path, unit: str = "auto") -> Mesh:
     """Load an STL, PLY or OBJ file in mm, duplicate vertices merged and triangles without area dropped.
 
-    `unit` is the file's: "mm", "cm", "m", "in", or "auto", which takes mm when the largest extent then lies within 1
-    and 400 mm and refuses anything else, since no mesh file states its unit. Raises FileProblem when the file cannot be
-    read, MeshProblem when it is empty, damaged or in a wrong unit.
+    `unit` is the file's: "mm", "cm", "m", "in", or "auto", which takes mm when the largest extent then lies within 5
+    and 400 mm and refuses anything else, since no mesh file states its unit. A URDF names the mesh and its scale in
+    metres. Raises FileProblem when the file cannot be read, MeshProblem when it is empty, damaged or in a wrong unit.
     """
     path = Path(path)
     if unit != "auto" and unit not in UNIT_MM:
         raise SettingProblem(f"unknown mesh unit {unit!r}; there are auto, {', '.join(UNIT_MM)}")
+    stretch = np.ones(3)
+    if path.suffix.lower() == urdf.SUFFIX:
+        path, factors = urdf.read_mesh_place(path)
+        stretch, unit = np.array(factors), "m" if unit == "auto" else unit
     read = _READERS.get(path.suffix.lower())
     if read is None:
-        raise FileProblem(f"meshes are read from STL, PLY and OBJ files, not from {path.suffix or 'this'!r}", path)
+        raise FileProblem(
+            f"meshes are read from STL, PLY and OBJ files, and a URDF, not from {path.suffix or 'this'!r}", path
+        )
     vertices, triangles = read(read_bytes(path, "the mesh"), path)
     validate_mesh(vertices, triangles, path)
+    vertices = vertices * stretch
+    if np.prod(stretch) < 0:  # a mirrored mesh is turned inside out
+        triangles = triangles[:, ::-1]
     scale = _find_scale(vertices[triangles.ravel()], unit, path)
     return _clean_mesh(vertices * scale, triangles, path)
 
@@ -87,7 +98,7 @@ def _find_scale(corners: Doubles, unit: str, path: Path) -> float:
     """Return millimetres per unit of the file."""
     extent = float((corners.max(axis=0) - corners.min(axis=0)).max())
     scale = UNIT_MM.get(unit, 1.0)
-    if SMALLEST_MM <= extent * scale <= LARGEST_MM:
+    if (SMALLEST_MM if unit != "auto" else _SMALLEST_CERTAIN_MM) <= extent * scale <= LARGEST_MM:
         return scale
     fits = tuple(u for u in ("m", "cm", "mm", "in") if SMALLEST_MM <= extent * UNIT_MM[u] <= LARGEST_MM)
     read_as = "mm" if unit == "auto" else unit
@@ -139,24 +150,34 @@ def _read_text_stl(data: bytes, path: Path) -> Doubles:
 
 
 def _read_obj(data: bytes, path: Path) -> tuple[Doubles, Indices]:
-    """Return vertices and faces of an OBJ; larger faces become fans about their first corner."""
+    """Return vertices and faces of an OBJ, larger faces cut into triangles."""
     vertices: list[list[float]] = []
-    triangles: list[tuple[int, int, int]] = []
+    triangles: list[tuple[int, ...]] = []
+    larger: list[tuple[int, list[int]]] = []  # (line, corners), which may come before their vertices
     for number, words in enumerate(_split_lines(data.replace(b"\\\n", b" ").replace(b"\\\r\n", b" ")), start=1):
         try:
             if words[:1] == ["v"]:
                 x, y, z = map(float, words[1:4])  # a weight or a colour may follow
                 vertices.append([x, y, z])
             elif words[:1] == ["f"]:
-                first, *rest = (
-                    _parse_vertex_index(word, len(vertices)) for word in words[1:]
-                )  # "3", "3/1", "3//2", "3/1/2"
-                if len(rest) < 2:
+                corners = [_parse_vertex_index(word, len(vertices)) for word in words[1:]]  # 3, 3/1, 3//2 or 3/1/2
+                if len(corners) < 3:
                     raise ValueError("a face of fewer than three corners")
-                triangles += [(first, a, b) for a, b in pairwise(rest)]
+                if len(corners) == 3:
+                    triangles.append(tuple(corners))
+                else:
+                    larger.append((number, corners))
         except (ValueError, OverflowError) as error:
             raise FileProblem(f"line {number} of the OBJ file is no vertex and no face ({error})", path) from error
-    return np.array(vertices, np.float64).reshape(-1, 3), np.array(triangles, np.int32).reshape(-1, 3)
+    points = np.array(vertices, np.float64).reshape(-1, 3)
+    for number, corners in larger:
+        if max(corners) >= len(points):
+            raise MeshProblem(f"the mesh has triangles with invalid vertex indices: '{path}'")
+        try:
+            triangles += [tuple(corners[k] for k in cut) for cut in triangulate_polygon(points[corners])]
+        except ValueError as error:
+            raise FileProblem(f"line {number} of the OBJ file has {error}; export triangles", path) from error
+    return points, np.array(triangles, np.int32).reshape(-1, 3)
 
 
 def _parse_vertex_index(word: str, n_vertices: int) -> int:

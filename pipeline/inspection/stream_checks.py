@@ -13,12 +13,16 @@ from pipeline.base.arrays import Doubles, Image
 from pipeline.base.errors import CalibrationError
 from pipeline.geometry import rigid
 from pipeline.physics.reference_colours import compare_colours
+from pipeline.sensors.depth_unit import describe_unit_problem
 from pipeline.sensors.spec import SensorSpec
 from pipeline.values.frames import Recording, TactileFrame, Truth
+from pipeline.values.pairing import compute_interval_s
 
 CheckState = Literal["pass", "fail", "unknown"]
 
 _DEPTH_MM = (5.0, 1000.0)  # range of a median depth: the camera is some centimetres from the membrane
+_SLOWEST_HZ, _CAMERA_HZ = 0.1, (1.0, 1000.0)  # slower than any touch is recorded; rates of cameras
+_TIME_UNITS = {"ms": 1e3, "µs": 1e6, "ns": 1e9}  # units of a second
 _MIN_MOTION_MM = 1.0  # change of depth beyond the noise of a bubble
 _MIN_NEARER_SHARE = 0.5  # of the moved pixels that must come nearer
 _MAX_GAP_SHARE = 0.5  # of the pixels of a usable depth frame
@@ -192,9 +196,18 @@ class StreamChecker:
         return self._check("reference", bad, "every frame has a reference")
 
     def _check_depth_unit(self) -> Check:
+        median_mm = float(np.median(self._depths_mm or [np.nan]))
         wrong = [d for d in self._depths_mm if not _DEPTH_MM[0] <= d <= _DEPTH_MM[1]]
         bad = [f"frames has a median depth of {d:.3g} mm; check the unit" for d in wrong]
-        return self._check("depth unit", bad, f"median depth {np.median(self._depths_mm or [np.nan]):.1f} mm fits mm")
+        if self._spec is None:
+            return self._check("depth unit", bad, f"median depth {median_mm:.1f} mm fits mm")
+        problem = describe_unit_problem(median_mm, self._spec)
+        bad = [f"frames {problem}"] if problem else bad
+        rest_mm = float(np.median(self._spec.rest_depth_mm))
+        return self._check(
+            "depth unit", bad,
+            f"median depth {median_mm:.1f} mm fits the {rest_mm:.1f} mm at which {self._spec.name} rests",
+        )  # fmt: skip
 
     def _check_depth_sign(self) -> Check:
         if not self._n_moved:
@@ -220,6 +233,15 @@ class StreamChecker:
         known = np.asarray([t for t in times_s if math.isfinite(t)])
         if len(known) < 2:
             return self._make_check("times", "unknown", "no times are recorded")
+        rate_hz = 1.0 / compute_interval_s(known)
+        units = [unit for unit, n in _TIME_UNITS.items() if _CAMERA_HZ[0] <= rate_hz * n <= _CAMERA_HZ[1]]
+        if rate_hz < _SLOWEST_HZ and units:
+            n = _TIME_UNITS[units[0]]
+            return self._make_check(
+                "times", "fail",
+                f"timestamps give {rate_hz:.3g} Hz, and {rate_hz * n:.3g} Hz if they are in {units[0]}: divide them by "
+                f"{n:.0e}",
+            )  # fmt: skip
         back = np.nonzero(np.diff(known) <= 0)[0]
         return self._check("times", [f"timestamps do not rise after frame {i}" for i in back], "timestamps rise")
 

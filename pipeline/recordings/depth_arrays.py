@@ -20,7 +20,8 @@ from pipeline.geometry.camera import Camera, make_camera
 from pipeline.recordings import image_files, resampling
 from pipeline.recordings.formats import DepthUnit, ReadOptions, RecordingFiles, with_index_check
 from pipeline.recordings.sensor_guess import resolve_sensor_name
-from pipeline.sensors.spec import load_sensor
+from pipeline.sensors.depth_unit import describe_unit_problem, find_unit_factor
+from pipeline.sensors.spec import SensorSpec, load_sensor
 from pipeline.values.frames import Recording, Stream, TactileFrame
 
 _MM_PER_UNIT: Mapping[str, float] = {"mm": 1.0, "m": 1000.0, "0.1mm": 0.1, "um": 0.001}
@@ -71,6 +72,7 @@ def _make_recording(files: RecordingFiles, stack: _DepthStack, options: ReadOpti
     path, n, first = files.path, stack.n_frames, stack.depth_mm(0)
     shape = cast("tuple[int, int]", first.shape)
     name, notes = resolve_sensor_name(options.sensor, shape, is_depth=True)
+    _check_unit(stack, first, load_sensor(options.sensor or name))
     camera = stack.camera
     if camera is None:
         camera, camera_notes = resampling.infer_depth_camera(load_sensor(options.sensor or name), shape)
@@ -96,6 +98,17 @@ def _make_recording(files: RecordingFiles, stack: _DepthStack, options: ReadOpti
     return Recording(path=path, format="depth arrays", streams=(stream,), notes=notes)
 
 
+def _check_unit(stack: _DepthStack, first: Floats, spec: SensorSpec) -> None:
+    """Raise FileProblem where another unit brings the depth to the membrane's, and the stated one does not."""
+    depth_mm = float(np.nanmedian(first)) if np.isfinite(first).any() else np.nan
+    problem = describe_unit_problem(depth_mm, spec)
+    if problem:
+        own = _MM_PER_UNIT[stack.unit]
+        fits = [u for u, mm in _MM_PER_UNIT.items() if find_unit_factor(depth_mm / own * mm, spec) == 1.0]
+        remedy = f"give --depth-unit {fits[0]}" if fits else "convert it to mm"
+        raise FileProblem(f"{stack.key}, read in {stack.unit}, {problem}; {remedy}", stack.path, field=stack.key)
+
+
 def estimate_reference(depth_mm: Callable[[int], Floats], n_frames: int) -> tuple[Floats, str]:
     """(median depth (rows, cols) in mm of the first frames, note that says so), for a recording without reference."""
     n = min(_N_REFERENCE_FRAMES, max(1, n_frames // 6))
@@ -115,13 +128,13 @@ class _DepthStack:
     """Depth images of one file or folder, read on demand."""
 
     def __init__(self, key: str, unit: str, n_frames: int, read_raw: Callable[[int], NDArray[Any]], path: Path) -> None:
-        self.key, self.unit, self.n_frames, self._read_raw, self._path = key, unit, n_frames, read_raw, path
+        self.key, self.unit, self.n_frames, self._read_raw, self.path = key, unit, n_frames, read_raw, path
         self.times_s: NDArray[Any] = np.full(n_frames, np.nan)
         self.camera: Camera | None = None
         self.notes: tuple[str, ...] = ()
 
     def depth_mm(self, index: int) -> Floats:
-        return _convert_to_mm(self._read_raw(index), self.unit, f"{self.key} of frame {index}", self._path)
+        return _convert_to_mm(self._read_raw(index), self.unit, f"{self.key} of frame {index}", self.path)
 
 
 def _stack_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], unit: DepthUnit) -> _DepthStack:
@@ -184,8 +197,13 @@ def _convert_to_mm(raw: NDArray[Any], unit: str, what: str, path: Path) -> Float
     if not gaps.all():
         median = float(np.median(depth_mm[~gaps]))
         if not _PLAUSIBLE_MM[0] <= median <= _PLAUSIBLE_MM[1]:
+            own = _MM_PER_UNIT[unit]
+            fits = [
+                u for u, mm in _MM_PER_UNIT.items() if _PLAUSIBLE_MM[0] <= median / own * mm <= _PLAUSIBLE_MM[1]
+            ]
+            remedy = f"; give --depth-unit {' or '.join(fits)}" if fits else ""
             raise FileProblem(
-                f"{what} has a median of {median:.3g} mm when read in {unit}; check the unit", path, field=what
+                f"{what} has a median of {median:.3g} mm when read in {unit}; check the unit{remedy}", path, field=what
             )
     return freeze(depth_mm)
 

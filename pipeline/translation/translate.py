@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.base.arrays import Image
-from pipeline.base.errors import CalibrationError, SettingProblem, UnknownSensor
+from pipeline.base.errors import CalibrationError, SettingProblem, ShapeError, UnknownSensor
 from pipeline.base.frame_lists import check_frame_index
 from pipeline.base.progress import SILENT, Progress, reading_reported_to
 from pipeline.calibration.calibration_file import load_if_present
@@ -26,6 +26,7 @@ from pipeline.recordings.depth_arrays import DepthUnit
 from pipeline.sensors import alignment as alignments
 from pipeline.sensors.alignment import Alignment, Offsets, shift_alignment_along_z
 from pipeline.sensors.alignment_files import load_alignment
+from pipeline.sensors.depth_unit import describe_unit_problem
 from pipeline.sensors.spec import SensorSpec, load_sensor
 from pipeline.stages.stage import GroundTruth, PreviewContext, SensorRole, Stage
 from pipeline.stages.truth_method import TRUTH, get_input_name
@@ -384,7 +385,7 @@ def estimate_camera_shift_mm(frame: TactileFrame, spec: SensorSpec) -> float:
     """Return how much smaller z is in this frame's own camera than in the description's; 0 if that is unknown.
 
     The camera of a depth recording may be nearer or farther than described; the alignment is about the membrane, so the
-    two rest membranes are brought together along the optical axis.
+    two rest membranes are brought together along the optical axis. Raises ShapeError where they differ by a unit.
     """
     if not frame.is_depth or frame.reference is None or frame.camera is None:
         return 0.0
@@ -396,4 +397,7 @@ def estimate_camera_shift_mm(frame: TactileFrame, spec: SensorSpec) -> float:
         return 0.0
     r, c = spec.rest_depth_mm.shape
     described = spec.rest_depth_mm[r * 2 // 5 : r * 3 // 5 + 1, c * 2 // 5 : c * 3 // 5 + 1]
+    problem = describe_unit_problem(float(np.median(seen)), spec)
+    if problem:
+        raise ShapeError(f"the reference of frame {frame.index} {problem}: '{frame.origin}'")
     return float(np.median(described) - np.median(seen))
