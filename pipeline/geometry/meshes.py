@@ -47,7 +47,7 @@ def load_mesh(path: Path, unit: str = "auto") -> Mesh:
     and 400 mm and refuses anything else, since no mesh file states its unit. A URDF names the mesh and its scale in
     metres. Raises FileProblem when the file cannot be read, MeshProblem when it is empty, damaged or in a wrong unit.
     """
-    path = Path(path)
+    given = path = Path(path)
     if unit != "auto" and unit not in UNIT_MM:
         raise SettingProblem(f"unknown mesh unit {unit!r}; there are auto, {', '.join(UNIT_MM)}")
     stretch = np.ones(3)
@@ -64,7 +64,7 @@ def load_mesh(path: Path, unit: str = "auto") -> Mesh:
     vertices = vertices * stretch
     if np.prod(stretch) < 0:  # a mirrored mesh is turned inside out
         triangles = triangles[:, ::-1]
-    scale = _find_scale(vertices[triangles.ravel()], unit, path)
+    scale = _find_scale(vertices[triangles.ravel()], unit, given)
     return _clean_mesh(vertices * scale, triangles, path)
 
 

@@ -19,6 +19,7 @@ _HEADER, _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _DATA_END = 1, 2, 3, 4, 5
 _HEAD = struct.Struct("<BQ")  # opcode and length of a record
 _MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 _CHUNK_HEAD = struct.Struct("<QQQI")  # first and last time, unfolded size, its checksum
+_FOOTER_TAIL = struct.Struct("<BQQQI")  # opcode and length, then where the summary is, and its checksum
 _MAX_RECORD_BYTES = 1 << 30  # as stated, of a chunk unfolded and of any record that is read
 _MAX_UNFOLDED = 200  # times the size of the file, for all chunks together
 _MIN_BUDGET_BYTES = 1 << 28
@@ -94,6 +95,7 @@ class McapFile:
         Raises FileProblem for sizes beyond all bounds, and for a checksum that does not fit the file as a whole.
         """
         self._schemas, self._channels = dict[int, McapSchema](), dict[int, McapChannel]()
+        self._read_summary()
         checksum, is_chunk_damaged = zlib.crc32(MAGIC), False
         at = len(MAGIC)
         while True:
@@ -134,6 +136,22 @@ class McapFile:
                     yield from self._list_records(unfolded, at)
             else:
                 yield from self._parse_record(opcode, content, _IN_FILE, at + _HEAD.size)
+            at += _HEAD.size + length
+
+    def _read_summary(self) -> None:
+        """Read the types and topics that a closed file repeats at its end: the chunk that holds them may be damaged."""
+        self._file.seek(-min(_FOOTER_TAIL.size + len(MAGIC), self._n_bytes), 2)
+        tail = self._file.read(_FOOTER_TAIL.size)
+        if len(tail) < _FOOTER_TAIL.size or _FOOTER_TAIL.unpack(tail)[:2] != (_FOOTER, 20):
+            return
+        at = _FOOTER_TAIL.unpack(tail)[2]
+        while 0 < at < self._n_bytes:
+            self._file.seek(at)
+            opcode, length = self._read_head()
+            if opcode not in (_SCHEMA, _CHANNEL) or length > self._n_bytes:
+                return
+            for _ in self._parse_record(opcode, self._file.read(length), _IN_FILE, at):
+                pass
             at += _HEAD.size + length
 
     def _read_head(self) -> tuple[int, int]:

@@ -29,6 +29,7 @@ from pipeline.base.progress import SILENT, Progress, SubProgress
 from pipeline.base.typed_data import FileName, Name, Note, convert
 from pipeline.engine.cache import Cache
 from pipeline.engine.graph import Graph, StageResult
+from pipeline.geometry import urdf
 from pipeline.recordings.formats import DepthUnit
 from pipeline.recordings.hdf5_writer import RecordingWriter
 from pipeline.reporting.export_request import format_options
@@ -199,7 +200,7 @@ def _copy_inputs(translation: Translation, part: Path) -> Request:
         request, recording=part / "frame.h5", reference=None, alignment=part / "alignment.toml", offsets=Offsets(),
         source=_sensor(request.source or source, part / "source.toml"),
         target=_sensor(request.target or target, part / "target.toml"), stream=translation.stream.name,
-        mesh=None if request.mesh is None else _copy(request.mesh, part / f"mesh{request.mesh.suffix}"),
+        mesh=None if request.mesh is None else _copy_mesh(request.mesh, part),
         calibration=None if request.calibration is None else _copy(request.calibration, part / "calibration.npz"),
         weights=weights,
     )  # fmt: skip
@@ -208,6 +209,16 @@ def _copy_inputs(translation: Translation, part: Path) -> Request:
 def _sensor(said: str, place: Path) -> str:
     """Return a sensor's name, or the copy of its description."""
     return said if not said.endswith(".toml") else str(_copy(Path(said), place))
+
+
+def _copy_mesh(file: Path, part: Path) -> Path:
+    """Copy a mesh; of a URDF also the file that it names."""
+    if file.suffix.lower() != urdf.SUFFIX:
+        return _copy(file, part / f"mesh{file.suffix}")
+    named, scale = urdf.read_mesh_place(file)
+    place = part / f"mesh{urdf.SUFFIX}"
+    place.write_text(urdf.format_urdf(_copy(named, part / f"mesh{named.suffix}").name, scale))
+    return place
 
 
 def _copy(file: Path, place: Path) -> Path:

@@ -266,6 +266,17 @@ def open_translation(request: Request, catalogue: Catalogue = BUILT_IN) -> Trans
         request.recording, sensor=request.source, stream=request.stream, reference=request.reference,
         depth_unit=request.depth_unit,
     )  # fmt: skip
+    try:
+        return _open_with(recording, request, target, methods, catalogue)
+    except Exception:
+        recording.close()
+        raise
+
+
+def _open_with(
+    recording: Recording, request: Request, target: SensorSpec, methods: tuple[Method, ...], catalogue: Catalogue
+) -> Translation:
+    """Open and check what `request` names beside its recording."""
     said = load_sensor(request.source) if request.source else None
     stream = recording.stream(request.stream or (said.name if said else ""))
     if not stream.sensor:
@@ -273,7 +284,6 @@ def open_translation(request: Request, catalogue: Catalogue = BUILT_IN) -> Trans
             f"the recording does not say which sensor made it; choose one (--sensor): '{request.recording}'"
         )
         unknown.alternatives = recording.alternatives
-        recording.close()
         raise unknown
     source = said or load_sensor(stream.sensor)
     mesh = recording.object_mesh
