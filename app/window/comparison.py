@@ -14,7 +14,6 @@ from app.work.evaluator import Evaluator
 from app.work.jobs import JobReporter
 from app.work.requests import make_request
 from app.work.variants import open_variant
-from pipeline.base.errors import SettingProblem
 from pipeline.base.processes import release_free_memory
 from pipeline.evaluation.comparison_tiles import Comparison
 from pipeline.evaluation.method_comparison import compare_methods
@@ -139,11 +138,7 @@ class ComparisonController(BackgroundController):
             first, frame = open_variant("A", self._evaluators[0], session, report)
 
             def open_second() -> Variant:
-                second, its_frame = open_variant("B", self._evaluators[1], other, report)
-                if its_frame != frame:
-                    n_frames = second.translation.n_frames
-                    raise SettingProblem(f"no frame {frame}; this recording has frames 0 to {n_frames - 1}")
-                return second
+                return open_variant("B", self._evaluators[1], other, report)[0]
 
             return compare_pair(
                 self._shared_runner, first, open_second, frame, session.display, stage, differs, report,

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 
-from pipeline.base.errors import TouchError
+from pipeline.base.errors import SettingProblem, TouchError
 from pipeline.base.progress import SILENT, Progress
 from pipeline.engine.graph import StageResult
 from pipeline.evaluation.comparison_tiles import Comparison
@@ -15,6 +15,7 @@ from pipeline.previews.preview import Preview, make_frame_preview, match_camera
 from pipeline.previews.tile import Tile
 from pipeline.translation.translate import Translation
 from pipeline.translation.truth_view import TruthView, add_truth_warnings, build_truth_view
+from pipeline.values.pairing import NO_PARTNER, pair_frames
 
 SOURCE = "source"
 IN_PROGRESS = "working…"
@@ -73,12 +74,29 @@ def compare_pair(
     one = evaluate_view(runner, first, frame, display, stage, progress)
     yield build_tiles(one, VariantView(label="B", titles=one.titles, problem=IN_PROGRESS), frame, stage, differs)
     try:
-        other = evaluate_view(runner, open_second(), frame, display, stage, progress)
+        second = open_second()
+        moment = find_same_moment(first.translation, second.translation, frame)
+        other = evaluate_view(runner, second, moment, display, stage, progress)
     except TouchError as error:
         if not second_may_fail:
             raise
         other = VariantView(label="B", titles=one.titles, problem=str(error))
     yield build_tiles(one, other, frame, stage, differs)
+
+
+def find_same_moment(one: Translation, other: Translation, frame: int) -> int:
+    """The frame of another translation that shows what `frame` shows: its partner in another stream of the recording.
+
+    In another recording it is the frame of the same number. Raises SettingProblem where there is none.
+    """
+    if one.request.recording != other.request.recording or one.stream.name == other.stream.name:
+        return other.check_index(frame)
+    partner = int(pair_frames(one.stream, other.stream).partners[frame])
+    if partner == NO_PARTNER:
+        raise SettingProblem(
+            f"{other.stream.name!r} recorded no frame at the time of frame {frame}; choose another one"
+        )
+    return partner
 
 
 def evaluate_view(

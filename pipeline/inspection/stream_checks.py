@@ -21,7 +21,8 @@ from pipeline.values.pairing import compute_interval_s
 CheckState = Literal["pass", "fail", "unknown"]
 
 _DEPTH_MM = (5.0, 1000.0)  # range of a median depth: the camera is some centimetres from the membrane
-_SLOWEST_HZ, _CAMERA_HZ = 0.1, (1.0, 1000.0)  # slower than any touch is recorded; rates of cameras
+_LONGEST_S, _CAMERA_HZ = 10.0, (1.0, 1000.0)  # interval, longer than of any film; rates of cameras
+_MAX_JITTER = 0.2  # of the intervals of a camera, relative; a robot's presses vary more
 _TIME_UNITS = {"ms": 1e3, "µs": 1e6, "ns": 1e9}  # units of a second
 _MIN_MOTION_MM = 1.0  # change of depth beyond the noise of a bubble
 _MIN_NEARER_SHARE = 0.5  # of the moved pixels that must come nearer
@@ -233,14 +234,15 @@ class StreamChecker:
         known = np.asarray([t for t in times_s if math.isfinite(t)])
         if len(known) < 2:
             return self._make_check("times", "unknown", "no times are recorded")
-        rate_hz = 1.0 / compute_interval_s(known)
-        units = [unit for unit, n in _TIME_UNITS.items() if _CAMERA_HZ[0] <= rate_hz * n <= _CAMERA_HZ[1]]
-        if rate_hz < _SLOWEST_HZ and units:
+        interval_s = compute_interval_s(known)
+        units = [u for u, n in _TIME_UNITS.items() if _CAMERA_HZ[0] <= n / interval_s <= _CAMERA_HZ[1]]
+        if interval_s > _LONGEST_S and units:
             n = _TIME_UNITS[units[0]]
+            is_regular = np.median(np.abs(np.diff(known) - interval_s)) < _MAX_JITTER * interval_s  # as a camera is
             return self._make_check(
-                "times", "fail",
-                f"timestamps give {rate_hz:.3g} Hz, and {rate_hz * n:.3g} Hz if they are in {units[0]}: divide them by "
-                f"{n:.0e}",
+                "times", "fail" if is_regular else "unknown",
+                f"timestamps give {1.0 / interval_s:.3g} Hz, and {n / interval_s:.3g} Hz if they are in {units[0]}: then "
+                f"divide them by {n:.0e}",
             )  # fmt: skip
         back = np.nonzero(np.diff(known) <= 0)[0]
         return self._check("times", [f"timestamps do not rise after frame {i}" for i in back], "timestamps rise")

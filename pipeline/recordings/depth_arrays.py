@@ -198,9 +198,7 @@ def _convert_to_mm(raw: NDArray[Any], unit: str, what: str, path: Path) -> Float
         median = float(np.median(depth_mm[~gaps]))
         if not _PLAUSIBLE_MM[0] <= median <= _PLAUSIBLE_MM[1]:
             own = _MM_PER_UNIT[unit]
-            fits = [
-                u for u, mm in _MM_PER_UNIT.items() if _PLAUSIBLE_MM[0] <= median / own * mm <= _PLAUSIBLE_MM[1]
-            ]
+            fits = [u for u, mm in _MM_PER_UNIT.items() if _PLAUSIBLE_MM[0] <= median / own * mm <= _PLAUSIBLE_MM[1]]
             remedy = f"; give --depth-unit {' or '.join(fits)}" if fits else ""
             raise FileProblem(
                 f"{what} has a median of {median:.3g} mm when read in {unit}; check the unit{remedy}", path, field=what

@@ -7,9 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from pipeline.base.errors import FileProblem, MeshProblem, SettingProblem
 from pipeline.geometry.meshes import Mesh, load_mesh, sample_surface
+from pipeline.geometry.polygons import triangulate_polygon
 
 CORNERS = np.array([[0.0, 0, 0], [20, 0, 0], [0, 20, 0], [0, 0, 20]])
 FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
@@ -166,6 +169,88 @@ def test_other_files_and_missing_ones_are_refused(tmp_path: Path):
     (tmp_path / "b.ply").write_text("nothing")
     with pytest.raises(MeshProblem, match="has no triangles"):
         load_mesh(tmp_path / "b.ply")
+
+
+def measure(mesh: Mesh) -> tuple[float, float]:
+    """(area, volume)."""
+    a, b, c = (mesh.vertices_mm[mesh.triangles[:, k]] for k in range(3))
+    return 0.5 * float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()), float((a * np.cross(b, c)).sum()) / 6.0
+
+
+def write_prism(path: Path, outline, height: float = 6.0) -> Path:
+    """A prism whose ends are one face each."""
+    n = len(outline)
+    corners = [(x, y, z) for z in (0.0, height) for x, y in outline]
+    faces = [range(n)[::-1], range(n, 2 * n), *((i, (i + 1) % n, n + (i + 1) % n, n + i) for i in range(n))]
+    path.write_text("".join(f"v {x} {y} {z}\n" for x, y, z in corners)
+                    + "".join("f " + " ".join(str(i + 1) for i in face) + "\n" for face in faces))  # fmt: skip
+    return path
+
+
+def test_a_concave_face_is_not_filled(tmp_path: Path):
+    u = [(0, 0), (15, 0), (15, 12), (10, 12), (10, 4), (5, 4), (5, 12), (0, 12)]
+    assert measure(load_mesh(write_prism(tmp_path / "u.obj", u))) == pytest.approx((700.0, 840.0))
+    ring = [(0, 0), (20, 0), (20, 20), (0, 20), (0, 0), (5, 5), (5, 15), (15, 15), (15, 5), (5, 5)]  # with a hole
+    assert measure(load_mesh(write_prism(tmp_path / "ring.obj", ring)))[1] == pytest.approx(300.0 * 6)
+    crossed = [(0, 0), (10, 10), (10, 0), (0, 8)]
+    with pytest.raises(FileProblem, match="line 9 of the OBJ file has a face that crosses itself"):
+        load_mesh(write_prism(tmp_path / "crossed.obj", crossed))
+
+
+@given(n=st.integers(4, 40), seed=st.integers(0, 10_000), degenerate=st.booleans())
+def test_stars_are_cut_into_triangles_of_their_area(n, seed, degenerate):
+    """Outlines that are seen whole from one point, turned anyhow in space, some with corners on a line."""
+    rng = np.random.default_rng(seed)
+    angles = np.arange(n) * 2 * np.pi / n
+    radii = rng.uniform(2.0, 10.0, n)
+    flat = np.stack([radii * np.cos(angles), radii * np.sin(angles), np.zeros(n)], axis=1)
+    if degenerate:
+        flat = np.stack([flat, 0.5 * (flat + np.roll(flat, -1, axis=0))], axis=1).reshape(-1, 3)
+    turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    points = flat @ turn.T + rng.uniform(-50, 50, 3)
+    area = 0.5 * np.linalg.norm(np.cross(flat, np.roll(flat, -1, axis=0)).sum(axis=0))
+    cuts = np.array(triangulate_polygon(points))
+    a, b, c = (points[cuts[:, k]] for k in range(3))
+    normals = np.cross(b - a, c - a)
+    assert 0.5 * np.linalg.norm(normals, axis=1).sum() == pytest.approx(area, rel=1e-6)
+    assert 0.5 * np.linalg.norm(normals.sum(axis=0)) == pytest.approx(area, rel=1e-6), "all turned alike"
+    assert len(cuts) == len(points) - 2
+
+
+@pytest.mark.parametrize(("extent", "is_certain"), [(3.75, False), (1.48, False), (1.0, False), (6.0, True)])
+def test_a_mesh_smaller_than_a_contact_asks_for_its_unit(tmp_path: Path, extent: float, is_certain: bool):
+    path = binary_stl(tmp_path / "a.stl", CORNERS * (extent / 20.0))
+    if is_certain:
+        assert load_mesh(path).vertices_mm.max() == pytest.approx(extent)
+        return
+    with pytest.raises(MeshProblem, match=r"try --mesh-unit .*mm"):
+        load_mesh(path)
+    assert load_mesh(path, unit="mm").vertices_mm.max() == pytest.approx(extent)
+
+
+def write_urdf(path: Path, name: str, scale: str, more: str = "") -> Path:
+    geometry = f'<geometry><mesh filename="{name}" scale="{scale}"/></geometry>'
+    path.write_text(f'<robot name="x"><link name="a"><visual>{geometry}</visual>{more}</link></robot>')
+    return path
+
+
+def test_a_urdf_scales_its_mesh_and_is_in_metres(tmp_path: Path):
+    (tmp_path / "urdf").mkdir()
+    (tmp_path / "meshes").mkdir()
+    unit_cube = [(0, 0), (1, 0), (1, 1), (0, 1)]
+    write_prism(tmp_path / "meshes" / "cube.obj", unit_cube, height=1.0)
+    for name in ("../meshes/cube.obj", "package://thing/meshes/cube.obj"):
+        mesh = load_mesh(write_urdf(tmp_path / "urdf" / "a.urdf", name, "0.05 0.04 -0.03"))
+        assert np.ptp(mesh.vertices_mm, axis=0) == pytest.approx([50.0, 40.0, 30.0])
+        assert measure(mesh)[1] == pytest.approx(60_000.0), "not inside out"
+    for urdf, words in (
+        (write_urdf(tmp_path / "b.urdf", "meshes/cube.obj", "1 1"), "no three numbers"),
+        (write_urdf(tmp_path / "c.urdf", "../../etc/passwd", "1 1 1"), "is not in its folder"),
+        (write_urdf(tmp_path / "d.urdf", "meshes/cube.obj", "1 1 1", '<collision><geometry><mesh filename="b.stl"/></geometry></collision>'),
+         "must name one mesh"),
+    ):  # fmt: skip
+        with pytest.raises(FileProblem, match=words):
+            load_mesh(urdf)
 
 
 def test_samples_lie_on_the_surface_and_follow_its_area():

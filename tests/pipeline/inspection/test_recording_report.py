@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -15,6 +16,7 @@ from pipeline.geometry.meshes import Mesh
 from pipeline.inspection.recording_report import InspectionReport, format_report_lines, inspect_recording
 from pipeline.inspection.stream_checks import StreamChecker
 from pipeline.physics.optics import render_reference
+from pipeline.recordings import open_recording
 from pipeline.recordings.hdf5_writer import RecordingWriter
 from pipeline.sensors.spec import load_sensor
 from pipeline.values.frames import Pairing, Stream, TactileFrame, Truth
@@ -53,6 +55,65 @@ def state(report: InspectionReport, name: str) -> tuple[str, str]:
 def test_a_lost_frame_does_not_change_the_rate(tmp_path: Path):
     report = inspect_recording(record(tmp_path / "a.h5", [gel(i) for i in (0, 1, 2, 4, 5)]))
     assert (report.streams[0].duration_s, report.streams[0].rate_hz) == pytest.approx((0.25, 20.0))
+
+
+@pytest.mark.parametrize(("unit", "n"), [("ms", 1e3), ("µs", 1e6), ("ns", 1e9)])
+def test_times_in_another_unit_are_named(tmp_path: Path, unit: str, n: float):
+    start = 1_744_664_892.0
+    frames = [gel(i, time_s=(start + i / 30.0) * n) for i in range(6)]
+    found = state(inspect_recording(record(tmp_path / "a.h5", frames)), "times")
+    assert found[0] == "fail"
+    assert f"30 Hz if they are in {unit}" in found[1]
+    presses = [gel(i, time_s=t) for i, t in enumerate((0.0, 21.0, 37.0, 72.0, 90.0, 121.0))]  # by a robot, at its pace
+    assert state(inspect_recording(record(tmp_path / "b.h5", presses)), "times")[0] == "unknown"
+
+
+def test_streams_that_lost_frames_or_share_no_time_are_named(tmp_path: Path):
+    frames = [gel(i) for i in range(8)]
+    lost = [replace(bubble(i), time_s=0.05 * i) for i in range(8) if i not in (2, 5)]
+    found = state(inspect_recording(record(tmp_path / "a.h5", frames + lost)), "digit with soft_bubble")
+    assert found[0] == "unknown"
+    assert "6 frames of digit and soft_bubble are paired by their times; 2 of digit have no partner" in found[1]
+    later = [replace(bubble(i), time_s=1e6 + 0.05 * i) for i in range(8)]
+    found = state(inspect_recording(record(tmp_path / "b.h5", frames + later)), "digit with soft_bubble")
+    assert found[0] == "fail"
+    assert "check their clocks" in found[1]
+
+
+def test_inspection_reads_each_frame_of_many_streams_once(tmp_path: Path, monkeypatch):
+    path, n = tmp_path / "a.h5", 12
+    with RecordingWriter(path) as writer:
+        for stream in range(n):
+            for index in range(3):
+                writer.append(f"finger_{stream}", gel(index))
+    opened = open_recording(path)
+    reads: list[str] = []
+
+    def count(stream):
+        def frame(index):
+            reads.append(stream.name)
+            return stream.frame(index)
+
+        return replace(stream, frame=frame)
+
+    counted = replace(opened, streams=tuple(map(count, opened.streams)))
+    monkeypatch.setattr("pipeline.inspection.recording_report.open_recording", lambda *_, **__: counted)
+    inspect_recording(path)
+    assert len(reads) == 3 * n
+
+
+@pytest.mark.parametrize("factor", [10.0, 0.1])
+def test_depth_off_by_ten_is_noticed_and_another_camera_is_not(tmp_path: Path, factor: float):
+    def scaled(by):
+        frame = bubble(0)
+        image, reference = (np.float32(by) * a for a in (frame.image, frame.reference))
+        return state(
+            inspect_recording(record(tmp_path / f"{by}.h5", [replace(frame, image=image, reference=reference)])), "unit"
+        )
+
+    assert scaled(factor)[0] == "fail"
+    assert "10 times too" in scaled(factor)[1]
+    assert scaled(1.5)[0] == scaled(1 / 1.5)[0] == "pass"
 
 
 def test_a_good_recording_passes_and_is_described(tmp_path: Path):

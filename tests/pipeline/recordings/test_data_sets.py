@@ -127,17 +127,24 @@ def test_a_damaged_mcap_is_refused(tmp_path):
     write_mcap(path, draw_frames(4))
     content = path.read_bytes()
     rng, n_refused, frames = np.random.default_rng(0), 0, draw_frames(4)
+    chunk = 17 + int.from_bytes(content[9:17], "little")  # after the header
+    end = chunk + 9 + int.from_bytes(content[chunk + 1 : chunk + 9], "little")
+    n_hits = 0
     for _ in range(60):
         spoilt = bytearray(content)
-        spoilt[int(rng.integers(len(spoilt)))] ^= 0xFF
-        path.write_bytes(bytes(spoilt[: int(rng.integers(1, len(spoilt)))]))
+        at, n_left = int(rng.integers(len(spoilt))), int(rng.integers(1, len(spoilt)))
+        spoilt[at] ^= 0xFF
+        path.write_bytes(bytes(spoilt[:n_left]))
+        n_hits += n_left < end or chunk + 25 <= at < end  # the chunk holds the topic and all its images
         try:
             with closing(open_recording(path)) as recording:
-                for index in range(recording.streams[0].n_frames):  # what opens is right
+                assert recording.streams[0].n_frames == 4
+                for index in range(4):  # what opens is right
                     np.testing.assert_array_equal(recording.streams[0].frame(index).image, frames[index])
         except FileProblem:
             n_refused += 1
-    assert n_refused == 60, "one chunk holds the topic and all its images"
+    assert n_hits <= n_refused <= n_hits + 5  # the few others hit the head of the file or the list of topics
+    assert 20 < n_hits < 55
 
 
 def write_lerobot(folder, cameras, n):

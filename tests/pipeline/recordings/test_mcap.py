@@ -10,11 +10,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.writer import CompressionType
-from tests.pipeline.recordings.mcap_files import compressed, raw, write_ros
 
 from pipeline.base.errors import FileProblem, select_warnings
 from pipeline.inspection.recording_report import inspect_recording
 from pipeline.recordings import open_recording
+from tests.pipeline.recordings.mcap_files import compressed, raw, write_ros
 
 SHAPE = (24, 32, 3)
 START_NS = 1_744_664_892 * 10**9
@@ -114,7 +114,9 @@ def test_depth_in_a_topic_is_refused_and_not_halved_to_black(tmp_path):
 def test_interleaved_yuv_is_read(tmp_path, encoding, order):
     image = cv2.GaussianBlur(draw(1)[0], (0, 0), 4)
     yuv = cv2.cvtColor(image, cv2.COLOR_RGB2YUV)
-    pairs = np.stack([yuv[..., 0], np.where(np.arange(32) % 2 == 0, np.roll(yuv[..., 1], 0, 1), np.roll(yuv[..., 2], 1, 1))], -1)
+    pairs = np.stack(
+        [yuv[..., 0], np.where(np.arange(32) % 2 == 0, np.roll(yuv[..., 1], 0, 1), np.roll(yuv[..., 2], 1, 1))], -1
+    )
     got, _, _ = read_all(write_ros(tmp_path / "a.mcap", {"/tactile": [(1, raw(pairs[..., list(order)], 1, encoding))]}))
     assert np.abs(got[0].astype(float) - image).mean() < 3.0
 

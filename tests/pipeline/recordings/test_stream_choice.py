@@ -6,19 +6,20 @@ from contextlib import closing
 
 import numpy as np
 import pytest
-from tests.pipeline.recordings.mcap_files import raw, write_ros
 
 from pipeline.base.errors import FileProblem, SettingProblem, UnknownSensor
 from pipeline.inspection.recording_report import inspect_recording
 from pipeline.recordings import open_recording
 from pipeline.recordings.stream_choice import names_touch
 from pipeline.translation.translate import Request, open_translation
+from tests.pipeline.recordings.mcap_files import raw, write_ros
 
 DIGIT, GELSLIM, WEBCAM = (320, 240), (320, 427), (480, 640)  # (rows, cols)
 
 
 def write(path, **topics):
     """Three images of a size per topic."""
+
     def messages(shape):
         ramp = np.linspace(40, 200, shape[1])[None, :, None] * np.array([1.0, 0.7, 0.5])
         image = np.broadcast_to(ramp, (*shape, 3)).astype(np.uint8)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from pipeline.base.errors import SettingProblem
+from pipeline.evaluation.recorded_folders import select_recorded
 from pipeline.networks.depth_anything import DepthAnything
 from pipeline.networks.weights import Weights, save_weights
 from pipeline.recordings import open_recording
@@ -104,6 +105,26 @@ def test_truth_of_a_recording_is_what_is_trained_on(target, channels):
     assert example["contact"][0].any()
 
 
+def test_lost_frames_are_paired_by_their_times(tmp_path):
+    """The gel lost two frames: each of its touches is trained and scored with the bubble's at the same time."""
+    path, kept = tmp_path / "lost.h5", [0, 1, 3, 4, 6, 7]
+    with closing(open_recording(SAMPLE)) as sample, RecordingWriter(path, depth_step_mm=0.05) as writer:
+        for name, indices in {"gelslim": kept, "soft_bubble": range(8)}.items():
+            stream = sample.stream(name)
+            for index in indices:
+                writer.append(name, stream.frame(index), stream.truth(index))
+        times = [sample.stream("gelslim").frame(index).time_s for index in range(8)]
+    pairs = open_pairs(PairFolder(path=str(path)), "gelslim", "soft_bubble")
+    places = sorted((place for of_role in pairs.places.values() for place in of_role), key=lambda p: p.index)
+    assert [(p.index, p.target_index) for p in places] == list(enumerate(kept))
+    for place in places:
+        pair = pairs.load(place)
+        assert pair.source_frame.time_s == pair.target_frame.time_s == times[kept[place.index]]
+    assert any("6 frames of gelslim and soft_bubble are paired by their times" in note for note in pairs.notes)
+    (selected,) = select_recorded(pairs, "training")
+    assert [kept[k] for k in selected.frames] == list(selected.target_frames)
+
+
 def test_one_tool_has_no_unseen_tools_and_training_does_without(tmp_path):
     recipe = tmp_path / "few.toml"
     recipe.write_text("\n".join([
@@ -180,7 +201,7 @@ def test_notes_name_what_was_held_out_and_assumed(tmp_path):
     notes = "; ".join(PairTask(task=TouchToTouchTask(), folder=PairFolder(path=str(path))).collect_notes())
     for words in (
         "1 grasps are trained on, 1 validate as unseen grasps, 0 validate as unseen tools",
-        "gelslim has 2 frames, soft_bubble 3: the first 2 are paired", "no target_from_source",
+        "2 frames of gelslim and soft_bubble are paired by their times; 1 of soft_bubble have no partner", "no target_from_source",
         "gelslim has no reference image",
     ):  # fmt: skip
         assert words in notes, notes
