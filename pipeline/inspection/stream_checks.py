@@ -241,8 +241,8 @@ class StreamChecker:
             is_regular = np.median(np.abs(np.diff(known) - interval_s)) < _MAX_JITTER * interval_s  # as a camera is
             return self._make_check(
                 "times", "fail" if is_regular else "unknown",
-                f"timestamps give {1.0 / interval_s:.3g} Hz, and {n / interval_s:.3g} Hz if they are in {units[0]}: then "
-                f"divide them by {n:.0e}",
+                f"timestamps give {1.0 / interval_s:.3g} Hz, and {n / interval_s:.3g} Hz if they are in {units[0]}: "
+                f"then divide them by {n:.0e}",
             )  # fmt: skip
         back = np.nonzero(np.diff(known) <= 0)[0]
         return self._check("times", [f"timestamps do not rise after frame {i}" for i in back], "timestamps rise")

@@ -60,4 +60,5 @@ def unpack_rgb(content: bytes, shape: tuple[int, int], step: int, encoding: str,
 
     if cols % 2:
         raise FileProblem(f"{where} has an odd width of {cols} px, which {encoding} cannot have", path, field=where)
-    return freeze(cv2.cvtColor(np.ascontiguousarray(pixels), getattr(cv2, f"COLOR_YUV2RGB_{_YUV[encoding]}")))
+    rgb: Any = cv2.cvtColor(np.ascontiguousarray(pixels), getattr(cv2, f"COLOR_YUV2RGB_{_YUV[encoding]}"))
+    return freeze(rgb)

@@ -6,7 +6,7 @@ its times at the data set's rate.
 """
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -76,7 +76,7 @@ def list_episodes(root: Path, name: str) -> list[Episode]:
     return [found[number] for number in sorted(found)]
 
 
-def _read_rows(root: Path, columns: Sequence[str]) -> list[Mapping[str, float]]:
+def _read_rows(root: Path, columns: Sequence[str]) -> list[dict[str, float]]:
     """The rows of the table of episodes with what they have of these columns."""
     tables, lines = sorted((root / "meta" / "episodes").rglob("*.parquet")), root / "meta" / "episodes.jsonl"
     at, problem = lines, "the table of episodes cannot be read"
