@@ -202,8 +202,12 @@ class StreamChecker:
         bad = [f"frames has a median depth of {d:.3g} mm; check the unit" for d in wrong]
         if self._spec is None:
             return self._check("depth unit", bad, f"median depth {median_mm:.1f} mm fits mm")
-        problem = describe_unit_problem(median_mm, self._spec)
-        bad = [f"frames {problem}"] if problem else bad
+        reference = None if self._reference is None else self._reference.reference
+        medians_mm = {"frames": median_mm}
+        if reference is not None and np.isfinite(reference).any():
+            medians_mm["the reference"] = float(np.nanmedian(reference))
+        problems = {what: describe_unit_problem(depth_mm, self._spec) for what, depth_mm in medians_mm.items()}
+        bad = [f"{what} {problem}" for what, problem in problems.items() if problem] or bad
         rest_mm = float(np.median(self._spec.rest_depth_mm))
         return self._check(
             "depth unit", bad,
@@ -242,7 +246,7 @@ class StreamChecker:
             return self._make_check(
                 "times", "fail" if is_regular else "unknown",
                 f"timestamps give {1.0 / interval_s:.3g} Hz, and {n / interval_s:.3g} Hz if they are in {units[0]}: "
-                f"then divide them by {n:.0e}",
+                f"then divide them by {n:,.0f}",
             )  # fmt: skip
         back = np.nonzero(np.diff(known) <= 0)[0]
         return self._check("times", [f"timestamps do not rise after frame {i}" for i in back], "timestamps rise")

@@ -83,6 +83,10 @@ def _make_recording(files: RecordingFiles, stack: _DepthStack, options: ReadOpti
         about = f"{options.reference.name} is the reference"
         if reference.shape != shape:
             raise FileProblem(f"the reference has shape {reference.shape}, the frames {shape}", options.reference)
+        if np.isfinite(reference).any():
+            problem = describe_unit_problem(float(np.nanmedian(reference)), load_sensor(options.sensor or name))
+            if problem:
+                raise FileProblem(f"the reference {problem}; convert it to that of the frames", options.reference)
     elif n > 1:
         reference, about = estimate_reference(stack.depth_mm, n)
     else:
