@@ -162,7 +162,7 @@ def _read_stamp_ns(channel: McapChannel, content: bytes, decoders: _Decoders) ->
 
 def _sort_images(images: Sequence[_StampedImage]) -> list[McapMessage]:
     """Messages by stamp where all have one, then sequence number, then place in the file."""
-    by_stamp = _tells_times([image.stamp_ns for image in images])
+    by_stamp = _has_stamps(images)
     return [
         image.message
         for image in sorted(
@@ -172,15 +172,21 @@ def _sort_images(images: Sequence[_StampedImage]) -> list[McapMessage]:
 
 
 def _tells_times(times_ns: Sequence[int]) -> bool:
-    """Whether times are set and tell one moment from another; a clock may begin at 0, which else means "not set"."""
-    return min(times_ns) >= 0 and times_ns.count(0) < 2 and (len(times_ns) == 1 or len(set(times_ns)) > 1)
+    """Whether times tell one moment from another."""
+    return min(times_ns) >= 0 and (len(times_ns) == 1 or len(set(times_ns)) > 1)
+
+
+def _has_stamps(images: Sequence[_StampedImage]) -> bool:
+    """Whether all headers tell their time; a clock may begin at 0, which else means "not set"."""
+    stamps_ns = [image.stamp_ns for image in images]
+    return _tells_times(stamps_ns) and stamps_ns.count(0) < 2
 
 
 def _choose_times(topics: Mapping[str, Sequence[_StampedImage]]) -> tuple[dict[str, dict[int, int]], tuple[str, ...]]:
     """(topic -> id of a message -> its time in ns, notes): one clock for all topics; {} where none tells the time."""
     stamps = {topic: [i.stamp_ns for i in images] for topic, images in topics.items()}
     logs = {topic: [i.message.log_time_ns for i in images] for topic, images in topics.items()}
-    has_stamps, has_logs = (all(map(_tells_times, times.values())) for times in (stamps, logs))
+    has_stamps, has_logs = all(map(_has_stamps, topics.values())), all(map(_tells_times, logs.values()))
     gaps_ns = [float(np.median(np.subtract(stamps[topic], logs[topic]))) for topic in topics]
     is_one_clock = not has_logs or max(gaps_ns) - min(gaps_ns) <= _MAX_CLOCK_GAP_NS
     notes: tuple[str, ...] = ()
@@ -191,7 +197,10 @@ def _choose_times(topics: Mapping[str, Sequence[_StampedImage]]) -> tuple[dict[s
     elif has_logs:
         chosen = logs
     else:
-        chosen = {t: next((times[t] for times in (stamps, logs) if _tells_times(times[t])), []) for t in topics}
+        chosen = {
+            topic: stamps[topic] if _has_stamps(images) else logs[topic] if _tells_times(logs[topic]) else []
+            for topic, images in topics.items()
+        }
     return {
         topic: {id(image.message): t for image, t in zip(topics[topic], times, strict=False)}
         for topic, times in chosen.items()

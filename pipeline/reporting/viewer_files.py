@@ -22,6 +22,7 @@ from pipeline.recordings.mcap_images import PREVIEW_PROFILE
 _M_PER_MM = 1e-3
 _POINT_FIELDS = ("x", "y", "z", "red", "green", "blue", "alpha")
 _OBJECT = "object"
+_MAX_TIME_S = 2.5e11  # of a .mcap: the year 9892
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,6 +87,8 @@ def write_mcap(path: Path, samples: Iterable[StageSample]) -> None:
         start_s: float | None = None
         for sample in samples:
             start_s = min(sample.time_s, 0.0) if start_s is None else start_s  # the format has no negative times
+            if not sample.time_s - start_s < _MAX_TIME_S:
+                raise FileProblem(f"the time of frame {sample.frame}, {sample.time_s:.3g} s, fits no .mcap file", path)
             time_ns = max(round((sample.time_s - start_s) * 1e9), 0)
             for topic, message in _make_messages(sample, time_ns).items():
                 writer.write_message(topic, message, time_ns, time_ns, sample.frame)

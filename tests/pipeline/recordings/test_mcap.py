@@ -59,6 +59,13 @@ def test_without_headers_the_sequence_then_the_file_orders_equal_times(tmp_path)
     assert np.isnan(times).all()
 
 
+def test_images_with_equal_log_times_keep_them(tmp_path):
+    rows = [(k // 2 * 10**8, raw(image)) for k, image in enumerate(draw(6))]
+    got, times, _ = read_all(write_ros(tmp_path / "a.mcap", {"/tactile": rows}))
+    np.testing.assert_array_equal(got, draw(6))
+    assert times == pytest.approx([0.0, 0.0, 0.1, 0.1, 0.2, 0.2])
+
+
 def test_topics_share_one_clock(tmp_path):
     """The second topic begins 0.5 s later: its times do not begin at 0."""
     one = [(START_NS + k * 10**8, raw(image, START_NS + k * 10**8)) for k, image in enumerate(draw(10))]

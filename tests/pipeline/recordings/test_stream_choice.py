@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import closing
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -89,6 +90,9 @@ def test_our_previews_are_no_sensors(tmp_path):
 
     sample = StageSample(name="touch", frame=0, time_s=-3.0, pixels=np.full((*GELSLIM, 3), 90, np.uint8), metrics={},
                          points_mm=np.zeros((2, 3), np.float32), rgb=np.zeros((2, 3), np.uint8))  # fmt: skip
+    for far_s in (1e300, float("inf")):
+        with pytest.raises(FileProblem, match=r"fits no \.mcap"):
+            write_mcap(tmp_path / "far.mcap", [replace(sample, time_s=far_s)])
     write_mcap(tmp_path / "a.mcap", [sample])
     with pytest.raises(FileProblem, match="previews"):
         open_recording(tmp_path / "a.mcap")
