@@ -17,7 +17,7 @@ from pipeline.base.arrays import Floats, freeze
 from pipeline.base.errors import CalibrationError, FileProblem, escape_text
 from pipeline.base.files import read_arrays
 from pipeline.geometry.camera import Camera, make_camera
-from pipeline.recordings import image_files, resampling
+from pipeline.recordings import colour_layouts, file_names, image_files, resampling
 from pipeline.recordings.formats import DepthUnit, ReadOptions, RecordingFiles, with_index_check
 from pipeline.recordings.sensor_guess import resolve_sensor_name
 from pipeline.sensors.spec import load_sensor
@@ -64,6 +64,24 @@ def read_image_folder(files: RecordingFiles, options: ReadOptions) -> Recording:
     stack = _DepthStack(name, unit, len(images), lambda i: _read_16_bit(images[i]), path)
     reference = options.reference or (files.references[0] if files.references else None)
     options = ReadOptions(sensor=options.sensor, reference=reference, depth_unit=cast("DepthUnit", unit))
+    return _make_recording(files, stack, options)
+
+
+def read_array_folder(
+    files: RecordingFiles, options: ReadOptions, read_array: Callable[[Path], NDArray[Any]]
+) -> Recording:
+    """As `read`, from a folder with one array a frame, whose name or that of the folder states the unit."""
+    path, images = files.path, files.images
+    key = next((n for n in (images[0].stem, path.name) if _UNIT_SUFFIX.search(n)), images[0].stem)
+    unit = _resolve_unit(key, options.depth_unit, path)
+
+    def read_raw(index: int) -> NDArray[Any]:
+        (image,) = _check_images(read_array(images[index]), images[index].stem, images[index])
+        return image
+
+    read_raw(0)
+    stack = _DepthStack(key, unit, len(images), read_raw, path)
+    stack.times_s = np.array(file_names.parse_times_s(images) or stack.times_s)
     return _make_recording(files, stack, options)
 
 
@@ -126,13 +144,8 @@ class _DepthStack:
 
 def _stack_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], unit: DepthUnit) -> _DepthStack:
     key = _find_depth_key(arrays, path)
-    stated_unit, images = _resolve_unit(key, unit, path), arrays[key]
-    images = images[None] if images.ndim == 2 else images
-    images = images[..., 0] if images.ndim == 4 and images.shape[-1] == 1 else images
-    if images.dtype.kind not in "fiu" or images.dtype.itemsize > 8:
-        raise FileProblem(f"{key} must hold real numbers, got {images.dtype}", path, field=key)
-    if images.ndim != 3 or not images.size:
-        raise FileProblem(f"{key} must have shape (frames, rows, cols), got {arrays[key].shape}", path, field=key)
+    images = _check_images(arrays[key], key, path)
+    stated_unit = _resolve_unit(key, unit, path)
     stack = _DepthStack(key, stated_unit, len(images), lambda i: images[i], path)  # pyright: ignore[reportUnknownLambdaType]
     if "K" in arrays:
         if arrays["K"].dtype.kind not in "fiu":
@@ -147,6 +160,20 @@ def _stack_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], unit: DepthUni
     unused = sorted(arrays.keys() - {key, "K", "frame", *_TIME_KEYS})
     stack.notes = (f"other arrays of the file are left out: {escape_text(', '.join(unused))}",) if unused else ()
     return stack
+
+
+def _check_images(array: NDArray[Any], key: str, path: Path) -> NDArray[Any]:
+    """Depth images (frames, rows, cols) of an array that may lack the first axis or have a last one of length 1."""
+    images = array[None] if array.ndim == 2 else array
+    images = images[..., 0] if images.ndim == 4 and images.shape[-1] == 1 else images
+    if colour_layouts.is_grey(images):
+        raise FileProblem(f"{key} holds {images.dtype}, which is too coarse for depth: these are grey images or masks, "
+                          "and a gel's depth is read from colour images", path, field=key)  # fmt: skip
+    if images.dtype.kind not in "fiu" or images.dtype.itemsize > 8:
+        raise FileProblem(f"{key} must hold real numbers, got {images.dtype}", path, field=key)
+    if images.ndim != 3 or not images.size:
+        raise FileProblem(f"{key} must have shape (frames, rows, cols), got {array.shape}", path, field=key)
+    return images
 
 
 def _read_16_bit(file: Path) -> NDArray[Any]:

@@ -102,6 +102,10 @@ FORMATS = (  # of formats that share a suffix the first that matches is used
         reader=f"{_READERS}.depth_arrays:read",
     ),
     RecordingFormat(
+        key="array_series", title="One array a frame", content="images of a gel or depth images",
+        applies_options=True, reader=f"{_READERS}.colour_arrays:read_series",
+    ),
+    RecordingFormat(
         key="video", title="Video", suffixes=(".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v"),
         content="images of a gel with times", applies_options=True, reader=f"{_READERS}.video:read",
     ),
