@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.base.arrays import Image
+from pipeline.base.arrays import Floats, Image
 from pipeline.base.errors import FileProblem, SettingProblem, escape_text
 from pipeline.base.files import read_arrays
 from pipeline.recordings import colour_layouts, depth_arrays, file_names, grey_scale, image_files
@@ -66,8 +66,12 @@ def read_series(files: RecordingFiles, options: ReadOptions) -> Recording:
     if not colour_layouts.split_stacks(first):
         return depth_arrays.read_array_folder(replace(files, images=tuple(images)), options, _read_one)
     (base,) = _split(first, images[0].stem, images[0])[:1]
-    stack = ImageStack(name="", n_frames=len(images), shape=base.shape,
-                       read=lambda index: _split(_read_one(images[index]), images[index].stem, images[index])[0].read(0))  # fmt: skip
+
+    def read_raw(index: int) -> NDArray[np.generic]:
+        file = images[index]
+        return _split(_read_one(file), file.stem, file)[0].read(0)
+
+    stack = ImageStack(name="", n_frames=len(images), shape=base.shape, read=read_raw)
     references = [file for file in files.images if file not in images]
     bases = [stack for file in references for stack in _split(_read_one(file), file.stem, file)]
     times_s = file_names.parse_times_s(images)
@@ -89,7 +93,7 @@ def _split(array: NDArray[Any], key: str, path: Path) -> tuple[ImageStack, ...]:
             path,
             field=key,
         )
-    if not all((stack.n_frames, *stack.shape) > (0, 0, 0) for stack in stacks):
+    if not all(stack.n_frames for stack in stacks):
         raise FileProblem(f"{key} holds no frame", path, field=key)
     return stacks
 
@@ -111,16 +115,17 @@ def _make_recording(
     streams, notes = list[Stream](), list[str]()
     for number, stack in enumerate(stacks):
         base = bases[min(number, len(bases) - 1)] if bases else None
-        reference, about = None, ""
+        reference, about, values = None, "", None if base is None else base.read(0)
         if options.reference is not None:
             reference, about = image_files.read_rgb(options.reference), f"{options.reference.name} is the reference"
         elif base is not None:
             reference = _read_reference(base, stack, reference_key, path)
             about = f"{escape_text(reference_key)} is the reference"
-        stream, own = make_array_stream(stack, key, path, options, reference=reference, about=about,
-                                        reference_values=None if base is None else base.read(0), times_s=times_s)  # fmt: skip
+        stream, own = make_array_stream(
+            stack, key, path, options, reference=reference, reference_values=values, about=about, times_s=times_s
+        )
         streams.append(stream)
-        notes += own
+        notes += [f"{stream.name}: {note}" if len(stacks) > 1 else note for note in own]
     notes += [f"{escape_text(key)} holds the images of {len(stacks)} sensors"] if len(stacks) > 1 else []
     return Recording(path=path, format="colour arrays", streams=tuple(streams),
                      notes=(*files.notes, *dict.fromkeys(notes)))  # fmt: skip
@@ -131,7 +136,7 @@ def _read_reference(base: ImageStack, frames: ImageStack, key: str, path: Path) 
     scale = grey_scale.infer_grey_scale(raw.ravel(), key, path, of_reference=values)
     if scale.is_difference:
         raise FileProblem(f"{key} holds a difference, which is no reference; leave it out", path, field=key)
-    return scale.convert(raw, key, path)
+    return scale.convert_image(raw, key, path)
 
 
 def make_array_stream(
@@ -157,22 +162,27 @@ def make_array_stream(
     if scale.is_difference and reference is not None:
         raise FileProblem(f"{key} holds differences, which need no reference; leave it out", path, field=key)
 
-    def read_grey(index: int) -> NDArray[np.generic]:
-        return scale.convert(stack.read(index), f"frame {index} of {key}", path)
+    def read_image(index: int) -> Image:
+        return scale.convert_image(stack.read(index), f"frame {index} of {key}", path)
+
+    def read_raw(index: int) -> Image | Floats:
+        if not scale.is_difference:
+            return read_image(index)
+        return scale.convert_difference(stack.read(index), f"frame {index} of {key}", path)
 
     if not scale.is_difference:
-        require_colour((image for _, image in sample_frames(read_grey, stack.n_frames, _N_COLOUR)), path)
-        if reference is None and estimate_no_change_grey(read_grey(0)) is None:
-            reference, start, n_averaged = find_first_reference(read_grey, stack.n_frames)
+        require_colour((image for _, image in sample_frames(read_image, stack.n_frames, _N_COLOUR)), path)
+        if reference is None and estimate_no_change_grey(read_image(0)) is None:
+            reference, start, n_averaged = find_first_reference(read_image, stack.n_frames)
             if reference is not None:
                 about = describe_first_reference("frame {}".format, start, n_averaged)
-    converter = make_gel_converter(options.sensor, stack.shape, reference, lambda: read_grey(0), file_names=(name,))
+    converter = make_gel_converter(options.sensor, stack.shape, reference, lambda: read_raw(0), file_names=(name,))
     if converter.implied_reference is None:
         about = about or image_files.NO_REFERENCE_NOTE
 
     def frame(index: int) -> TactileFrame:
         time_s = math.nan if times_s is None else times_s[index]
-        return converter.make_frame(read_grey(index), index, f"{path} [{key} {index}]", time_s)
+        return converter.make_frame(read_raw(index), index, f"{path} [{key} {index}]", time_s)
 
     label = "_".join(part for part in (name or converter.sensor or "images", stack.name) if part)
     stream = Stream(name=label, sensor=converter.sensor, n_frames=stack.n_frames,

@@ -5,6 +5,7 @@ The name of the array (or file) states the unit: depth_mm, depth_m, depth_um, de
 
 from __future__ import annotations
 
+import contextlib
 import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -31,14 +32,17 @@ _TIME_KEYS = ("timestamps_s", "time_s", "t_s")
 
 
 def are_depth_images(files: RecordingFiles) -> bool:
-    """Whether the first image that can be read has one channel of 16 bits."""
+    """Whether the first image that can be read is a depth image."""
     for file in files.images:
-        try:
-            pixels = image_files.read_raw_pixels(file)
-        except FileProblem:
-            continue
-        return pixels.dtype == np.uint16 and pixels.ndim == 2
+        with contextlib.suppress(FileProblem):
+            return is_depth_image(file)
     return False
+
+
+def is_depth_image(file: Path) -> bool:
+    """Whether an image has one channel of 16 bits or of floats; raises FileProblem where it cannot be read."""
+    pixels = image_files.read_raw_pixels(file)
+    return pixels.ndim == 2 and (pixels.dtype == np.uint16 or pixels.dtype.kind == "f")
 
 
 def read(files: RecordingFiles, options: ReadOptions) -> Recording:
@@ -61,7 +65,7 @@ def read_image_folder(files: RecordingFiles, options: ReadOptions) -> Recording:
     if unit == "auto" and _UNIT_SUFFIX.search(name) is None and _UNIT_SUFFIX.search(images[0].stem) is not None:
         name = images[0].stem
     unit = _resolve_unit(name, unit, path)
-    stack = _DepthStack(name, unit, len(images), lambda i: _read_16_bit(images[i]), path)
+    stack = _DepthStack(name, unit, len(images), lambda i: _read_depth_pixels(images[i]), path)
     reference = options.reference or (files.references[0] if files.references else None)
     options = ReadOptions(sensor=options.sensor, reference=reference, depth_unit=cast("DepthUnit", unit))
     return _make_recording(files, stack, options)
@@ -124,7 +128,7 @@ def estimate_reference(depth_mm: Callable[[int], Floats], n_frames: int) -> tupl
 def read_depth_image(path: Path, unit: DepthUnit = "auto") -> Floats:
     """One depth image in mm: the median over all images of an array file, or one 16-bit image."""
     if image_files.is_image_file(path):
-        return _convert_to_mm(_read_16_bit(path), _resolve_unit(path.stem, unit, path), path.name, path)
+        return _convert_to_mm(_read_depth_pixels(path), _resolve_unit(path.stem, unit, path), path.name, path)
     stack = _stack_arrays(path, read_arrays(path, "the depth images"), unit)
     return compute_median_depth(np.stack([stack.depth_mm(i) for i in range(stack.n_frames)]))
 
@@ -176,16 +180,18 @@ def _check_images(array: NDArray[Any], key: str, path: Path) -> NDArray[Any]:
     return images
 
 
-def _read_16_bit(file: Path) -> NDArray[Any]:
+def _read_depth_pixels(file: Path) -> NDArray[Any]:
     pixels = image_files.read_raw_pixels(file)
-    if pixels.ndim != 2 or pixels.dtype != np.uint16:
-        raise FileProblem("a depth image must have one channel of 16 bits", file)
+    if pixels.ndim != 2 or not (pixels.dtype == np.uint16 or pixels.dtype.kind == "f"):
+        raise FileProblem("a depth image must have one channel of 16 bits or of floats", file)
     return pixels
 
 
 def _find_depth_key(arrays: Mapping[str, NDArray[Any]], path: Path) -> str:
     candidates = [k for k, a in arrays.items() if a.ndim >= 2 and a.shape != (3, 3) and k != "K"]
     candidates = [k for k in candidates if "depth" in k.lower()] or candidates
+    if not any(array.size for array in arrays.values()):
+        raise FileProblem("the arrays of the file are empty", path)
     if len(candidates) != 1:
         shapes = ", ".join(f"{k} {a.shape}" for k, a in arrays.items()) or "none"
         raise FileProblem(f"cannot tell which array is the depth ({shapes}); name one depth_mm or depth_m", path)

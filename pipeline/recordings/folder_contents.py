@@ -14,7 +14,7 @@ from pipeline.base.errors import FileProblem, escape_text
 from pipeline.base.files import read_arrays
 from pipeline.recordings.colour_layouts import find_colour_axis
 from pipeline.recordings.file_names import natural_sort_key, sort_series
-from pipeline.recordings.formats import RecordingFiles, list_formats, list_suffixes
+from pipeline.recordings.formats import RecordingFiles, get_format, list_formats, list_suffixes
 from pipeline.recordings.image_files import is_image_file, is_reference_file
 
 PICKLE_SUFFIXES = frozenset({".pkl", ".pickle"})
@@ -23,6 +23,7 @@ PICKLE_REFUSAL = (
     "files, or the arrays with numpy.savez"
 )
 _FRAME_FOLDERS = ("frames", "tactile_images", "expand")  # hold a sensor's images or clouds, whatever lies next to them
+_TACTILE_FOLDER = re.compile(r"tactile|touch|digit|gel|finger", re.IGNORECASE)
 _OTHER_FOLDERS = frozenset({"webcam_frames", "gt_contactmasks", "gt_heightmaps", "obj_models", "bgs"})  # no sensor's
 _COMPANIONS = re.compile(r"^(tactile_data.*\.png|alignment\.npy|digit_data\.npy|synced_data\.npy)$")  # of YCB-Slide
 _REFERENCE_FOLDER = "bgs"
@@ -62,6 +63,7 @@ def find_recording(folder: Path) -> RecordingFiles:
         inner = [f for f in here.folders if _holds_recording(f)]
         if not inner:
             break
+        inner.sort(key=lambda f: not _TACTILE_FOLDER.search(f.name))  # before what was derived from it
         if len(inner) > 1:
             notes += _note_choice(inner, folder)
         choices = choices or _list_choices(inner)
@@ -133,6 +135,8 @@ def _holds_recording(folder: Path) -> bool:
     """Whether a file that can be read lies in the folder or at most `_MAX_LEVELS` below."""
     level, suffixes = [folder], list_suffixes()
     for _ in range(_MAX_LEVELS):
+        if any(get_format("zarr").matches_folder(f) for f in level):
+            return True
         entries = [p for f in level for p in f.iterdir() if not p.name.startswith(".")]
         if any(p.suffix.lower() in suffixes or is_image_file(p) for p in entries):
             return True

@@ -35,14 +35,18 @@ class GreyScale:
     is_difference: bool = False  # grey levels are changes from the reference
     note: str = ""  # "" where bytes are stored
 
-    def convert(self, raw: NDArray[np.generic], where: str, path: Path) -> Image | Floats:
-        """The stored image in grey levels: uint8, or float32 for a difference; raises FileProblem for NaN."""
+    def convert_image(self, raw: NDArray[np.generic], where: str, path: Path) -> Image:
+        """The stored image as bytes; raises FileProblem for values that are not finite."""
         if raw.dtype == np.uint8:
             return freeze(np.ascontiguousarray(raw, np.uint8))
+        return freeze(np.clip(np.rint(self.convert_difference(raw, where, path)), 0, 255).astype(np.uint8))
+
+    def convert_difference(self, raw: NDArray[np.generic], where: str, path: Path) -> Floats:
+        """The stored image in grey levels, which may be signed; raises FileProblem for values that are not finite."""
         grey = np.asarray(raw, np.float32) * np.float32(self.factor) + np.float32(self.offset)
         if not np.isfinite(grey).all():
             raise FileProblem(f"{where} has values that are not finite", path, field=where)
-        return freeze(grey if self.is_difference else np.clip(np.rint(grey), 0, 255).astype(np.uint8))
+        return freeze(grey)
 
 
 def sample_values(read: Callable[[int], NDArray[np.generic]], n: int) -> NDArray[np.generic]:
@@ -76,7 +80,8 @@ def infer_grey_scale(
         note = f"{shown} has negative values, most of them near 0: {white}, and 0 is no change"
         return GreyScale(factor=WHITE / unit, is_difference=True, note=note)
     if of_reference is not None and of_reference.dtype == values.dtype:
-        low, high = (float(q) for q in np.quantile(np.append(numbers, of_reference), (_QUANTILE, 1 - _QUANTILE)))
+        both = np.append(numbers, np.asarray(of_reference, np.float32))
+        low, high = (float(q) for q in np.quantile(both, (_QUANTILE, 1 - _QUANTILE)))
     unit, beyond = _find_unit(high, is_whole), -low / high if high > 0 else np.inf
     is_black = unit and low < 0 and beyond > _MIN_NEGATIVE_SHARE and _is_quiet(numbers, unit)
     if unit and beyond <= _MAX_NEGATIVE_SHARE and not is_black:

@@ -59,7 +59,9 @@ def read_rgb(path: Path) -> Image:
     """(rows, cols, 3) uint8 RGB of an image file; raises FileProblem for a damaged file or other than 8 bits."""
     pixels = read_raw_pixels(path)
     if pixels.dtype != np.uint8:
-        raise FileProblem(f"a colour image must have 8 bits per channel, this one is {pixels.dtype}; convert it", path)
+        how = "divide by 257" if pixels.dtype == np.uint16 else "multiply by 255 where 1 is white"
+        what = f"a colour image must have 8 bits per channel, this one has {pixels.dtype}"
+        raise FileProblem(f"{what}; {how} and save it as uint8", path)
     if pixels.ndim == 2:
         return freeze(np.repeat(cast("Image", pixels)[:, :, None], 3, axis=2))
     return freeze(np.ascontiguousarray(cast("Image", pixels)[:, :, 2::-1]))  # from BGR or BGRA

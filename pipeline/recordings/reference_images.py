@@ -5,12 +5,15 @@ The noise of one reference image enters every comparison; the median of a dozen 
 
 import contextlib
 from collections.abc import Callable, Iterable, Iterator
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.arrays import Floats, Image, freeze
 from pipeline.base.errors import FileProblem
+
+T = TypeVar("T")
 
 _MAX_FRAMES = 15
 _MAX_PIXELS = 20_000_000  # of all frames together: reading more delays the opening of a recording
@@ -96,11 +99,11 @@ def _read_each(read: Callable[[int], Image], indices: Iterable[int]) -> Iterator
             yield index, read(index)
 
 
-def read_until_damaged(read: Callable[[int], Image], indices: Iterable[int]) -> Iterator[Image]:
-    """The frames up to the first that cannot be read."""
+def read_until_damaged(read: Callable[[T], Image], frames: Iterable[T]) -> Iterator[Image]:
+    """The images of frames, given by number or file, up to the first that cannot be read."""
     with contextlib.suppress(FileProblem):
-        for index in indices:
-            yield read(index)
+        for frame in frames:
+            yield read(frame)
 
 
 def describe_first_reference(name: Callable[[int], str], start: int, n_averaged: int) -> str:
