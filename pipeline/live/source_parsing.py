@@ -189,7 +189,7 @@ class FolderSource:
             self._passed.add(path.name)
             return None
         with contextlib.suppress(OSError):
-            return self._converter.make_frame(raw, 0, "").image
+            return self._converter.convert_image(raw)
         return None
 
 

@@ -157,7 +157,7 @@ class UsbCameraSource:
             if not self._converter.sensor:
                 size = f"{rgb.shape[1]} x {rgb.shape[0]} px"
                 raise SettingProblem(f"no known sensor has images of {size}; give --sensor")
-        return self._converter.make_frame(rgb, 0, "").image
+        return self._converter.convert_image(rgb)
 
 
 def _find_profile(name: str) -> UsbCameraProfile:

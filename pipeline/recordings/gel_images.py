@@ -84,17 +84,22 @@ class GelImageConverter:
     resampling_fit: ResamplingFit | None  # None = no resampling
     implied_reference: ImpliedReference | None  # None = the images are no differences
 
-    def make_frame(self, raw: NDArray[np.generic], index: int, origin: str, time_s: float = math.nan) -> TactileFrame:
-        """The frame of a stored image, at the sensor's size; of a difference the image is restored."""
+    def convert_image(self, raw: NDArray[np.generic]) -> Image:
+        """The camera image (rows, cols, 3) uint8 of the sensor's size for a stored image; of a difference, restored."""
+        stored = self._convert_stored(raw)
+        return stored if self.implied_reference is None else self.implied_reference.restore_image(stored)
+
+    def _convert_stored(self, raw: NDArray[np.generic]) -> Image:
         if self.implied_reference is not None and raw.dtype != np.uint8:  # signed difference in grey levels
             raw = np.clip(np.rint(raw.astype(np.float32) + self.implied_reference.no_change_grey), 0, 255)
-        image, stored = np.asarray(raw, np.uint8), None
-        if self.resampling_fit is not None:
-            image = self.resampling_fit.resample_image(image)
-        if self.implied_reference is not None:
-            stored, image = image, self.implied_reference.restore_image(image)
-        return TactileFrame(sensor=self.sensor, image=image, reference=self.reference, index=index, time_s=time_s,
-                            origin=origin, stored_image=stored)  # fmt: skip
+        image = np.asarray(raw, np.uint8)
+        return image if self.resampling_fit is None else self.resampling_fit.resample_image(image)
+
+    def make_frame(self, raw: NDArray[np.generic], index: int, origin: str, time_s: float = math.nan) -> TactileFrame:
+        """The frame of a stored image, which holds a difference as it is stored too."""
+        stored = None if self.implied_reference is None else self._convert_stored(raw)
+        return TactileFrame(sensor=self.sensor, image=self.convert_image(raw), reference=self.reference, index=index,
+                            time_s=time_s, origin=origin, stored_image=stored)  # fmt: skip
 
 
 def make_gel_converter(

@@ -28,7 +28,8 @@ _DIFFERS_GREY = 8.0  # grey levels: change of a block's mean by a touch, not noi
 _MIN_RELIEF_GREY = 1.0  # grey levels: least relief of a touch
 _MAX_RELIEF_RATIO = 0.6  # of a reference to the first frame, where they differ
 _MAX_CANDIDATES, _N_BRIGHTNESS = 16, 5  # frames compared with the first: seeking in a long video is slow
-_DARK_RATIO = 0.92  # of the brightness of most blocks to that of later frames: a camera that starts
+_BRIGHT_RATIO, _DARK_RATIO = 0.92, 0.6  # of the brightness of most blocks to that of later frames
+_RISE = 0.03  # of this ratio from frame to frame, while a camera starts that is not dark
 _BLACK_GREY = 4.0  # grey level of a block that says nothing of the brightness
 
 
@@ -73,11 +74,15 @@ def find_bright_start(read: Callable[[int], Image], n_frames: int) -> int:
     samples = sorted((s for s in samples if s.max() > _BLACK_GREY), key=lambda s: float(s.mean()))
     if not samples:
         return 0
-    usual = samples[3 * len(samples) // 4]
+    usual, before = samples[3 * len(samples) // 4], -np.inf
     for index, image in _read_each(read, range(n_frames)):
         blocks = compute_block_means(image, _BLOCKS_ALONG)
-        if blocks.shape == usual.shape and _compute_brightness_ratio(blocks, usual) >= _DARK_RATIO:
+        ratio = _compute_brightness_ratio(blocks, usual) if blocks.shape == usual.shape else 0.0
+        if ratio >= _BRIGHT_RATIO:
             return index
+        if index and before > _DARK_RATIO and ratio < before + _RISE:
+            return 0  # a light that was changed later
+        before = ratio
     return 0
 
 
