@@ -118,8 +118,10 @@ def make_gel_converter(
     """
     name, notes = resolve_sensor_name(sensor, shape, is_depth=False, file_names=file_names)
     spec = load_sensor(sensor or name) if sensor or name else None
-    fit = None if spec is None else resampling.fit_resampling(spec, shape)
-    no_change_grey = None if reference is not None else _find_no_change_grey(read_first())
+    first = read_first() if reference is None else reference
+    example = np.asarray(first, np.uint8) if first.dtype == np.uint8 else None
+    fit = None if spec is None else resampling.fit_resampling(spec, shape, example)
+    no_change_grey = None if reference is not None else _find_no_change_grey(first)
     implied = None
     if no_change_grey is not None:
         implied = derive_implied_reference(spec, shape if fit is None else fit.shape, no_change_grey)

@@ -4,10 +4,10 @@ LEDs warm up and fade, daylight leaks in, a camera sits loosely in its housing. 
 
     I_c = (1 + g_c) R_c + b_c + r_c . (u, v) - s . grad R_c        per colour c; the shift s is the same for all
 
-with R the reference. A gain of more than a tenth that all colours and most blocks share is the camera's exposure: it is
-one number, taken out of R before the fit. A touch fits none of this: its blocks are outliers, which a redescending weight removes from the
-fit (Geman and McClure 1985), from a wide scale to a narrow one, so no initial guess is needed. If too few blocks agree,
-the drift is unknown.
+with R the reference. A gain that all colours and most blocks share and that is more than a tenth is the camera's
+exposure: one number, taken out of R before the fit. A touch fits none of this: its blocks are outliers, which a
+redescending weight removes from the fit (Geman and McClure 1985), from a wide scale to a narrow one, so no initial
+guess is needed. If too few blocks agree, the drift is unknown.
 
 A touch changes light far from it as well: by light that its flanks scatter, and by gel that bulges. That looks like a
 small drift. So a small one is left alone, a large one removed, and one in between in part: noise moves the result
