@@ -185,7 +185,7 @@ def _make_context(results: Mapping[str, StageResult], translation: Translation, 
 
 def _preview_frame(frame: TactileFrame, sensor: SensorSpec, display: DisplayParams) -> tuple[Preview, Camera]:
     camera = match_camera(frame.camera or sensor.camera, frame.image.shape)
-    return make_frame_preview(frame.image, camera, sensor, display, reference=frame.reference), camera
+    return make_frame_preview(frame.shown_image, camera, sensor, display, reference=frame.reference), camera
 
 
 def add_thumbnails(

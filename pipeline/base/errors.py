@@ -72,6 +72,10 @@ class FileProblem(TouchError):
             return self
         return FileProblem(self._what, place / self.path.relative_to(instead_of), field=self.field)
 
+    def extend(self, hint: str) -> FileProblem:
+        """Return the error with a hint after its sentence, before the path."""
+        return FileProblem(f"{self._what}{hint}", self.path, field=self.field)
+
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the error for worker processes."""
         return partial(FileProblem, field=self.field), (self._what, self.path)

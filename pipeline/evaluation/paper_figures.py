@@ -89,7 +89,7 @@ def _make_row(
 def _draw_frame(frame: TactileFrame, translation: Translation, name: str) -> Image:
     sensor = translation.source if translation.source.name == name else translation.target
     camera = sensor.camera if frame.camera is None else frame.camera
-    return make_frame_preview(frame.image, camera, sensor, DisplayParams(), reference=frame.reference).pixels
+    return make_frame_preview(frame.shown_image, camera, sensor, DisplayParams(), reference=frame.reference).pixels
 
 
 def _draw_stages(

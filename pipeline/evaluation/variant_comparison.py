@@ -107,7 +107,7 @@ def evaluate_view(
     source, truth = translation.source, translation.read_ground_truth(translation.check_index(frame))
     recorded = translation.stream.frame(frame)
     camera = match_camera(recorded.camera or source.camera, recorded.image.shape)
-    preview = make_frame_preview(recorded.image, camera, source, display, reference=recorded.reference)
+    preview = make_frame_preview(recorded.shown_image, camera, source, display, reference=recorded.reference)
     layer = make_frame_layer(SOURCE, recorded.image, camera, preview, source)
     views = {SOURCE: StageView(preview=preview, layers=(layer,))}
     requested = [name for name in translation.stages if stage in ("", name)]

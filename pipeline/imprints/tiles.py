@@ -14,7 +14,7 @@ from pipeline.base.errors import FileProblem, SettingProblem, StageWarning
 from pipeline.imprints.image_rotation import ORIENTATIONS, describe_orientation, orient_image, rotate_half_turn
 from pipeline.imprints.transfer import ImprintPair
 from pipeline.inspection.synchrony import compare_signatures, compute_signature
-from pipeline.recordings import image_files
+from pipeline.recordings import file_names, image_files
 from pipeline.sensors.spec import SensorSpec
 
 _COMMON_SHARE = 0.8  # share of tiles with one orientation above which it is used for all
@@ -65,7 +65,7 @@ def load_tile_pairs(folder: Path, source: SensorSpec, source_names: str, target_
     the target's tile is rotated with its source's. Raises FileProblem where nothing is paired.
     """
     found = _match_names(folder, source_names), _match_names(folder, target_names)
-    names = sorted(found[0].keys() & found[1].keys(), key=lambda n: image_files.natural_sort_key(Path(n)))
+    names = sorted(found[0].keys() & found[1].keys(), key=lambda name: file_names.natural_sort_key(Path(name).stem))
     if not names:
         raise FileProblem(f"no two images are named {source_names} and {target_names}", folder)
     images = {name: image_files.read_rgb(found[0][name]) for name in names}

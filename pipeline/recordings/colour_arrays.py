@@ -1,120 +1,190 @@
-"""Images of a gel as `.npy` or `.npz` arrays: bytes, floats of 0 to 1 or 0 to 255, or signed differences."""
+"""Images of a gel as arrays: `.npy` or `.npz` files, or a folder with one `.npy` file a frame.
 
-from collections.abc import Mapping
+Numbers are bytes, 0 to 1, -1 to 1, 0 to 255 or signed differences (`grey_scale`); an array may hold the images of
+several sensors (`colour_layouts`).
+"""
+
+import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.base.arrays import Image, freeze
-from pipeline.base.errors import FileProblem, escape_text
+from pipeline.base.arrays import Floats, Image
+from pipeline.base.errors import FileProblem, SettingProblem, escape_text
 from pipeline.base.files import read_arrays
-from pipeline.recordings import image_files
+from pipeline.recordings import colour_layouts, depth_arrays, file_names, grey_scale, image_files
+from pipeline.recordings.colour_layouts import ImageStack
 from pipeline.recordings.formats import ReadOptions, RecordingFiles, with_index_check
-from pipeline.recordings.gel_images import make_gel_converter
+from pipeline.recordings.gel_images import estimate_no_change_grey, make_gel_converter, require_colour
+from pipeline.recordings.reference_images import describe_first_reference, find_first_reference, sample_frames
 from pipeline.values.frames import Recording, Stream, TactileFrame
 
-_MIN_SIDE_PX = 8  # of an image; smaller arrays with three columns are points or matrices
-_WHITE = 255.0  # grey level
+_N_COLOUR = 3  # frames that show whether a stack is in colour
 
 
 def is_colour_file(files: RecordingFiles) -> bool:
-    """Whether the arrays hold colour images and none is named depth; raises FileProblem."""
+    """Whether the arrays hold colour images, or grey ones, and none is named depth; raises FileProblem."""
     arrays = read_arrays(files.path, "the recording")
-    return not any("depth" in key.lower() for key in arrays) and bool(_find_colour_keys(arrays))
-
-
-def read(files: RecordingFiles, options: ReadOptions) -> Recording:
-    """One stream of RGB frames. The reference is `options.reference`, else an array whose name says so.
-
-    Signed numbers are differences from the reference, which they imply. Raises FileProblem or SettingProblem.
-    """
-    path, arrays = files.path, read_arrays(files.path, "the recording")
-    colour_keys = _find_colour_keys(arrays)
-    reference_keys = [k for k in colour_keys if image_files.is_reference_key(k)]
-    frame_keys = [k for k in colour_keys if k not in reference_keys]
-    if len(frame_keys) != 1:
-        shapes = ", ".join(f"{k} {arrays[k].shape}" for k in colour_keys)
-        raise FileProblem(f"cannot tell which array holds the frames ({shapes}); keep one in the file", path)
-    key = frame_keys[0]
-    stack = _arrange_frames(arrays[key])
-    scale, notes = _infer_scale(stack, key, path)
-    reference, about = None, ()
-    if options.reference is not None:
-        reference, about = image_files.read_rgb(options.reference), (f"{options.reference.name} is the reference",)
-    elif reference_keys:
-        base = _arrange_frames(arrays[reference_keys[0]])
-        reference = _convert_to_bytes(base[0], _infer_scale(base, reference_keys[0], path)[0])
-        about = (f"{escape_text(reference_keys[0])} is the reference",)
-    shape = (int(stack.shape[1]), int(stack.shape[2]))
-    if reference is not None and reference.shape[:2] != shape:
-        raise FileProblem(f"the reference has shape {reference.shape}, the frames {stack.shape[1:]}", path)
-    is_signed = scale < 0
-    if is_signed and reference is not None:
-        raise FileProblem(f"{key} holds differences, which need no reference; leave it out", path, field=key)
-
-    def read_raw(index: int) -> NDArray[np.generic]:
-        if is_signed:
-            return (stack[index] * np.float32(-scale)).astype(np.float32)
-        return _convert_to_bytes(stack[index], scale)
-
-    converter = make_gel_converter(options.sensor, shape, reference, lambda: read_raw(0))
-    if converter.reference is None:
-        about = (image_files.NO_REFERENCE_NOTE,)
-
-    def frame(index: int) -> TactileFrame:
-        return TactileFrame(sensor=converter.sensor, image=converter.convert_image(read_raw(index)), index=index,
-                            reference=converter.reference, origin=f"{path} [{key} {index}]")  # fmt: skip
-
-    stream = Stream(name=converter.sensor or "images", sensor=converter.sensor, n_frames=len(stack),
-                    frame=with_index_check(frame, len(stack), path))  # fmt: skip
-    notes = (*files.notes, *converter.notes, *notes, *about)
-    return Recording(path=path, format="colour arrays", streams=(stream,), notes=notes)
-
-
-def _find_colour_keys(arrays: Mapping[str, NDArray[Any]]) -> tuple[str, ...]:
-    """Keys of arrays that hold colour images (..., rows, cols, 3) or (..., 3, rows, cols)."""
-    return tuple(
-        k for k, a in arrays.items() if a.ndim in (3, 4) and a.dtype.kind in "fiu" and _find_colour_axis(a) is not None
+    return not any("depth" in key.lower() for key in arrays) and any(
+        colour_layouts.find_colour_axis(a.shape) is not None or colour_layouts.is_grey(a) for a in arrays.values()
     )
 
 
-def _find_colour_axis(array: NDArray[Any]) -> int | None:
-    """The axis of the three colours: last (-1), or before rows and columns (-3)."""
-    for axis, sides in ((-1, array.shape[-3:-1]), (-3, array.shape[-2:])):
-        if array.shape[axis] == 3 and min(sides) >= _MIN_SIDE_PX:
-            return axis
-    return None
+def read(files: RecordingFiles, options: ReadOptions) -> Recording:
+    """One stream of RGB frames a sensor. The reference is `options.reference`, else an array whose name says so.
 
-
-def _arrange_frames(array: NDArray[Any]) -> NDArray[Any]:
-    """(frames, rows, cols, 3); a view, so that a mapped file stays mapped."""
-    colours_last = array if _find_colour_axis(array) == -1 else np.moveaxis(array, -3, -1)
-    return colours_last if colours_last.ndim == 4 else colours_last[None]
-
-
-def _infer_scale(stack: NDArray[Any], key: str, path: Path) -> tuple[float, tuple[str, ...]]:
-    """(factor from stored values to grey levels 0..255, notes); the factor is negative for signed differences."""
-    if not stack.size:
-        raise FileProblem(f"{key} holds no frame", path, field=key)
-    if stack.dtype == np.uint8:
-        return 1.0, ()
-    low, high = float(np.min(stack)), float(np.max(stack))
-    if not np.isfinite([low, high]).all():
-        raise FileProblem(f"{key} has values that are not finite", path, field=key)
-    largest = max(-low, high)
-    if largest > _WHITE + 0.5:
+    Without any it is the median of the first frames, if these are alike and untouched. Differences imply it. Raises
+    FileProblem or SettingProblem.
+    """
+    path, arrays = files.path, read_arrays(files.path, "the recording")
+    images = {k: a for k, a in arrays.items() if colour_layouts.find_colour_axis(a.shape) is not None}
+    references = {k: a for k, a in images.items() if image_files.is_reference_key(k)}
+    frames = {k: a for k, a in images.items() if k not in references}
+    if not frames:
+        key = next(k for k, a in arrays.items() if colour_layouts.is_grey(a))
         raise FileProblem(
-            f"{key} must hold grey levels of 0 to 255, or 0 to 1, got {low:g} to {high:g}", path, field=key
+            f"{key} has shape {arrays[key].shape} and holds {arrays[key].dtype}: grey images, which are no depth, and "
+            "a gel's slopes are read from its colours; record or convert them in colour",
+            path,
+            field=key,
         )
-    scale, white = (_WHITE, "1 is white") if largest <= 1.0 else (1.0, "255 is white")
-    if low < 0:
-        return -scale, (f"{escape_text(key)} has negative values: {white}, and 0 is no change",)
-    return scale, (f"{escape_text(key)} holds {stack.dtype}: {white}",)
+    if len(frames) > 1:
+        shapes = ", ".join(f"{k} {a.shape}" for k, a in images.items())
+        raise FileProblem(f"cannot tell which array holds the frames ({shapes}); keep one in the file", path)
+    ((key, array),) = frames.items()
+    bases = [stack for k, a in references.items() for stack in _split(a, k, path)]
+    return _make_recording(files, options, key, _split(array, key, path), next(iter(references), ""), bases)
 
 
-def _convert_to_bytes(image: NDArray[Any], scale: float) -> Image:
-    if image.dtype == np.uint8:
-        return freeze(np.ascontiguousarray(image))
-    return freeze(np.clip(np.rint(image * scale), 0, 255).astype(np.uint8))
+def read_series(files: RecordingFiles, options: ReadOptions) -> Recording:
+    """A folder with one array a frame, in the order of their names: colour images, or depth of a bubble."""
+    images = [file for file in files.images if not image_files.is_reference_file(file)]
+    (first,) = read_arrays(images[0], "the first frame").values()
+    if not colour_layouts.split_stacks(first):
+        return depth_arrays.read_array_folder(replace(files, images=tuple(images)), options, _read_one)
+    (base,) = _split(first, images[0].stem, images[0])[:1]
+
+    def read_raw(index: int) -> NDArray[np.generic]:
+        file = images[index]
+        return _split(_read_one(file), file.stem, file)[0].read(0)
+
+    stack = ImageStack(name="", n_frames=len(images), shape=base.shape, read=read_raw)
+    references = [file for file in files.images if file not in images]
+    bases = [stack for file in references for stack in _split(_read_one(file), file.stem, file)]
+    times_s = file_names.parse_times_s(images)
+    name = references[0].name if references else ""
+    return _make_recording(files, options, f"{images[0].name} ...", (stack,), name, bases, times_s)
+
+
+def _read_one(file: Path) -> NDArray[Any]:
+    (array,) = read_arrays(file, "the frame").values()
+    return np.asarray(array)
+
+
+def _split(array: NDArray[Any], key: str, path: Path) -> tuple[ImageStack, ...]:
+    stacks = colour_layouts.split_stacks(array)
+    if not stacks:
+        raise FileProblem(
+            f"{key} must hold numbers of shape (frames, rows, cols, 3), got {array.dtype} of {array.shape}; save the "
+            "frames of each sensor and episode as an array of their own",
+            path,
+            field=key,
+        )
+    if not all(stack.n_frames for stack in stacks):
+        raise FileProblem(f"{key} holds no frame", path, field=key)
+    return stacks
+
+
+def _make_recording(
+    files: RecordingFiles,
+    options: ReadOptions,
+    key: str,
+    stacks: tuple[ImageStack, ...],
+    reference_key: str,
+    bases: list[ImageStack],
+    times_s: list[float] | None = None,
+) -> Recording:
+    path = files.path
+    if options.reference is not None and len(stacks) > 1:
+        raise SettingProblem(
+            f"a reference can be given for one sensor, and {key} holds the images of {len(stacks)}: '{path}'"
+        )
+    streams, notes = list[Stream](), list[str]()
+    for number, stack in enumerate(stacks):
+        base = bases[min(number, len(bases) - 1)] if bases else None
+        reference, about, values = None, "", None if base is None else base.read(0)
+        if options.reference is not None:
+            reference, about = image_files.read_rgb(options.reference), f"{options.reference.name} is the reference"
+        elif base is not None:
+            reference = _read_reference(base, stack, reference_key, path)
+            about = f"{escape_text(reference_key)} is the reference"
+        stream, own = make_array_stream(
+            stack, key, path, options, reference=reference, reference_values=values, about=about, times_s=times_s
+        )
+        streams.append(stream)
+        notes += [f"{stream.name}: {note}" if len(stacks) > 1 else note for note in own]
+    notes += [f"{escape_text(key)} holds the images of {len(stacks)} sensors"] if len(stacks) > 1 else []
+    return Recording(path=path, format="colour arrays", streams=tuple(streams),
+                     notes=(*files.notes, *dict.fromkeys(notes)))  # fmt: skip
+
+
+def _read_reference(base: ImageStack, frames: ImageStack, key: str, path: Path) -> Image:
+    raw, values = base.read(0), grey_scale.sample_values(frames.read, frames.n_frames)
+    scale = grey_scale.infer_grey_scale(raw.ravel(), key, path, of_reference=values)
+    if scale.is_difference:
+        raise FileProblem(f"{key} holds a difference, which is no reference; leave it out", path, field=key)
+    return scale.convert_image(raw, key, path)
+
+
+def make_array_stream(
+    stack: ImageStack,
+    key: str,
+    path: Path,
+    options: ReadOptions,
+    *,
+    reference: Image | None = None,
+    reference_values: NDArray[np.generic] | None = None,
+    about: str = "",
+    times_s: list[float] | None = None,
+    name: str = "",
+) -> tuple[Stream, tuple[str, ...]]:
+    """The images of one sensor as a stream, and notes; `about` is the note on its `reference`, if one is known.
+
+    `reference_values` are those of a stored reference. `name` may hold that of a sensor. Raises FileProblem.
+    """
+    if reference is not None and reference.shape[:2] != stack.shape:
+        raise FileProblem(f"the reference has shape {reference.shape}, the frames {(*stack.shape, 3)}", path)
+    values = grey_scale.sample_values(stack.read, stack.n_frames)
+    scale = grey_scale.infer_grey_scale(values, key, path, of_reference=reference_values)
+    if scale.is_difference and reference is not None:
+        raise FileProblem(f"{key} holds differences, which need no reference; leave it out", path, field=key)
+
+    def read_image(index: int) -> Image:
+        return scale.convert_image(stack.read(index), f"frame {index} of {key}", path)
+
+    def read_raw(index: int) -> Image | Floats:
+        if not scale.is_difference:
+            return read_image(index)
+        return scale.convert_difference(stack.read(index), f"frame {index} of {key}", path)
+
+    if not scale.is_difference:
+        require_colour((image for _, image in sample_frames(read_image, stack.n_frames, _N_COLOUR)), path)
+        if reference is None and estimate_no_change_grey(read_image(0)) is None:
+            reference, start, n_averaged = find_first_reference(read_image, stack.n_frames)
+            if reference is not None:
+                about = describe_first_reference("frame {}".format, start, n_averaged)
+    converter = make_gel_converter(options.sensor, stack.shape, reference, lambda: read_raw(0), file_names=(name,))
+    if converter.implied_reference is None:
+        about = about or image_files.NO_REFERENCE_NOTE
+
+    def frame(index: int) -> TactileFrame:
+        time_s = math.nan if times_s is None else times_s[index]
+        return converter.make_frame(read_raw(index), index, f"{path} [{key} {index}]", time_s)
+
+    label = "_".join(part for part in (name or converter.sensor or "images", stack.name) if part)
+    stream = Stream(name=label, sensor=converter.sensor, n_frames=stack.n_frames,
+                    frame=with_index_check(frame, stack.n_frames, path))  # fmt: skip
+    return stream, tuple(note for note in (*converter.notes, scale.note, about) if note)

@@ -5,6 +5,7 @@ The name of the array (or file) states the unit: depth_mm, depth_m, depth_um, de
 
 from __future__ import annotations
 
+import contextlib
 import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -17,7 +18,7 @@ from pipeline.base.arrays import Floats, freeze
 from pipeline.base.errors import CalibrationError, FileProblem, escape_text
 from pipeline.base.files import read_arrays
 from pipeline.geometry.camera import Camera, make_camera
-from pipeline.recordings import image_files, resampling
+from pipeline.recordings import colour_layouts, file_names, image_files, resampling
 from pipeline.recordings.formats import DepthUnit, ReadOptions, RecordingFiles, with_index_check
 from pipeline.recordings.sensor_guess import resolve_sensor_name
 from pipeline.sensors.depth_unit import describe_unit_problem, find_unit_factor
@@ -32,14 +33,17 @@ _TIME_KEYS = ("timestamps_s", "time_s", "t_s")
 
 
 def are_depth_images(files: RecordingFiles) -> bool:
-    """Whether the first image that can be read has one channel of 16 bits."""
+    """Whether the first image that can be read is a depth image."""
     for file in files.images:
-        try:
-            pixels = image_files.read_raw_pixels(file)
-        except FileProblem:
-            continue
-        return pixels.dtype == np.uint16 and pixels.ndim == 2
+        with contextlib.suppress(FileProblem):
+            return is_depth_image(file)
     return False
+
+
+def is_depth_image(file: Path) -> bool:
+    """Whether an image has one channel of 16 bits or of floats; raises FileProblem where it cannot be read."""
+    pixels = image_files.read_raw_pixels(file)
+    return pixels.ndim == 2 and (pixels.dtype == np.uint16 or pixels.dtype.kind == "f")
 
 
 def read(files: RecordingFiles, options: ReadOptions) -> Recording:
@@ -62,9 +66,27 @@ def read_image_folder(files: RecordingFiles, options: ReadOptions) -> Recording:
     if unit == "auto" and _UNIT_SUFFIX.search(name) is None and _UNIT_SUFFIX.search(images[0].stem) is not None:
         name = images[0].stem
     unit = _resolve_unit(name, unit, path)
-    stack = _DepthStack(name, unit, len(images), lambda i: _read_16_bit(images[i]), path)
+    stack = _DepthStack(name, unit, len(images), lambda i: _read_depth_pixels(images[i]), path)
     reference = options.reference or (files.references[0] if files.references else None)
     options = ReadOptions(sensor=options.sensor, reference=reference, depth_unit=cast("DepthUnit", unit))
+    return _make_recording(files, stack, options)
+
+
+def read_array_folder(
+    files: RecordingFiles, options: ReadOptions, read_array: Callable[[Path], NDArray[Any]]
+) -> Recording:
+    """As `read`, from a folder with one array a frame, whose name or that of the folder states the unit."""
+    path, images = files.path, files.images
+    key = next((n for n in (images[0].stem, path.name) if _UNIT_SUFFIX.search(n)), images[0].stem)
+    unit = _resolve_unit(key, options.depth_unit, path)
+
+    def read_raw(index: int) -> NDArray[Any]:
+        (image,) = _check_images(read_array(images[index]), images[index].stem, images[index])
+        return image
+
+    read_raw(0)
+    stack = _DepthStack(key, unit, len(images), read_raw, path)
+    stack.times_s = np.array(file_names.parse_times_s(images) or stack.times_s)
     return _make_recording(files, stack, options)
 
 
@@ -123,7 +145,7 @@ def estimate_reference(depth_mm: Callable[[int], Floats], n_frames: int) -> tupl
 def read_depth_image(path: Path, unit: DepthUnit = "auto") -> Floats:
     """One depth image in mm: the median over all images of an array file, or one 16-bit image."""
     if image_files.is_image_file(path):
-        return _convert_to_mm(_read_16_bit(path), _resolve_unit(path.stem, unit, path), path.name, path)
+        return _convert_to_mm(_read_depth_pixels(path), _resolve_unit(path.stem, unit, path), path.name, path)
     stack = _stack_arrays(path, read_arrays(path, "the depth images"), unit)
     return compute_median_depth(np.stack([stack.depth_mm(i) for i in range(stack.n_frames)]))
 
@@ -143,13 +165,8 @@ class _DepthStack:
 
 def _stack_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], unit: DepthUnit) -> _DepthStack:
     key = _find_depth_key(arrays, path)
-    stated_unit, images = _resolve_unit(key, unit, path), arrays[key]
-    images = images[None] if images.ndim == 2 else images
-    images = images[..., 0] if images.ndim == 4 and images.shape[-1] == 1 else images
-    if images.dtype.kind not in "fiu" or images.dtype.itemsize > 8:
-        raise FileProblem(f"{key} must hold real numbers, got {images.dtype}", path, field=key)
-    if images.ndim != 3 or not images.size:
-        raise FileProblem(f"{key} must have shape (frames, rows, cols), got {arrays[key].shape}", path, field=key)
+    images = _check_images(arrays[key], key, path)
+    stated_unit = _resolve_unit(key, unit, path)
     stack = _DepthStack(key, stated_unit, len(images), lambda i: images[i], path)  # pyright: ignore[reportUnknownLambdaType]
     if "K" in arrays:
         if arrays["K"].dtype.kind not in "fiu":
@@ -166,16 +183,32 @@ def _stack_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], unit: DepthUni
     return stack
 
 
-def _read_16_bit(file: Path) -> NDArray[Any]:
+def _check_images(array: NDArray[Any], key: str, path: Path) -> NDArray[Any]:
+    """Depth images (frames, rows, cols) of an array that may lack the first axis or have a last one of length 1."""
+    images = array[None] if array.ndim == 2 else array
+    images = images[..., 0] if images.ndim == 4 and images.shape[-1] == 1 else images
+    if colour_layouts.is_grey(images):
+        raise FileProblem(f"{key} holds {images.dtype}, which is too coarse for depth: these are grey images or masks, "
+                          "and a gel's depth is read from colour images", path, field=key)  # fmt: skip
+    if images.dtype.kind not in "fiu" or images.dtype.itemsize > 8:
+        raise FileProblem(f"{key} must hold real numbers, got {images.dtype}", path, field=key)
+    if images.ndim != 3 or not images.size:
+        raise FileProblem(f"{key} must have shape (frames, rows, cols), got {array.shape}", path, field=key)
+    return images
+
+
+def _read_depth_pixels(file: Path) -> NDArray[Any]:
     pixels = image_files.read_raw_pixels(file)
-    if pixels.ndim != 2 or pixels.dtype != np.uint16:
-        raise FileProblem("a depth image must have one channel of 16 bits", file)
+    if pixels.ndim != 2 or not (pixels.dtype == np.uint16 or pixels.dtype.kind == "f"):
+        raise FileProblem("a depth image must have one channel of 16 bits or of floats", file)
     return pixels
 
 
 def _find_depth_key(arrays: Mapping[str, NDArray[Any]], path: Path) -> str:
     candidates = [k for k, a in arrays.items() if a.ndim >= 2 and a.shape != (3, 3) and k != "K"]
     candidates = [k for k in candidates if "depth" in k.lower()] or candidates
+    if not any(array.size for array in arrays.values()):
+        raise FileProblem("the arrays of the file are empty", path)
     if len(candidates) != 1:
         shapes = ", ".join(f"{k} {a.shape}" for k, a in arrays.items()) or "none"
         raise FileProblem(f"cannot tell which array is the depth ({shapes}); name one depth_mm or depth_m", path)

@@ -5,13 +5,17 @@ Known trees: frames in a folder of their own (YCB-Slide, next to films and drawi
 unpickled.
 """
 
+import math
 import re
 from collections.abc import Iterable
 from pathlib import Path
 
 from pipeline.base.errors import FileProblem, escape_text
-from pipeline.recordings.formats import RecordingFiles, list_formats, list_suffixes
-from pipeline.recordings.image_files import is_image_file, is_reference_file, natural_sort_key
+from pipeline.base.files import read_arrays
+from pipeline.recordings.colour_layouts import find_colour_axis
+from pipeline.recordings.file_names import natural_sort_key, sort_series
+from pipeline.recordings.formats import RecordingFiles, get_format, list_formats, list_suffixes
+from pipeline.recordings.image_files import is_image_file, is_reference_file
 
 PICKLE_SUFFIXES = frozenset({".pkl", ".pickle"})
 PICKLE_REFUSAL = (
@@ -19,12 +23,14 @@ PICKLE_REFUSAL = (
     "files, or the arrays with numpy.savez"
 )
 _FRAME_FOLDERS = ("frames", "tactile_images", "expand")  # hold a sensor's images or clouds, whatever lies next to them
+_TACTILE_FOLDER = re.compile(r"tactile|touch|digit|gel|finger", re.IGNORECASE)
 _OTHER_FOLDERS = frozenset({"webcam_frames", "gt_contactmasks", "gt_heightmaps", "obj_models", "bgs"})  # no sensor's
 _COMPANIONS = re.compile(r"^(tactile_data.*\.png|alignment\.npy|digit_data\.npy|synced_data\.npy)$")  # of YCB-Slide
 _REFERENCE_FOLDER = "bgs"
 _MESH_SUFFIXES = frozenset({".stl", ".obj"})
 _MAX_LEVELS = 6  # folders below the one that was given
 _MAX_NAMES = 3  # in a note
+_MIN_SERIES = 2  # arrays of one image each, which are frames of one recording
 
 
 def find_recording(folder: Path) -> RecordingFiles:
@@ -38,10 +44,14 @@ def find_recording(folder: Path) -> RecordingFiles:
             notes.append(f"the frames are those of {_relative_name(at, folder)}; other files there are left out")
             continue
         if here.images:
-            return _image_files(folder, here.images, references + _nearby_references(at), notes, choices)
+            images = sort_series(here.images)
+            return _image_files(folder, images, references + _nearby_references(at), notes, choices)
         folder_format = next((f.key for f in list_formats() if f.matches_folder(at)), "")
         if folder_format:
             return RecordingFiles(path=at, format=folder_format, notes=tuple(notes), alternatives=choices)
+        if _are_arrays_of_one_image(here.files):
+            return RecordingFiles(path=at, format="array_series", images=tuple(sort_series(here.files)),
+                                  notes=tuple(notes), alternatives=choices)  # fmt: skip
         if here.files:
             notes += _note_choice(here.files, folder)
             choices = choices or _list_choices(here.files)
@@ -53,6 +63,7 @@ def find_recording(folder: Path) -> RecordingFiles:
         inner = [f for f in here.folders if _holds_recording(f)]
         if not inner:
             break
+        inner.sort(key=lambda f: not _TACTILE_FOLDER.search(f.name))  # before what was derived from it
         if len(inner) > 1:
             notes += _note_choice(inner, folder)
         choices = choices or _list_choices(inner)
@@ -79,7 +90,7 @@ class _Contents:
 def _list_entries(folder: Path) -> list[Path]:
     """The entries in natural order, without hidden ones and companions of a data set."""
     entries = [p for p in folder.iterdir() if not p.name.startswith(".") and not _COMPANIONS.match(p.name)]
-    return sorted(entries, key=natural_sort_key)
+    return sorted(entries, key=lambda p: natural_sort_key(p.stem))
 
 
 def _image_files(
@@ -99,7 +110,7 @@ def _nearby_references(folder: Path) -> list[Path]:
     found: list[Path] = []
     for place in (folder / _REFERENCE_FOLDER, folder.parent / _REFERENCE_FOLDER):
         if place.is_dir():
-            found += sorted(filter(is_image_file, place.iterdir()), key=natural_sort_key)
+            found += sorted(filter(is_image_file, place.iterdir()), key=lambda p: natural_sort_key(p.stem))
     if not found and any(p.is_dir() for p in folder.iterdir()):
         found = [p for p in folder.parent.iterdir() if is_image_file(p) and is_reference_file(p)]
     return found
@@ -124,11 +135,29 @@ def _holds_recording(folder: Path) -> bool:
     """Whether a file that can be read lies in the folder or at most `_MAX_LEVELS` below."""
     level, suffixes = [folder], list_suffixes()
     for _ in range(_MAX_LEVELS):
+        if any(get_format("zarr").matches_folder(f) for f in level):
+            return True
         entries = [p for f in level for p in f.iterdir() if not p.name.startswith(".")]
         if any(p.suffix.lower() in suffixes or is_image_file(p) for p in entries):
             return True
         level = [p for p in entries if p.is_dir() and p.name not in _OTHER_FOLDERS and not p.is_symlink()]
     return False
+
+
+def _are_arrays_of_one_image(files: list[Path]) -> bool:
+    """Whether all files are `.npy` arrays of one shape and type with one image each, and named as a series."""
+    if len(files) < _MIN_SERIES or any(file.suffix.lower() != ".npy" for file in files):
+        return False
+    frames = [file for file in files if not is_reference_file(file)]
+    if len({re.sub(r"\d+", "#", file.stem) for file in frames}) != 1:
+        return False
+    try:
+        kinds = {(array.shape, array.dtype) for file in frames for array in read_arrays(file, "the frame").values()}
+    except FileProblem:
+        return False
+    shape, _ = kinds.pop()
+    axis = find_colour_axis(shape)
+    return not kinds and (len(shape) == 2 if axis is None else math.prod(shape[:-3]) == 1)
 
 
 def _note_choice(paths: list[Path], folder: Path) -> tuple[str, ...]:
@@ -150,7 +179,9 @@ def _make_problem(folder: Path) -> FileProblem:
         return FileProblem("the folder is empty", folder)
     if any(p.suffix.lower() in PICKLE_SUFFIXES for p in folder.rglob("*")):
         return FileProblem(f"the folder holds only pickles; {PICKLE_REFUSAL}", folder)
-    meshes = sorted((p for p in folder.iterdir() if p.suffix.lower() in _MESH_SUFFIXES), key=natural_sort_key)
+    meshes = sorted(
+        (p for p in folder.iterdir() if p.suffix.lower() in _MESH_SUFFIXES), key=lambda p: natural_sort_key(p.stem)
+    )
     problem = FileProblem(
         f"the folder holds {len(meshes)} meshes and no recording; open one as the object of an open recording"
         if meshes

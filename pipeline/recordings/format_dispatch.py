@@ -4,8 +4,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from pipeline.base.arrays import Floats, Image
 from pipeline.base.errors import FileProblem, SettingProblem, ShapeError, TouchError
 from pipeline.base.files import describe_os_error, require_file
@@ -17,6 +15,7 @@ from pipeline.recordings.formats import (
     RecordingFiles,
     RecordingFormat,
     describe_formats,
+    explain_not_read,
     get_format,
     list_formats,
 )
@@ -25,6 +24,7 @@ from pipeline.sensors.spec import SensorSpec, load_sensor
 from pipeline.values.frames import Recording, Stream, TactileFrame
 
 _HEAD_BYTES = 16  # enough for every signature
+_MAX_NAMES = 3  # in a message
 
 
 def open_recording(
@@ -61,6 +61,12 @@ def _read_alternative(recording_format: RecordingFormat, files: RecordingFiles, 
     """The recording, or the error of its reader, with the other recordings of the folder."""
     try:
         return replace(recording_format.read(files, options), alternatives=files.alternatives)
+    except FileProblem as error:
+        others = [file.name for file in files.alternatives if not error.path.is_relative_to(file)]
+        if others:
+            error = error.extend(f"; or open {' or '.join(others[:_MAX_NAMES])} of the same folder")
+        error.alternatives = files.alternatives
+        raise error
     except TouchError as error:
         error.alternatives = files.alternatives
         raise
@@ -75,6 +81,9 @@ def detect_format(files: RecordingFiles) -> RecordingFormat:
     head = _read_head(path) if files.path.is_file() else b""
     if suffix in PICKLE_SUFFIXES:
         raise FileProblem(PICKLE_REFUSAL, path)
+    not_read = explain_not_read(path.name, head) if head else ""
+    if not_read:
+        raise FileProblem(not_read, path)
     signed = [f for f in list_formats() if head.startswith(f.signatures or (b"\0no signature",))]
     named = [f for f in list_formats() if suffix in f.suffixes]
     candidates = [f for f in signed if f in named] or signed or named
@@ -104,7 +113,7 @@ def _override(recording: Recording, options: ReadOptions) -> Recording:
         file = options.reference
         if file is None:
             return recording
-        is_depth = not image_files.is_image_file(file) or image_files.read_raw_pixels(file).dtype == np.uint16
+        is_depth = not image_files.is_image_file(file) or depth_arrays.is_depth_image(file)
         image = depth_arrays.read_depth_image(file, options.depth_unit) if is_depth else image_files.read_rgb(file)
         return with_reference(recording, image, file, options.stream)
     except Exception:

@@ -75,7 +75,26 @@ class RecordingFormat:
 
 _ZIP = b"PK\x03\x04"
 _READERS = "pipeline.recordings"
+_NOT_READ = (  # (first bytes, suffixes) of kinds of recordings that are not read -> what to do
+    ((b"#ROSBAG",), (".bag",), "a ROS 1 bag is not read; run 'mcap convert FILE.bag FILE.mcap' and open the new file"),
+    ((b"SQLite format 3",), (".db3",), "a ROS 2 bag of SQLite is not read; run 'mcap convert FILE.db3 FILE.mcap' and "
+     "open the new file"),
+    ((b"MATLAB",), (".mat",), "a MATLAB file is not read; save its images in Python: numpy.save('frames.npy', "
+     "scipy.io.loadmat(FILE)[NAME])"),
+    ((), (".tfrecord",), "TFRecords (RLDS) are not read; save the tactile images with numpy.save"),
+    ((), (".zip", ".tar", ".gz", ".tgz", ".7z", ".rar"), "an archive is not read; unpack it and open the folder"),
+    ((), (".rrd",), "a Rerun file is not read; open the recording that it was exported from"),
+)  # fmt: skip
 FORMATS = (  # of formats that share a suffix the first that matches is used
+    RecordingFormat(
+        key="robot_hdf5", title="robomimic or ACT data set", suffixes=(".h5", ".hdf5"),
+        signatures=(b"\x89HDF\r\n\x1a\n",), content="images of tactile cameras", applies_options=True,
+        reader=f"{_READERS}.robot_data:read_hdf5", matches=f"{_READERS}.robot_data:is_robot_file",
+    ),
+    RecordingFormat(
+        key="zarr", title="Zarr replay buffer", content="images of tactile cameras", applies_options=True,
+        reader=f"{_READERS}.robot_data:read_zarr", folder=f"{_READERS}.robot_data:is_zarr",
+    ),
     RecordingFormat(
         key="hdf5", title="Tactoscope recording", suffixes=(".h5", ".hdf5"), signatures=(b"\x89HDF\r\n\x1a\n",),
         content="frames, references, times, ground truth, object mesh and alignment of several sensors",
@@ -101,6 +120,10 @@ FORMATS = (  # of formats that share a suffix the first that matches is used
         key="depth_arrays", title="Depth arrays", suffixes=(".npz", ".npy"), signatures=(b"\x93NUMPY", _ZIP),
         content="depth images with times and camera matrix", applies_options=True,
         reader=f"{_READERS}.depth_arrays:read",
+    ),
+    RecordingFormat(
+        key="array_series", title="One array a frame", content="images of a gel or depth images",
+        applies_options=True, reader=f"{_READERS}.colour_arrays:read_series",
     ),
     RecordingFormat(
         key="video", title="Video", suffixes=(".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v"),
@@ -146,6 +169,14 @@ def register_format(recording_format: RecordingFormat) -> None:
 def list_formats() -> tuple[RecordingFormat, ...]:
     """Every format in the order in which it is tried: registered, of other packages, of the project."""
     return (*_registered, *load_entry_points("tactoscope.formats"), *FORMATS)
+
+
+def explain_not_read(name: str, head: bytes) -> str:
+    """What to do with a file of a known kind that is not read, by its name and first bytes; "" for another."""
+    for marks, suffixes, text in _NOT_READ:
+        if head.startswith(marks or (b"\0no signature",)) or any(f"{s}-" in f"{name.lower()}-" for s in suffixes):
+            return text
+    return ""
 
 
 def get_format(key: str) -> RecordingFormat:

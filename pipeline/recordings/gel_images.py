@@ -4,22 +4,27 @@ Some training sets keep differences only, frames minus their reference, with mid
 change. Slopes follow from the change relative to the reference brightness, so a described reference is good enough.
 """
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.arrays import Image, freeze
+from pipeline.base.errors import FileProblem
 from pipeline.recordings import resampling
 from pipeline.recordings.resampling import ResamplingFit
 from pipeline.recordings.sensor_guess import resolve_sensor_name
 from pipeline.sensors.parts import compute_reference_light
 from pipeline.sensors.spec import SensorSpec, load_sensor
+from pipeline.values.frames import TactileFrame
 
 MID_GREY = 128.0  # grey level
 _MAX_FROM_MID_GREY = 16.0  # grey levels of a pixel without change
 _MIN_QUIET_SHARE = 0.5  # of the pixels of a difference; at most a third of a gel's reference image is mid-grey
+_UNIFORM_GREY, _MIN_COLOUR_GREY = 8, 0.5  # grey levels: range of an image that says nothing; mean between channels
 DIFFERENCE_NOTE = (
     "the images are differences from a reference (mid-grey or zero is no change); the reference follows from the "
     "sensor description, and a difference that was halved gives half the depth"
@@ -56,6 +61,19 @@ def derive_implied_reference(
     return ImpliedReference(reference=freeze(light.astype(np.uint8)), no_change_grey=no_change_grey)
 
 
+def require_colour(images: Iterable[Image], path: Path) -> None:
+    """Raise FileProblem where all images are grey; one that is uniform (black) says nothing."""
+    textured = [image for image in images if int(image.max()) - int(image.min()) > _UNIFORM_GREY]
+    if textured and all(
+        float((image.max(axis=2) - image.min(axis=2)).mean(dtype=np.float64)) < _MIN_COLOUR_GREY for image in textured
+    ):
+        raise FileProblem(
+            "the images are grey, and a gel's slopes are read from its colours: record or convert it in colour; depth "
+            "is read from images of 16 bits",
+            path,
+        )
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GelImageConverter:
     """Converts images of one size to the sensor's; made once for all frames of a stream."""
@@ -67,13 +85,21 @@ class GelImageConverter:
     implied_reference: ImpliedReference | None  # None = the images are no differences
 
     def convert_image(self, raw: NDArray[np.generic]) -> Image:
-        """The camera image (rows, cols, 3) uint8 of the sensor's size for a stored image."""
+        """The camera image (rows, cols, 3) uint8 of the sensor's size for a stored image; of a difference, restored."""
+        stored = self._convert_stored(raw)
+        return stored if self.implied_reference is None else self.implied_reference.restore_image(stored)
+
+    def _convert_stored(self, raw: NDArray[np.generic]) -> Image:
         if self.implied_reference is not None and raw.dtype != np.uint8:  # signed difference in grey levels
             raw = np.clip(np.rint(raw.astype(np.float32) + self.implied_reference.no_change_grey), 0, 255)
         image = np.asarray(raw, np.uint8)
-        if self.resampling_fit is not None:
-            image = self.resampling_fit.resample_image(image)
-        return image if self.implied_reference is None else self.implied_reference.restore_image(image)
+        return image if self.resampling_fit is None else self.resampling_fit.resample_image(image)
+
+    def make_frame(self, raw: NDArray[np.generic], index: int, origin: str, time_s: float = math.nan) -> TactileFrame:
+        """The frame of a stored image, which holds a difference as it is stored too."""
+        stored = None if self.implied_reference is None else self._convert_stored(raw)
+        return TactileFrame(sensor=self.sensor, image=self.convert_image(raw), reference=self.reference, index=index,
+                            time_s=time_s, origin=origin, stored_image=stored)  # fmt: skip
 
 
 def make_gel_converter(
@@ -92,8 +118,10 @@ def make_gel_converter(
     """
     name, notes = resolve_sensor_name(sensor, shape, is_depth=False, file_names=file_names)
     spec = load_sensor(sensor or name) if sensor or name else None
-    fit = None if spec is None else resampling.fit_resampling(spec, shape)
-    no_change_grey = None if reference is not None else _find_no_change_grey(read_first())
+    first = read_first() if reference is None else reference
+    example = np.asarray(first, np.uint8) if first.dtype == np.uint8 else None
+    fit = None if spec is None else resampling.fit_resampling(spec, shape, example)
+    no_change_grey = None if reference is not None else _find_no_change_grey(first)
     implied = None
     if no_change_grey is not None:
         implied = derive_implied_reference(spec, shape if fit is None else fit.shape, no_change_grey)

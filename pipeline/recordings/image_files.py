@@ -14,7 +14,11 @@ from pipeline.base.native_stderr import silence_native_libraries
 from pipeline.recordings.formats import IMAGE_SUFFIXES
 
 NO_REFERENCE_NOTE = "no reference image was found; name one with --reference"
-_REFERENCE_STEM = re.compile(r"^(background|bg|ref|reference|untouched|undeformed)([\W_\d].*)?$", re.IGNORECASE)
+_REFERENCE_STEM = re.compile(
+    r"^(background|bg|ref|reference|untouched|undeformed)([\W_\d].*)?$"
+    r"|^[a-z]+[\W_](background|bg|ref|reference|untouched|undeformed)$",  # left_background
+    re.IGNORECASE,
+)
 _REFERENCE_KEY = re.compile(r"(^|_)(background|bg|ref|reference|untouched|undeformed|base)(_|$)", re.IGNORECASE)
 _TAIL_BYTES = 4096  # at the end of a file in which the end mark is searched: editors append a little
 
@@ -32,11 +36,6 @@ def is_reference_file(path: Path) -> bool:
 def is_reference_key(key: str) -> bool:
     """Whether the name is that of a reference array."""
     return _REFERENCE_KEY.search(key) is not None
-
-
-def natural_sort_key(path: Path) -> tuple[object, ...]:
-    """Sort key that puts frame_2 before frame_10."""
-    return tuple((0, int(p), "") if p.isdecimal() else (1, 0, p.lower()) for p in re.split(r"(\d+)", path.stem) if p)
 
 
 def read_raw_pixels(path: Path) -> NDArray[np.generic]:
@@ -60,7 +59,9 @@ def read_rgb(path: Path) -> Image:
     """(rows, cols, 3) uint8 RGB of an image file; raises FileProblem for a damaged file or other than 8 bits."""
     pixels = read_raw_pixels(path)
     if pixels.dtype != np.uint8:
-        raise FileProblem(f"a colour image must have 8 bits per channel, this one is {pixels.dtype}; convert it", path)
+        how = "divide by 257" if pixels.dtype == np.uint16 else "multiply by 255 where 1 is white"
+        what = f"a colour image must have 8 bits per channel, this one has {pixels.dtype}"
+        raise FileProblem(f"{what}; {how} and save it as uint8", path)
     if pixels.ndim == 2:
         return freeze(np.repeat(cast("Image", pixels)[:, :, None], 3, axis=2))
     return freeze(np.ascontiguousarray(cast("Image", pixels)[:, :, 2::-1]))  # from BGR or BGRA

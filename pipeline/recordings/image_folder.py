@@ -1,24 +1,35 @@
 """Read gel images with a reference image among them: a folder, one image, or the tree of a data set."""
 
+import math
 import os
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-from pipeline.base.arrays import Image
-from pipeline.base.errors import FileProblem, escape_text
-from pipeline.recordings import image_files
+import numpy as np
+
+from pipeline.base.arrays import Floats, Image
+from pipeline.base.errors import FileProblem, SettingProblem, escape_text
+from pipeline.recordings import file_names, image_files
 from pipeline.recordings.formats import ReadOptions, RecordingFiles, with_index_check
-from pipeline.recordings.gel_images import estimate_no_change_grey, make_gel_converter
-from pipeline.recordings.reference_images import denoise_reference, select_reference_frame
+from pipeline.recordings.gel_images import estimate_no_change_grey, make_gel_converter, require_colour
+from pipeline.recordings.reference_images import (
+    compute_block_means,
+    denoise_reference,
+    describe_first_reference,
+    find_first_reference,
+    read_until_damaged,
+    sample_frames,
+)
 from pipeline.values.frames import Recording, Stream, TactileFrame
 
-_N_COMPARED = 3  # images whose size is compared with the reference's
-_N_CANDIDATES = 16  # images that are compared with the first ones, whether these show contact
+_N_COMPARED = 3  # images whose size is compared with the reference's, and that show whether they are in colour
+_N_LIGHT = 9  # images of a series whose median is its light
+_LIGHT_GREY, _LIGHT_RATIO = 6.0, 3.0  # median change between the light of two sensors; times that within a series
 
 
 def read(files: RecordingFiles, options: ReadOptions) -> Recording:
-    """The images as one stream of RGB frames, in order.
+    """The images as one stream of RGB frames, in order; one stream a sensor where the names tell several apart.
 
     The reference is the stated file, else the first image named background*, bg*, ref*, reference*, untouched* or
     undeformed*, as the median with the first frames where they are alike. Differences imply it; without any it is the
@@ -27,15 +38,42 @@ def read(files: RecordingFiles, options: ReadOptions) -> Recording:
     SettingProblem.
     """
     path = files.path
-    reference_file = options.reference or (files.references[0] if files.references else None)
-    references = (*files.references, *((reference_file,) if reference_file else ()))
-    excluded = {os.path.realpath(p) for p in references}
+    excluded = {os.path.realpath(p) for p in (*files.references, *((options.reference,) if options.reference else ()))}
     images = [p for p in files.images if os.path.realpath(p) not in excluded]
     images, notes = select_colour_series(images)
     if not images:
         raise FileProblem(
             "the folder has no images to show" if path.is_dir() else "the only image is the reference", path
         )
+    groups = file_names.split_sensors(images) if path.is_dir() else {}
+    if not groups:
+        _require_one_light(file_names.find_subseries(images), path)
+        stream, about = _read_series("", images, files.references, path, options)
+        streams = (stream,)
+    else:
+        if options.reference is not None:
+            raise SettingProblem(
+                f"a reference can be given for one sensor, and the names of the images tell {len(groups)} apart "
+                f"({', '.join(groups)}): open a folder of one of them, or name the references "
+                f"{', '.join(f'background_{name}' for name in groups)}"
+            )
+        paired = file_names.select_common_numbers(groups)
+        n_alone = len(images) - sum(map(len, paired.values()))
+        made = [_read_series(name, paired[name], _select_references(name, groups, files.references), path, options)
+                for name in groups]  # fmt: skip
+        streams = tuple(stream for stream, _ in made)
+        about = tuple(f"{stream.name}: {note}" for stream, own in made for note in own)
+        notes += (f"the names of the images tell {len(groups)} sensors apart: {', '.join(groups)}",)
+        notes += (f"{n_alone} images without one of the same number of the other sensor are left out",) * (n_alone > 0)
+    return Recording(path=path, format="folder of images" if path.is_dir() else "image",
+                     streams=streams, notes=(*files.notes, *notes, *about))  # fmt: skip
+
+
+def _read_series(
+    name: str, images: list[Path], references: Sequence[Path], path: Path, options: ReadOptions
+) -> tuple[Stream, tuple[str, ...]]:
+    """The images of one sensor as a stream, and notes; `name` tells it from others, "" where it is alone."""
+    reference_file = options.reference or next(iter(references), None)
     reference = None if reference_file is None else image_files.read_rgb(reference_file)
     shape = (_read_first(images) if reference is None else reference).shape
     if reference_file is not None and not _has_shape(images[:_N_COMPARED], shape):
@@ -45,26 +83,72 @@ def read(files: RecordingFiles, options: ReadOptions) -> Recording:
             "of that size as --reference",
             reference_file,
         )
-    n_averaged = 0
+
+    def read_raw(index: int) -> Image:
+        return _read_of_shape(images[index], shape, index)
+
+    require_colour((image for _, image in sample_frames(read_raw, len(images), _N_COMPARED)), path)
+    start, n_averaged = 0, 0
     if reference is not None and options.reference is None:
-        reference, n_averaged = denoise_reference(reference, _read_all(images))
-    elif reference is None:
-        reference, n_averaged = _take_first_frames(images, shape)
-    names = [p.stem for p in images]
+        reference, n_averaged = denoise_reference(reference, read_until_damaged(image_files.read_rgb, images))
+    elif reference is None and estimate_no_change_grey(_read_first(images)) is None:
+        reference, start, n_averaged = find_first_reference(read_raw, len(images))
     converter = make_gel_converter(
-        options.sensor, (shape[0], shape[1]), reference, lambda: _read_first(images), file_names=names
+        options.sensor,
+        (shape[0], shape[1]),
+        reference,
+        lambda: _read_first(images),
+        file_names=[p.stem for p in images],
     )
+    times_s = file_names.parse_times_s(images)
 
     def frame(index: int) -> TactileFrame:
-        image = converter.convert_image(_read_of_shape(images[index], shape, index))
-        return TactileFrame(sensor=converter.sensor, image=image, reference=converter.reference, index=index,
-                            origin=str(images[index]))  # fmt: skip
+        time_s = math.nan if times_s is None else times_s[index]
+        return converter.make_frame(read_raw(index), index, str(images[index]), time_s)
 
-    stream = Stream(name=converter.sensor or "images", sensor=converter.sensor, n_frames=len(images),
+    stream = Stream(name=name or converter.sensor or "images", sensor=converter.sensor, n_frames=len(images),
                     frame=with_index_check(frame, len(images), path))  # fmt: skip
-    about = () if converter.implied_reference is not None else _describe_reference(reference_file, files, n_averaged)
-    return Recording(path=path, format="folder of images" if path.is_dir() else "image",
-                     streams=(stream,), notes=(*files.notes, *notes, *converter.notes, *about))  # fmt: skip
+    about = () if times_s is None else ("the times are those in the names of the files",)
+    if converter.implied_reference is not None:
+        return stream, (*converter.notes, *about)
+    if reference_file is None and reference is not None:
+        about += (describe_first_reference(lambda index: escape_text(images[index].name), start, n_averaged),)
+    else:
+        about += _describe_reference(reference_file, references, n_averaged)
+    return stream, (*converter.notes, *about)
+
+
+def _select_references(name: str, sensors: Mapping[str, object], references: Sequence[Path]) -> list[Path]:
+    """The reference images of one sensor: those with its name."""
+    words = {file: set(re.findall(r"[a-z]+|\d+", file.stem.lower())) for file in references}
+    return [file for file, own in words.items() if own.intersection(sensors) == {name}]
+
+
+def _require_one_light(series: Mapping[str, list[Path]], path: Path) -> None:
+    """Raise FileProblem where series of names differ in size or light, as those of two sensors do."""
+    lights = dict[str, tuple[Floats, float]]()
+    for name, files in series.items():
+        found = [image for _, image in sample_frames(_make_reader(files), len(files), _N_LIGHT)]
+        shapes = {image.shape for image in found}
+        if len(shapes) != 1:
+            continue
+        blocks = np.stack([compute_block_means(image, 16) for image in found])
+        light = np.median(blocks, axis=0)
+        lights[name] = light, float(np.median(np.abs(blocks - light)))
+    first, *others = lights.items() or [("", (np.zeros(0), 0.0))]
+    for name, (light, within) in others:
+        differs = light.shape != first[1][0].shape
+        change = np.inf if differs else float(np.median(np.abs(light - first[1][0])))
+        if change > max(_LIGHT_GREY, _LIGHT_RATIO * max(within, first[1][1])):
+            raise FileProblem(
+                f"the images named {first[0]} and {name} differ in {'size' if differs else 'light'} as those of two "
+                "sensors do; put those of each into a folder of its own, or name them left and right",
+                path,
+            )
+
+
+def _make_reader(files: Sequence[Path]) -> Callable[[int], Image]:
+    return lambda index: image_files.read_rgb(files[index])
 
 
 def _read_first(images: list[Path]) -> Image:
@@ -79,24 +163,9 @@ def _read_first(images: list[Path]) -> Image:
     raise problem
 
 
-def _take_first_frames(images: list[Path], shape: tuple[int, ...]) -> tuple[Image | None, int]:
-    """(reference, number of frames averaged) of a sequence that begins untouched; (None, 0) where it may not.
-
-    Its first frames are alike, and no later frame has clearly less contact. Differences have no frame as reference.
-    """
-    frames = (image for image in _read_all(images) if image.shape == shape)
-    first = next(frames, None)
-    if first is None or estimate_no_change_grey(first) is not None:
-        return None, 0
-    reference, n_averaged = denoise_reference(first, frames)
-    later = images[n_averaged + 1 :: max(1, len(images) // _N_CANDIDATES)]
-    is_touched = n_averaged and select_reference_frame(reference, enumerate(_read_all(later))) is not None
-    return (reference, n_averaged) if n_averaged and not is_touched else (None, 0)
-
-
 def _has_shape(images: list[Path], shape: tuple[int, ...]) -> bool:
     """Whether one of the images has this shape; True if none can be read."""
-    shapes = [image.shape for image in _read_all(images)]
+    shapes = [image.shape for image in read_until_damaged(image_files.read_rgb, images)]
     return not shapes or shape in shapes
 
 
@@ -115,21 +184,10 @@ def _read_of_shape(file: Path, shape: tuple[int, ...], index: int) -> Image:
     return image
 
 
-def _read_all(images: Sequence[Path]) -> Iterator[Image]:
-    """The images up to the first that cannot be read."""
-    try:
-        for file in images:
-            yield image_files.read_rgb(file)
-    except FileProblem:
-        return
-
-
-def _describe_reference(reference: Path | None, files: RecordingFiles, n_averaged: int) -> tuple[str, ...]:
+def _describe_reference(reference: Path | None, references: Sequence[Path], n_averaged: int) -> tuple[str, ...]:
     if reference is None:
-        if n_averaged:
-            return (f"the median of the first {n_averaged + 1} images, all alike, is taken as the reference",)
         return (image_files.NO_REFERENCE_NOTE,)
-    unused = [p.name for p in files.references if p != reference]
+    unused = [p.name for p in references if p != reference]
     more = (f"other reference images are left out: {', '.join(unused)}",) if unused else ()
     alike = f", as the median with the first {n_averaged} frames" if n_averaged else ""
     return (f"{reference.name} is the reference{alike}", *more)

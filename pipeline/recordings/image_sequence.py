@@ -1,7 +1,5 @@
 """A stream of images that are read one by one: what videos, MCAP topics and LeRobot cameras share."""
 
-import contextlib
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Protocol
 
@@ -11,12 +9,19 @@ from pipeline.base.arrays import Image, freeze
 from pipeline.base.errors import FileProblem, StageWarning
 from pipeline.recordings import gel_images, image_files
 from pipeline.recordings.formats import ReadOptions, with_index_check
-from pipeline.recordings.gel_images import GelImageConverter, make_gel_converter
-from pipeline.recordings.reference_images import denoise_reference, select_reference_frame
+from pipeline.recordings.gel_images import GelImageConverter, make_gel_converter, require_colour
+from pipeline.recordings.reference_images import (
+    denoise_reference,
+    describe_first_reference,
+    find_bright_start,
+    read_until_damaged,
+    sample_frames,
+    select_reference_frame,
+)
 from pipeline.recordings.sensor_guess import find_named_sensor
 from pipeline.values.frames import Stream, TactileFrame
 
-_MAX_CANDIDATES = 16  # frames searched for a reference: seeking in a long video is slow
+_N_COLOUR = 3  # frames that show whether it is in colour
 
 
 class ImageSequence(Protocol):
@@ -41,20 +46,25 @@ def make_stream(
 ) -> tuple[Stream, tuple[str, ...]]:
     """The stream of a sequence, and notes; without a stated reference its first frames are the reference.
 
-    Where it clearly begins with a touch, a later frame is the reference, with a warning. `name` may hold that of a
-    sensor; without `may_guess` a sensor that is not stated stays unknown. Raises FileProblem for a first frame that
-    cannot be decoded, or a reference of another size.
+    Dark ones of a camera that starts are none. Where it clearly begins with a touch, a later frame is the reference,
+    with a warning. `name` may hold that of a sensor; without `may_guess` a sensor that is not stated stays unknown.
+    Raises FileProblem for a first frame that cannot be decoded, or a reference of another size.
     """
     first = images.frame(0)
+    require_colour((image for _, image in sample_frames(images.frame, images.n_frames, _N_COLOUR)), path)
     is_difference = options.reference is None and gel_images.estimate_no_change_grey(first) is not None
-    reference, start, n_averaged = None if is_difference else first, 0, 0
+    reference, start, n_averaged, n_dark = None if is_difference else first, 0, 0, 0
     if options.reference is not None:
         reference = image_files.read_rgb(options.reference)
         if reference.shape != first.shape:
             raise FileProblem(f"the reference has shape {reference.shape}, the frames {first.shape}", options.reference)
     elif reference is not None:
-        start, reference = select_reference_frame(reference, _sample_frames(images)) or (0, reference)
-        reference, n_averaged = denoise_reference(reference, _frames_after(images, start))
+        n_dark = find_bright_start(images.frame, images.n_frames)
+        reference = images.frame(n_dark) if n_dark else reference
+        later = sample_frames(images.frame, images.n_frames, first=n_dark + 1)
+        start, reference = select_reference_frame(reference, later) or (n_dark, reference)
+        after = read_until_damaged(images.frame, range(start + 1, images.n_frames))
+        reference, n_averaged = denoise_reference(reference, after)
     shape = (first.shape[0], first.shape[1])
     if options.sensor or may_guess:
         converter = make_gel_converter(options.sensor, shape, reference, lambda: first, file_names=(name,))
@@ -66,7 +76,7 @@ def make_stream(
     named = find_named_sensor((name,))
     renamed = bool(options.sensor) and named not in ("", converter.sensor)
     notes = (f"{name} names the sensor {named}; {converter.sensor} is used instead",) if renamed else ()
-    about = () if is_difference else (_describe_reference(options.reference, start, n_averaged),)
+    about = () if is_difference else (_describe_reference(options.reference, start, n_averaged, n_dark),)
 
     def frame(index: int) -> TactileFrame:
         image = images.frame(index)
@@ -74,9 +84,7 @@ def make_stream(
             raise FileProblem(
                 f"frame {index} has shape {image.shape}, the first {first.shape}", path, field=f"frame {index}"
             )
-        return TactileFrame(sensor=converter.sensor, image=converter.convert_image(image),
-                            reference=converter.reference, index=index, time_s=images.time_s(index),
-                            origin=f"{path} [frame {index}]")  # fmt: skip
+        return converter.make_frame(image, index, f"{path} [frame {index}]", images.time_s(index))
 
     stream = Stream(name=name or converter.sensor or "video", sensor=converter.sensor, n_frames=images.n_frames,
                     frame=with_index_check(frame, images.n_frames, path),
@@ -84,32 +92,15 @@ def make_stream(
     return stream, (*notes, *converter.notes, *about)
 
 
-def _describe_reference(reference: Path | None, start: int, n_averaged: int) -> str:
+def _describe_reference(reference: Path | None, start: int, n_averaged: int, n_dark: int) -> str:
     if reference is not None:
         return f"{reference.name} is the reference"
-    if start:
+    if start > n_dark:
         which = f"frame {start}" if not n_averaged else f"the median of frames {start} to {start + n_averaged}"
         return StageWarning(
             f"the first frame shows contact, so {which} is taken as the reference; if it shows contact too, depth is "
             "wrong: give a reference image with --reference"
         )
-    if n_averaged:
-        return f"the median of the first {n_averaged + 1} frames, all alike, is taken as the reference"
+    if start or n_averaged:
+        return describe_first_reference("frame {}".format, start, n_averaged)
     return "the first frame is taken as the reference"
-
-
-def _frames_after(images: ImageSequence, start: int) -> Iterator[Image]:
-    """The frames after `start`, up to the first that cannot be decoded."""
-    try:
-        for index in range(start + 1, images.n_frames):
-            yield images.frame(index)
-    except FileProblem:
-        return
-
-
-def _sample_frames(images: ImageSequence) -> Iterator[tuple[int, Image]]:
-    """(index, frame) of frames spread evenly over the sequence; those that cannot be decoded are skipped."""
-    count = min(_MAX_CANDIDATES, images.n_frames - 1)
-    for index in sorted({round(i) for i in np.linspace(1, images.n_frames - 1, count)}) if count else ():
-        with contextlib.suppress(FileProblem):
-            yield index, images.frame(index)

@@ -14,8 +14,8 @@ from pipeline.base.arrays import Floats, freeze
 from pipeline.base.errors import FileProblem
 from pipeline.base.files import read_arrays
 from pipeline.geometry.camera import Camera
-from pipeline.recordings import image_files
 from pipeline.recordings.depth_arrays import estimate_reference
+from pipeline.recordings.file_names import natural_sort_key
 from pipeline.recordings.formats import with_index_check
 from pipeline.recordings.sensor_guess import resolve_sensor_name
 from pipeline.values.frames import Recording, Stream, TactileFrame
@@ -37,7 +37,7 @@ def read(folder: Path) -> Recording:
 
     The median of the first frames is the reference. Raises FileProblem.
     """
-    files = sorted((p for p in folder.iterdir() if _CLOUD_NAME.match(p.name)), key=image_files.natural_sort_key)
+    files = sorted((p for p in folder.iterdir() if _CLOUD_NAME.match(p.name)), key=lambda p: natural_sort_key(p.stem))
     first = _read_points(files[0])
     shape = next((s for s in _SHAPES if s[0] * s[1] == len(first)), None)
     if shape is None:

@@ -3,12 +3,17 @@
 The noise of one reference image enters every comparison; the median of a dozen has a third of it.
 """
 
-from collections.abc import Iterable
+import contextlib
+from collections.abc import Callable, Iterable, Iterator
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.arrays import Floats, Image, freeze
+from pipeline.base.errors import FileProblem
+
+T = TypeVar("T")
 
 _MAX_FRAMES = 15
 _MAX_PIXELS = 20_000_000  # of all frames together: reading more delays the opening of a recording
@@ -22,6 +27,10 @@ _TOUCH_BLOCKS = 24  # along the longer side: markers and noise average out, a to
 _DIFFERS_GREY = 8.0  # grey levels: change of a block's mean by a touch, not noise
 _MIN_RELIEF_GREY = 1.0  # grey levels: least relief of a touch
 _MAX_RELIEF_RATIO = 0.6  # of a reference to the first frame, where they differ
+_MAX_CANDIDATES, _N_BRIGHTNESS = 16, 5  # frames compared with the first: seeking in a long video is slow
+_BRIGHT_RATIO, _DARK_RATIO = 0.92, 0.6  # of the brightness of most blocks to that of later frames
+_RISE = 0.03  # of this ratio from frame to frame, while a camera starts that is not dark
+_BLACK_GREY = 4.0  # grey level of a block that says nothing of the brightness
 
 
 def compute_block_means(image: NDArray[np.generic], n_along: int) -> Floats:
@@ -36,6 +45,78 @@ def compute_block_means(image: NDArray[np.generic], n_along: int) -> Floats:
     values = np.nan_to_num(np.asarray(image, np.float32))
     means = np.asarray(cv2.resize(values, size, interpolation=cv2.INTER_AREA), np.float32)
     return means[..., None] if means.ndim == 2 else means
+
+
+def find_first_reference(read: Callable[[int], Image], n_frames: int) -> tuple[Image | None, int, int]:
+    """(reference, its frame, number of frames averaged with it) of a sequence that begins untouched.
+
+    Its first frames, after those of a camera that starts dark, are alike, and no later frame has clearly less contact;
+    else the reference is None. `read` raises FileProblem for a frame that cannot be read or has another size.
+    """
+    start = find_bright_start(read, n_frames)
+    frames = read_until_damaged(read, range(start, n_frames))
+    first = next(frames, None)
+    if first is None:
+        return None, start, 0
+    reference, n_averaged = denoise_reference(first, frames)
+    later = _read_each(read, range(start + n_averaged + 1, n_frames, max(1, n_frames // _MAX_CANDIDATES)))
+    if not n_averaged or select_reference_frame(reference, later) is not None:
+        return None, start, 0
+    return reference, start, n_averaged
+
+
+def find_bright_start(read: Callable[[int], Image], n_frames: int) -> int:
+    """The first frame that is as bright as most: a camera may start black, or expose longer and longer.
+
+    A touch changes the brightness of some blocks, a gain that of all.
+    """
+    samples = [compute_block_means(image, _BLOCKS_ALONG) for _, image in sample_frames(read, n_frames, _N_BRIGHTNESS)]
+    samples = sorted((s for s in samples if s.max() > _BLACK_GREY), key=lambda s: float(s.mean()))
+    if not samples:
+        return 0
+    usual, before = samples[3 * len(samples) // 4], -np.inf
+    for index, image in _read_each(read, range(n_frames)):
+        blocks = compute_block_means(image, _BLOCKS_ALONG)
+        ratio = _compute_brightness_ratio(blocks, usual) if blocks.shape == usual.shape else 0.0
+        if ratio >= _BRIGHT_RATIO:
+            return index
+        if index and before > _DARK_RATIO and ratio < before + _RISE:
+            return 0  # a light that was changed later
+        before = ratio
+    return 0
+
+
+def _compute_brightness_ratio(blocks: Floats, usual: Floats) -> float:
+    return float(np.median(blocks[usual > _BLACK_GREY] / usual[usual > _BLACK_GREY]))
+
+
+def sample_frames(
+    read: Callable[[int], Image], n_frames: int, most: int = _MAX_CANDIDATES, *, first: int = 0
+) -> Iterator[tuple[int, Image]]:
+    """(index, frame) of `most` frames from `first` on, spread evenly; those that cannot be read are skipped."""
+    count = min(most, n_frames - first)
+    return _read_each(read, sorted({round(i) for i in np.linspace(first, n_frames - 1, count)}) if count > 0 else ())
+
+
+def _read_each(read: Callable[[int], Image], indices: Iterable[int]) -> Iterator[tuple[int, Image]]:
+    for index in indices:
+        with contextlib.suppress(FileProblem):
+            yield index, read(index)
+
+
+def read_until_damaged(read: Callable[[T], Image], frames: Iterable[T]) -> Iterator[Image]:
+    """The images of frames, given by number or file, up to the first that cannot be read."""
+    with contextlib.suppress(FileProblem):
+        for frame in frames:
+            yield read(frame)
+
+
+def describe_first_reference(name: Callable[[int], str], start: int, n_averaged: int) -> str:
+    """The note on a reference of the first frames, or of those after dark ones; `name` names a frame."""
+    which = name(start) if not n_averaged else f"the median of {name(start)} to {name(start + n_averaged)}, all alike,"
+    dark = "the frame before is" if start == 1 else f"the {start} frames before are"
+    why = f"; {dark} darker, as of a camera that starts" if start else ""
+    return f"{which} is taken as the reference{why}"
 
 
 def denoise_reference(reference: Image, frames: Iterable[Image]) -> tuple[Image, int]:

@@ -10,13 +10,16 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+from pipeline.base.errors import StageWarning
 from pipeline.recordings import image_folder
+from pipeline.recordings.file_names import sort_series
 from pipeline.recordings.formats import ReadOptions, RecordingFiles
-from pipeline.recordings.image_files import is_image_file, natural_sort_key
+from pipeline.recordings.image_files import is_image_file
 from pipeline.values.frames import Recording, Stream, TactileFrame
 
 _SENSORS = {"gelsight": "gelsight_mini", "digit": "digit"}  # folder -> description, in the order of the tables
 _OTHERS = ("duragel", "tac3d")
+_PAIRED = "the sensors touched one after the other; frames are paired by their share of the contact"
 
 
 def is_touch_folder(folder: Path) -> bool:
@@ -28,7 +31,7 @@ def is_touch_folder(folder: Path) -> bool:
 
 def read(path: Path) -> Recording:
     """The touch as streams of GelSight Mini and DIGIT; raises FileProblem."""
-    streams, notes = list[Stream](), list[str]()
+    streams, notes, unlisted = list[Stream](), list[str](), list[str]()
     ranges = _read_contact_ranges(path)
     for folder, sensor in _SENSORS.items():
         images = _list_images(path / folder)
@@ -37,21 +40,30 @@ def read(path: Path) -> Recording:
             whole = image_folder.read(files, ReadOptions(sensor=sensor))
             numbers = [image.stem for image in images]
             first, last = (numbers.index(n) if n in numbers else -1 for n in ranges.get(folder, ("", "")))
-            indices = range(first, last + 1) if 0 <= first <= last else range(len(images))
+            is_listed = 0 <= first <= last
+            indices = range(first, last + 1) if is_listed else range(len(images))
+            unlisted += [] if is_listed else [sensor]
             streams.append(replace(whole.streams[0], name=sensor, n_frames=len(indices), times_s=None,
                                    frame=_select_frames(whole.streams[0], indices)))  # fmt: skip
             notes += [f"{sensor}: {note}" for note in whole.notes]
     n_frames = min(stream.n_frames for stream in streams)
     streams = [_resample(stream, n_frames) for stream in streams]
     if len(streams) > 1:
-        notes.append("the sensors touched one after the other; frames are paired by their share of the contact")
+        notes.append(_warn_of_whole_films(unlisted) if unlisted else _PAIRED)
     left_out = [name for name in _OTHERS if (path / name).is_dir()]
     notes += [f"sensors without a description are left out: {', '.join(left_out)}"] if left_out else []
     return Recording(path=path, format="TacQuad touch", streams=tuple(streams), notes=tuple(notes))
 
 
+def _warn_of_whole_films(sensors: list[str]) -> StageWarning:
+    return StageWarning(
+        f"no contact_*.csv two folders above lists the first and last image in contact of {' and '.join(sensors)}, so "
+        "the whole film is taken: paired frames may show different moments; add the touch to the table"
+    )
+
+
 def _list_images(folder: Path) -> tuple[Path, ...]:
-    return tuple(sorted(filter(is_image_file, folder.iterdir()), key=natural_sort_key)) if folder.is_dir() else ()
+    return tuple(sort_series(list(filter(is_image_file, folder.iterdir())))) if folder.is_dir() else ()
 
 
 def _read_contact_ranges(path: Path) -> dict[str, tuple[str, str]]:

@@ -75,7 +75,7 @@ def draw_pane_figure(shown: RenderedPane, about: str) -> Figure:
 def _reading(frame: TactileFrame, translation: Translation, display: DisplayParams) -> RenderedPane:
     sensor = translation.source
     camera = match_camera(frame.camera or sensor.camera, frame.image.shape)
-    picture = make_frame_preview(frame.image, camera, sensor, display, reference=frame.reference)
+    picture = make_frame_preview(frame.shown_image, camera, sensor, display, reference=frame.reference)
     surface = frame.image if frame.is_depth else compute_rest_depth_mm(sensor, camera)
     laid = replace(picture, positions_mm=PixelPositions(camera, np.asarray(surface, np.float32)))
     points_mm, rgb = _points(None, laid)

@@ -33,7 +33,7 @@ FRAME_FILES = ("frame.json", "stages.npz", "sheet.png")  # of one frame's folder
 
 def collect_stage_arrays(frame: TactileFrame, results: Mapping[str, StageResult]) -> dict[str, NDArray[Any]]:
     """Return every array of every stage as `stage.field`; a camera becomes its K (3, 3)."""
-    arrays: dict[str, NDArray[Any]] = {"source.image": frame.image}
+    arrays: dict[str, NDArray[Any]] = {"source.image": frame.shown_image}
     if frame.reference is not None:
         arrays["source.reference"] = frame.reference
     for name, result in results.items():

@@ -45,7 +45,7 @@ def draw_sheet(
     # Fixed positions: an automatic layout costs more time than all the drawing.
     axes = [figure.add_axes(((0.07 + i) / n, 0.2, 0.76 / n, 0.6)) for i in range(n)]
     camera = match_camera(frame.camera or source.camera, frame.image.shape)
-    reading = make_frame_preview(frame.image, camera, source, display, reference=frame.reference)
+    reading = make_frame_preview(frame.shown_image, camera, source, display, reference=frame.reference)
     draw_panel(figure, axes[0], reading, f"Source · {source.title}")
     seen = translation.make_preview_context({name: result.output for name, result in report.results.items()}, display)
     for ax, name in zip(axes[1:], translation.stages, strict=True):

@@ -31,6 +31,12 @@ class TactileFrame:
     camera: Camera | None = None  # intrinsics of the recording; None = the sensor's
     grasp_range: tuple[float, float] | None = None  # least and largest value in all fingers; None = one finger
     context_frames: tuple[Image, ...] = ()  # other touches of the same instance, to estimate its illumination
+    stored_image: Image | None = None  # what the file holds where `image` was restored from it (a difference)
+
+    @property
+    def shown_image(self) -> Image | Floats:
+        """The image as recorded, to be shown as such."""
+        return self.image if self.stored_image is None else self.stored_image
 
     @property
     def is_depth(self) -> bool:

@@ -4,9 +4,10 @@ LEDs warm up and fade, daylight leaks in, a camera sits loosely in its housing. 
 
     I_c = (1 + g_c) R_c + b_c + r_c . (u, v) - s . grad R_c        per colour c; the shift s is the same for all
 
-with R the reference. A touch fits none of this: its blocks are outliers, which a redescending weight removes from the
-fit (Geman and McClure 1985), from a wide scale to a narrow one, so no initial guess is needed. If too few blocks agree,
-the drift is unknown.
+with R the reference. A gain that all colours and most blocks share and that is more than a tenth is the camera's
+exposure: one number, taken out of R before the fit. A touch fits none of this: its blocks are outliers, which a
+redescending weight removes from the fit (Geman and McClure 1985), from a wide scale to a narrow one, so no initial
+guess is needed. If too few blocks agree, the drift is unknown.
 
 A touch changes light far from it as well: by light that its flanks scatter, and by gel that bulges. That looks like a
 small drift. So a small one is left alone, a large one removed, and one in between in part: noise moves the result
@@ -34,6 +35,9 @@ _AGREEMENT_GAIN = (0.25, 0.35)
 _PRIOR_STD = (0.05, 8.0, 10.0, 1.5)  # prior of gain, offset (grey), ramp (grey to the border), shift (px)
 _BLOCK_NOISE_GREY = 0.5
 _GAIN_MAX, _GREY_MAX, _SHIFT_MAX_PX = 0.2, 30.0, 8.0  # more is no drift: another sensor instance, or a failed LED
+_EXPOSURE_MIN, _EXPOSURE_MAX = 0.1, 3.0  # deviation from 1 of a common gain, and the gain (or its inverse)
+_EXPOSURE_GREY = (16.0, 250.0)  # grey levels between which a block's ratio to the reference is a gain
+_EXPOSURE_TOLERANCE, _EXPOSURE_SHARE = 0.04, 0.5  # relative deviation from the common gain; share of blocks that agree
 _ITERATIONS = 4
 _SHIFT_TOLERANCE_PX = 0.05
 _SHIFT_MIN_PX = 0.1  # smaller shifts are ignored: interpolation would blur more
@@ -138,9 +142,12 @@ def fit_drift(image: Image, reference: Image) -> tuple[Drift | None, bool]:
     now, still = compute_block_means(image, block), _references.get_or_make(
         (compute_cached_digest(reference), block), lambda: _make_blocks(reference.astype(np.float32), block)
     )  # fmt: skip
+    change = np.abs(now - still.mean.reshape(now.shape)).max(axis=2)
+    exposure = _estimate_exposure(now.reshape(-1, 3), still.mean)
+    still = still if exposure == 1.0 else _make_blocks(reference.astype(np.float32) * np.float32(exposure), block)
     residual = now - still.mean.reshape(now.shape)
-    change, agrees = np.abs(residual).max(axis=2), _compute_agreement_grey(residual)
-    foreign = float(np.percentile(change, 25)) > _FOREIGN_GREY
+    agrees = _compute_agreement_grey(residual)
+    foreign = float(np.percentile(np.abs(residual).max(axis=2), 25)) > _FOREIGN_GREY
     if agrees <= _AGREEMENT_GREY and float((change < agrees).mean()) > 1.0 - _AGREEMENT_GAIN[0]:
         return None, foreign
     place, shift, solution = _make_positions(*now.shape[:2]), np.zeros(2), np.zeros(14)
@@ -150,7 +157,7 @@ def fit_drift(image: Image, reference: Image) -> tuple[Drift | None, bool]:
         shift = shift + solution[12:]
         if float(np.abs(solution[12:]).max()) < _SHIFT_TOLERANCE_PX or math.hypot(*shift) > _SHIFT_MAX_PX:
             break
-        still = _make_blocks(_shift_image(reference, shift), block)
+        still = _make_blocks(_shift_image(reference, shift) * np.float32(exposure), block)
     agrees = _compute_agreement_grey(residual)  # texture that has moved looks like noise before
     alike, agree = (float((a < agrees).mean()) for a in (change, np.abs(residual).max(axis=2)))
     own = solution[:12].reshape(3, 4)
@@ -158,9 +165,23 @@ def fit_drift(image: Image, reference: Image) -> tuple[Drift | None, bool]:
     share = _step(agree - alike, _AGREEMENT_GAIN)
     if not small or math.hypot(*shift) > _SHIFT_MAX_PX or agree < _AGREEMENT_MIN or share == 0.0:
         return None, foreign
+    gain = 1.0 + share * (exposure * (1.0 + own[:, 0]) - 1.0)
     own, shift = share * own, share * shift
-    return Drift(gain=1.0 + own[:, 0], offset_grey=own[:, 1], ramp_grey=own[:, 2:],
+    return Drift(gain=gain, offset_grey=own[:, 1], ramp_grey=own[:, 2:],
                  shift_px=(float(shift[0]), float(shift[1]))), False  # fmt: skip
+
+
+def _estimate_exposure(now: Floats, still: Floats) -> float:
+    """The gain that all colours of most blocks (n, 3) share, where it is larger than a drift; else 1."""
+    low, high = _EXPOSURE_GREY
+    usable = (still > low) & (now < high)
+    if not usable.any():
+        return 1.0
+    ratio = now[usable] / still[usable]
+    gain = float(np.median(ratio))
+    if abs(gain - 1.0) < _EXPOSURE_MIN or not 1.0 / _EXPOSURE_MAX < gain < _EXPOSURE_MAX:
+        return 1.0
+    return gain if float((np.abs(ratio / gain - 1.0) < _EXPOSURE_TOLERANCE).mean()) >= _EXPOSURE_SHARE else 1.0
 
 
 def _step(value: float, limits: tuple[float, float]) -> float:
@@ -184,7 +205,10 @@ def _estimate_noise(change: Floats | Doubles) -> float:
 
 
 def apply_drift(reference: Image, drift: Drift) -> Floats:
-    """The reference (rows, cols, 3) with the drift applied; grey levels may lie outside 0 to 255."""
+    """The reference (rows, cols, 3) with the drift applied; grey levels may lie outside 0 to 255.
+
+    Where a longer exposure than the reference's has clipped the image, the reference is clipped as well.
+    """
     rows, cols = reference.shape[:2]
     small = math.hypot(*drift.shift_px) < _SHIFT_MIN_PX
     moved = reference.astype(np.float32) if small else _shift_image(reference, np.array(drift.shift_px))
@@ -193,7 +217,7 @@ def apply_drift(reference: Image, drift: Drift) -> Floats:
     moved *= gain
     moved += (offset + along_x[:, None] * ramp[:, 0])[None]
     moved += (along_y[:, None] * ramp[:, 1])[:, None]
-    return moved
+    return np.minimum(moved, np.float32(255.0)) if float(drift.gain.min()) > 1.0 + _EXPOSURE_MIN else moved
 
 
 def compute_block_means(picture: Image | Floats, block: int) -> Floats:

@@ -59,8 +59,8 @@ def test_a_digit_image_on_its_side_is_rotated_as_by_its_driver(tmp_path: Path):
 
 
 def test_the_full_image_of_a_mini_is_cropped_as_by_its_driver(tmp_path: Path):
-    whole = np.full((2464, 3280, 3), 250, np.uint8)
-    whole[352:2112, 469:2811] = 90
+    whole = np.full((2464, 3280, 3), (250, 240, 230), np.uint8)
+    whole[352:2112, 469:2811] = (90, 60, 30)
     save(tmp_path / "press.png", whole)
     recording = open_recording(tmp_path)
     image = recording.streams[0].frame(0).image
