@@ -18,7 +18,7 @@ Name = Annotated[str, Meta(max_length=1000, pattern=NO_NUL)]
 FileName = Annotated[str, Meta(max_length=4096, pattern=NO_NUL)]
 Note = Annotated[str, Meta(max_length=10_000)]
 Number = Annotated[float, Meta(ge=-1e12, le=1e12)]  # finite
-Plain = bool | int | Number | Note  # value of a parameter
+Plain = bool | Annotated[int, Meta(ge=-(2**53), le=2**53)] | Number | Note  # value of a parameter
 _MOST_LETTERS = 120  # of a wrong value or key in a sentence
 _WORDS = {
     "object": "a table", "array": "a list", "str": "a text", "int": "a whole number", "float": "a number",

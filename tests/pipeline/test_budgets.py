@@ -37,8 +37,8 @@ def test_an_image_of_30000_a_side_is_refused_by_its_head(tmp_path, capfd):
 def test_arrays_that_unfold_are_refused_by_their_table_of_contents(tmp_path, monkeypatch):
     np.savez_compressed(tmp_path / "a.npz", a=np.zeros(100_000))
     assert (tmp_path / "a.npz").stat().st_size < 2000
-    monkeypatch.setattr(files, "_MOST_ARRAY_BYTES", 100_000)
-    with pytest.raises(FileProblem, match="unfold to 8e"):
+    monkeypatch.setattr(files.require_budget, "__kwdefaults__", {"field": None, "most": 100_000})
+    with pytest.raises(FileProblem, match="the arrays would take"):
         files.read_arrays(tmp_path / "a.npz", "the arrays")
 
 
