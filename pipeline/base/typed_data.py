@@ -45,7 +45,7 @@ def check(data: object, kind: type[T], within: str = "") -> T:
     except msgspec.ValidationError as error:
         text, _, place = str(error).partition(" - at `")
         missing = text.partition("missing required field `")[2]
-        inner = place.rstrip("`").removeprefix("key in `").removeprefix("$").removeprefix(".")
+        inner = place.rstrip("`").removeprefix("key` in `").removeprefix("$").removeprefix(".")
         field = ".".join(filter(None, (within, inner, missing.rstrip("`")))).replace(".[", "[")
         raise InvalidField(field, "it is missing" if missing else _describe(text)) from error
 
