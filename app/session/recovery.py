@@ -23,7 +23,8 @@ class RecoverableSession:
     """The autosaved session of a window that did not close normally."""
 
     path: Path
-    session: Session
+    session: Session | None  # None where this version cannot read it
+    problem: str = ""  # why it cannot
     age_s: float
 
 
@@ -57,14 +58,21 @@ class RecoveryFile:
 
 
 def find_recoverable_sessions(folder: Path, catalogue: Catalogue = BUILT_IN) -> tuple[RecoverableSession, ...]:
-    """List the sessions that no running window holds, newest first; unreadable files are left out."""
+    """List the sessions that no running window holds, newest first, with those that cannot be read."""
     sessions: list[RecoverableSession] = []
     for path in folder.glob(f"session-*{SESSION_SUFFIX}"):
-        with contextlib.suppress(OSError, TouchError):
+        with contextlib.suppress(OSError):
             if not _is_locked(_get_lock_path(path)):
                 age_s = time.time() - path.stat().st_mtime
-                sessions.append(RecoverableSession(path=path, session=load_session(path, catalogue), age_s=age_s))
+                sessions.append(_load(path, catalogue, age_s))
     return tuple(sorted(sessions, key=lambda recoverable: recoverable.age_s))
+
+
+def _load(path: Path, catalogue: Catalogue, age_s: float) -> RecoverableSession:
+    try:
+        return RecoverableSession(path=path, session=load_session(path, catalogue), age_s=age_s)
+    except TouchError as error:
+        return RecoverableSession(path=path, session=None, problem=str(error), age_s=age_s)
 
 
 def discard_session(recoverable: RecoverableSession) -> None:

@@ -29,6 +29,7 @@ AUTO_FRAME = -1  # frame number that stands for the first frame with contact, de
 _VERSION = 3  # of the session file
 _N_CAMERA = 10  # numbers of a 3D view: position (3), focal point (3), view-up (3), view angle
 _SectionMm = Annotated[float, Meta(ge=-1000.0, le=1000.0)]  # of the section line's ends; beyond any sensor
+_Number = Annotated[int, Meta(ge=0, le=2**31 - 1)]  # of a frame or tick; what Qt counts with
 PATH_FIELDS = ("recording", "reference", "calibration", "mesh", "alignment")
 _TEXT_FIELDS = ("source", "target", "stream", "route", "mesh_unit")
 _PLAIN_FIELDS = (
@@ -137,7 +138,7 @@ def _plain(session: Session, folder: Path) -> dict[str, Any]:
 class _SessionFile(msgspec.Struct, kw_only=True):
     """A session file; what has a default may be left out."""
 
-    frame: Annotated[int, Meta(ge=0)]
+    frame: _Number
     cameras_linked: bool
     source: Name
     target: Name
@@ -155,12 +156,12 @@ class _SessionFile(msgspec.Struct, kw_only=True):
     methods: dict[Name, Name] = {}
     weights: dict[Name, FileName] = {}
     params: dict[Name, dict[Name, Plain]] = {}
-    notes: dict[Annotated[int, Meta(ge=0)], Note] = {}
+    notes: dict[_Number, Note] = {}
     comparison: ComparisonSettings = msgspec.field(default_factory=ComparisonSettings)
     variant: dict[str, object] | None = None
     cameras: dict[Name, Annotated[tuple[Number, ...], Meta(min_length=_N_CAMERA, max_length=_N_CAMERA)]] = {}
     section: tuple[_SectionMm, _SectionMm, _SectionMm, _SectionMm] | None = None
-    tick: Annotated[int, Meta(ge=0)] = 0
+    tick: _Number = 0
 
 
 def load_session(path: Path, catalogue: Catalogue = BUILT_IN) -> Session:

@@ -130,8 +130,11 @@ class AutosaveController(QObject):
             self._controller.save_session(path)
 
     def _offer(self, recoverable: RecoverableSession) -> None:
+        session = recoverable.session
+
         def recover() -> None:
-            self._controller.restore_session(recoverable.session, "recover session")
+            assert session is not None
+            self._controller.restore_session(session, "recover session")
             recovery.discard_session(recoverable)
             self.autosave_now()
 
@@ -139,10 +142,14 @@ class AutosaveController(QObject):
             recovery.discard_session(recoverable)
             self.offer_recovery()
 
-        recording = recoverable.session.recording
-        of = "" if recording is None else f" of '{escape_text(recording.name)}'"
+        since = f"A window did not close normally {_format_age(recoverable.age_s)}."
+        if session is None:
+            text = f"{since} Its session cannot be recovered: {recoverable.problem}"
+            self.notification.show_notification(text, (("Discard", discard),), stays=True)
+            return
+        of = "" if session.recording is None else f" of '{escape_text(session.recording.name)}'"
         self.notification.show_notification(
-            f"A window did not close normally {_format_age(recoverable.age_s)}. Its session{of} can be recovered.",
+            f"{since} Its session{of} can be recovered.",
             (("Recover", recover), ("Discard", discard)),
             stays=True,
         )

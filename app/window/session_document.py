@@ -1,5 +1,6 @@
 """The session as a document: changing it, undoing, opening files and saving."""
 
+import os
 from abc import abstractmethod
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
@@ -166,7 +167,7 @@ class SessionDocument(QObject):
     def save_session(self, path: Path) -> None:
         """Write the session file; refused where another window or program has changed it meanwhile."""
         with self._problems_in_banner():
-            if path == self.session_file and compute_fingerprint(path) not in (self._file_fingerprint, ""):
+            if self._is_session_file(path) and compute_fingerprint(path) not in (self._file_fingerprint, ""):
                 raise FileProblem(
                     "another window has saved this session meanwhile; save yours under another name, or open it again",
                     path,
@@ -177,6 +178,10 @@ class SessionDocument(QObject):
             self.undo_stack.setClean()
             self.window.setWindowModified(False)
             log.info("session saved: '%s'", path)
+
+    def _is_session_file(self, path: Path) -> bool:
+        """Whether a path is that of the open session's file, by whatever spelling."""
+        return self.session_file is not None and os.path.realpath(path) == os.path.realpath(self.session_file)
 
     def save_screenshot(self, path: Path) -> None:
         """Write an image of the window."""

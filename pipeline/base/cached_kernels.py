@@ -9,7 +9,7 @@ from typing import Any
 
 from numba import njit
 from numba.core import config, event
-from numba.core.caching import FunctionCache
+from numba.core.caching import CompileResultCacheImpl, FunctionCache, UserProvidedCacheLocator
 from numba.core.runtime.nrt import rtsys
 
 from pipeline.base import compiling
@@ -23,8 +23,22 @@ inline_kernel: Any = partial(njit, inline="always")  # becomes part of its calle
 inner_kernel: Any = partial(njit, no_cfunc_wrapper=True, no_cpython_wrapper=True, error_model="numpy")  # type: ignore[reportCallIssue]
 
 
+class _ModuleLocator(UserProvidedCacheLocator):
+    """Names the folder of a kernel's files by its module, not by the path of the checkout."""
+
+    def __init__(self, py_func, py_file):
+        super().__init__(py_func, py_file)
+        self._cache_path = os.path.join(config.CACHE_DIR, py_func.__module__)  # noqa: PTH118 - a text, as numba's own
+
+
+class _ModuleCacheImpl(CompileResultCacheImpl):
+    _locator_classes = [_ModuleLocator]  # noqa: RUF012 - numba's own attribute
+
+
 class _TolerantCache(FunctionCache):
     """Numba's cache of one kernel. A file that is damaged or cannot be written costs a compilation, not an error."""
+
+    _impl_class = _ModuleCacheImpl
 
     def load_overload(self, sig, target_context):
         # Numba's own method first imports what only compiling needs: its numpy and scipy implementations.

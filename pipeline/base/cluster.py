@@ -4,7 +4,9 @@ A task is a module's function and plain values, so a worker needs the project in
 If a worker dies, its unfinished tasks go to another one.
 """
 
+import contextlib
 import logging
+import socket
 import time
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import Executor
@@ -12,6 +14,7 @@ from contextlib import contextmanager
 from functools import partial
 from queue import Empty, Queue
 from typing import Any, TypeVar
+from urllib.parse import urlsplit
 
 from pipeline.base.errors import NotConverged, SettingProblem
 from pipeline.base.progress import SILENT, Progress
@@ -19,6 +22,7 @@ from pipeline.base.progress import SILENT, Progress
 R = TypeVar("R")
 CONNECT_S = 10.0
 NO_WORKER_S = 15.0  # without any worker, also at the start, until the work is given up
+_MAX_GREETING_BYTES = 1 << 20  # of what a scheduler says first; it has some hundred
 _POLL_S = 1.0  # between looks at the workers while nothing is finished
 
 
@@ -89,6 +93,24 @@ def _describe_count(n_done: int, n_pieces: int) -> str:
     return f"{n_done} of {n_pieces} done elsewhere"
 
 
+def _require_scheduler(address: str) -> None:
+    """Raise SettingProblem where no scheduler greets: the client of another server would try for minutes.
+
+    Both sides begin with a message, whose first 8 bytes are its length.
+    """
+    greeting = b""
+    with contextlib.suppress(OSError, ValueError):  # no such address, name or server
+        parts = urlsplit(address if "://" in address else f"tcp://{address}")
+        if parts.scheme == "tcp" and parts.hostname and parts.port:
+            with socket.create_connection((parts.hostname, parts.port), timeout=CONNECT_S) as connection:
+                greeting = connection.recv(8, socket.MSG_WAITALL)
+    if len(greeting) < 8 or not 0 < int.from_bytes(greeting, "little") <= _MAX_GREETING_BYTES:
+        raise SettingProblem(
+            f"no scheduler answers at {address!r}; give an address such as tcp://192.168.0.2:8786, and start one there "
+            "with `dask scheduler`"
+        )
+
+
 @contextmanager
 def connect_cluster(address: str) -> Generator[ClusterPool, None, None]:
     """Connect to the scheduler at `address`, such as `tcp://host:8786`; raises SettingProblem if there is none."""
@@ -96,6 +118,7 @@ def connect_cluster(address: str) -> Generator[ClusterPool, None, None]:
         from distributed import Client
     except ImportError as error:
         raise SettingProblem("--scheduler needs Dask: install it with `pip install 'tactoscope[cluster]'`") from error
+    _require_scheduler(address)
     logging.getLogger("distributed").setLevel(logging.ERROR)  # a dead worker is no news: its work goes on
     try:
         client = Client(address, timeout=CONNECT_S, set_as_default=False)

@@ -1,14 +1,17 @@
 """Where compiled kernels are cached, and how long compiling has held up a thread. Does not import numba.
 
 Numba alone would load a cached kernel that calls a kernel of another module as it was before that module changed.
-The cache folder is therefore named by a digest of all kernel sources and of the versions that compile them.
+The cache folder is therefore named by a digest of all kernel sources and of the versions that compile them, and of no
+path: all clones of the same sources share it. What it holds is run, so that it must belong to this user alone.
 """
 
 import contextlib
 import hashlib
 import importlib.metadata
+import logging
 import os
 import shutil
+import stat
 import sys
 import tempfile
 import threading
@@ -19,6 +22,7 @@ from pathlib import Path
 
 from pipeline.base.user_folders import find_user_folder
 
+log = logging.getLogger("tactoscope")
 _PACKAGE_FOLDER = Path(__file__).parents[1]
 _MAX_FOLDERS = 16  # caches of other sources that are kept, the last used; 3 MB each
 
@@ -97,28 +101,53 @@ def end_kernel(seconds: float) -> None:
 def kernel_folder() -> Path:
     """Return the folder of compiled kernels: in NUMBA_CACHE_DIR if set, else in the user's cache.
 
-    Where neither can be written, a temporary folder of this process is used.
+    Where neither can be written, or others could write into it, a temporary folder of this process is used.
     """
     given = os.environ.get("NUMBA_CACHE_DIR")
-    root = Path(given) if given else find_user_folder("cache")
-    folder = root / "kernels" / digest_sources()
-    with contextlib.suppress(OSError):
-        is_new = not folder.is_dir()
-        folder.mkdir(parents=True, exist_ok=True)
-        if os.access(folder, os.W_OK):
-            os.utime(folder)  # last use
-            if is_new:
-                _remove_old_folders(folder)
-            return folder
+    for root in (*([Path(given)] if given else []), find_user_folder("cache")):
+        with contextlib.suppress(OSError, ValueError):
+            folder = _prepare_folder(root / "kernels")
+            if folder is not None:
+                return folder
     return Path(_temporary_folder().name)
+
+
+def _prepare_folder(kernels: Path) -> Path | None:
+    """The folder of these sources within that of all kernels; None where it cannot be used. Raises OSError."""
+    folder = kernels / digest_sources()
+    is_new = not folder.is_dir()
+    kernels.parent.mkdir(parents=True, exist_ok=True)
+    for place in (kernels, folder):
+        place.mkdir(mode=0o700, exist_ok=True)
+        if not _is_private(place):
+            log.warning("compiled kernels are not taken from a folder that others own or may write: '%s'", place)
+            return None
+    if not os.access(folder, os.W_OK):
+        return None
+    os.utime(folder)  # last use
+    if is_new:
+        _remove_old_folders(folder)
+    return folder
+
+
+def _is_private(folder: Path) -> bool:
+    """Whether a folder, not a link to one, belongs to this user, and no other one may write into it."""
+    found = folder.lstat()
+    is_own = stat.S_ISDIR(found.st_mode) and found.st_uid == os.geteuid()
+    if is_own and folder.name == "kernels":  # earlier versions left it as the user's mask says; it holds folders alone
+        folder.chmod(0o700)
+        return True
+    return is_own and not found.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
 
 
 @cache
 def digest_sources() -> str:
-    """Return a digest of all kernel sources and of the versions of Python and numba."""
-    whole = hashlib.sha256(f"{sys.version} {importlib.metadata.version('numba')} {_PACKAGE_FOLDER}".encode())
+    """Return a digest of the names and contents of all kernel sources, and of the versions that compile them."""
+    versions = [importlib.metadata.version(name) for name in ("numba", "llvmlite", "numpy")]
+    whole = hashlib.sha256(f"{sys.version} {versions}".encode())
     for path in sorted(_PACKAGE_FOLDER.rglob("*_kernels.py")):
-        whole.update(path.read_bytes())
+        content = path.read_bytes()
+        whole.update(f"{path.relative_to(_PACKAGE_FOLDER)} {len(content)} ".encode() + content)
     return whole.hexdigest()[:16]
 
 

@@ -26,10 +26,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.errors import FileProblem
+from pipeline.base.read_budget import require_budget
 
 MOST_BYTES = 2 << 30  # of one image or mesh
 MOST_TEXT_BYTES = 16 << 20  # of a description, an alignment or a session, which are a few kB
-_MOST_ARRAY_BYTES = 1 << 30  # of all arrays of an .npz, which is read as a whole
 _POINTER_START = b"version https://git-lfs"
 _TOML_FILES = {  # a key that only such a file has -> what reads it, and what a user does with it
     "alignment_from_source": ("the alignment", "an alignment, to be given as --alignment or dropped on the window"),
@@ -283,8 +283,7 @@ def read_arrays(path: Path, what: str) -> dict[str, NDArray[Any]]:
                 return {path.stem: np.load(path, allow_pickle=False, mmap_mode="r")}
             with zipfile.ZipFile(file) as archive:
                 n_bytes = sum(entry.file_size for entry in archive.infolist())
-            if n_bytes > _MOST_ARRAY_BYTES:
-                raise FileProblem(f"cannot read {what} (its arrays unfold to {n_bytes:.3g} bytes)", path)
+            require_budget(n_bytes, what, path)
             file.seek(0)
             opened: Any = np.load(file, allow_pickle=False)
             return {key: opened[key] for key in opened.files}

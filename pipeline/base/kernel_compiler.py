@@ -8,10 +8,12 @@ import contextlib
 import importlib
 import os
 import pickle
+import select
 import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Generator
 from typing import BinaryIO, cast
 
@@ -20,6 +22,8 @@ from pipeline.base import compiling
 _IDLE_S = 10.0  # without a request, after which the process ends
 _SERVE = "from pipeline.base.kernel_compiler import serve; serve()"
 _STOP_S = 2.0
+_ANSWER_S = 300.0  # in which a kernel is compiled, on the slowest machine
+_POLL_S = 1.0  # between looks at a process that has not answered yet
 
 
 def compile_in_own_process() -> None:
@@ -59,6 +63,17 @@ def _end_when_idle() -> Generator[None]:
         timer.cancel()
 
 
+def _wait_for_answer(process: subprocess.Popen[bytes]) -> bool:
+    """Whether the process answers or ends; False where it is stopped, as by a debugger, or takes too long."""
+    until_s = time.monotonic() + _ANSWER_S
+    while time.monotonic() < until_s:
+        if select.select([process.stdout], [], [], _POLL_S)[0]:
+            return True
+        if os.waitid(os.P_PID, process.pid, os.WSTOPPED | os.WNOHANG | os.WNOWAIT):
+            return False
+    return False
+
+
 class _CompilerProcess:
     """Starts the process when it is needed; called by one thread at a time, under the compiler's lock."""
 
@@ -74,8 +89,11 @@ class _CompilerProcess:
                 asked, replies = cast("BinaryIO", process.stdin), cast("BinaryIO", process.stdout)
                 asked.write(request)
                 asked.flush()
+                if not _wait_for_answer(process):
+                    break
                 return pickle.load(replies) == ""  # noqa: S301 - from the process that this one started
             self.stop()
+        self.stop()
         return False
 
     def stop(self) -> None:

@@ -18,7 +18,7 @@ Name = Annotated[str, Meta(max_length=1000, pattern=NO_NUL)]
 FileName = Annotated[str, Meta(max_length=4096, pattern=NO_NUL)]
 Note = Annotated[str, Meta(max_length=10_000)]
 Number = Annotated[float, Meta(ge=-1e12, le=1e12)]  # finite
-Plain = bool | int | Number | Note  # value of a parameter
+Plain = bool | Annotated[int, Meta(ge=-(2**53), le=2**53)] | Number | Note  # value of a parameter
 _MOST_LETTERS = 120  # of a wrong value or key in a sentence
 _WORDS = {
     "object": "a table", "array": "a list", "str": "a text", "int": "a whole number", "float": "a number",
@@ -45,7 +45,7 @@ def check(data: object, kind: type[T], within: str = "") -> T:
     except msgspec.ValidationError as error:
         text, _, place = str(error).partition(" - at `")
         missing = text.partition("missing required field `")[2]
-        inner = place.rstrip("`").removeprefix("key in `").removeprefix("$").removeprefix(".")
+        inner = place.rstrip("`").removeprefix("key` in `").removeprefix("$").removeprefix(".")
         field = ".".join(filter(None, (within, inner, missing.rstrip("`")))).replace(".[", "[")
         raise InvalidField(field, "it is missing" if missing else _describe(text)) from error
 

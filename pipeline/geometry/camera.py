@@ -14,6 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 from pipeline.base.arrays import Doubles, Mask
 from pipeline.base.errors import CalibrationError
 
+WIDEST_VIEW = 10.0  # image side over focal length, 157 degrees; a lens's focal length in mm exceeds it
+MOST_FOCAL_PX = 1e5  # a pixel covers 0.01 mm at a metre
+MOST_OFFSET = 4.0  # image sides from the middle of a cropped image to the optical axis
 MIN_DEPTH_MM = 1e-3  # points nearer to the lens plane have no image
 _SHORTEST_PX, _FARTHEST_PX = (
     1e-3,
@@ -107,4 +110,12 @@ def make_camera(k: ArrayLike, rows: int, cols: int, what: str = "the camera matr
     m = m / m[2, 2]
     if abs(m[0, 1]) > 1e-6 * abs(m[0, 0]) or np.abs(m[[1, 2, 2], [0, 0, 1]]).max() > 0:
         raise CalibrationError(f"{what} must be upper triangular without skew, got {m.tolist()}")
-    return Camera(rows=rows, cols=cols, fx_px=m[0, 0], fy_px=m[1, 1], cx_px=m[0, 2], cy_px=m[1, 2])
+    camera = Camera(rows=rows, cols=cols, fx_px=m[0, 0], fy_px=m[1, 1], cx_px=m[0, 2], cy_px=m[1, 2])
+    least_px, sides_px = max(rows, cols) / WIDEST_VIEW, np.array([cols, rows])
+    is_lens = least_px <= min(camera.fx_px, camera.fy_px) and max(camera.fx_px, camera.fy_px) <= MOST_FOCAL_PX
+    if not is_lens or (np.abs(m[:2, 2] - sides_px / 2) > MOST_OFFSET * sides_px).any():
+        raise CalibrationError(
+            f"{what} cannot be that of an image of {cols} x {rows} px: focal lengths lie within {least_px:.3g} and "
+            f"{MOST_FOCAL_PX:.0e} px and the axis near the image, got {m[:2].tolist()}; check its unit and order"
+        )
+    return camera

@@ -4,15 +4,21 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import importlib.metadata
 import inspect
 import warnings
 from collections.abc import Container, Generator, Mapping
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from pipeline.base.arrays import Floats
 from pipeline.base.errors import ModelMissing
 from pipeline.base.memo import Memo
 from pipeline.base.params import Value
+from pipeline.engine import disk_store
 from pipeline.networks.first_pass import FirstPassPredictor
 from pipeline.networks.onnx_predictor import OnnxPredictor, export_onnx
 from pipeline.networks.weights import NoWeights, Weights
@@ -103,9 +109,26 @@ def _load_predictor(weights: Weights) -> OnnxPredictor | FirstPassPredictor:
     try:
         if weights.kind == _RESIDUAL:
             return FirstPassPredictor(weights, load_network)
-        return OnnxPredictor(weights.read_onnx() or export_weights(weights), fold=int(weights.config.get("fold", 2)))
+        return OnnxPredictor(weights.read_onnx() or _export_once(weights), fold=int(weights.config.get("fold", 2)))
     except ValueError as error:
         raise ModelMissing(f"the weights {weights.name!r} cannot be run: {error}") from error
+
+
+@dataclass(frozen=True, slots=True)
+class _ExportedNetwork:
+    content: NDArray[np.uint8]  # of its ONNX file
+
+
+def _export_once(weights: Weights) -> bytes:
+    """An ONNX file of weights that come without one, made once and kept in the user's cache: torch takes seconds."""
+    made_of = weights.content_digest, importlib.metadata.version("torch")
+    code = "pipeline.networks.onnx_predictor", *(path.partition(":")[0] for path in NETWORK_CLASSES.values())
+
+    def export() -> _ExportedNetwork:
+        return _ExportedNetwork(np.frombuffer(export_weights(weights), np.uint8))
+
+    exported = disk_store.load_or_make(_ExportedNetwork, made_of, code, export, "onnx")
+    return exported.content.tobytes()
 
 
 def use_channels_last(net: nn.Module) -> nn.Module:

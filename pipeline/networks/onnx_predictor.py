@@ -13,6 +13,7 @@ import numpy as np
 from pipeline.base.arrays import Floats
 
 _OPSET = 17  # ONNX operators that OpenCV 5 reads
+_MAX_FOLD = 1024
 _EXAMPLE_SIZE = 96, 128  # (rows, cols) of the example that is traced where the exported file serves any size
 
 
@@ -26,6 +27,8 @@ class OnnxPredictor:
         """
         import cv2
 
+        if not 1 <= fold <= _MAX_FOLD:
+            raise ValueError(f"their fold is {fold}")
         if b"location" in content:  # key of ONNX's external data
             raise ValueError("their ONNX graph names other files")
         try:

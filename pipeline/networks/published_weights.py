@@ -24,7 +24,7 @@ import numpy as np
 from pipeline.base.errors import FileProblem
 from pipeline.base.files import read_toml
 from pipeline.base.params import Value
-from pipeline.networks.tensor_files import read_tensors
+from pipeline.networks.tensor_files import read_tensors, select_all
 from pipeline.networks.weights import Weights, is_safetensors, is_tactoscope_file, load_tensors, load_weights
 
 DEPTH_ANYTHING, LATENT, U_NET, VQVAE = "depth_anything", "latent", "unet", "vqvae"  # kinds of networks; and tasks
@@ -67,10 +67,8 @@ def _or_own(kind: str) -> Callable[[ReadWeights], ReadWeights]:
 @_or_own(DEPTH_ANYTHING)
 def read_depth_anything(path: Path) -> Weights:
     """Read weights of Depth Anything V2; raises FileProblem for any other file."""
-    table = read_tensors(path)
+    table = read_tensors(path, lambda names: _select_depth_anything(names, path))
     tensors = table.tensors
-    if not {_TOKEN, _FEATURES, _LAST_DEPTH} <= tensors.keys():
-        raise FileProblem("not Depth Anything V2 weights: tensors pretrained.* and depth_head.* are missing", path)
     width = tensors[_TOKEN].shape[-1]
     if width not in _ENCODERS:
         raise FileProblem(f"unknown encoder of width {width}; supported are vits, vitb and vitl", path)
@@ -83,6 +81,12 @@ def read_depth_anything(path: Path) -> Weights:
         tensors = {name: tensor for name, tensor in tensors.items() if not name.startswith("mask_head.")}
     card = {"task": DEPTH_ANYTHING, "file": path.name}
     return Weights(name=path.stem, kind=DEPTH_ANYTHING, config=config, tensors=tensors, card=card)
+
+
+def _select_depth_anything(names: Collection[str], path: Path) -> Mapping[str, str]:
+    if not {_TOKEN, _FEATURES, _LAST_DEPTH} <= set(names):
+        raise FileProblem("not Depth Anything V2 weights: tensors pretrained.* and depth_head.* are missing", path)
+    return select_all(names)
 
 
 @_or_own(LATENT)
@@ -147,11 +151,7 @@ def _select_unet(names: Collection[str], path: Path) -> dict[str, str]:
 @_or_own(VQVAE)
 def read_vqvae(path: Path) -> Weights:
     """Read a state of the released VQ-VAE; raises FileProblem for any other file."""
-    tensors = read_tensors(path).tensors
-    if not {_ENCODER, _DECODER, _CODES} <= tensors.keys():
-        raise FileProblem(
-            f"not VQ-VAE weights under their original names: {_ENCODER}, {_CODES} or {_DECODER} is missing", path
-        )
+    tensors = read_tensors(path, lambda names: _select_vqvae(names, path)).tensors
     codes, width = tensors[_CODES].shape
     config: dict[str, Value] = {
         "inputs": tensors[_ENCODER].shape[1], "outputs": tensors[_DECODER].shape[1], "width": width, "codes": codes,
@@ -159,6 +159,14 @@ def read_vqvae(path: Path) -> Weights:
     }  # fmt: skip
     card = {"task": VQVAE, "file": path.name}
     return Weights(name=path.stem, kind=VQVAE, config=config, tensors=tensors, card=card)
+
+
+def _select_vqvae(names: Collection[str], path: Path) -> Mapping[str, str]:
+    if not {_ENCODER, _DECODER, _CODES} <= set(names):
+        raise FileProblem(
+            f"not VQ-VAE weights under their original names: {_ENCODER}, {_CODES} or {_DECODER} is missing", path
+        )
+    return select_all(names)
 
 
 READERS: Mapping[str, ReadWeights] = {

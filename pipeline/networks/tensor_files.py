@@ -1,6 +1,5 @@
 """Reads tensors of foreign files, safetensors or torch's, without executing code."""
 
-import io
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
@@ -13,12 +12,14 @@ from numpy.typing import NDArray
 
 from pipeline.base.arrays import Floats
 from pipeline.base.errors import FileProblem
-from pipeline.base.files import read_bytes
 from pipeline.base.progress import report_reading
-from pipeline.base.torch_archive import SIGNATURE, StoredTensor, TorchArchive, open_torch_archive
-from pipeline.networks.weights import is_safetensors, load_tensors, read_head
+from pipeline.base.read_budget import MOST_NETWORK_BYTES, require_budget
+from pipeline.base.torch_archive import StoredTensor, TorchArchive, open_torch_archive
+from pipeline.networks.weights import is_safetensors, load_tensors
 
 _SHARED_BY = 0.9  # share of the names; the largest part of a network that is read, an encoder, holds 0.83
+_MOST_TENSOR_BYTES = 1 << 28  # of one tensor; the largest of a latent diffusion takes 0.12 GB
+_MAX_PREFIXES = 8  # such as `module.model.` of wrappers within each other
 _MAX_NESTING = 3  # levels of a training checkpoint that are searched for the table of tensors
 Selection = Callable[[Collection[str]], Mapping[str, str]]  # names in the file -> name wanted: name in the file
 
@@ -44,9 +45,6 @@ def read_tensors(path: Path, select: Selection = select_all) -> TensorTable:
     """
     if is_safetensors(path):
         return _take(_drop_prefix(load_tensors(path)[1]), select, frozenset(), path)
-    if not read_head(path).startswith(SIGNATURE):
-        table, others = _find_table(_read_legacy_file(path), path)
-        return _take({name: np.asarray(t.float().numpy()) for name, t in table.items()}, select, others, path)
     with open_torch_archive(path) as archive:
         table, others = _find_table(archive.content, path)
         return TensorTable(tensors=_read_selected(archive, table, select(table.keys())), other_keys=others)
@@ -56,6 +54,9 @@ def _read_selected(
     archive: TorchArchive, table: Mapping[str, StoredTensor], wanted: Mapping[str, str]
 ) -> dict[str, Floats]:
     total, done = sum(table[stored].n_stored for stored in wanted.values()), 0
+    require_budget(4 * total, "the weights", archive.path, most=MOST_NETWORK_BYTES)
+    for stored in wanted.values():
+        require_budget(4 * table[stored].n_stored, f"the tensor {stored!r}", archive.path, most=_MOST_TENSOR_BYTES)
     tensors: dict[str, Floats] = {}
     for name, stored in wanted.items():
         tensors[name] = _convert(archive.read(table[stored]), archive.path)
@@ -74,23 +75,27 @@ def _find_table(content: Any, path: Path) -> tuple[dict[str, Any], frozenset[str
 
     The table is the mapping with most tensors, the first of several: averages and the optimiser's state follow it.
     """
-    tables = list(_list_tables(content, frozenset(), _MAX_NESTING))
+    tables = list(_list_tables(content, (), set()))
     if not tables:
         raise FileProblem("the weights are not a table of named tensors; save the network's state_dict", path)
-    table, others = max(tables, key=lambda found: len(found[0]))
-    return _drop_prefix(table), others
+    table, above = max(tables, key=lambda found: len(found[0]))
+    return _drop_prefix(table), frozenset(str(key) for outer, inner in above for key in outer if key != inner)
 
 
-def _list_tables(content: Any, others: frozenset[str], levels: int) -> Iterator[tuple[dict[str, Any], frozenset[str]]]:
-    """Mappings that hold tensors under names, outer ones first, each with the keys next to it."""
-    if not isinstance(content, Mapping) or not levels:
+_Place = tuple[tuple[Mapping[Any, Any], Any], ...]  # mappings around a table, each with the key of the next one
+
+
+def _list_tables(content: Any, above: _Place, seen: set[int]) -> Iterator[tuple[dict[str, Any], _Place]]:
+    """Mappings that hold tensors under names, outer ones first, each once, with those around it."""
+    if not isinstance(content, Mapping) or len(above) == _MAX_NESTING or id(content) in seen:
         return
+    seen.add(id(content))
     named = cast("Mapping[Any, Any]", content)
     table = {name: tensor for name, tensor in named.items() if isinstance(name, str) and hasattr(tensor, "shape")}
     if table:
-        yield table, others
+        yield table, above
     for key, value in named.items():
-        yield from _list_tables(value, others | {str(other) for other in named if other != key}, levels - 1)
+        yield from _list_tables(value, (*above, (named, key)), seen)
 
 
 def _drop_prefix(table: dict[str, Any]) -> dict[str, Any]:
@@ -98,12 +103,13 @@ def _drop_prefix(table: dict[str, Any]) -> dict[str, Any]:
 
     The few others are those of a wrapper: a counter of averages, a metric, a weighted loss.
     """
-    while True:
+    for _ in range(_MAX_PREFIXES):
         firsts = Counter(name.partition(".")[0] for name in table if "." in name)
         first, count = max(firsts.items(), key=itemgetter(1), default=("", 0))
         if len(table) < 2 or count < _SHARED_BY * len(table):
             return table
         table = {name.partition(".")[2]: tensor for name, tensor in table.items() if name.startswith(f"{first}.")}
+    return table
 
 
 def _convert(tensor: NDArray[Any], path: Path) -> Floats:
@@ -114,17 +120,3 @@ def _convert(tensor: NDArray[Any], path: Path) -> Floats:
     if values.ndim != 4:
         return np.ascontiguousarray(values).reshape(values.shape)
     return np.ascontiguousarray(values.transpose(0, 2, 3, 1)).transpose(0, 3, 1, 2)
-
-
-def _read_legacy_file(path: Path) -> Any:
-    """What torch before 1.6 saved, if it consists of tensors and plain values."""
-    import torch
-
-    try:
-        return torch.load(io.BytesIO(read_bytes(path, "the weights")), map_location="cpu", weights_only=True)
-    except FileProblem:
-        raise
-    except Exception as error:  # torch's errors for damaged files have no common base
-        raise FileProblem(
-            "cannot read the weights: the file is truncated, damaged, of another kind, or contains code", path
-        ) from error

@@ -4,6 +4,7 @@ Loads no torch: what a method reads is known, and its cache key computed, before
 """
 
 import json
+import math
 import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -17,8 +18,9 @@ from numpy.typing import NDArray
 
 from pipeline.base.arrays import Floats, freeze
 from pipeline.base.errors import FileProblem
-from pipeline.base.files import open_atomic, read_bytes, require_file, write_text
+from pipeline.base.files import open_atomic, require_file, write_text
 from pipeline.base.params import Value
+from pipeline.base.read_budget import MOST_NETWORK_BYTES, require_budget
 from pipeline.base.torch_archive import SIGNATURE
 from pipeline.base.typed_data import Name, Plain, convert
 from pipeline.engine.digests import UNDIGESTED, compute_digest
@@ -29,6 +31,7 @@ _HEADER_KEY = "tactoscope weights"  # header key; its value is the version of th
 _VERSION = "1"
 _ONNX = "onnx"  # name of the tensor of bytes that holds the ONNX file, compressed by zlib or as it is
 _ZLIB = b"\x78"  # first byte of a zlib stream; no ONNX file begins with it
+_MAX_HEADER_BYTES = 16 << 20  # of a header; one of 2,000 tensors takes 0.2 MB
 _MAX_ONNX_BYTES = 1 << 28  # of an unpacked ONNX file; the largest that is shipped has 8 MB
 _FLOATS = {"F64": np.float64, "F32": np.float32, "F16": np.float16}
 _COUNTS = {"I64": np.int64, "I32": np.int32, "I16": np.int16, "I8": np.int8, "U8": np.uint8, "BOOL": np.bool_}
@@ -130,9 +133,9 @@ def load_weights_of_package(path: Path) -> Weights:
     """
     require_file(path, _WHAT)
     stamp = stamp_file(path)
-    weights = load_weights(path)
+    weights, has_onnx = _load(path)
     object.__setattr__(weights, "tensors", TensorsOnDisk(path, tuple(weights.tensors), stamp))
-    if weights.onnx:
+    if has_onnx:
         object.__setattr__(weights, "onnx", OnnxOnDisk(path, stamp))
     return weights
 
@@ -153,9 +156,18 @@ def _require_same(path: Path, stamp: tuple[int, int]) -> None:
 
 
 def load_weights(path: Path) -> Weights:
-    """The weights of a Tactoscope file, as float32; raises FileProblem for a missing, damaged or foreign file."""
+    """The weights of a Tactoscope file, as float32; raises FileProblem for a missing, damaged or foreign file.
+
+    Its ONNX graph is left: OpenCV runs a graph as it is, and one from a stranger could end the process, or never end.
+    The network of the tensors is exported instead.
+    """
+    return _load(path)[0]
+
+
+def _load(path: Path) -> tuple[Weights, bool]:
+    """(weights without their ONNX graph, whether the file holds one)."""
     metadata, entries = _read_entries(path)
-    onnx = _unpack_onnx(bytes(entries.pop(_ONNX)["data"]), path) if _ONNX in entries else b""
+    has_onnx = entries.pop(_ONNX, None) is not None
     tensors = _convert_entries(entries, path)
     if not is_tactoscope_file(metadata):
         raise FileProblem("these weights do not name their network; use a file written by Tactoscope", path)
@@ -164,7 +176,9 @@ def load_weights(path: Path) -> Weights:
     except (ValueError, RecursionError) as error:
         raise FileProblem(f"{_WHAT} are damaged: their header cannot be read", path) from error
     header = convert(said, _Header, _WHAT, path)
-    return Weights(name=path.stem, kind=header.kind, config=header.config, tensors=tensors, onnx=onnx, card=header.card)
+    return (
+        Weights(name=path.stem, kind=header.kind, config=header.config, tensors=tensors, card=header.card), has_onnx
+    )  # fmt: skip
 
 
 def _unpack_onnx(stored: bytes, path: Path) -> bytes:
@@ -194,18 +208,26 @@ def load_tensors(path: Path) -> tuple[dict[str, str], dict[str, Floats]]:
 
 def _read_entries(path: Path) -> tuple[dict[str, str], dict[str, Mapping[str, Any]]]:
     """Header and raw tensors of a safetensors file: name -> dtype, shape, data; raises FileProblem."""
-    from safetensors import SafetensorError, deserialize
+    from safetensors import SafetensorError, safe_open
 
     _refuse_torch_archive(path)
-    content = read_bytes(path, _WHAT)
     try:
-        entries = deserialize(content)
-        length = int.from_bytes(content[:8], "little")
-        header = cast("dict[str, Any]", json.loads(content[8 : 8 + length]))
-    except (SafetensorError, ValueError) as error:
+        length = int.from_bytes(read_head(path)[:8], "little")
+        if length > _MAX_HEADER_BYTES:
+            raise ValueError(length)
+        with safe_open(path, framework="numpy"), path.open("rb") as file:  # checks the places of all tensors
+            header = cast("dict[str, Any]", json.loads(file.read(8 + length)[8:]))
+            metadata = cast("dict[str, Any]", header.pop("__metadata__", None) or {})
+            require_budget(
+                4 * sum(math.prod(e["shape"]) for e in header.values()), _WHAT, path, most=MOST_NETWORK_BYTES
+            )
+            for entry in header.values():
+                start, end = entry["data_offsets"]
+                file.seek(8 + length + start)
+                entry["data"] = file.read(end - start)
+    except (SafetensorError, ValueError, RecursionError, OSError) as error:
         raise FileProblem(f"cannot read {_WHAT}: the file is truncated, damaged or not safetensors", path) from error
-    metadata = cast("dict[str, Any]", header.get("__metadata__") or {})
-    return {str(k): str(v) for k, v in metadata.items()}, dict(entries)
+    return {str(k): str(v) for k, v in metadata.items()}, header
 
 
 def is_safetensors(path: Path) -> bool:

@@ -1,5 +1,6 @@
 """Comparison of a reference image's colours with those of its sensor's description, as it is and after corrections."""
 
+import contextlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal, TypeVar, get_args
@@ -8,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.arrays import Doubles, Image
+from pipeline.base.errors import TouchError
 from pipeline.base.memo import Memo
 from pipeline.engine.digests import compute_cached_digest
 from pipeline.physics.optics import render_reference
@@ -101,8 +103,10 @@ def _list_other_sensors(seen: Image, name: str) -> Iterator[tuple[str, Image, Im
     import cv2
 
     for other in list_sensor_names():
-        spec = load_sensor(other)
-        if other == name or spec.optics is None:
+        spec = None
+        with contextlib.suppress(TouchError):  # the description of another package may be damaged
+            spec = load_sensor(other)
+        if other == name or spec is None or spec.optics is None:
             continue
         picture = render_reference(spec)
         for quarters, how in enumerate(

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, TypeVar
 
-from pipeline.base.entry_points import load_entry_points, load_reference
+from pipeline.base.entry_points import call_package, load_entry_points, load_reference
 from pipeline.base.errors import FileProblem
 
 if TYPE_CHECKING:
@@ -61,11 +61,17 @@ class RecordingFormat:
 
     def matches_files(self, files: RecordingFiles) -> bool:
         """Whether the content of `files` is of this format."""
-        return not self.matches or bool(load_reference(self.matches)(files))
+        return not self.matches or self._ask(self.matches, files)
 
     def matches_folder(self, folder: Path) -> bool:
         """Whether `folder` is one recording of this format."""
-        return bool(self.folder) and bool(load_reference(self.folder)(folder))
+        return bool(self.folder) and self._ask(self.folder, folder)
+
+    def _ask(self, reference: str, of: RecordingFiles | Path) -> bool:
+        """What a function says; no, where one of another package fails: it would refuse the files of other formats."""
+        if self in FORMATS:
+            return bool(load_reference(reference)(of))
+        return call_package(lambda: bool(load_reference(reference)(of)), False, f"the format {self.key!r}")
 
     def read(self, files: RecordingFiles, options: ReadOptions) -> Recording:
         """Open the recording; raises FileProblem, SettingProblem or CalibrationError."""
@@ -168,7 +174,7 @@ def register_format(recording_format: RecordingFormat) -> None:
 
 def list_formats() -> tuple[RecordingFormat, ...]:
     """Every format in the order in which it is tried: registered, of other packages, of the project."""
-    return (*_registered, *load_entry_points("tactoscope.formats"), *FORMATS)
+    return (*_registered, *load_entry_points("tactoscope.formats", RecordingFormat), *FORMATS)
 
 
 def explain_not_read(name: str, head: bytes) -> str:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from pipeline.base.errors import FileProblem, escape_text
+from pipeline.base.read_budget import require_budget
 from pipeline.recordings import hdf5_layout as layout
 
 MAX_OBJECTS = 2_000  # groups and datasets; a recording of twenty sensors has three hundred
@@ -25,7 +26,7 @@ def require_self_contained(file: Any, path: Path) -> None:
     """
     import h5py
 
-    groups, n_objects = [file], 0
+    groups, n_objects, n_bytes = [file], 0, 0
     _check_attributes(file, path)
     while groups:
         group = groups.pop()
@@ -42,6 +43,9 @@ def require_self_contained(file: Any, path: Path) -> None:
             elif isinstance(part, h5py.Dataset):
                 if part.is_virtual or part.external:
                     _refuse(f"{_name(group, key)} lies in another file, which is not opened", path, key)
+                if part.ndim < 3:  # a table, which is read as a whole and converted
+                    n_bytes += 2 * 8 * math.prod(part.shape)
+                    require_budget(n_bytes, "its tables", path, field=key)
                 if part.chunks and math.prod(part.chunks) * part.dtype.itemsize > 8 * MAX_VALUES:
                     _refuse(f"{_name(group, key)} has chunks that are too large", path, key)
 

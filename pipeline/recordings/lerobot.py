@@ -1,8 +1,10 @@
 """Cameras of a LeRobot data set (v3, and v2 of the same file kinds) as streams: videos, or images in parquet tables."""
 
 from bisect import bisect_right
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
+from itertools import islice
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -11,12 +13,18 @@ import numpy as np
 
 from pipeline.base.arrays import Image
 from pipeline.base.errors import FileProblem, StageWarning
-from pipeline.base.files import read_json
+from pipeline.base.files import read_json, require_file
 from pipeline.base.typed_data import Name, convert
 from pipeline.recordings.encoded_images import decode_rgb
 from pipeline.recordings.formats import ReadOptions, RecordingFiles
 from pipeline.recordings.image_sequence import ImageSequence
-from pipeline.recordings.lerobot_episodes import NO_FRAME, import_parquet, list_episodes, list_videos
+from pipeline.recordings.lerobot_episodes import (
+    NO_FRAME,
+    import_parquet,
+    list_episodes,
+    list_videos,
+    require_group_budget,
+)
 from pipeline.recordings.stream_choice import make_streams
 from pipeline.recordings.video import VideoDecoder
 from pipeline.values.frames import Recording
@@ -124,14 +132,16 @@ class _Rows:
 
 
 class _TableImages:
-    """Images in a column of parquet tables; a group of rows is read at a time."""
+    """Images in a column of parquet tables, read one by one: a group of rows unfolds to any size."""
 
     def __init__(self, root: Path, name: str, rate_hz: float) -> None:
         parquet, error_class = import_parquet()
         self._parquet: Any = parquet
         self._error, self._name, self._rate_hz, self._rows = error_class, name, rate_hz, list[_Rows]()
-        end, self._cached = 0, (-1, list[Any]())
+        end = 0
+        self._open: tuple[int, int, Iterator[Any]] = -1, 0, iter(())  # group, next row, batches from there
         for file in sorted((root / "data").rglob("*.parquet")):
+            require_file(file, "the table", most_bytes=1 << 50)
             try:
                 about = parquet.ParquetFile(file).metadata
             except (error_class, OSError) as error:
@@ -151,17 +161,25 @@ class _TableImages:
         """(rows, cols, 3) RGB."""
         at = bisect_right([rows.end for rows in self._rows], index)
         part = self._rows[at]
-        if self._cached[0] != at:
-            try:
-                table = self._parquet.ParquetFile(part.file).read_row_group(part.group, columns=[self._name])
-                self._cached = at, table.column(self._name).to_pylist()
-            except (self._error, OSError, KeyError) as error:
-                raise FileProblem(f"the table's column {self._name} cannot be read", part.file) from error
-        cell = self._cached[1][index - (self._rows[at - 1].end if at else 0)]
+        try:
+            cell = self._read_cell(at, index - (self._rows[at - 1].end if at else 0))
+        except (self._error, OSError, LookupError, StopIteration) as error:
+            raise FileProblem(f"the table's column {self._name} cannot be read", part.file) from error
         content = cell.get("bytes") if isinstance(cell, dict) else cell
         if not isinstance(content, bytes):
             raise FileProblem(f"frame {index} of {self._name} holds no image", part.file, field=f"frame {index}")
         return decode_rgb(content, f"frame {index}", part.file)
+
+    def _read_cell(self, at: int, row: int) -> Any:
+        """The cell in a row of a group; the rows before it are passed, from the last one that was read."""
+        group, next_row, cells = self._open
+        if group != at or next_row > row:
+            part = self._rows[at]
+            file = self._parquet.ParquetFile(part.file)
+            require_group_budget(file.metadata.row_group(part.group), part.file)
+            next_row, cells = 0, file.iter_batches(1, row_groups=[part.group], columns=[self._name])
+        self._open = at, row + 1, cells
+        return next(islice(cells, row - next_row, None)).column(0)[0].as_py()
 
     def time_s(self, index: int) -> float:
         """Time by the data set's rate."""

@@ -16,10 +16,12 @@ import numpy as np
 from pipeline.base.arrays import Doubles, Indices, freeze
 from pipeline.base.errors import FileProblem, SettingProblem
 from pipeline.base.files import read_bytes, require_file
+from pipeline.base.read_budget import require_budget
 
 NO_FRAME = -1
 _KEYS = ("episode_index", "length")
 _PLACE_KEYS = ("chunk_index", "file_index", "from_timestamp")  # of videos/<camera>/
+_MAX_FOLDED, _MOST_FOLDED_BYTES = 20, 1 << 28  # times; images are compressed already, and fold no further
 _MAX_ROWS, _MAX_LENGTH = 1_000_000, 10_000_000  # episodes; frames of one
 
 
@@ -49,6 +51,13 @@ def import_parquet() -> tuple[Any, Any]:
     except ImportError as error:
         raise SettingProblem("parquet is read by pyarrow, which is not installed; pip install pyarrow") from error
     return parquet, ArrowException
+
+
+def require_group_budget(group: Any, table: Path) -> None:
+    """Raise FileProblem where a group of rows (its metadata) states columns that unfold beyond the budget."""
+    for column in map(group.column, range(group.num_columns)):
+        if column.total_uncompressed_size > _MAX_FOLDED * column.total_compressed_size:
+            require_budget(column.total_uncompressed_size, "a group of rows", table, most=_MOST_FOLDED_BYTES)
 
 
 def list_videos(root: Path, name: str) -> list[Path]:
@@ -102,6 +111,8 @@ def _read_table(table: Path, columns: Sequence[str]) -> list[dict[str, Any]]:
         file = parquet.ParquetFile(table)
         if file.metadata.num_rows > _MAX_ROWS:
             raise FileProblem(f"the table of episodes states {file.metadata.num_rows} rows", table)
+        for group in range(file.metadata.num_row_groups):
+            require_group_budget(file.metadata.row_group(group), table)
         return file.read(columns=[c for c in columns if c in file.schema_arrow.names]).to_pylist()
     except error_class as error:
         raise FileProblem("the table of episodes cannot be read", table) from error

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.arrays import Floats, freeze
-from pipeline.base.errors import FileProblem
+from pipeline.base.errors import CalibrationError, FileProblem
 from pipeline.base.files import read_arrays
-from pipeline.geometry.camera import Camera
+from pipeline.geometry.camera import Camera, make_camera
 from pipeline.recordings.depth_arrays import estimate_reference
 from pipeline.recordings.file_names import natural_sort_key
 from pipeline.recordings.formats import with_index_check
@@ -87,4 +87,7 @@ def _fit_camera(points: NDArray[np.float32], shape: tuple[int, int], file: Path)
             raise FileProblem(f"the points are not in the order of an image's pixels ({residual_px:.0f} px off)", file)
         fits.append((focal, centre))
     (fx_px, cx_px), (fy_px, cy_px) = fits
-    return Camera(rows=shape[0], cols=shape[1], fx_px=fx_px, fy_px=fy_px, cx_px=cx_px, cy_px=cy_px)
+    try:
+        return make_camera([[fx_px, 0, cx_px], [0, fy_px, cy_px], [0, 0, 1]], *shape, what="the camera of the points")
+    except CalibrationError as error:
+        raise CalibrationError(f"{error}: '{file}'") from error

@@ -10,7 +10,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from pipeline.base.errors import StageWarning
+from pipeline.base.errors import FileProblem, StageWarning
+from pipeline.base.files import MOST_TEXT_BYTES, read_bytes
 from pipeline.recordings import image_folder
 from pipeline.recordings.file_names import sort_series
 from pipeline.recordings.formats import ReadOptions, RecordingFiles
@@ -69,10 +70,13 @@ def _list_images(folder: Path) -> tuple[Path, ...]:
 def _read_contact_ranges(path: Path) -> dict[str, tuple[str, str]]:
     """Folder of a sensor -> names of the first and last image in contact; {} where no table lists the touch."""
     for file in sorted(path.parent.parent.glob("contact_*.csv")):
-        with file.open(newline="", encoding="utf-8", errors="replace") as opened:
-            for row in csv.reader(opened):
+        text = read_bytes(file, "the table of contacts", MOST_TEXT_BYTES).decode("utf-8", errors="replace")
+        try:
+            for row in csv.reader(text.splitlines()):
                 if row[:1] == [path.name] and len(row) > 2 * len(_SENSORS):
                     return {name: (row[1 + 2 * k], row[2 + 2 * k]) for k, name in enumerate(_SENSORS)}
+        except csv.Error as error:
+            raise FileProblem(f"the table of contacts cannot be read ({error})", file) from error
     return {}
 
 

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from pipeline.base.arrays import Image, freeze
 from pipeline.base.errors import FileProblem, is_utf8_encodable
 from pipeline.base.files import describe_os_error, require_file
+from pipeline.base.read_budget import require_budget
+from pipeline.base.torch_archive import require_short_description
 from pipeline.recordings.formats import RecordingFiles
 
 _ZIP_SIGNATURE, _PICKLE_SIGNATURE = b"PK\x03\x04", b"\x80"  # first bytes; the second is a pickle's protocol mark
@@ -45,6 +47,9 @@ def load_tensors(path: Path) -> Mapping[str, Any]:
     if head != _ZIP_SIGNATURE and head[:1] != _PICKLE_SIGNATURE:
         raise FileProblem("this is not a PyTorch file, or it is cut short", path)
     is_mapped = head == _ZIP_SIGNATURE and is_utf8_encodable(str(path))
+    if not is_mapped:
+        require_budget(path.stat().st_size, "the tensors", path)
+    require_short_description(path)
     try:
         tensors = torch.load(path, map_location="cpu", weights_only=True, mmap=is_mapped)
     except Exception as error:  # torch raises many unrelated classes for damaged files
@@ -95,6 +100,8 @@ def _get_plain_tensor(tensors: Mapping[str, Any], key: str, path: Path) -> Any:
     known = (torch.uint8, torch.int16, torch.int32, torch.int64, torch.float16, torch.bfloat16)
     if is_unusual or value.dtype not in (*known, torch.float32, torch.float64):
         raise FileProblem(f"{key} must hold plain real numbers, it is {value.dtype} on {value.device}", path, field=key)
+    row = value.detach()[:1] if value.ndim > 2 else value
+    require_budget(4 * row.numel(), f"{key} of one frame" if value.ndim > 2 else key, path, field=key)
     return value.detach()
 
 

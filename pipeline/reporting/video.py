@@ -3,9 +3,14 @@
 An .mp4 is H.264 where an ffmpeg with libx264 is on the PATH, else OpenCV's MPEG-4; an .avi is MJPEG.
 """
 
+import contextlib
+import os
+import select
 import shutil
+import signal
 import subprocess
 import tempfile
+import time
 from collections.abc import Callable, Generator, Iterable
 from contextlib import contextmanager
 from itertools import chain
@@ -20,7 +25,9 @@ from pipeline.base.files import check_folder_for, open_atomic
 from pipeline.base.native_stderr import silence_native_libraries
 
 CODECS = {".mp4": ("mp4v", "MPEG-4"), ".avi": ("MJPG", "MJPEG")}  # OpenCV's name of the codec, and the usual one
-_TIMEOUT_S = 30.0
+_LIST_S = 10.0  # in which ffmpeg lists its encoders
+_STALL_S = 30.0  # without progress of ffmpeg, after which it is given up; it may take any time as long as it works
+_POLL_S = 0.2
 _H264 = ("-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "18", "-movflags", "+faststart")
 _WriteImage = Callable[[Image], object]
 
@@ -30,13 +37,29 @@ def find_h264_encoder() -> str:
     ffmpeg = shutil.which("ffmpeg")
     if ffmpeg is None:
         return ""
+    with contextlib.suppress(OSError, subprocess.SubprocessError), tempfile.TemporaryFile() as listed:
+        with _start([ffmpeg, "-hide_banner", "-encoders"], subprocess.DEVNULL, listed) as process:
+            process.wait(_LIST_S)
+        listed.seek(0)
+        if b" libx264 " in listed.read():
+            return ffmpeg
+    return ""
+
+
+@contextmanager
+def _start(command: list[str], stdin: int, stdout: Any) -> Generator[subprocess.Popen[bytes]]:
+    """A process that has ended when the block has, with all that it started."""
+    process = subprocess.Popen(  # noqa: S603 - no shell, and the program is the PATH's own
+        command, stdin=stdin, stdout=stdout, stderr=subprocess.DEVNULL, bufsize=0, start_new_session=True
+    )
     try:
-        listed = subprocess.run(  # noqa: S603 - no shell, and the program is the PATH's own
-            [ffmpeg, "-hide_banner", "-encoders"], capture_output=True, timeout=_TIMEOUT_S, check=False
-        )
-    except (OSError, subprocess.SubprocessError):
-        return ""
-    return ffmpeg if b" libx264 " in listed.stdout else ""
+        yield process
+    finally:
+        with contextlib.suppress(OSError):  # all have ended
+            os.killpg(process.pid, signal.SIGKILL)
+        if process.stdin is not None:
+            process.stdin.close()
+        process.wait()
 
 
 def write_video(path: Path, images: Iterable[Image], rate_hz: float) -> str:
@@ -49,10 +72,14 @@ def write_video(path: Path, images: Iterable[Image], rate_hz: float) -> str:
     check_folder_for(path)
     with tempfile.TemporaryDirectory() as folder:
         made = Path(folder) / f"video{suffix}"
-        with _encode_by_ffmpeg(ffmpeg, made, first, rate_hz) if ffmpeg else _encode(made, first, rate_hz) as write:
-            for pixels in chain([first], images):
-                write(pixels)
-                n_images += 1
+        encode = _encode_by_ffmpeg(ffmpeg, made, first, rate_hz) if ffmpeg else _encode(made, first, rate_hz)
+        try:
+            with encode as write:
+                for pixels in chain([first], images):
+                    write(pixels)
+                    n_images += 1
+        except FileProblem as error:
+            raise error.relocate(path, instead_of=made) from error
         if count_frames(made) < n_images:  # the encoder does not report a full disk
             raise FileProblem(f"cannot write the video (no room for it in {folder!r}?)", path)
         with made.open("rb") as video, open_atomic(path, "the video") as file:
@@ -79,18 +106,44 @@ def _encode(path: Path, first: Image, rate_hz: float) -> Generator[_WriteImage]:
 def _encode_by_ffmpeg(ffmpeg: str, path: Path, first: Image, rate_hz: float) -> Generator[_WriteImage]:
     shape = f"{first.shape[1]}x{first.shape[0]}"
     raw = ("-f", "rawvideo", "-pix_fmt", "rgb24", "-s", shape, "-r", f"{rate_hz:g}", "-i", "-")
-    process = subprocess.Popen(  # noqa: S603 - as above
-        [ffmpeg, "-loglevel", "error", "-y", *raw, *_H264, str(path)],
-        stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-    )  # fmt: skip
-    pipe = process.stdin
-    assert pipe is not None
-    try:
-        yield lambda pixels: pipe.write(np.ascontiguousarray(pixels).tobytes())
-    except BrokenPipeError as error:
-        raise FileProblem("ffmpeg stopped before the video was complete (no room for it?)", path) from error
-    finally:
-        process.communicate(timeout=_TIMEOUT_S)
+    command = [ffmpeg, "-loglevel", "error", "-y", *raw, *_H264, str(path)]
+    with _start(command, subprocess.PIPE, subprocess.DEVNULL) as process:
+        pipe = process.stdin
+        assert pipe is not None
+        os.set_blocking(pipe.fileno(), False)
+        try:
+            yield lambda pixels: _feed(pipe.fileno(), np.ascontiguousarray(pixels).tobytes(), path)
+        except BrokenPipeError as error:
+            raise FileProblem("ffmpeg stopped before the video was complete (no room for it?)", path) from error
+        pipe.close()
+        _wait_until_written(process, path)
+
+
+def _feed(pipe: int, content: bytes, path: Path) -> None:
+    """Write all of `content`; raises FileProblem where nothing is read for `_STALL_S`."""
+    left = memoryview(content)
+    while left:
+        if not select.select([], [pipe], [], _STALL_S)[1]:
+            raise _make_stall_problem(path)
+        left = left[os.write(pipe, left) :]
+
+
+def _wait_until_written(process: subprocess.Popen[bytes], path: Path) -> None:
+    """Wait for the end of a process as long as its file changes; raises FileProblem."""
+    seen, changed_s = None, time.monotonic()
+    while process.poll() is None:
+        now = (found.st_size, found.st_mtime_ns) if path.exists() and (found := path.stat()) else None
+        if now != seen:
+            seen, changed_s = now, time.monotonic()
+        elif time.monotonic() - changed_s > _STALL_S:
+            raise _make_stall_problem(path)
+        time.sleep(_POLL_S)
+
+
+def _make_stall_problem(path: Path) -> FileProblem:
+    return FileProblem(
+        f"ffmpeg did nothing for {_STALL_S:g} s and was ended; take it from the PATH, or write .avi", path
+    )
 
 
 def count_frames(video: Path) -> int:

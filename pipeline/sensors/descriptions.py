@@ -43,9 +43,19 @@ def register_sensors(path: Path) -> None:
     _registered.append(path)
 
 
+def _check_path(path: object) -> None:
+    if not isinstance(path, (str, Path)):
+        raise TypeError(f"a path is needed, it is a {type(path).__name__}")
+    Path(path).stat()
+
+
 def find_descriptions() -> dict[str, Path]:
     """Sensor name -> TOML file; a name of the project cannot be replaced."""
-    places = [*_registered, *map(Path, load_entry_points("tactoscope.sensors")), DESCRIPTIONS_FOLDER]
+    places = [
+        *_registered,
+        *map(Path, load_entry_points("tactoscope.sensors", object, _check_path)),
+        DESCRIPTIONS_FOLDER,
+    ]
     files = [f for place in places for f in (sorted(place.glob("*.toml")) if place.is_dir() else (place,))]
     return {file.stem: file for file in files}
 

@@ -103,7 +103,11 @@ def register_kind(kind: SensorKind) -> None:
 
 def list_kinds() -> dict[str, SensorKind]:
     """Key -> kind; those of the project cannot be replaced."""
-    kinds = [*load_entry_points("tactoscope.sensor_kinds"), *_registered.values(), *map(load_reference, _BUILT_IN)]
+    kinds = [
+        *load_entry_points("tactoscope.sensor_kinds", SensorKind),
+        *_registered.values(),
+        *map(load_reference, _BUILT_IN),
+    ]
     return {kind.key: kind for kind in kinds}
 
 

@@ -23,7 +23,7 @@ from pipeline.base.memo import Memo
 from pipeline.base.typed_data import FileName, convert
 from pipeline.engine.digests import UNDIGESTED, compute_cached_digest, compute_digest
 from pipeline.geometry import rigid
-from pipeline.geometry.camera import Camera
+from pipeline.geometry.camera import MOST_FOCAL_PX, WIDEST_VIEW, Camera
 from pipeline.geometry.membrane import Membrane
 from pipeline.sensors import descriptions
 from pipeline.sensors.descriptions import DESCRIPTION, DescriptionSection, find_descriptions, read_description
@@ -79,9 +79,7 @@ class SensorSpec:
 
 
 _SIDES_PX = (8, 10_000)  # range of an image side; smaller images show no slope and no edge
-_WIDEST_VIEW = 10.0  # image side over focal length, 157 degrees; a lens's focal length in mm exceeds it
 _OPTIONAL_KEYS = ("title", "kind", "without", "rest", "markers", "depth_camera")  # beside sections that a kind reads
-_FOCAL_PX = 1e5  # largest focal length: a pixel covers 0.01 mm at a metre
 
 _with_cameras: Memo[tuple[str, Camera], SensorSpec] = Memo(32)
 _loaded: Memo[tuple[Path, str, str], SensorSpec] = Memo(32)
@@ -136,9 +134,9 @@ def _build(name: str, data: dict[str, Any], path: Path, surface: Membrane | None
     kind = kinds[key]
     image, lens, align = section("image"), section("camera"), section("alignment")
     rows, cols = (int(image.read_number(k, "px", *_SIDES_PX)) for k in ("rows", "cols"))
-    least_px = max(rows, cols) / _WIDEST_VIEW
-    fx_px, fy_px = (lens.read_number(k, "px", least_px, _FOCAL_PX) for k in ("fx", "fy"))
-    cx_px, cy_px = (lens.read_number(k, "px", -_FOCAL_PX, _FOCAL_PX) for k in ("cx", "cy"))
+    least_px = max(rows, cols) / WIDEST_VIEW
+    fx_px, fy_px = (lens.read_number(k, "px", least_px, MOST_FOCAL_PX) for k in ("fx", "fy"))
+    cx_px, cy_px = (lens.read_number(k, "px", -MOST_FOCAL_PX, MOST_FOCAL_PX) for k in ("cx", "cy"))
     camera = Camera(rows=rows, cols=cols, fx_px=fx_px, fy_px=fy_px, cx_px=cx_px, cy_px=cy_px)
     parts = kind.parse_parts(section, data, path)
     if surface is None:

@@ -23,6 +23,7 @@ import numpy as np
 from pipeline.base.arrays import Doubles, freeze
 from pipeline.base.errors import FileProblem, TouchError
 from pipeline.base.files import require_file
+from pipeline.base.read_budget import require_budget
 from pipeline.base.typed_data import convert
 from pipeline.recordings import hdf5, hdf5_validation
 from pipeline.recordings.hdf5_writer import RecordingWriter
@@ -133,7 +134,10 @@ def _open_group(path: Path) -> Generator[Any]:
             hdf5_validation.require_self_contained(file, path)
             if GROUP not in file:
                 raise FileProblem("this is no rollout of a task; `tactoscope task --record` writes some", path)
-            yield file[GROUP]
+            group = file[GROUP]
+            n_bytes = sum(2 * part.size * 8 for part in group.values() if isinstance(part, h5py.Dataset))
+            require_budget(n_bytes, "the rollout's tables", path, field=GROUP)
+            yield group
     except TouchError:
         raise
     except (OSError, RuntimeError, LookupError, ValueError, TypeError, AttributeError) as error:

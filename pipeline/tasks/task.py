@@ -189,7 +189,7 @@ _TASKS = {
 
 def load_task(name: str) -> ManipulationTask:
     """The task of this name; raises SettingProblem."""
-    added = {task.name: task for task in load_entry_points("tactoscope.tasks") if isinstance(task, ManipulationTask)}
+    added = {task.name: task for task in load_entry_points("tactoscope.tasks", ManipulationTask)}
     if name in added:
         return added[name]
     if name not in _TASKS:

@@ -14,7 +14,7 @@ from typing import TypeVar
 
 from pipeline.base.entry_points import load_entry_points
 from pipeline.base.errors import SettingProblem
-from pipeline.base.params import replace_value
+from pipeline.base.params import list_settings, replace_value
 from pipeline.engine.graph import Method
 from pipeline.stages.cloud.stage import STAGE as CLOUD
 from pipeline.stages.depth.stage import STAGE as DEPTH
@@ -109,6 +109,10 @@ def _find_by_name(entries: Sequence[NamedEntry], name: str, what: str) -> NamedE
     raise SettingProblem(f"no {what}; there are {', '.join(e.name for e in entries)}")
 
 
+def _check_params(method: Method) -> None:
+    list_settings(method.params())
+
+
 BUILT_IN = Catalogue(
     stages=(DEPTH, CLOUD, TARGET_DEPTH, TOUCH, TOUCH_DEPTH, POSE),
     routes=(
@@ -130,7 +134,7 @@ BUILT_IN = Catalogue(
             methods={"touch": "t2t", "touch_depth": "membrane", "pose": "signed_distances"},
         ),
     ),
-).add_methods(load_entry_points("tactoscope.methods"))
+).add_methods(load_entry_points("tactoscope.methods", Method, _check_params))
 """The project's stages and routes, and the methods of other installed packages."""
 
 

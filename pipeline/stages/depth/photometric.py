@@ -5,9 +5,10 @@ compared with its untouched one (`bubble_depth`).
 """
 
 from dataclasses import dataclass, replace
-from typing import TypeVar, cast
+from typing import Any, TypeVar, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pipeline.base.arrays import Image, freeze
 from pipeline.base.entry_points import load_reference
@@ -34,6 +35,8 @@ from pipeline.stages.depth.poisson import Boundary
 from pipeline.values.frames import TactileFrame
 from pipeline.values.results import DepthErrorModel, DepthMap, make_pixel_index
 
+_BLACK_GREY, _LIT_GREY = 2, 8  # grey levels: at most in a pixel that was lost, and more than that in its reference
+_MAX_LOST_SHARE = 0.25  # of the pixels
 _UNTOUCHED = "nothing touches the sensor"
 
 
@@ -267,6 +270,18 @@ def check_frame(frame: TactileFrame, source: SensorSpec) -> None:
         problem = load_reference(kind.image_checker)(array)
         if problem:
             raise ShapeError(f"the {what} of {where} {problem}")
+    lost = 0.0 if kind.is_depth else _measure_lost_share(image, reference)
+    if lost > _MAX_LOST_SHARE:
+        raise ShapeError(
+            f"{lost:.0%} of the image of {where} is black where its reference is not: a part of it was lost, or the "
+            "light failed; leave this frame out"
+        )
+
+
+def _measure_lost_share(image: NDArray[Any], reference: NDArray[Any]) -> float:
+    """Share of the pixels (rows, cols, 3) that are black in the image alone: no touch casts such a shadow."""
+    lost = (image[..., 1] <= _BLACK_GREY) & (reference[..., 1] > _LIT_GREY)
+    return float((lost & (image <= _BLACK_GREY).all(axis=2)).mean()) if lost.mean() > _MAX_LOST_SHARE else 0.0
 
 
 def _at_rest(frame: TactileFrame, source: SensorSpec) -> DepthMap:

@@ -82,6 +82,20 @@ def test_a_damaged_session_names_the_field(tmp_path, change, field):
     assert caught.value.field == field
 
 
+@pytest.mark.parametrize(
+    ("change", "field"),
+    [({"frame": 2**31}, "frame"), ({"frame": 10**400}, "frame"), ({"tick": 2**31}, "tick"), ({"notes": {str(2**31): "a"}}, "notes"),
+     ({"params": {"depth/physics": {"contact_limit": 10**400}}}, "params"), ({"params": {"depth/physics": {"contact_limit": 2**60}}}, "params")],
+)  # fmt: skip
+def test_numbers_that_no_window_can_count_are_refused(tmp_path, change, field):
+    path = tmp_path / "a.touch.json"
+    save_session(Session(recording=tmp_path / "a.h5", target="digit"), path)
+    path.write_text(json.dumps({**json.loads(path.read_text()), **change}))
+    with pytest.raises(FileProblem, match=field) as caught:
+        load_session(path)
+    assert caught.value.field.startswith(field)
+
+
 def test_offsets_stay_only_with_the_alignment_they_were_made_from(tmp_path):
     session = a_session(tmp_path)
     assert session.with_updates(frame=3).offsets == session.offsets

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -15,7 +16,7 @@ from app.main import show_window
 from app.session import recovery
 from app.session.file_fingerprints import describe_changed_files, fingerprint_files
 from app.session.preferences import Preferences
-from app.session.state import Session, load_session
+from app.session.state import Session, load_session, save_session
 from app.window.autosave import AUTOSAVE_DELAY_MS, AutosaveController
 from app.window.main_window import DEFAULT_SIZE
 from app.window.tour import wait_until_shown
@@ -192,3 +193,36 @@ def test_the_window_restores_its_geometry_on_the_screen(qtbot):
     finally:
         second.window.close()
         second.close()
+
+
+def test_a_recovery_file_of_another_version_is_named_and_can_be_discarded(touch_file, qtbot, remembered_here):
+    folder = recovery.get_recovery_folder()
+    folder.mkdir(parents=True)
+    old = folder / "session-1-1.touch.json"
+    save_session(Session(recording=touch_file), old, {})
+    plain = json.loads(old.read_text())
+    old.write_text(json.dumps({**plain, "tactoscope session": 1}))
+    controller = show_window(Session(), with_scene=False, restore=True)
+    qtbot.addWidget(controller.window, before_close_func=lambda _: controller.close())
+    try:
+        notification = find_autosave(controller).notification
+        assert notification.isVisible()
+        assert "version 1" in notification.text
+        assert [button.text() for button in notification.buttons if button.isVisible()] == ["Discard"]
+        notification.buttons[0].click()
+        assert not old.exists()
+        assert not notification.isVisible()
+    finally:
+        controller.close()
+
+
+def test_another_windows_notes_are_kept_whatever_the_spelling_of_the_file(bubble_window, tmp_path):
+    path, link = tmp_path / "mine.touch.json", tmp_path / "link.touch.json"
+    bubble_window.save_session(path)
+    link.symlink_to(path)
+    save_session(Session(notes={3: "of another window"}), path, {})
+    for spelling in (path, link, tmp_path / "none" / ".." / path.name):
+        (tmp_path / "none").mkdir(exist_ok=True)
+        bubble_window.save_session(spelling)
+        assert "another window has saved" in bubble_window.window.banner.text
+        assert load_session(path).notes == {3: "of another window"}

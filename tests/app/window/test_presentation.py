@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
 import time
 
 import cv2
@@ -16,6 +18,7 @@ from app.window.export import ExportController
 from app.window.live import LiveController
 from app.window.presentation import PresentationController, PresentationVideoController
 from app.window.tour import wait_until_shown
+from pipeline.base.errors import FileProblem
 from pipeline.live.source_parsing import SimulatedSource
 from pipeline.reporting import video
 from widgets.magnifier import MAX_RADIUS_PX
@@ -174,3 +177,17 @@ def test_ffmpeg_encodes_what_it_is_given(tmp_path, monkeypatch):
     frames = (np.full((2, 4, 3), level, np.uint8) for level in (1, 2))
     assert video.write_video(tmp_path / "video.mp4", frames, 10.0) == "H.264"
     assert (tmp_path / "video.mp4").read_bytes() == b"\x01" * 24 + b"\x02" * 24
+
+
+@pytest.mark.parametrize("reads", ["cat > /dev/null;", ""])
+def test_an_ffmpeg_that_does_nothing_is_ended_with_all_that_it_started(tmp_path, monkeypatch, reads):
+    program, mark = tmp_path / "ffmpeg", f"600.{os.getpid()}"
+    program.write_text(f'#!/bin/sh\n[ "$2" = -encoders ] && echo " libx264 " && exit\n{reads} sleep {mark} & wait\n')
+    program.chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path), prepend=":")
+    monkeypatch.setattr(video, "_STALL_S", 0.5)
+    frames = (np.zeros((480, 640, 3), np.uint8) for _ in range(3))
+    with pytest.raises(FileProblem, match=r"ffmpeg did nothing for .*out\.mp4"):
+        video.write_video(tmp_path / "out.mp4", frames, 10.0)
+    assert subprocess.run(["pgrep", "-f", f"^sleep {mark}"], check=False, capture_output=True).stdout == b""
+    assert not (tmp_path / "out.mp4").exists()

@@ -6,6 +6,7 @@ import json
 import os
 import shutil
 import signal
+import socket
 import sys
 import threading
 import time
@@ -97,7 +98,9 @@ def test_work_without_any_worker_ends_with_a_sentence(monkeypatch, tmp_path):
 def test_work_whose_workers_all_leave_ends_with_a_sentence(monkeypatch, tmp_path):
     assert NO_WORKER_S < 25.0
     monkeypatch.setattr("pipeline.base.cluster.NO_WORKER_S", 1.5)
-    with distributed.LocalCluster(n_workers=1, processes=False, dashboard_address=None) as leaving:
+    with distributed.LocalCluster(
+        n_workers=1, processes=False, dashboard_address=None, protocol="tcp://", host="127.0.0.1"
+    ) as leaving:
 
         class Dismisses:
             """Dismisses the only worker once one piece is done."""
@@ -201,3 +204,39 @@ def test_an_address_without_a_scheduler_is_one_sentence(capsys, monkeypatch):
     ]
     assert run_app(build_app(), tokens) == EXIT_USER_ERROR
     assert "no scheduler answers" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "address",
+    ["tls://127.0.0.1:1", "ucx://127.0.0.1:1", "zz://", "inproc://x", "tcp://127.0.0.1", "tcp://127.0.0.1:99999", "", "tcp://[:1",
+     "127.0.0.1:1", "tcp://\udcff:1"],
+)  # fmt: skip
+def test_an_address_of_no_scheduler_is_one_sentence(address, capfd):
+    with pytest.raises(SettingProblem, match="scheduler"), connect_cluster(address):
+        pass
+    assert capfd.readouterr().err == ""
+
+
+@pytest.mark.parametrize("greeting", [None, b"", b"HTTP/1.1 200 OK\r\n\r\n", b"\xff" * 64, bytes(64)])
+def test_a_server_that_is_no_scheduler_is_one_sentence(greeting, monkeypatch, capfd):
+    """It says nothing, closes the connection, or speaks another language."""
+    monkeypatch.setattr("pipeline.base.cluster.CONNECT_S", 0.5)
+
+    def answer() -> None:
+        connection = server.accept()[0]
+        with connection:
+            if greeting is None:
+                done.wait(60.0)
+            else:
+                connection.sendall(greeting)
+
+    done = threading.Event()
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        thread = threading.Thread(target=answer)
+        thread.start()
+        address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
+        with pytest.raises(SettingProblem, match="no scheduler answers"), connect_cluster(address):
+            pass
+        done.set()
+        thread.join()
+    assert capfd.readouterr().err == ""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -39,11 +40,14 @@ kernel_compiler._SERVE = "raise SystemExit"
 """
 
 
-def call_kernel(cache: Path, before: str = "") -> tuple[list[str], float, int, Path]:
+PIPELINE = Path(compiling.__file__).parents[1]
+
+
+def call_kernel(cache: Path, before: str = "", clone: Path = PIPELINE.parent) -> tuple[list[str], float, int, Path]:
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(cache)}
     done = subprocess.run(
         [sys.executable, "-c", before + KERNEL_CALL], env=environment, capture_output=True, text=True, check=True,
-        timeout=100,
+        timeout=100, cwd=clone,
     )  # fmt: skip
     sentences, spent_s, n, folder = json.loads(done.stdout)
     return sentences, spent_s, n, Path(folder)
@@ -160,3 +164,46 @@ def test_the_compiler_takes_no_module_from_the_folder_it_runs_in(tmp_path, monke
     finally:
         process.stop()
     assert not (tmp_path / "seen").exists()
+
+
+def test_a_compiler_that_is_stopped_is_given_up(monkeypatch):
+    from pipeline.base import kernel_compiler
+    from pipeline.geometry.membrane_kernels import measure_level_distance
+
+    measure_level_distance(np.zeros(6, np.float32), 1.0, np.empty(2))
+    monkeypatch.setattr(kernel_compiler, "_SERVE", "import os, signal; os.kill(os.getpid(), signal.SIGSTOP)")
+    process = kernel_compiler._CompilerProcess()
+    assert not process.compile(
+        measure_level_distance.__module__, "measure_level_distance", measure_level_distance.signatures[0]
+    )
+    assert process._process is None
+
+
+def test_two_clones_and_a_moved_one_share_their_kernels(tmp_path):
+    """Only contents count: the same sources elsewhere load what was compiled once."""
+    cache = tmp_path / "cache"
+    for number, place in enumerate(("one", "two")):
+        clone = tmp_path / place
+        shutil.copytree(PIPELINE, clone / "pipeline", ignore=shutil.ignore_patterns("shipped", "__pycache__"))
+        assert (call_kernel(cache, clone=clone)[2] == 0) == (number > 0)
+    (tmp_path / "two").rename(tmp_path / "moved")
+    assert call_kernel(cache, clone=tmp_path / "moved")[2] == 0
+
+
+@pytest.mark.parametrize("of", ["group", "others", "link", "owner"])
+def test_kernels_that_another_user_may_have_written_are_not_run(package, tmp_path, of, monkeypatch, caplog):
+    _, find_folder = package
+    monkeypatch.setattr(compiling, "find_user_folder", lambda _: tmp_path / "own")
+    folder = find_folder()
+    assert folder.is_relative_to(tmp_path / "cache")
+    assert folder.stat().st_mode & 0o077 == 0
+    if of == "link":
+        folder.rename(tmp_path / "elsewhere")
+        folder.symlink_to(tmp_path / "elsewhere")
+    elif of == "owner":
+        real = os.geteuid()
+        monkeypatch.setattr(os, "geteuid", lambda: real + 1)
+    else:
+        folder.chmod(0o770 if of == "group" else 0o707)
+    assert not find_folder().is_relative_to(tmp_path / "cache")
+    assert "that others own or may write" in caplog.text

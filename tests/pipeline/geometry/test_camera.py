@@ -85,6 +85,15 @@ def test_a_k_without_inverse_is_refused(k, words):
         make_camera(k, 20, 30)
 
 
+@pytest.mark.parametrize(
+    ("fx", "fy", "cx", "cy"), [(1e-3, 1e-3, 1e9, 65.0), (2.9, 40, 15, 10), (40, 2e5, 15, 10), (40, 40, 200, 10), (40, 40, 15, -90)]
+)  # fmt: skip
+def test_a_k_that_no_camera_of_such_an_image_has_is_refused(fx, fy, cx, cy):
+    """What is computed of it, such as a cloud's extent in pixels, would take petabytes."""
+    with pytest.raises(CalibrationError, match="cannot be that of an image of 30 x 20 px"):
+        make_camera([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], 20, 30)
+
+
 def test_an_image_without_pixels_is_refused():
     with pytest.raises(CalibrationError, match="pixel"):
         Camera(rows=0, cols=30, fx_px=1, fy_px=1, cx_px=0, cy_px=0)

@@ -14,7 +14,7 @@ from pipeline.base.errors import ModelMissing
 from pipeline.networks import network_factory, weights_registry
 from pipeline.networks.network_factory import ONNX_KINDS, build_network, load_network, load_predictor
 from pipeline.networks.onnx_predictor import OnnxPredictor
-from pipeline.networks.weights import Weights, load_weights, save_weights
+from pipeline.networks.weights import Weights, load_weights, load_weights_of_package, save_weights
 from pipeline.stages.depth.bubble_network_output import N_OUTPUTS, decode_prediction, decode_tensors
 
 MAX_RELATIVE_ERROR = 1e-4  # of OpenCV against torch, over the largest value
@@ -77,7 +77,8 @@ def test_the_onnx_file_is_kept_with_the_weights_and_changes_no_digest(tmp_path):
     weights = make_weights()
     save_weights(tmp_path / "w.safetensors", replace(weights, onnx=b"graph"))
     loaded = load_weights(tmp_path / "w.safetensors")
-    assert loaded.read_onnx() == b"graph"
+    assert loaded.read_onnx() == b"", "only of the package's own files"
+    assert load_weights_of_package(tmp_path / "w.safetensors").read_onnx() == b"graph"
     assert loaded.tensors.keys() == weights.tensors.keys()
     assert loaded.content_digest == weights.content_digest
 
@@ -97,6 +98,29 @@ def test_a_damaged_graph_or_one_that_names_files_is_refused(content):
         network_factory._load_predictor(replace(make_weights(), onnx=content))
     with pytest.raises(ValueError, match="ONNX"):
         OnnxPredictor(content)
+
+
+@pytest.mark.parametrize("graph", [b"", b"graph", b"\x1b]0;owned\x07"])
+def test_a_graph_in_a_strangers_file_is_not_run(tmp_path, graph, monkeypatch):
+    """OpenCV would end the process, or never end, with some; the tensors are exported, once."""
+    weights = make_weights()
+    save_weights(tmp_path / "w.safetensors", replace(weights, onnx=graph))
+    image = make_image(CONFIG["inputs"], 32, 40)
+    expected = load_predictor(replace(weights, onnx=network_factory.export_weights(weights)))(image)
+    network_factory.release_networks()
+    given = load_weights(tmp_path / "w.safetensors")
+    np.testing.assert_array_equal(load_predictor(given)(image), expected)
+    network_factory.release_networks()
+    monkeypatch.setattr(network_factory, "export_weights", None)
+    np.testing.assert_array_equal(load_predictor(given)(image), expected)
+
+
+@pytest.mark.parametrize("fold", [0, -1, 10**6, "a"])
+def test_an_impossible_fold_is_refused(fold):
+    with pytest.raises(ModelMissing, match=r"'w'|compact_unet"):
+        load_predictor(replace(make_weights(), config={**CONFIG, "fold": fold}, onnx=b""))
+    with pytest.raises(ModelMissing, match="'w'"):
+        network_factory._load_predictor(replace(make_weights(), config={**CONFIG, "fold": fold}, onnx=b"graph"))
 
 
 def test_bubble_outputs_are_decoded_alike_for_training_and_prediction():

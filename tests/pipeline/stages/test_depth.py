@@ -101,6 +101,20 @@ def test_a_frame_that_cannot_be_read_is_told_in_one_sentence(change, pattern):
         estimate_depth(bad, source, None, PARAMS)
 
 
+@pytest.mark.parametrize("name", ["gelslim", "digit"])
+@pytest.mark.parametrize("side", ["left", "top", "most"])
+def test_a_frame_that_is_partly_black_is_refused_in_one_sentence(name, side):
+    """It is neither a touch at the border nor a change of light without a dent."""
+    source, frame, _ = press(name)
+    rows, cols = frame.image.shape[:2]
+    image = frame.image.copy()
+    image[{"left": np.s_[:, : cols // 2], "top": np.s_[: rows // 2], "most": np.s_[rows // 4 :]}[side]] = 0
+    bad = replace(frame, image=image)
+    assert skip_without_contact(bad, source, None, PARAMS) is None
+    with pytest.raises(ShapeError, match="is black where its reference is not"):
+        estimate_depth(bad, source, None, PARAMS)
+
+
 def test_a_saturated_picture_is_doubted_and_stays_finite():
     source, frame, _ = press("gelsight_mini")
     nearly = np.where(np.arange(frame.image.shape[0])[:, None, None] < 4, frame.image, np.uint8(255))
