@@ -136,7 +136,7 @@ def test_a_damaged_mcap_is_refused(tmp_path):
             recording.close()
         except FileProblem:
             n_refused += 1
-    assert n_refused > 30
+    assert n_refused == 60  # each is cut off
 
 
 def write_lerobot(folder, cameras, n):

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from pipeline.base.errors import FileProblem
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import load_mesh
-from pipeline.tracking import patch_map
+from pipeline.tracking import patch_map, tracker
 from pipeline.tracking.mean_surface import average_surfaces
 from pipeline.tracking.membrane_surface import make_surface
 from pipeline.tracking.surface_registration import register_surfaces
@@ -265,3 +265,22 @@ def test_a_damaged_track_is_one_sentence(tmp_path, file, text, named):
     (tmp_path / file).write_text(text)
     with pytest.raises(FileProblem, match=named):
         read_record(tmp_path)
+
+
+def test_the_stated_error_adds_up_along_the_chain_of_key_frames(monkeypatch):
+    """Each frame is registered with the same covariance, and each becomes the key frame of the next."""
+    surface = make_surface(press("star")[0])
+    monkeypatch.setattr(tracker, "NEW_KEY_OVERLAP", 2.0)
+    monkeypatch.setattr(Tracker, "_rank_keys", lambda self, _: [len(self.keys) - 1])
+    fit = register_surfaces(surface, surface, np.eye(4))
+    assert fit is not None
+    one = np.diag([1e-6, 1e-6, 1e-6, 4e-4, 9e-4, 36e-4])
+    monkeypatch.setattr(tracker, "register_surfaces", lambda *_: replace(fit, covariance=one))
+    followed, frames = Tracker(), []
+    for index in range(4):
+        frames.append(followed.add_frame(index, surface))
+    for k, frame in enumerate(frames):
+        np.testing.assert_allclose(frame.covariance, k * one, atol=1e-15)
+        assert frame.std_mm == pytest.approx(0.07 * k**0.5)
+        assert frame.std_deg == pytest.approx(np.degrees((3e-6 * k) ** 0.5))
+        np.testing.assert_array_equal(followed.keys[k].covariance, frame.covariance)
