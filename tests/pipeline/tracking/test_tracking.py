@@ -283,4 +283,4 @@ def test_the_stated_error_adds_up_along_the_chain_of_key_frames(monkeypatch):
         np.testing.assert_allclose(frame.covariance, k * one, atol=1e-15)
         assert frame.std_mm == pytest.approx(0.07 * k**0.5)
         assert frame.std_deg == pytest.approx(np.degrees((3e-6 * k) ** 0.5))
-        np.testing.assert_array_equal(followed.keys[k].covariance, frame.covariance)
+        np.testing.assert_array_equal(followed.keys[k + 1].covariance, frame.covariance)  # after the first of the part
