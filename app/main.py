@@ -5,7 +5,6 @@ from __future__ import annotations
 import gc
 import locale
 import logging
-import os
 import sys
 import time
 from pathlib import Path
@@ -28,7 +27,6 @@ _SHOW_TIMEOUT_S = 1.0  # for the window to be on screen; a minimised one never i
 # Thresholds of the garbage collector. Loading Qt, VTK and numba creates millions of lasting objects; with Python's
 # defaults, collecting takes a tenth of the time to the first touch.
 _GC_THRESHOLDS = 50_000, 20, 50
-_OMP_WAIT_POLICY = "PASSIVE"  # spinning OpenMP threads would take the processor from the window
 
 
 def open_window(request: Request | None, *, frame: int | None = None, tour: Path | None = None) -> int:
@@ -78,11 +76,9 @@ def close_window(controller: SessionController) -> None:
 
 
 def prepare_environment() -> None:
-    """Set thread, garbage collector, allocator and compiler options; must run before heavy imports."""
+    """Set garbage collector, allocator and compiler options; must run before heavy imports."""
     limit_arenas()
     compile_in_own_process()
-    os.environ.setdefault("OMP_WAIT_POLICY", _OMP_WAIT_POLICY)
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # its threads spin, and no matrix product here gains from two
     gc.set_threshold(*_GC_THRESHOLDS)
 
 

@@ -9,15 +9,12 @@ speed 1.
 from __future__ import annotations
 
 import math
-import os
 import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from itertools import pairwise
 from typing import Any
-
-os.environ["OPENBLAS_NUM_THREADS"] = "1"  # as the window sets it, which is before numpy loads
 
 import numpy as np
 

@@ -10,15 +10,12 @@ own second half is reported too; what grows after them, with the very same on sc
 from __future__ import annotations
 
 import math
-import os
 import resource
 import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
-
-os.environ["OPENBLAS_NUM_THREADS"] = "1"  # as the window sets it, which is before numpy loads
 
 import numpy as np
 

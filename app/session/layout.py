@@ -135,7 +135,7 @@ def save_arrangements(path: Path, layouts: Sequence[Layout]) -> None:
         load_arrangements(path)
     except FileProblem:
         set_aside(path)
-    write_json(path, {_KIND: _VERSION, "arrangements": to_plain(layouts)}, "the arrangements")
+    write_json(path, {_KIND: _VERSION, "arrangements": to_plain(layouts)}, "the arrangements", load_arrangements)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -116,7 +116,7 @@ def save_session(session: Session, path: Path, contents: Mapping[str, str] | Non
     data = _plain(session, path.parent)
     if contents is not None:
         data["contents"] = dict(contents)
-    write_json(path, data, "the session")
+    write_json(path, data, "the session", load_session)
 
 
 def _plain(session: Session, folder: Path) -> dict[str, Any]:

@@ -16,5 +16,5 @@ def write_screenshot(widget: QWidget, path: Path) -> None:
     kind = path.suffix.removeprefix(".") or "png"
     if not widget.grab().save(buffer, kind):
         raise FileProblem(f"cannot write the image ({kind!r} is not supported, use png)", path)
-    with open_atomic(path, "the image") as file:
+    with open_atomic(path, "the image", None) as file:
         file.write(buffer.data().data())

@@ -38,7 +38,7 @@ def plot_result(result: BenchmarkResult, path: Path) -> bool:
         axes.plot([point.ms], [point.error or floor], "o" if point.ours else "s", ms=8 if point.ours else 7, **label)
     _zero_line(axes, points, floor)
     figure.legend(loc="outside right upper", fontsize=8, frameon=False)
-    with open_atomic(path, "the plot") as file:
+    with open_atomic(path, "the plot", None) as file:
         figure.savefig(file, format="png")
     return True
 

@@ -23,7 +23,7 @@ def main(benchmark: str, out: str) -> None:
     result = importlib.import_module(path.stem).measure()
     if not isinstance(result, BenchmarkResult):
         raise TypeError(f"measure() of {path.name} gave a {type(result).__name__}, not a BenchmarkResult")
-    write_text(Path(out), json.dumps(asdict(result), default=methodcaller("item")), "the result")
+    write_text(Path(out), json.dumps(asdict(result), default=methodcaller("item")), "the result", None)
 
 
 if __name__ == "__main__":

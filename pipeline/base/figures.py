@@ -30,5 +30,5 @@ def make_figure(**options: Any) -> Figure:
 
 def save_figure(figure: Figure, path: Path, what: str) -> None:
     """Write a figure as PNG, complete or not at all; raises FileProblem that names it `what`."""
-    with open_atomic(path, what) as file:
+    with open_atomic(path, what, None) as file:
         figure.savefig(file, format="png")

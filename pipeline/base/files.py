@@ -1,6 +1,7 @@
 """Write files atomically, and read only regular files.
 
-Files are written under a temporary name in the same folder, flushed to disk and then renamed.
+Files are written under a temporary name in the same folder, flushed to disk, read back and then renamed: what cannot be
+opened again replaces nothing.
 """
 
 import contextlib
@@ -25,8 +26,10 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.base.errors import FileProblem
+from pipeline.base.errors import FileProblem, TouchError
 from pipeline.base.read_budget import require_budget
+
+FileReader = Callable[[Path], object]  # raises TouchError for a file that it cannot read
 
 MOST_BYTES = 2 << 30  # of one image or mesh
 MOST_TEXT_BYTES = 16 << 20  # of a description, an alignment or a session, which are a few kB
@@ -42,11 +45,12 @@ _MAX_TRIES = 10  # of making or replacing a folder while other processes do
 
 
 @contextlib.contextmanager
-def open_atomic(path: Path, what: str) -> Generator[BinaryIO, None, None]:
+def open_atomic(path: Path, what: str, read: FileReader | None) -> Generator[BinaryIO, None, None]:
     """Yield a temporary file that replaces `path` when the block succeeds and is removed otherwise.
 
-    A link stays a link to the new file, and a replaced file leaves its permissions. Raises FileProblem "cannot write
-    `what`" with the system's reason, also for an OSError of the block itself, and where `path` is no regular file.
+    `read` is the program's reader of such files, which must accept what was written; None where there is none. A link
+    stays a link to the new file, and a replaced file leaves its permissions. Raises FileProblem "cannot write `what`"
+    with the system's reason, also for an OSError of the block itself, and where `path` is no regular file.
     """
     place = Path(os.path.realpath(path))
     part = place.with_name(_name_part())
@@ -60,9 +64,20 @@ def open_atomic(path: Path, what: str) -> Generator[BinaryIO, None, None]:
             yield file
             file.flush()
             os.fsync(file.fileno())
+            if read is not None:
+                read_back(part / place.name, path, what, read)
             (part / place.name).replace(place)
     except OSError as error:
         raise FileProblem(f"cannot write {what} ({describe_os_error(error)})", path) from error
+
+
+def read_back(written: Path, path: Path, what: str, read: FileReader) -> None:
+    """Read what was `written` to be moved to `path`; raises FileProblem where that fails."""
+    try:
+        read(written)
+    except TouchError as error:
+        reason = str(error).replace(f": '{written}'", "")
+        raise FileProblem(f"{what} cannot be read back as it was written ({reason})", path) from error
 
 
 def write_folder(folder: Path, fill: Callable[[Path], None], own: Collection[str] = ()) -> None:
@@ -239,25 +254,41 @@ def set_aside(path: Path) -> Path:
     return aside
 
 
-def write_text(path: Path, text: str, what: str) -> None:
-    """Write `text` as UTF-8 atomically; raises FileProblem."""
-    with open_atomic(path, what) as file:
+def write_text(path: Path, text: str, what: str, read: FileReader | None) -> None:
+    """Write `text` as UTF-8 atomically and read it back (see `open_atomic`); raises FileProblem."""
+    with open_atomic(path, what, read) as file:
         file.write(text.encode("utf-8"))
 
 
-def write_together(contents: Mapping[Path, bytes], what: str) -> None:
-    """Write several files: all of them are replaced, or none where one cannot be written; raises FileProblem."""
+def write_together(folder: Path, contents: Mapping[str, bytes], what: str, read: FileReader) -> None:
+    """Write several files of a folder: all of them are replaced, or none where one cannot be written or read back.
+
+    `read` reads the folder. Raises FileProblem.
+    """
+    part = folder / _name_part()
+    try:
+        with _create_part(part):
+            for name, content in contents.items():
+                (part / name).write_bytes(content)
+            read_back(part, folder, what, read)
+    except OSError as error:
+        raise FileProblem(f"cannot write {what} ({describe_os_error(error)})", folder) from error
     with contextlib.ExitStack() as stack:
-        for path, content in contents.items():
-            file = stack.enter_context(open_atomic(path, what))
+        for name, content in contents.items():
+            file = stack.enter_context(open_atomic(folder / name, what, None))
             file.write(content)
             file.flush()
             os.fsync(file.fileno())  # a full disk shows here, before the first file is replaced
 
 
-def write_json(path: Path, value: object, what: str = "the report") -> None:
-    """Write `value` as indented JSON; numbers that are not finite become null."""
-    write_text(path, format_json(value), what)
+def write_json(path: Path, value: object, what: str = "the report", read: FileReader | None = None) -> None:
+    """Write `value` as indented JSON; numbers that are not finite become null.
+
+    `read` None: no command of ours reads it, and it must be JSON.
+    """
+    write_text(
+        path, format_json(value), what, read or (lambda written: _parse(written, what, json.loads, "JSON", MOST_BYTES))
+    )
 
 
 def format_json(value: object) -> str:
@@ -265,9 +296,11 @@ def format_json(value: object) -> str:
     return json.dumps(_to_json(value), indent=1, allow_nan=False) + "\n"
 
 
-def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], what: str = "the arrays") -> None:
-    """Write `arrays` as one lightly compressed .npz without pickle."""
-    with open_atomic(path, what) as file:
+def write_arrays(
+    path: Path, arrays: Mapping[str, NDArray[Any]], what: str = "the arrays", read: FileReader | None = None
+) -> None:
+    """Write `arrays` as one lightly compressed .npz without pickle; `read` None: they must be readable as arrays."""
+    with open_atomic(path, what, read or (lambda written: read_arrays(written, what))) as file:
         np.savez_compressed(file, allow_pickle=False, **arrays)  # type: ignore[arg-type]
 
 
@@ -347,9 +380,9 @@ def read_json(path: Path, what: str) -> Any:
     return _parse(path, what, json.loads, "JSON")
 
 
-def _parse(path: Path, what: str, parse: Callable[[str], Any], language: str) -> Any:
+def _parse(path: Path, what: str, parse: Callable[[str], Any], language: str, most_bytes: int = MOST_TEXT_BYTES) -> Any:
     try:
-        return parse(read_bytes(path, what, MOST_TEXT_BYTES).decode("utf-8-sig"))  # editors of Windows mark UTF-8
+        return parse(read_bytes(path, what, most_bytes).decode("utf-8-sig"))  # editors of Windows mark UTF-8
     except (ValueError, RecursionError) as error:  # both languages' own errors, and that of UTF-8, are ValueErrors
         raise FileProblem(f"{what} is not valid {language} ({error})", path) from error
 

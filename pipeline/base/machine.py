@@ -1,18 +1,16 @@
 """The machine, versions and threads that a measurement is made with."""
 
-import functools
 import importlib.metadata
 import os
 import platform
 from collections.abc import Mapping
-from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
 N_THREADS = 2
 THREAD_SETTINGS: Mapping[str, str] = {
     "OMP_NUM_THREADS": str(N_THREADS),
-    "OPENBLAS_NUM_THREADS": str(N_THREADS),
+    "OPENBLAS_NUM_THREADS": "1",  # as in every process of ours
     "MKL_NUM_THREADS": str(N_THREADS),
     "NUMBA_NUM_THREADS": str(N_THREADS),
     "TBB_NUM_THREADS": str(N_THREADS),
@@ -54,19 +52,6 @@ def format_machine(about: Mapping[str, Any]) -> str:
         f"{about['cpu']}, {about['cores']} cores{load}; {threads or 'default'} threads; "
         f"Python {about['python']}, {versions}"
     )
-
-
-def limit_blas_to_one_thread() -> AbstractContextManager[Any]:
-    """A context in which numpy's BLAS uses one thread; several threads add up in another order."""
-    return _find_thread_pools().limit(limits=1, user_api="blas")
-
-
-@functools.cache
-def _find_thread_pools() -> Any:
-    """The libraries with threads that are loaded first, numpy's among them; to search for them takes milliseconds."""
-    from threadpoolctl import ThreadpoolController
-
-    return ThreadpoolController()
 
 
 def _version(package: str) -> str | None:

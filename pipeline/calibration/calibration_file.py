@@ -45,7 +45,7 @@ class _Content(msgspec.Struct, kw_only=True, frozen=True):
     slope_max: _Positive
     residual: Number
     origin: Note
-    presses: tuple[tuple[Number, Number, Number, Number, float, Number], ...]  # see `_encode_presses`
+    presses: tuple[tuple[Number, float, float, float, float, Number], ...]  # see `_encode_presses`
     uses_built_in: bool
     expected_error: Annotated[tuple[Annotated[float, Meta(ge=0.0, le=1e12)], ...], Meta(max_length=5)]
     diameter_ratio: Annotated[tuple[_Positive, ...], Meta(max_length=1)]
@@ -86,7 +86,7 @@ def save(calibration: Calibration, path: Path) -> Path:
         name: np.zeros((0,) * n_axes, kind) if getattr(calibration, name) is None else getattr(calibration, name)
         for name, (n_axes, kind) in _MAPS.items()
     }
-    with open_atomic(path, _WHAT) as file:
+    with open_atomic(path, _WHAT, load) as file:
         np.savez_compressed(
             file, version=_VERSION, sensor=calibration.sensor, size=(calibration.rows, calibration.cols),
             pixel_mm=calibration.pixel_mm, coefficients=model.coefficients, colour_degree=model.colour_degree,
@@ -120,6 +120,8 @@ def _decode(content: _Content) -> Calibration:
         raise CalibrationError("its coefficients do not fit its degrees or are not finite")
     if len(content.expected_error) not in (0, 5):
         raise CalibrationError("expected_error must be five numbers of 0 or more")
+    if any(used and not np.isfinite(place).all() for _, *place, _, used in content.presses):
+        raise CalibrationError("a press that is used has no centre or radius")
     diameter, diameter_p90, depth, depth_p90, n_held_out = content.expected_error or (0.0,) * 5
     model = SlopeModel(
         colour_degree=content.colour_degree, position_degree=content.position_degree,

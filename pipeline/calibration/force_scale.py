@@ -100,7 +100,7 @@ def save_force_scale(scale: ForceScale, path: Path, calibration: Path | None = N
         "force_scale": np.array([scale.factor, scale.exponent]),
         "force_weighings": scale.weighings_n,
     }
-    write_arrays(path, {**known, **own}, "the calibration")
+    write_arrays(path, {**known, **own}, "the calibration", load_force_scale)
 
 
 def load_force_scale(path: Path) -> ForceScale | None:

@@ -19,7 +19,7 @@ def describe_quality(calibration: Calibration) -> str:
     error = calibration.expected_error
     worth = "" if error is None else f"nine of ten balls' diameters within {100 * error.diameter_p90:.0f} %"
     if calibration.depth_scale_map is not None:
-        return f"{worth}: depth scaled by {n_used} presses of a ball"
+        return f"{worth}: depth scaled by {n_used} presses of a ball, where the light is not fitted to the touch"
     if calibration.uses_built_in:
         accuracy = f"; {worth}" if worth else ""
         return CalibrationWarning(

@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.arrays import Doubles, Floats, Mask, freeze
-from pipeline.base.machine import limit_blas_to_one_thread
 
 OFFSET_GREY = 15.0  # limits the amplification of camera noise in dark corners
 _RIDGE_GROWTH = 4.0  # factor of the ridge for each further degree
@@ -108,17 +107,15 @@ def fit(
     w = weights
     place = np.array([j + i for j, i in _list_position_powers(position_degree)])
     stiffer = (_RIDGE_GROWTH ** (place[:, None] + list_exponents(colour_degree).sum(axis=1)[None, :] - 1.0)).ravel()
-    # One thread gives the same bytes everywhere; several sum in another order and are no faster.
-    with limit_blas_to_one_thread():
-        for _ in range(3):
-            weighted = f * w[:, None]
-            normal = (weighted.T @ f).astype(np.float64)
-            diagonal = np.diag(normal)
-            least = 1e-9 * max(float(diagonal.max()), 1e-12)
-            normal[np.diag_indices_from(normal)] += ridge * stiffer * diagonal + least
-            solution = np.asarray(np.linalg.solve(normal, (weighted.T @ target).astype(np.float64)), np.float64)
-            residual = np.linalg.norm(f @ solution.astype(np.float32) - target, axis=1)
-            w = weights * np.minimum(1.0, huber / np.maximum(residual, 1e-6)).astype(np.float32)
+    for _ in range(3):
+        weighted = f * w[:, None]
+        normal = (weighted.T @ f).astype(np.float64)
+        diagonal = np.diag(normal)
+        least = 1e-9 * max(float(diagonal.max()), 1e-12)
+        normal[np.diag_indices_from(normal)] += ridge * stiffer * diagonal + least
+        solution = np.asarray(np.linalg.solve(normal, (weighted.T @ target).astype(np.float64)), np.float64)
+        residual = np.linalg.norm(f @ solution.astype(np.float32) - target, axis=1)
+        w = weights * np.minimum(1.0, huber / np.maximum(residual, 1e-6)).astype(np.float32)
     table = np.zeros((position_degree + 1, position_degree + 1, len(list_exponents(colour_degree)), 2), np.float32)
     blocks = solution.reshape(-1, table.shape[2], 2)
     for block, (j, i) in zip(blocks, _list_position_powers(position_degree), strict=True):

@@ -109,7 +109,6 @@ def export_weights(run: Path, *, to: Path, half: Flag = False) -> int:
 
 def run_with_progress_bar(run: TrainingRun) -> None:
     """Run a training with a progress bar; Ctrl-C and SIGTERM raise KeyboardInterrupt between two steps."""
-    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # before torch loads: idle threads leave the processor alone
     console = Console(stderr=True, quiet=os.environ.get("RANK", "0") != "0")
     log, handler = logging.getLogger("tactoscope"), _ConsoleHandler(console)
     log.addHandler(handler)

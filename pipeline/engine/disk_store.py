@@ -76,7 +76,7 @@ def _to_field_value(array: NDArray[Any]) -> object:
 def _write(value: object, path: Path, key: str) -> None:
     arrays: dict[str, Any] = {f.name: np.asarray(getattr(value, f.name)) for f in fields(cast("Any", value))}
     with contextlib.suppress(FileProblem, OSError):
-        with open_atomic(path, "a file of the cache") as file:
+        with open_atomic(path, "a file of the cache", None) as file:
             np.savez(file, key=np.array(key), **arrays)
         newest_last = sorted(path.parent.glob("*.npz"), key=lambda file: file.stat().st_mtime)
         for old in newest_last[:-_MAX_FILES]:

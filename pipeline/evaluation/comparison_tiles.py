@@ -11,6 +11,7 @@ from pipeline.base.arrays import Image
 from pipeline.base.files import check_folder, open_atomic, require_own, write_folder, write_json
 from pipeline.previews.layers import Layer
 from pipeline.previews.tile import Tile
+from pipeline.recordings.image_files import read_rgb
 from pipeline.translation.translate import Translation
 
 TABLE_FILE = "compare.json"
@@ -41,7 +42,7 @@ def write_tiles(folder: Path, tiles: Sequence[Tile]) -> None:
             previews = {f"{name}.png": tile.preview, f"{name}_difference.png": tile.difference}
             images = {file: preview.pixels for file, preview in previews.items() if preview is not None}
             for file, pixels in images.items():
-                with open_atomic(part / file, "the image") as png:
+                with open_atomic(part / file, "the image", read_rgb) as png:
                     png.write(_encode_png(pixels))
             entries.append(
                 {"title": tile.title, "problem": tile.problem, "metrics": dict(tile.metrics), "images": list(images)}

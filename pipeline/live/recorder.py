@@ -3,12 +3,14 @@
 import queue
 import threading
 import time
+from contextlib import closing
 from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO
 
 from pipeline.base.errors import FileProblem, TouchError
-from pipeline.base.files import check_folder_for, open_growing_file
+from pipeline.base.files import check_folder_for, open_growing_file, read_back
+from pipeline.recordings import hdf5
 from pipeline.recordings import hdf5_layout as layout
 from pipeline.recordings.hdf5_layout import Coding
 from pipeline.recordings.hdf5_writer import RecordingWriter
@@ -57,6 +59,15 @@ class LiveRecordingWriter(RecordingWriter):
                 self._path.unlink(missing_ok=True)
             if error is not None:
                 raise error
+            if not empty:
+                read_back(self._path, self._path, "the recording", _read_last)
+
+
+def _read_last(path: Path) -> None:
+    """Read the last frame of a recording."""
+    with closing(hdf5.read(path)) as recording:
+        for stream in recording.streams:
+            stream.frame(stream.n_frames - 1)
 
 
 _QUEUE_FRAMES = 240  # some seconds of a fast sensor

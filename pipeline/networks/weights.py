@@ -283,9 +283,9 @@ def save_weights(path: Path, weights: Weights, *, use_float16: bool = False) -> 
         _HEADER_KEY: _VERSION, "kind": weights.kind,
         "config": json.dumps(dict(weights.config)), "card": json.dumps(dict(weights.card)),
     }  # fmt: skip
-    with open_atomic(path, _WHAT) as file:
+    with open_atomic(path, _WHAT, load_weights) as file:
         file.write(to_bytes(stored, header))
-    write_text(path.with_suffix(".md"), _format_card(path.stem, weights), "the card of the weights")
+    write_text(path.with_suffix(".md"), _format_card(path.stem, weights), "the card of the weights", None)
 
 
 def _format_card(name: str, weights: Weights) -> str:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.base.errors import FileProblem, ShapeError, TouchError
+from pipeline.base.errors import ShapeError
 from pipeline.base.files import open_atomic
 from pipeline.geometry.meshes import Mesh
 from pipeline.recordings import hdf5, hdf5_symmetry
@@ -91,7 +91,7 @@ class RecordingWriter:
 
     def _open_place(self, path: Path) -> BinaryIO:
         """The file that is written, open until the writer ends."""
-        return self._place.enter_context(open_atomic(path, "the recording"))
+        return self._place.enter_context(open_atomic(path, "the recording", self._read_added))
 
     def _open(self, mode: str) -> None:
         import h5py
@@ -123,18 +123,14 @@ class RecordingWriter:
                 raise error
             self._file.close()
             layout.truncate_to_size(self._temporary)
-            self._read_back()
 
-    def _read_back(self) -> None:
-        """Read every added frame; raises FileProblem where one cannot be read."""
-        try:
-            with closing(hdf5.read(Path(self._temporary.name))) as written:
-                for stream in written.streams:
-                    for index in range(self._n_before.get(stream.name, 0), stream.n_frames):
-                        stream.frame(index)
-                        stream.truth(index)
-        except TouchError as error:
-            raise FileProblem(f"the recording cannot be read back as it was written ({error})", self._path) from error
+    def _read_added(self, path: Path) -> None:
+        """Read every added frame of a written file."""
+        with closing(hdf5.read(path)) as written:
+            for stream in written.streams:
+                for index in range(self._n_before.get(stream.name, 0), stream.n_frames):
+                    stream.frame(index)
+                    stream.truth(index)
 
     def append(self, stream: str, frame: TactileFrame, truth: Truth | None = None) -> None:
         """Add one frame to `stream`, which its first frame creates; raises ShapeError for another shape."""

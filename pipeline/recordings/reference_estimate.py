@@ -34,7 +34,7 @@ def write_reference(recording: Path, out: Path, progress: Progress = SILENT) -> 
     require_separate(out, [recording, *files.images])
     image, n_images = _compute_median(files, progress)
     encoded = cv2.imencode(out.suffix.lower(), image[:, :, ::-1])[1]
-    with open_atomic(out, "the reference image") as file:
+    with open_atomic(out, "the reference image", read_rgb) as file:
         file.write(encoded.tobytes())
     return image, n_images
 

@@ -152,7 +152,7 @@ class _Work:
 def _picture(work: _Work) -> None:
     kind = work.asked.path.suffix.lower().removeprefix(".")
     drawn = work.draw_figure(work.translation.check_index(work.asked.frame))
-    with open_atomic(work.asked.path, "the picture") as file:
+    with open_atomic(work.asked.path, "the picture", None) as file:
         drawn.savefig(file, format=kind, metadata=dict(_UNDATED[kind]))
 
 
@@ -169,7 +169,7 @@ def _points(work: _Work) -> None:
     )
     rows: Any = np.empty(len(shown.points_mm), dtype=[("xyz", "<f4", 3), ("rgb", "u1", 3)])
     rows["xyz"], rows["rgb"] = shown.points_mm, shown.rgb
-    with open_atomic(work.asked.path, "the points") as file:
+    with open_atomic(work.asked.path, "the points", None) as file:
         file.write(head.encode("ascii", "replace"))
         file.write(rows.tobytes())
 
@@ -195,7 +195,7 @@ def _table(work: _Work) -> None:
     table.writerow(["frame", "time_s", *names])
     for index, time_s, metrics in rows:
         table.writerow([index, _number(time_s), *(_number(metrics.get(name, np.nan)) for name in names)])
-    with open_atomic(work.asked.path, "the table") as file:
+    with open_atomic(work.asked.path, "the table", None) as file:
         file.write(text.getvalue().encode())
 
 
@@ -216,7 +216,7 @@ def _section(work: _Work) -> None:
     fields = cross_section.collect_height_maps(translation, translation.read_ground_truth(index), shown)
     if not fields:
         raise SettingProblem(f"{work.asked.pane} of frame {index} has no heights to be cut; name another pane")
-    with open_atomic(work.asked.path, "the section") as file:
+    with open_atomic(work.asked.path, "the section", None) as file:
         file.write(cross_section.format_csv(cross_section.cut_section(line, fields)).encode())
 
 

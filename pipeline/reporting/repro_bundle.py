@@ -135,6 +135,7 @@ def write_bundle(
                     "metrics": metrics,
                 },
                 "the repro bundle",
+                lambda written: _read(written.parent),
             )  # fmt: skip
 
         write_folder(folder, fill)

@@ -82,7 +82,7 @@ def write_video(path: Path, images: Iterable[Image], rate_hz: float) -> str:
             raise error.relocate(path, instead_of=made) from error
         if count_frames(made) < n_images:  # the encoder does not report a full disk
             raise FileProblem(f"cannot write the video (no room for it in {folder!r}?)", path)
-        with made.open("rb") as video, open_atomic(path, "the video") as file:
+        with made.open("rb") as video, open_atomic(path, "the video", None) as file:
             shutil.copyfileobj(video, file)
     return "H.264" if ffmpeg else CODECS[suffix][1]
 

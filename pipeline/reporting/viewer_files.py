@@ -72,7 +72,7 @@ def write_rrd(path: Path, samples: Iterable[StageSample], mesh: Mesh | None) -> 
         except RuntimeError as error:
             raise FileProblem(f"cannot write the Rerun recording (no room for it in {folder!r}?)", path) from error
         log.disconnect()
-        with open_atomic(path, "the Rerun recording") as file:
+        with open_atomic(path, "the Rerun recording", None) as file:
             file.write(made.read_bytes())
 
 
@@ -82,7 +82,7 @@ def write_mcap(path: Path, samples: Iterable[StageSample]) -> None:
         from mcap_protobuf.writer import Writer
     except ImportError as error:
         raise _make_problem("mcap-protobuf-support foxglove-schemas-protobuf", ".mcap") from error
-    with open_atomic(path, "the MCAP file") as file:
+    with open_atomic(path, "the MCAP file", None) as file:
         writer: Any = Writer(file, profile=PREVIEW_PROFILE)
         start_s: float | None = None
         for sample in samples:

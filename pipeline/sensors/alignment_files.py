@@ -60,7 +60,11 @@ def save_alignment(path: Path, content: AlignmentFile) -> None:
 
     Numbers are rounded to 1e-12. Raises FileProblem.
     """
-    write_text(path, format_alignment(content), "the alignment")
+
+    def read(written: Path) -> AlignmentFile:
+        return load_alignment(written, source=content.source, target=content.target)
+
+    write_text(path, format_alignment(content), "the alignment", read)
 
 
 def format_alignment(content: AlignmentFile) -> str:

@@ -152,21 +152,17 @@ def _smooth(depth_mm: Floats, sigma_px: float) -> SmoothedDepth:
 
 def sample_outline(outline_mm: Floats, pixels: Doubles) -> tuple[Doubles, Doubles]:
     """Distances (n,) to the outline at image positions (n, 2), and their change (n, 2) per pixel right and down."""
-    import cv2
-
     offsets = np.array(_OFFSETS[:5], np.float64)
-    x, y = ((pixels[:, k] + offsets[:, k, None]).astype(np.float32) for k in (0, 1))
-    apart = cv2.remap(outline_mm, x, y, cv2.INTER_LINEAR).astype(np.float64)
+    x, y = (pixels[:, k] + offsets[:, k, None] for k in (0, 1))
+    apart = _interpolate(outline_mm, x, y)
     return apart[0], 0.5 * np.column_stack([apart[1] - apart[2], apart[3] - apart[4]])
 
 
 def sample_surface(level: SmoothedDepth, camera: Camera, pixels: Doubles) -> LocalSurface:
     """Points, normals and their change at image positions (n, 2) x, y, which lie inside the level's margin."""
-    import cv2
-
     offsets = np.array(_OFFSETS, np.float64)
     x, y = (pixels[:, k] + offsets[:, k, None] for k in (0, 1))  # (13, n)
-    z = cv2.remap(level.depth_mm, x.astype(np.float32), y.astype(np.float32), cv2.INTER_LINEAR).astype(np.float64)
+    z = _interpolate(level.depth_mm, x, y)
     ray_x, ray_y = (x - camera.cx_px) / camera.fx_px, (y - camera.cy_px) / camera.fy_px
     right, left, below, above = (list(side) for side in zip(*_NEIGHBOURS, strict=True))
     # With p = fx z_x / z and q = fy z_y / z, a pinhole's depth image has the normal (p, q, -(1 + p x/z + q y/z)).
@@ -180,3 +176,12 @@ def sample_surface(level: SmoothedDepth, camera: Camera, pixels: Doubles) -> Loc
         normals_along_x=0.5 * (normals[1] - normals[2]).T,
         normals_along_y=0.5 * (normals[3] - normals[4]).T,
     )
+
+
+def _interpolate(image: Floats, x_px: Doubles, y_px: Doubles) -> Doubles:
+    """Values of an image at positions of any shape, also of none, which OpenCV refuses."""
+    import cv2
+
+    if not x_px.size:
+        return np.zeros(x_px.shape)
+    return cv2.remap(image, x_px.astype(np.float32), y_px.astype(np.float32), cv2.INTER_LINEAR).astype(np.float64)

@@ -174,6 +174,8 @@ def _smooth_poses(frames: Sequence[TrackedFrame], steps: np.ndarray) -> list[Dou
 
 def smooth_coordinates(measured: Doubles) -> Doubles:
     """Coordinates (n, d) of n frames, smoothed one by one; a row of NaN is a frame without a measurement."""
+    if not len(measured):
+        return measured
     phi, s = (grid.reshape(-1, 1) for grid in np.meshgrid(_PERSISTENCE, _VELOCITIES, indexing="ij"))
     best = _filter(measured, phi, s)[1].argmax(axis=0)
     phi, s = phi[best, 0], s[best, 0]

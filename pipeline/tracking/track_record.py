@@ -121,7 +121,7 @@ def write_record(folder: Path, record: TrackRecord) -> None:
     contents = {TABLE: format_table(record.rows).encode(), SUMMARY: format_json(summary).encode()}
     if record.patch is not None:
         contents[PATCH] = format_patch(record.patch)
-    write_together({folder / name: content for name, content in contents.items()}, "the track")
+    write_together(folder, contents, "the track", read_record)
     if record.patch is None:
         (folder / PATCH).unlink(missing_ok=True)  # of an earlier track
 

@@ -26,7 +26,7 @@ def _write_table(path: Path, rows: Sequence[dict[str, Any]]) -> None:
     table = csv.DictWriter(text, names, lineterminator="\n")
     table.writeheader()
     table.writerows({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in row.items()} for row in rows)
-    write_text(path, text.getvalue(), "the learning curves")
+    write_text(path, text.getvalue(), "the learning curves", None)
 
 
 def draw_curves(folder: Path, state: TrainingState) -> None:

@@ -111,7 +111,7 @@ class SampleCache(Generic[T]):
         }
         np.savez(content, **stored)
         path.parent.mkdir(parents=True, exist_ok=True)
-        with open_atomic(path, "a training sample") as file:
+        with open_atomic(path, "a training sample", None) as file:
             file.write(content.getbuffer())
 
     def _load(self, path: Path, unstored: dict[str, Any]) -> T | None:

@@ -52,7 +52,7 @@ def save_state(folder: Path, state: TrainingState) -> None:
 
     content = io.BytesIO()
     torch.save({f.name: getattr(state, f.name) for f in fields(state)}, content)
-    with open_atomic(folder / _FILE, _WHAT) as file:
+    with open_atomic(folder / _FILE, _WHAT, lambda written: load_state(written.parent)) as file:
         file.write(content.getbuffer())
 
 

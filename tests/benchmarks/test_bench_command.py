@@ -57,8 +57,7 @@ def test_every_benchmark_that_needs_nothing_runs_and_its_rows_are_written(folder
 
 
 @pytest.mark.parametrize("benchmark", runner.list_benchmarks(), ids=lambda known: known.name)
-def test_a_benchmark_can_be_imported(benchmark, monkeypatch):
-    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "1")  # which those of the window set
+def test_a_benchmark_can_be_imported(benchmark):
     assert callable(importlib.import_module(f"benchmarks.{benchmark.name}").measure)
 
 

@@ -9,7 +9,10 @@ from hypothesis import strategies as st
 from PyQt6.QtCore import QPoint, Qt
 
 from pipeline.previews.colours import ColourScale
-from widgets.colour_bar import ColourBar, compute_histogram
+from pipeline.previews.display_params import DisplayParams
+from pipeline.previews.preview import make_deviation_scale
+from pipeline.sensors.spec import load_sensor
+from widgets.colour_bar import ColourBar, compute_histogram, fit_limits
 
 
 def _scale(low=0.0, high=2.0, **sets) -> ColourScale:
@@ -77,3 +80,19 @@ def test_limits_that_follow_from_the_sensor_stay(levels, qtbot):
         qtbot.mousePress(levels, Qt.MouseButton.LeftButton, pos=QPoint(202, 25))
         qtbot.mouseMove(levels, QPoint(100, 25))
         qtbot.mouseRelease(levels, Qt.MouseButton.LeftButton, pos=QPoint(100, 25))
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_fitted_limits_of_a_signed_scale_hold_both_sides(sign):
+    values = sign * np.linspace(-3.0, 1.0, 10_001, dtype=np.float32)
+    ((name, limit),) = fit_limits(values, _scale(-2.0, low_setting="a", high_setting="a")).items()
+    assert (name, limit) == ("a", pytest.approx(2.96, abs=0.02))  # all but one per cent
+    assert fit_limits(values, _scale(low_setting="a", high_setting="b"))["a"] == pytest.approx(
+        -2.96 if sign > 0 else -0.96, abs=0.02
+    )
+
+
+def test_scales_about_zero_reach_as_far_below_as_above():
+    bubble, display = load_sensor("soft_bubble"), DisplayParams(bubble_limit_mm=7.0, residual_limit_mm=0.2)
+    scale = make_deviation_scale(bubble, display)
+    assert (scale.low, scale.high, scale.low_setting) == (-7.0, 7.0, scale.high_setting)

@@ -3,7 +3,7 @@
 The uncalibrated stage knows more than the built-in table (it estimates the illumination), so its slopes of every press
 are what a calibration table has to beat; its depth of the presses as well, as slopes alone do not show wrong contacts.
 Where it does not, as with few presses, the presses scale the depth of the uncalibrated stage by places
-(`fit_depth_scale`).
+(`fit_depth_scale`). Table and scale are compared, and kept, by the depth that the stage then measures.
 """
 
 import functools
@@ -63,7 +63,14 @@ def calibrate_sensor(
     found = add_diameter_ratio(found, diameters_mm[:, 0] / diameter_mm)
     ratio, by_place = diameters_mm.T / diameter_mm
     by_description = found if found.uses_built_in else keep_description(found, plain, ratio)
-    by_description = add_depth_scale(by_description, ratio, by_place)
+    scaled = add_depth_scale(by_description, ratio, by_place)
+    if scaled is not by_description:
+        error = measure_table_error(scaled, images, reference, sensor, diameter_mm)
+        unscaled = np.nan_to_num([ratio[fit.index] - 1.0 for fit in _select_presses(found)], nan=1.0)
+        if error.diameter_share < summarise_errors(unscaled).diameter_share:
+            predicted = scaled.expected_error
+            is_known = predicted is not None and predicted.diameter_share > error.diameter_share
+            by_description = scaled if is_known else replace(scaled, expected_error=error)
     if found.uses_built_in:
         return by_description
     by_table = fit_contact_limit(found, images, reference, sensor)
@@ -84,7 +91,7 @@ def keep_description(found: Calibration, plain: Calibration, ratio: Doubles) -> 
 def measure_table_error(
     table: Calibration, images: Sequence[Image], reference: Image, sensor: SensorSpec, diameter_mm: float
 ) -> ExpectedError:
-    """Errors of the diameters of presses that a calibration table was fitted to."""
+    """Errors of the diameters of presses that a calibration, by a table or a scale, was fitted to."""
     errors: list[float] = []
     for fit in _select_presses(table):
         frame = TactileFrame(sensor=sensor.name, image=images[fit.index], reference=reference, index=fit.index)
@@ -117,9 +124,12 @@ def add_diameter_ratio(found: Calibration, ratio: Doubles) -> Calibration:
 def add_depth_scale(found: Calibration, ratio: Doubles, by_place: Doubles) -> Calibration:
     """The calibration with a depth scale, from ratios (n,) of measured to true diameter; NaN = no ball detected.
 
-    `by_place`: the same where the light errs by places, else NaN; without such presses nothing changes.
+    `by_place`: the same where the light errs by places, else NaN. Only such touches are scaled: nothing changes where
+    most presses are none.
     """
     used = [fit.used for fit in found.presses]
+    if 2 * np.count_nonzero(np.isfinite(by_place[used])) <= sum(used):
+        return found
     x, y = (np.array([getattr(fit, name) for fit in found.presses])[used] for name in ("x_px", "y_px"))
     scale = fit_depth_scale(x, y, by_place[used], (found.rows, found.cols))
     if scale is None:
@@ -191,7 +201,7 @@ def fit_depth_scale(x: Doubles, y: Doubles, ratio: Doubles, shape: tuple[int, in
     across, down = np.meshgrid(*((np.arange(_GRID) + 0.5) / _GRID * n / half for n in (cols, rows)))
     grid = np.stack([across.ravel(), down.ravel()], axis=1)
     factors = np.exp(_predict(places, logs, grid)).reshape(_GRID, _GRID)
-    errors = np.expm1(logs - _predict_each_by_others(places, logs))
+    errors = np.expm1(np.log(ratio[measured]) - _predict_each_by_others(places, logs))
     return DepthScale(factors=freeze(factors.astype(np.float32)), errors=errors)
 
 

@@ -52,6 +52,7 @@ _WEAK_SHADING = StageWarning(
 )
 _NOT_COVERED = StageWarning("no indentation of the calibration covers this touch: it is measured without calibration")
 _LIGHT_CHANGE = "the light has changed, but no dent explains it: nothing touches the sensor"
+NOT_SCALED = "the light is fitted to this touch: the depth scale of the calibration does not apply to it"
 _SHADOW_LEDS = "no usual LEDs explain the image: measured with low LEDs that cast shadows, fitted to this touch"
 
 
@@ -125,6 +126,8 @@ def measure_gel_depth(
         notes += _describe_illumination(used, len(frame.context_frames))
         if used is not None and used.is_bound_to_place:
             surface = surface * np.float32(calibration.compute_depth_scale(surface, corner))
+        elif calibration.depth_scale_map is not None:
+            notes.append(NOT_SCALED)
         surface, inside = _level_surface(surface, window, source, pixel_mm)
         pressed = inside | contact.detect_contact(
             surface, pixel_mm, least_mm=least_mm, pressure_share=pressure_share, smoothing_px=_CONTACT_BLUR_PX,

@@ -30,6 +30,7 @@ from pipeline.stages.depth import (
     contact,
     draft_resolution,
     drift,
+    gel_depth,
     gel_network_input,
     illumination_channels,
     photometric,
@@ -114,6 +115,12 @@ def _estimate(
     progress.step(0.9, "correcting by the network")
     seen_by = match_pixel_size(source if frame.camera is None else source.with_camera(frame.camera), calibration)
     reason = illumination_channels.explain_exclusion(seen_by, measured.illumination)
+    if (
+        calibration is not None
+        and calibration.depth_scale_map is not None
+        and gel_depth.NOT_SCALED not in physical.notes
+    ):
+        reason = reason or "presses of a ball scale the depth here: the result is that of physics alone"
     if reason:
         return replace(physical, notes=(*physical.notes, reason))
     inputs = prepare_input(frame, seen_by, physical)

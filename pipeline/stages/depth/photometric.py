@@ -200,7 +200,10 @@ def add_calibration_notes(
     found: DepthMap, frame: TactileFrame, source: SensorSpec, calibration: Calibration | None
 ) -> DepthMap:
     """A gel's result, with the quality of its calibration as the first note."""
-    quality = quality_notes.UNCALIBRATED_NOTE if calibration is None else quality_notes.describe_quality(calibration)
+    if calibration is None or gel_depth.NOT_SCALED in found.notes:
+        quality = quality_notes.UNCALIBRATED_NOTE
+    else:
+        quality = quality_notes.describe_quality(calibration)
     return replace(found, notes=(quality, *warn_of_mismatch(frame, source, calibration), *found.notes))
 
 

@@ -86,6 +86,8 @@ def rasterise_surface(
         flatten_read_only(cloud.points_mm),
         flatten_read_only(cloud.source_index, np.int32),
     )
+    if not index.size:
+        return splat_cloud(cloud, camera, membrane, index)
     if (index[1:] < index[:-1]).any():
         return _rasterise_unordered(cloud, camera, membrane, jump_mm=jump_mm, grazing_deg=grazing_deg)
     longest_mm = jump_mm + 2.0 * _measure_spacing_mm(points, index, cloud.stride)  # the diagonal of a cell on a slope

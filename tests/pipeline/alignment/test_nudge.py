@@ -62,9 +62,20 @@ def test_the_pivot_is_the_middle_of_the_contact():
 
 def test_without_contact_the_pivot_is_the_middle_of_the_surface():
     depth = touched(rows=slice(0, 0))
-    assert np.isfinite(compute_pivot_mm(depth, ALIGNED)).all()
-    blind = replace(depth, depth_mm=np.full_like(depth.depth_mm, np.nan))
-    assert np.isfinite(compute_pivot_mm(blind, ALIGNED)).all()
+    z, (ray_x, ray_y) = GEL.rest_depth_mm, GEL.camera.rays()
+    middle = [(ray_x * z).mean(), (ray_y[:, None] * z).mean(), z.mean()]
+    in_target = rigid.apply(ALIGNED.target_from_source, middle)
+    np.testing.assert_allclose(compute_pivot_mm(depth, ALIGNED), in_target, atol=1e-5)
+    left = np.where(np.arange(GEL.camera.cols) < 10, depth.depth_mm, np.nan)
+    at_left = compute_pivot_mm(replace(depth, depth_mm=left), ALIGNED)
+    middle = [(ray_x[:10] * z[:, :10]).mean(), (ray_y[:, None] * z[:, :10]).mean(), z[:, :10].mean()]
+    np.testing.assert_allclose(at_left, rigid.apply(ALIGNED.target_from_source, middle), atol=1e-5)
+
+
+def test_without_any_depth_the_pivot_is_the_camera_of_the_source():
+    blind = touched()
+    blind = replace(blind, depth_mm=np.full_like(blind.depth_mm, np.nan))
+    np.testing.assert_allclose(compute_pivot_mm(blind, ALIGNED), ALIGNED.target_from_source[:3, 3], atol=EXACT)
 
 
 def test_a_unit_whose_camera_stands_farther_back_sees_the_same_touch():

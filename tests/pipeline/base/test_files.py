@@ -28,6 +28,7 @@ from pipeline.base.files import (
     write_arrays,
     write_folder,
     write_json,
+    write_together,
 )
 
 _KILLED = """
@@ -93,7 +94,7 @@ _WRITING = """
 import sys
 from pathlib import Path
 from pipeline.base.files import open_atomic
-with open_atomic(Path(sys.argv[1]), "it") as file:
+with open_atomic(Path(sys.argv[1]), "it", None) as file:
     file.write(b"slow")
     print("begun", flush=True)
     sys.stdin.read()
@@ -184,7 +185,7 @@ def test_a_file_that_fails_half_way_leaves_the_old_one_and_nothing_else(tmp_path
     path.write_bytes(b"old")
 
     def fails(error):
-        with open_atomic(path, "the thing") as file:
+        with open_atomic(path, "the thing", None) as file:
             file.write(b"half")
             raise error
 
@@ -315,3 +316,19 @@ def test_what_is_kept_and_damaged_in_any_way_is_as_good_as_not_there(tmp_path, d
     else:
         path.write_bytes({"empty": b"", "zeroed": bytes(len(whole)), "cut": whole[: len(whole) // 2]}[damage])
     assert read_cached_arrays(path) is None
+
+
+def test_what_cannot_be_read_back_replaces_nothing(tmp_path):
+    path = tmp_path / "a.json"
+    path.write_text("old")
+
+    def refuse(written: Path) -> None:
+        raise FileProblem("it holds nothing", written)
+
+    with pytest.raises(FileProblem, match=r"cannot be read back as it was written \(it holds nothing\): '.*a.json'"):
+        write_json(path, {}, "the thing", refuse)
+    assert path.read_text() == "old"
+    with pytest.raises(FileProblem, match="cannot be read back"):
+        write_together(tmp_path, {"a.json": b"new", "b": b"new"}, "the thing", refuse)
+    assert [file.name for file in tmp_path.iterdir()] == ["a.json"]
+    assert path.read_text() == "old"

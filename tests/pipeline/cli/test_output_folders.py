@@ -96,12 +96,12 @@ def test_one_frame_that_cannot_be_read_does_not_cost_the_others(words, written, 
 
 def test_a_full_disk_leaves_every_file_as_it_was(tmp_path):
     table, surface = tmp_path / "track.csv", tmp_path / "patch.ply"
-    write_together({table: b"old", surface: b"old"}, "the track")
+    write_together(tmp_path, {table.name: b"old", surface.name: b"old"}, "the track", Path.iterdir)
     limit, most = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, most))  # a file of this size is where the disk is full
     try:
         with pytest.raises(FileProblem, match="cannot write the track"):
-            write_together({table: b"new", surface: bytes(40_000)}, "the track")
+            write_together(tmp_path, {table.name: b"new", surface.name: bytes(40_000)}, "the track", Path.iterdir)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (limit, most))
     assert (table.read_bytes(), surface.read_bytes()) == (b"old", b"old")

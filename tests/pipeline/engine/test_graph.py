@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -261,3 +261,11 @@ def test_what_is_compiled_on_the_way_is_not_the_stages_time(ran, monkeypatch):
     monkeypatch.setattr("pipeline.base.compiling.spent_s", lambda: compiled_s[0])
     results = Graph((ran.stage("one", ("x",), work),)).evaluate(("one",), {"x": Number(value=1.0)}, {})
     assert results["one"].ms == pytest.approx(2000.0)
+
+
+@pytest.mark.parametrize("change", [{"version": 2}, {"name": "other"}])
+def test_another_version_or_method_runs_again_on_what_is_cached(ran, change):
+    cache, method = Cache(1 << 20), ran.stage("double", ("x",), lambda x, p: Number(value=2 * x.value))
+    for known in (method, method, replace(method, **change)):
+        Graph((known,), cache=cache).evaluate(("double",), {"x": X}, {})
+    assert ran.names == ["double", "double"]

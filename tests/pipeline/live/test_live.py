@@ -485,3 +485,15 @@ def test_the_result_says_how_many_frames_were_left_out(capsys, tmp_path):
     assert live._print_result(reader, recorder) == 0
     assert "6293 of 21920 frames in" in (said := capsys.readouterr().out)
     assert "15627 left out" in said
+
+
+@pytest.mark.parametrize(
+    ("numbers", "lost"), [((0, 1, 2), 0), ((0, 2, 3), 1), ((5, 6, 9), 2), ((3, 3, 4), 0), ((9, 0, 1), 0)]
+)
+def test_every_lost_frame_is_counted_also_a_single_one(numbers, lost):
+    source, now_s = CountingSource(), time.monotonic()
+    watched = LiveReader(source)
+    image = np.zeros((*DIGIT.camera.shape, 3), np.uint8)
+    for number in numbers:
+        watched._add_frame(LiveFrame(image=image, time_s=now_s, sequence_number=number))
+    assert watched.status().n_lost == lost

@@ -11,6 +11,7 @@ import pytest
 
 from pipeline.base.errors import FileProblem, SettingProblem, ShapeError
 from pipeline.recordings import open_recording
+from pipeline.recordings.sensor_guess import resolve_sensor_name
 
 RED = (200, 30, 10)
 VIDEO_GREY = 12  # grey levels that a lossy video codec may change in a flat colour
@@ -197,3 +198,10 @@ def test_a_reference_of_another_size_is_named_in_the_error(folder: Path):
         open_recording(folder)
     save(folder / "press_1.png", shape=(480, 640))
     assert open_recording(folder).streams[0].frame(0).image.shape == (480, 640, 3), "then one frame fits, others do not"
+
+
+def test_the_longest_sensor_name_in_the_names_of_the_files_is_taken():
+    names = ["gelslim_dotless_01.png", "gelslim_dotless_02.png"]
+    assert resolve_sensor_name("", (111, 99), is_depth=False, file_names=names)[0] == "gelslim_dotless"
+    assert resolve_sensor_name("", (111, 99), is_depth=False, file_names=[*names, "gelslim_3.png"])[0] == "gelslim"
+    assert resolve_sensor_name("", (111, 99), is_depth=False, file_names=["mygelslim.png"])[0] == ""

@@ -83,3 +83,11 @@ def test_too_few_images_are_refused(tmp_path):
     write_images(tmp_path / "a", draw_presses(2)[1])
     with pytest.raises(TouchError, match="3 images"):
         write_reference(tmp_path / "a", tmp_path / "r.png")
+
+
+def test_a_median_between_two_grey_levels_is_rounded(tmp_path):
+    for index, grey in enumerate((11, 11, 12, 12)):
+        cv2.imwrite(str(tmp_path / f"{index}.png"), np.full((4, 5, 3), grey, np.uint8))
+    image, n = write_reference(tmp_path, tmp_path / "out" / "reference.png")
+    assert n == 4
+    assert (image == 12).all()

@@ -33,7 +33,7 @@ KILLED = """
 import os, signal, sys
 from pathlib import Path
 from pipeline.base.files import open_atomic
-with open_atomic(Path(sys.argv[1]), "the recording") as file:
+with open_atomic(Path(sys.argv[1]), "the recording", None) as file:
     file.write(b"half a recording")
     file.flush()
     os.kill(os.getpid(), signal.SIGKILL)

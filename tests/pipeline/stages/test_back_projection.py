@@ -110,3 +110,11 @@ def test_an_object_surface_replaces_the_membrane_in_the_cloud():
     )
     assert cloud.source_index.tolist() == [10 * CAMERA.cols + 10, 10 * CAMERA.cols + 11]
     assert cloud.points_mm[:, 2].tolist() == [21.0, 22.0]
+
+
+def test_the_field_of_view_ends_half_a_pixel_beyond_the_outermost_centres():
+    depth = depth_map(np.full(CAMERA.shape, 20.0), np.ones(CAMERA.shape))
+    window = back_project_depth(depth, by(rigid.translation(1.0, 2.0, 3.0)), BackProjectionParams()).field_of_view_mm
+    columns, rows = np.array([-0.5, 31.5, 31.5, -0.5]), np.array([-0.5, -0.5, 23.5, 23.5])
+    expected = np.stack([20.0 * (columns - 15.2) / 40.0, 20.0 * (rows - 11.7) / 42.0, np.full(4, 20.0)], axis=1)
+    np.testing.assert_allclose(window, expected + np.array([1.0, 2.0, 3.0]), atol=1e-5)

@@ -13,7 +13,7 @@ from pipeline.physics import optics
 from pipeline.physics.slopes import compute_slopes
 from pipeline.sensors.spec import load_sensor
 from pipeline.simulation.variation import vary_sensor
-from pipeline.stages.depth import ball_calibration
+from pipeline.stages.depth import ball_calibration, gel_depth, photometric
 from pipeline.stages.depth.ball_calibration import add_depth_scale, calibrate_sensor, fit_contact_limit
 from pipeline.stages.depth.illumination import frame_illumination
 from pipeline.stages.depth.illumination.light import Illumination
@@ -154,6 +154,14 @@ def test_depth_is_scaled_by_places_where_the_light_is_not_fitted_to_the_touch_it
     inside = plain.contact & more.contact
     assert inside.sum() > 100
     assert more.indentation_mm[inside].sum() == pytest.approx(factor * plain.indentation_mm[inside].sum(), rel=0.03)
+    is_scaled = factor != 1.0
+    assert (gel_depth.NOT_SCALED in more.notes) is not is_scaled
+    known = replace(
+        scaled, presses=of_presses().presses, uses_built_in=True, expected_error=of_presses().expected_error
+    )
+    promised = photometric.add_calibration_notes(more, frame, described, known).notes[0]
+    assert ("depth scaled by" in promised) is is_scaled
+    assert promised.startswith("sensor not calibrated") is not is_scaled
 
 
 def test_presses_scale_depth_by_how_far_they_are_off_and_state_what_is_left():
@@ -167,29 +175,48 @@ def test_presses_scale_depth_by_how_far_they_are_off_and_state_what_is_left():
     assert scaled.expected_error.n_held_out == len(PLACES)
     assert scaled.expected_error.diameter_share < scaled.expected_error.diameter_p90 < 0.25
     assert add_depth_scale(known, off, unknown) == known
-    one = add_depth_scale(known, off, np.where(np.arange(len(PLACES)) == 0, off, np.nan)).expected_error
-    assert one is not None
-    assert one.n_held_out == len(PLACES)
-    assert one.diameter_share > scaled.expected_error.diameter_share
+    most = add_depth_scale(known, off, np.where(np.arange(len(PLACES)) > 0, off, np.nan)).expected_error
+    assert most is not None
+    assert most.n_held_out == len(PLACES)
+    assert most.diameter_share > scaled.expected_error.diameter_share
+    half = np.where(np.arange(len(PLACES)) % 2 == 0, off, np.nan)
+    assert add_depth_scale(known, off, half) == known  # half of the touches would not be scaled
+    wrong = np.full(len(PLACES), 3.0)  # a pixel width thrice the true one: more than a scale is trusted with
+    stated = add_depth_scale(known, wrong, wrong).expected_error
+    assert stated is not None
+    assert stated.diameter_share > 0.5
 
 
-@pytest.mark.parametrize(("table_error", "is_taken"), [(0.3, False), (0.001, True)])
-def test_a_table_that_measures_its_own_presses_worse_is_not_taken(monkeypatch, table_error, is_taken):
+@pytest.mark.parametrize(
+    ("off", "scaled_error", "table_error", "taken"),
+    [
+        (1.1, 0.01, 0.3, "scale"), (1.1, 0.01, 0.001, "table"), (1.1, 0.3, 0.25, "description"),
+        (1.5, 0.27, 0.11, "table"),  # a pixel width half as large again: the scale predicts 3 %
+    ],
+)  # fmt: skip
+def test_the_calibration_that_measures_its_own_presses_best_is_taken(
+    monkeypatch, off, scaled_error, table_error, taken
+):
     described = load_sensor("gelsight_mini")
     shape = described.camera.shape
 
     def read(frame, *_):
         x, y = PLACES[frame.index]
         inside = np.hypot(np.arange(shape[1]) - x, (np.arange(shape[0]) - y)[:, None]) * described.pixel_mm < 1.2
-        depth_mm = hertz(shape, described.pixel_mm, x, y, 1.1 * DIAMETER_MM, 0.6)
-        return SimpleNamespace(indentation_mm=depth_mm, contact=inside), None
+        depth_mm = hertz(shape, described.pixel_mm, x, y, off * DIAMETER_MM, 0.6)
+        surface = SimpleNamespace(illumination=SimpleNamespace(is_bound_to_place=True))
+        return SimpleNamespace(indentation_mm=depth_mm, contact=inside), surface
 
-    error = ExpectedError(diameter_share=table_error, diameter_p90=0.3, depth_share=0.1, depth_p90=0.3, n_held_out=4)
+    def measure(look_up, *_):
+        share = table_error if look_up.depth_scale_map is None else scaled_error
+        return ExpectedError(diameter_share=share, diameter_p90=0.3, depth_share=0.1, depth_p90=0.3, n_held_out=4)
+
     monkeypatch.setattr(ball_calibration, "estimate_gel_depth", read)
     monkeypatch.setattr(ball_calibration, "calibrate_balls", lambda *_, **__: of_presses())
     monkeypatch.setattr(ball_calibration, "fit_contact_limit", lambda found, *_: found)
-    monkeypatch.setattr(ball_calibration, "measure_table_error", lambda *_: error)
+    monkeypatch.setattr(ball_calibration, "measure_table_error", measure)
     images = [np.zeros((*shape, 3), np.uint8)] * len(PLACES)
     found = calibrate_sensor(images, images[0], described, DIAMETER_MM)
-    assert found.is_built_in is not is_taken
-    assert found.diameter_ratio == pytest.approx(1.1, abs=0.05)  # under a ball the gel is a paraboloid here
+    assert ("description" if found.is_built_in else "table") == {"scale": "description"}.get(taken, taken)
+    assert (found.depth_scale_map is not None) is (taken == "scale")
+    assert found.diameter_ratio == pytest.approx(off, abs=0.07)  # under a ball the gel is a paraboloid here

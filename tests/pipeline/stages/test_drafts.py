@@ -9,6 +9,7 @@ import pytest
 
 from app.session.sample import SAMPLE_RECORDING
 from pipeline.base.progress import SILENT
+from pipeline.calibration.calibration_table import make_built_in
 from pipeline.engine.graph import Graph, Method
 from pipeline.metrics.stage_metrics import iou
 from pipeline.recordings import open_recording
@@ -121,3 +122,13 @@ def test_what_rests_on_a_draft_is_a_draft():
     assert {name: result.draft for name, result in results.items()} == {"a": False, "b": True, "c": True, "d": False}
     again = graph.evaluate("abcd", {}, {"b": replace(Params(), draft=False)})
     assert not any(result.draft for result in again.values())
+
+
+@pytest.mark.parametrize("by", [2, 3])
+def test_a_downsampled_calibration_is_as_wide_in_millimetres(by):
+    known = make_built_in(load_sensor("gelslim"))
+    small = draft_resolution.downsample_calibration(known, by)
+    assert small is not None
+    assert (small.rows, small.cols) == (known.rows // by, known.cols // by)
+    assert small.cols * small.pixel_mm == pytest.approx(known.cols * known.pixel_mm)
+    assert draft_resolution.downsample_calibration(None, by) is None

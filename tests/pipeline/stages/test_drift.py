@@ -132,3 +132,12 @@ def test_a_real_reference_that_has_moved_far_is_put_back(real_data):
         found, _ = drift.fit_drift(drifted(still, shift_px=(3.0, -4.0), seed=seed), still)
         assert found is not None
         assert found.shift_px == pytest.approx((3.0, -4.0), abs=0.1)
+
+
+def test_the_prior_pulls_the_whole_shift_to_none_and_not_its_last_step():
+    """Blocks without texture tell nothing of a shift: what earlier steps have moved is taken back."""
+    flat = np.full((12, 3), 90.0, np.float32)
+    place = drift._make_positions(3, 4)
+    still = drift._Blocks(mean=flat, by_x=np.zeros_like(flat), by_y=np.zeros_like(flat))
+    solution, _ = drift._solve(flat, still, place, np.array([1.5, -0.5]), 1.0)
+    np.testing.assert_allclose(solution[12:], [-1.5, 0.5], atol=1e-9)

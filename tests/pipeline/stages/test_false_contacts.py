@@ -54,3 +54,16 @@ def test_parts_of_a_light_touch_stay_without_steep_flanks():
     remaining = false_contacts.remove_false_contacts(surface > 0, surface, 0.05)
     assert remaining[60, 50]
     assert remaining[60, 130]
+
+
+@pytest.mark.parametrize(("centre", "share", "remains"), [(4, 0.3, False), (4, 0.5, True), (60, 0.3, True)])
+def test_a_region_at_the_border_has_a_good_part_of_the_deepest_depth(centre, share, remains):
+    y, x = np.mgrid[:120, :200].astype(np.float32)
+    deep = np.maximum(0.6 - ((x - 140) ** 2 + (y - 60) ** 2) / 1000, 0)
+    other = np.maximum(share * 0.6 - ((x - centre) ** 2 + (y - 60) ** 2) / 1000, 0)
+    border = np.pad(np.zeros((118, 198), np.bool_), 1, constant_values=True)
+    surface, touched = (deep + other).astype(np.float32), (deep > 0) | (other > 0)
+    remaining = false_contacts.remove_false_contacts(touched, surface, 0.05, border)
+    assert remaining[60, 140]
+    assert remaining[60, centre] == remains
+    assert false_contacts.remove_false_contacts(touched, surface, 0.05)[60, centre]  # only the border tells

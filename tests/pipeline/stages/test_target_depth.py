@@ -14,7 +14,7 @@ from pipeline.geometry.camera import Camera
 from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import load_sensor
 from pipeline.stages.cloud.back_projection import BackProjectionParams, back_project_depth
-from pipeline.stages.target_depth import rasterisation
+from pipeline.stages.target_depth import rasterisation, surface_projection
 from pipeline.stages.target_depth.surface_projection import (
     PointSplatParams,
     SurfaceProjectionParams,
@@ -396,3 +396,13 @@ def test_the_field_of_view_may_be_rotated_or_larger_than_the_image():
         clear = np.min(np.abs(side), axis=0) > 1e-2  # float32 corners
         inside = np.all(np.array(side) > 0, axis=0) | np.all(np.array(side) < 0, axis=0)
         np.testing.assert_array_equal(known[clear], inside[clear])
+
+
+@pytest.mark.parametrize("order", [slice(None), slice(None, None, -1)])
+def test_a_level_field_of_view_ends_above_and_below_as_at_its_sides(order):
+    x_px, y_px = np.array([2.2, 7.6, 7.6, 2.2])[order], np.array([1.5, 1.5, 5.2, 5.2])[order]
+    with np.errstate(all="ignore"):  # as its caller does: a level edge has no column
+        inside = surface_projection._rasterise_polygon(x_px, y_px, 8, 10)
+    expected = np.zeros((8, 10), np.bool_)
+    expected[2:6, 3:8] = True
+    np.testing.assert_array_equal(inside, expected)

@@ -3,17 +3,17 @@ import math
 import pytest
 
 from pipeline.tasks.in_hand import PlanarPose
-from pipeline.tasks.stack import compute_nested_mm, measure_off_mm, stack
+from pipeline.tasks.stack import measure_off_mm, stack
 
 HELD = PlanarPose(x_mm=1.0, y_mm=-2.0, angle_rad=0.4)
 
 
-@pytest.mark.parametrize("clearance_mm", [2.0, 4.0, 8.0])
-def test_a_known_grasp_nests_where_the_walls_touch(clearance_mm):
+@pytest.mark.parametrize(("clearance_mm", "above_mm"), [(2.0, 3.40), (4.0, 3.76), (8.0, 4.21)])
+def test_a_known_grasp_nests_where_the_walls_touch(clearance_mm, above_mm):
+    """Sixteen flat walls bind earlier than round ones, by the same height for the same clearance."""
     attempt = stack(HELD, HELD, clearance_mm)
     assert attempt.succeeds, attempt.cause
-    height_mm = attempt.measures["above_nested_mm"] + compute_nested_mm(clearance_mm)
-    assert height_mm == pytest.approx(compute_nested_mm(clearance_mm), abs=4.5)  # 16 flat walls bind earlier than round
+    assert attempt.measures["above_nested_mm"] == pytest.approx(above_mm, abs=0.05)
 
 
 def test_a_wide_rim_forgives_a_tilt_that_a_narrow_one_does_not():

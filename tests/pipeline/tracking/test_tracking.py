@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from pipeline.base.errors import FileProblem
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import load_mesh
-from pipeline.tracking import patch_map
+from pipeline.tracking import patch_map, tracker
+from pipeline.tracking import track as track_module
 from pipeline.tracking.mean_surface import average_surfaces
 from pipeline.tracking.membrane_surface import make_surface
 from pipeline.tracking.surface_registration import register_surfaces
@@ -265,3 +266,78 @@ def test_a_damaged_track_is_one_sentence(tmp_path, file, text, named):
     (tmp_path / file).write_text(text)
     with pytest.raises(FileProblem, match=named):
         read_record(tmp_path)
+
+
+def test_the_stated_error_adds_up_along_the_chain_of_key_frames(monkeypatch):
+    """Each frame is registered with the same covariance, and each becomes the key frame of the next."""
+    surface = make_surface(press("star")[0])
+    monkeypatch.setattr(tracker, "NEW_KEY_OVERLAP", 2.0)
+    monkeypatch.setattr(Tracker, "_rank_keys", lambda self, _: [len(self.keys) - 1])
+    fit = register_surfaces(surface, surface, np.eye(4))
+    assert fit is not None
+    one = np.diag([1e-6, 1e-6, 1e-6, 4e-4, 9e-4, 36e-4])
+    monkeypatch.setattr(tracker, "register_surfaces", lambda *_: replace(fit, covariance=one))
+    followed, frames = Tracker(), []
+    for index in range(4):
+        frames.append(followed.add_frame(index, surface))
+    for k, frame in enumerate(frames):
+        np.testing.assert_allclose(frame.covariance, k * one, atol=1e-15)
+        assert frame.std_mm == pytest.approx(0.07 * k**0.5)
+        assert frame.std_deg == pytest.approx(np.degrees((3e-6 * k) ** 0.5))
+        np.testing.assert_array_equal(followed.keys[k + 1].covariance, frame.covariance)  # after the first of the part
+
+
+def test_the_more_frames_a_mean_is_of_the_smaller_is_the_stated_error():
+    surface = make_surface(press("star")[0])
+    one, four = (register_surfaces(replace(surface, n_frames=n), surface, np.eye(4)) for n in (1, 4))
+    assert one is not None
+    assert four is not None
+    np.testing.assert_allclose(four.covariance, 1.25 / 2.0 * one.covariance)
+
+
+@pytest.mark.parametrize(("weak", "step_mm"), [((), 0.06), (("slides along x",), 0.0)])
+def test_motion_along_a_direction_that_is_not_measured_is_not_extrapolated(monkeypatch, weak, step_mm):
+    surface = make_surface(press("star")[0])
+    fit = register_surfaces(surface, surface, np.eye(4))
+    assert fit is not None
+    moved = replace(fit, current_from_key=rigid.translation(0.2, 0.0, 0.0), weak_directions=weak)
+    monkeypatch.setattr(tracker, "register_surfaces", lambda *_: moved)
+    followed = Tracker()
+    for index in range(2):
+        followed.add_frame(index, surface)
+    np.testing.assert_allclose(followed._velocity, rigid.translation(step_mm, 0.0, 0.0), atol=1e-12)
+    followed.add_frame(2, None)
+    followed.add_frame(3, surface)  # a step over a lost frame is no velocity
+    np.testing.assert_array_equal(followed._velocity, np.eye(4))
+
+
+def test_only_the_first_part_is_fused(monkeypatch):
+    views: list[int] = []
+    monkeypatch.setattr(track_module, "fuse_views", lambda found: views.append(len(found)))
+    presses = [press("star"), (untouched(), None), press("star", x_mm=1.0), press("star", x_mm=2.0)]
+    result = track(presses)
+    assert (result.n_parts, views) == (2, [1])
+
+
+def test_no_point_is_where_the_filter_mixes_in_missing_depth():
+    depth = press("star")[0]
+    rows, cols = np.nonzero(depth.contact)
+    hole, gaps = (int(np.median(rows)), int(np.median(cols))), depth.depth_mm.copy()
+    gaps[hole[0] - 2 : hole[0] + 3, hole[1] - 2 : hole[1] + 3] = np.nan
+    surface = make_surface(replace(depth, depth_mm=gaps))
+    away_px = np.abs(surface.pixels - (hole[1], hole[0])).max(axis=1)
+    assert away_px.min() > 2 + 2.5
+    assert away_px.min() < 2 + 2.5 + 2.0  # and no farther than needed
+
+
+def test_an_edge_of_the_pose_graph_is_about_the_origin_of_the_frame():
+    surface = make_surface(press("star")[0])
+    fit = register_surfaces(surface, surface, np.eye(4))
+    assert fit is not None
+    centre = np.array([2.0, -3.0, 11.0])
+    one = np.diag([1e-4, 2e-4, 3e-4, 4e-2, 5e-2, 6e-2])
+    by_motion = np.eye(6)
+    by_motion[3:, :3] = np.stack([np.cross(centre, axis) for axis in np.eye(3)], axis=1)  # t + c x w
+    expected = by_motion @ (one + 1e-6 * np.eye(6)) @ by_motion.T
+    found = patch_map._to_information(replace(fit, covariance=one, centre_mm=centre))
+    np.testing.assert_allclose(np.linalg.inv(found), expected, rtol=1e-6, atol=1e-12)

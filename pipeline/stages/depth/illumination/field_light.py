@@ -23,7 +23,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.arrays import Doubles, Floats
-from pipeline.base.machine import limit_blas_to_one_thread
 from pipeline.calibration import near_led_prior, shading_field, slope_model
 from pipeline.calibration.shading_field import (
     N_POSITION_TERMS,
@@ -104,13 +103,11 @@ def estimate_likeliest_depth(
     `sample` returns the same pixels and colours with the depth times a factor.
     """
     logs = np.log(CONSTANTS.field_depth_factors)
-    # Several threads add up in another order, and wait for each other longer than so small a system takes.
-    with limit_blas_to_one_thread():
-        unlikeliness = [_compute_posterior(prior, sample(factor))[0] for factor in CONSTANTS.field_depth_factors]
-        bend, slope, _ = np.polyfit(logs, unlikeliness, 2)
-        at = -0.5 * slope / bend if bend > 0.0 else logs[int(np.argmin(unlikeliness))]
-        factor = math.exp(min(max(float(at), float(logs[0])), float(logs[-1])))
-        return factor, _compute_posterior(prior, sample(factor))[1]
+    unlikeliness = [_compute_posterior(prior, sample(factor))[0] for factor in CONSTANTS.field_depth_factors]
+    bend, slope, _ = np.polyfit(logs, unlikeliness, 2)
+    at = -0.5 * slope / bend if bend > 0.0 else logs[int(np.argmin(unlikeliness))]
+    factor = math.exp(min(max(float(at), float(logs[0])), float(logs[-1])))
+    return factor, _compute_posterior(prior, sample(factor))[1]
 
 
 def expand_field(coefficients: Doubles, u: Floats, v: Floats) -> Floats:
@@ -138,7 +135,6 @@ def _compute_posterior(prior: ShadingFieldPrior, surface: SurfaceSamples) -> tup
         colour = slice(k * block, (k + 1) * block)
         precision[colour, colour] += normal
     right = pull + weight * (features.T @ surface.change).T.ravel()
-    # By numpy alone: scipy's own BLAS may be loaded after the thread pools were found, and would not be limited.
     coefficients = np.asarray(np.linalg.solve(precision, right), np.float64)
     log_root = np.log(np.diag(np.linalg.cholesky(precision)))
     return unlikeliness - float(right @ coefficients) + 2.0 * float(log_root.sum()), coefficients

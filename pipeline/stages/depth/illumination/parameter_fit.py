@@ -20,7 +20,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.arrays import Doubles, Floats
-from pipeline.base.machine import limit_blas_to_one_thread
 from pipeline.physics import optics
 from pipeline.physics.slopes import compute_slopes
 from pipeline.sensors.spec import SensorSpec
@@ -137,22 +136,20 @@ def _fit(model: _ParameterModel, touches: Sequence[LedObservation], rule: FitRul
         excess = max(0.0, misfit - noise) / change
         return float(at @ precision @ at) / rule.max_deviance + excess / rule.max_excess
 
-    # Several threads add up in another order.
-    with limit_blas_to_one_thread():
-        for iteration in range(CONSTANTS.fit_iterations + 1):
-            touches, misfit = _refine_surfaces(model, deviations, touches)
-            if iteration < len(rule.hopeless) and compute_score(deviations, misfit) > rule.hopeless[iteration]:
-                return None
-            if rule.stops_when_worse and misfit >= least:
-                break
-            least, best = misfit, deviations
-            if iteration < CONSTANTS.fit_iterations:
-                systems = [_linearise(model, deviations, touch, rule) for touch in touches]
-                normal = precision + sum(system[0] for system in systems)
-                step = np.linalg.solve(normal, sum(system[1] for system in systems) - precision @ deviations)
-                length = math.sqrt(float(step @ precision @ step))
-                deviations = deviations + step * min(1.0, CONSTANTS.max_fit_step / max(length, 1e-9))
-        determined = float(np.trace(np.linalg.solve(normal, normal - precision)))
+    for iteration in range(CONSTANTS.fit_iterations + 1):
+        touches, misfit = _refine_surfaces(model, deviations, touches)
+        if iteration < len(rule.hopeless) and compute_score(deviations, misfit) > rule.hopeless[iteration]:
+            return None
+        if rule.stops_when_worse and misfit >= least:
+            break
+        least, best = misfit, deviations
+        if iteration < CONSTANTS.fit_iterations:
+            systems = [_linearise(model, deviations, touch, rule) for touch in touches]
+            normal = precision + sum(system[0] for system in systems)
+            step = np.linalg.solve(normal, sum(system[1] for system in systems) - precision @ deviations)
+            length = math.sqrt(float(step @ precision @ step))
+            deviations = deviations + step * min(1.0, CONSTANTS.max_fit_step / max(length, 1e-9))
+    determined = float(np.trace(np.linalg.solve(normal, normal - precision)))
     if compute_score(best, least) > 1.0 or least > rule.max_misfit * change:
         return None
     return np.zeros_like(best) if float(best @ precision @ best) < rule.as_described * determined else best
