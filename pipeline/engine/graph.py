@@ -49,7 +49,7 @@ class Fallback(Generic[Output]):
     """What a method returns when it cannot answer and another did: that one's answer, and why."""
 
     result: Output | Skipped[Output]
-    reason: str
+    reason: str  # "who answered: why; details"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -91,6 +91,13 @@ class StageResult:
     digest: str
     fallback: str = ""  # why another method gave the result; "" = it did not
     draft: bool = False  # whether it or one of its inputs was computed with draft parameters
+
+    @property
+    def answered_by(self) -> str:
+        """Title of what gave the result: of the method that another answered for, what did; "Truth" for a truth."""
+        if self.fallback:
+            return self.fallback.partition(":")[0]
+        return "Truth" if self.method is None else self.method.title
 
     @property
     def badge(self) -> str:
