@@ -29,6 +29,7 @@ from pipeline.stages.touch import physical_render
 from pipeline.values.frames import TactileFrame
 from pipeline.values.results import DepthMap, GeneratedTouch, TargetDepth
 
+INNER_METHODS = {"depth": "network", "cloud": "back_projection", "target_depth": "surface"}  # of `project_frame`
 READS = ("frame", "source", "calibration", "alignment", "target")
 _Answer = GeneratedTouch | Skipped[GeneratedTouch] | Fallback[GeneratedTouch]
 

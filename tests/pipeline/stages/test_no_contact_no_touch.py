@@ -14,7 +14,9 @@ from pipeline.networks.weights import NoWeights
 from pipeline.physics import optics
 from pipeline.sensors import alignment
 from pipeline.sensors.spec import load_sensor
+from pipeline.stages.depth.gel_network import NetworkParams
 from pipeline.stages.touch import latent_diffusion, physical_render, t2d2, t2t, vqvae
+from pipeline.stages.touch.frame_chain import INNER_METHODS, guard_contact
 from pipeline.translation.catalogue import BUILT_IN
 from pipeline.values.frames import TactileFrame
 from tests.pipeline.stages.test_light_changes import add_spot
@@ -129,7 +131,6 @@ def test_latent_touches_deeper_than_possible_cost_one_step(touched_frame, monkey
 
 def test_weights_of_recorded_pairs_are_asked_wherever_the_source_is_touched(touched_frame, lit_frame):
     """They know how their sensors lay to each other; the described alignment may not."""
-    from pipeline.stages.touch.frame_chain import guard_contact
     from tests.pipeline.stages.test_touch_from_source import weights_of
 
     weights = replace(
@@ -140,3 +141,30 @@ def test_weights_of_recorded_pairs_are_asked_wherever_the_source_is_touched(touc
     assert run(touched_frame, GEL, None, far, BUBBLE, weights, None) == "asked"
     assert run(touched_frame, GEL, None, far, BUBBLE, NoWeights(why="none"), None) != "asked"
     assert run(lit_frame, GEL, None, far, BUBBLE, weights, None) != "asked"
+
+
+@pytest.mark.parametrize("name", ["t2t", "latent", "vqvae"])
+def test_settings_that_do_not_reach_a_method_are_named(name, lit_frame):
+    def warn(params, **others):
+        graph = Graph(BUILT_IN.methods("t2d2", {"touch": name, **others}))
+        methods = {method.stage: method for method in graph.methods}
+        inputs = {
+            "frame": lit_frame, "source": GEL, "target": BUBBLE, "calibration": None, "mesh": None, "previous": None,
+            "alignment": alignment.resolve_alignment(GEL, BUBBLE),
+            "touch_weights": methods["touch"].weights(GEL, BUBBLE, None),
+        }  # fmt: skip
+        notes = graph.evaluate(["touch"], inputs, params)["touch"].notes
+        return [note for note in notes if "not used" in note]
+
+    assert not warn({})
+    assert not warn({"depth": NetworkParams()})
+    (of_parameters,) = warn({"depth": NetworkParams(contact_limit=3.0)})
+    assert of_parameters.startswith("the parameters of depth are not used")
+    (of_method,) = warn({}, depth="physics")
+    assert of_method.startswith("the method 'Physics' of depth is not used")
+    assert len(warn({}, depth="unet", target_depth="paper")) == 2
+
+
+def test_the_inner_methods_are_those_of_the_default_route():
+    route = BUILT_IN.route("t2d2").methods
+    assert {stage: route[stage] for stage in INNER_METHODS} == INNER_METHODS
