@@ -68,13 +68,14 @@ class StageColumn(QFrame):
         self._only = QLabel()  # in place of the chooser where there is one method only
         for widget in (self._word, self._ms, self._method, self._only, self._unpin):
             resize_font(widget)
+        self._unpin.setFixedHeight(self._title.sizeHint().height())  # previews stay aligned
         self._only.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
         self._only.setFixedHeight(self._method.sizeHint().height())
         self._method.hide()
         self._head = QBoxLayout(QBoxLayout.Direction.TopToBottom)
         self._head.setSpacing(2)
-        fill(self._first, (self._title, 1))
-        fill(self._head, self._first, self._only, self._method, self._unpin, self._status)
+        fill(self._first, (self._title, 1), self._unpin)
+        fill(self._head, self._first, self._only, self._method, self._status)
         self._note = FixedSizeLabel()
         self._note.setObjectName(f"note_{name}")
         resize_font(self._note)

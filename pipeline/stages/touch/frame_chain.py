@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from typing import TypeVar
 
 from pipeline.base.errors import AlignmentWarning, select_warnings
 from pipeline.base.memo import Memo
@@ -32,6 +32,11 @@ from pipeline.values.results import DepthMap, GeneratedTouch, TargetDepth
 INNER_METHODS = {"depth": "network", "cloud": "back_projection", "target_depth": "surface"}  # of `project_frame`
 READS = ("frame", "source", "calibration", "alignment", "target")
 _Answer = GeneratedTouch | Skipped[GeneratedTouch] | Fallback[GeneratedTouch]
+_Params = TypeVar("_Params")
+_Run = Callable[
+    [TactileFrame, SensorSpec, Calibration | None, Alignment, SensorSpec, Weights | NoWeights, _Params, Progress],
+    _Answer,
+]
 
 
 def project_frame(
@@ -46,7 +51,8 @@ def project_frame(
     weights = depth_network.select_weights(source, source, None)
 
     def project() -> tuple[DepthMap, TargetDepth]:
-        depth = _estimate_depth(frame, source, calibration, weights, progress)
+        at_rest = photometric.skip_without_contact(frame, source, calibration, photometric.DepthParams())
+        depth = at_rest or _estimate_depth(frame, source, calibration, weights, progress)
         cloud = back_projection.back_project_depth(depth, alignment, back_projection.BackProjectionParams())
         params = surface_projection.SurfaceProjectionParams()
         view = surface_projection.skip_without_contact(cloud, target, params)
@@ -61,7 +67,7 @@ def project_frame(
 _projected: Memo[str, tuple[DepthMap, TargetDepth]] = Memo(4)
 
 
-def guard_contact(run: Callable[..., _Answer]) -> Callable[..., _Answer]:
+def guard_contact(run: _Run[_Params]) -> _Run[_Params]:
     """Return a method's function that asks `run` (*READS, weights, params, progress) only where there is contact.
 
     Weights of recorded pairs know how their sensors lay to each other: for them the alignment rules nothing out.
@@ -69,11 +75,9 @@ def guard_contact(run: Callable[..., _Answer]) -> Callable[..., _Answer]:
 
     def run_in_contact(
         frame: TactileFrame, source: SensorSpec, calibration: Calibration | None, alignment: Alignment,
-        target: SensorSpec, weights: Weights | NoWeights, params: Any, progress: Progress = SILENT,
+        target: SensorSpec, weights: Weights | NoWeights, params: _Params, progress: Progress = SILENT,
     ) -> _Answer:  # fmt: skip
         photometric.check_frame(frame, source)
-        if photometric.skip_without_contact(frame, source, calibration, photometric.DepthParams()) is not None:
-            return physical_render.skip_to_reference_touch(target)
         reads = frame, source, calibration, alignment, target
         depth, view = project_frame(*reads, progress)
         reference_touch = physical_render.skip_without_contact(view, target)

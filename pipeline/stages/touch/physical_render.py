@@ -27,7 +27,6 @@ from pipeline.base.memo import Memo
 from pipeline.base.params import setting
 from pipeline.base.progress import SILENT, Progress
 from pipeline.engine.digests import compute_cached_digest
-from pipeline.engine.graph import Skipped
 from pipeline.geometry.camera import MIN_DEPTH_MM
 from pipeline.physics import bubble, bubble_camera, gel, lattice, optics
 from pipeline.sensors.spec import SensorSpec
@@ -117,12 +116,6 @@ def skip_without_contact(view: TargetDepth, target: SensorSpec, *_: object) -> G
 def make_reference_touch(target: SensorSpec) -> GeneratedTouch:
     """The target's reference image as a touch; cached per sensor."""
     return _reference_touches.get_or_make(compute_cached_digest(target), lambda: _make_reference_touch(target))
-
-
-def skip_to_reference_touch(target: SensorSpec) -> Skipped[GeneratedTouch]:
-    """The target's reference image as the answer for a source frame without contact."""
-    touch = make_reference_touch(target)
-    return Skipped(output=touch, reason=touch.notes[0])
 
 
 _reference_touches: Memo[str, GeneratedTouch] = Memo(8)
