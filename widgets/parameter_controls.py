@@ -29,6 +29,7 @@ _MANY, _TOO_MANY, _BEND = (
     3.0,
 )  # integer ranges up to the first have a linear slider, up to the second one that favours small values
 _TIP = "tip"  # property that keeps the tooltip while a reason is shown
+_USED_TIP = "used_tip"  # property: tooltip of a widget that is marked as unused
 _NARROW_DECIMALS = 2  # of a number with little room
 _WIDEST = 1e9  # stands for "no limit" in a spin box
 
@@ -87,6 +88,21 @@ class ParameterControl:
         for box in self._spin_boxes:
             box.setSizePolicy(across, QSizePolicy.Policy.Fixed)
             box.setPrefix(prefix if compact else "")
+
+
+def mark_unused(widget: QWidget, reason: str) -> None:
+    """Strike out a widget whose value has no effect on what is shown, with the reason as its tooltip; "" = it has."""
+    for part in (widget, *widget.findChildren(QWidget)):
+        if part.font().strikeOut() != bool(reason):
+            font = part.font()
+            font.setStrikeOut(bool(reason))
+            part.setFont(font)
+    if reason:
+        widget.setProperty(_USED_TIP, widget.property(_USED_TIP) or widget.toolTip() or " ")
+        widget.setToolTip(f"without effect on this frame: {reason}")
+    elif widget.property(_USED_TIP):
+        widget.setToolTip(widget.property(_USED_TIP).strip())
+        widget.setProperty(_USED_TIP, None)
 
 
 def make_control(value: Value, setting: Setting, edited: Callable[[Value], None]) -> ParameterControl:

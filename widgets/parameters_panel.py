@@ -8,7 +8,13 @@ from PyQt6.QtWidgets import QFormLayout, QHBoxLayout, QLabel, QVBoxLayout, QWidg
 
 from pipeline.base.params import Setting, Value, list_settings, replace_value
 from widgets.base import FixedSizeLabel, VerticalScrollArea
-from widgets.parameter_controls import ParameterControl, describe_setting, format_label, make_control
+from widgets.parameter_controls import (
+    ParameterControl,
+    describe_setting,
+    format_label,
+    make_control,
+    mark_unused,
+)
 from widgets.styling import fill, make_bold, make_icon_button, set_spacing
 
 _LABEL_PX = 112  # width of all labels, which wrap: a form takes the room of wider ones from the values
@@ -32,6 +38,7 @@ class ParametersPanel(VerticalScrollArea):
         self._controls: dict[str, dict[str, ParameterControl]] = {}
         self._groups: dict[str, QWidget] = {}
         self._titles: dict[str, str] = {}
+        self._heads: dict[str, QWidget] = {}
         self._only: list[tuple[str, QFormLayout, QWidget, Setting]] = []  # rows of one kind of sensor only
 
     def add_group(self, key: str, title: str, params: object, tip: str = "") -> None:
@@ -83,6 +90,11 @@ class ParametersPanel(VerticalScrollArea):
         for name, control in self._controls.get(key, {}).items():
             control.set_unavailable(reasons.get(name, ""))
 
+    def show_unused(self, key: str, reason: str) -> None:
+        """Strike out the title of a method that did not answer, with the reason; "" = it did."""
+        if key in self._heads:
+            mark_unused(self._heads[key], reason)
+
     def list_shown(self) -> list[tuple[str, Setting, QWidget]]:
         """List (group title, setting, control) of every parameter of the route."""
         return [
@@ -107,6 +119,7 @@ class ParametersPanel(VerticalScrollArea):
         name = FixedSizeLabel(title)
         name.setToolTip(f"{title}\n{tip}" if tip else title)
         make_bold(name)
+        self._heads[key] = name
         button = make_icon_button("reset", f"reset_{key}", f"Reset {title.lower()} to its defaults")
         button.setAccessibleName(f"reset {key}")
         button.clicked.connect(lambda: self.reset(key))

@@ -8,7 +8,7 @@ from PyQt6.QtWidgets import QBoxLayout, QHBoxLayout, QLabel, QVBoxLayout, QWidge
 
 from pipeline.base.params import Setting, Value, list_settings, replace_value
 from widgets.base import EventListener, resize_font
-from widgets.parameter_controls import ParameterControl, describe_setting, make_control
+from widgets.parameter_controls import ParameterControl, describe_setting, make_control, mark_unused
 from widgets.styling import fill, set_spacing
 
 _LABEL_PX, _ROW_PX, _COMPACT_ROW_PX = 54, 22, 19
@@ -117,6 +117,12 @@ class PinnedParameters(QWidget):
                 self._show_control(name, setting)
                 self._shown[name][1].show(value)
             self._shown[name][1].set_unavailable(reasons.get(name, ""))
+
+    def show_unused(self, reason: str) -> None:
+        """Strike out the parameters of a method that did not answer, with the reason; "" = it did."""
+        for name, label in self._labels.items():
+            for widget in (label, self._shown[name][1].widget):
+                mark_unused(widget, reason)
 
     def get_control(self, name: str) -> QWidget:
         """The control of a parameter."""

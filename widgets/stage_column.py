@@ -7,13 +7,25 @@ from functools import partial
 
 from PyQt6.QtCore import QEvent, QSignalBlocker, Qt, pyqtSignal
 from PyQt6.QtGui import QStandardItemModel
-from PyQt6.QtWidgets import QBoxLayout, QComboBox, QFrame, QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import (
+    QBoxLayout,
+    QComboBox,
+    QFrame,
+    QHBoxLayout,
+    QLabel,
+    QPushButton,
+    QSizePolicy,
+    QVBoxLayout,
+    QWidget,
+)
 
+from pipeline.stages.truth_method import TRUTH
 from widgets.base import ChoiceBox, EventListener, FixedSizeLabel, resize_font
 from widgets.icons import StateIcon
 from widgets.pinned_parameters import PinnedParameters
 from widgets.preview_view import PreviewView
 from widgets.styling import fill, make_bold, set_spacing
+from widgets.theme import get_theme_colours, to_hex
 
 _BETWEEN_PX = 40  # sign, text and time of a state, with margins
 _SIGN_PX = 10  # between a title and the state's sign
@@ -30,7 +42,7 @@ class StageColumn(QFrame):
     pixel_hovered = pyqtSignal(str, int, int)  # stage, row, col; -1, -1 = none
     state_shown = pyqtSignal(str, tuple)  # with the warnings
     pixel_clicked = pyqtSignal(str, int, int)
-    method_chosen = pyqtSignal(str, str)  # stage, method
+    method_chosen = pyqtSignal(str, str)  # stage, method; "" = the route's own
 
     def __init__(self, name: str, title: str) -> None:
         super().__init__()
@@ -48,15 +60,21 @@ class StageColumn(QFrame):
         self._method = ChoiceBox(f"method_{name}", f"method of {title}")
         self._method.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
         self._method.chosen.connect(partial(self.method_chosen.emit, name))
+        self._unpin = QPushButton("Unpin")
+        self._unpin.setObjectName(f"unpin_{name}")
+        self._unpin.setToolTip("Compute this stage again in place of the recording's truth")
+        self._unpin.clicked.connect(lambda: self.method_chosen.emit(name, ""))
+        self._unpin.hide()
         self._only = QLabel()  # in place of the chooser where there is one method only
-        for widget in (self._word, self._ms, self._method, self._only):
+        for widget in (self._word, self._ms, self._method, self._only, self._unpin):
             resize_font(widget)
+        self._unpin.setFixedHeight(self._title.sizeHint().height())  # previews stay aligned
         self._only.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
         self._only.setFixedHeight(self._method.sizeHint().height())
         self._method.hide()
         self._head = QBoxLayout(QBoxLayout.Direction.TopToBottom)
         self._head.setSpacing(2)
-        fill(self._first, (self._title, 1))
+        fill(self._first, (self._title, 1), self._unpin)
         fill(self._head, self._first, self._only, self._method, self._status)
         self._note = FixedSizeLabel()
         self._note.setObjectName(f"note_{name}")
@@ -155,6 +173,12 @@ class StageColumn(QFrame):
         with QSignalBlocker(self._method):
             self._method.setCurrentIndex(index)
         self._method.setToolTip(str(self._method.itemData(index, Qt.ItemDataRole.ToolTipRole) or ""))
+        is_pinned = name == TRUTH
+        if is_pinned == self._unpin.isHidden():
+            self._unpin.setVisible(is_pinned)
+            colour = to_hex(get_theme_colours(self.palette()).states["warning"])
+            frame = f"#{self.objectName()} {{ border: 2px solid {colour}; }}"
+            self.setStyleSheet(frame if is_pinned else "")
 
     def show_state(self, state: str, ms: float | None = None, notes: tuple[str, ...] = (), badge: str = "") -> None:
         """Show the state of the stage; notes become the tooltip, and the reason over a skipped preview.

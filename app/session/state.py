@@ -20,6 +20,7 @@ from pipeline.engine.graph import Method
 from pipeline.previews.display_params import DisplayParams
 from pipeline.recordings.formats import DepthUnit
 from pipeline.sensors.alignment import Offsets
+from pipeline.stages.truth_method import TRUTH
 from pipeline.translation.catalogue import BUILT_IN, Catalogue
 from pipeline.translation.cross_section import SectionLine
 
@@ -81,11 +82,15 @@ class Session:
     def with_updates(self, **updates: Any) -> Session:
         """Copy with other values; offsets are reset where the alignment they were made for changes.
 
+        Notes and pinned truths end with their recording.
+
         A new recording keeps offsets only with an alignment file, which holds for any recording of the two sensors.
         """
         new = replace(self, **updates)
         if new.recording != self.recording and "notes" not in updates:
             new = replace(new, notes={})
+        if new.recording != self.recording and "methods" not in updates:  # its truth is not that of another
+            new = replace(new, methods={stage: name for stage, name in new.methods.items() if name != TRUTH})
         if "offsets" in updates:
             return new
         is_other_alignment = any(getattr(new, name) != getattr(self, name) for name in _OFFSET_FIELDS)

@@ -37,6 +37,7 @@ class AlignmentController(QObject):
         self.refinement = RefinementController(controller)
         self.offsets = Offsets()  # of the handles, also during a drag
         self._axis = ""
+        self._recording: Path | None = None
         self._assessment: AlignmentAssessment | None = None
         self._score: AlignmentScore | None = None
         self._assess_ticket = 0
@@ -73,7 +74,10 @@ class AlignmentController(QObject):
         return None if self._assessment is None else rigid.apply(self.offsets.to_matrix(), self._assessment.pivot_mm)
 
     def show_session(self, session: Session) -> None:
-        """Show a session's offsets, unless a drag is running."""
+        """Show a session's offsets, unless a drag is running; nothing of the recording before."""
+        if session.recording != self._recording:
+            self._recording, self._assessment, self._score = session.recording, None, None
+            self._panel.show_empty()
         if not self._panel.dragging:
             self.offsets = session.offsets
             self._panel.show_values(session.offsets.values)

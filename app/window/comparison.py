@@ -70,7 +70,7 @@ class ComparisonController(BackgroundController):
 
     def set_variant_recording(self, path: Path) -> None:
         """Hold another recording with the current settings as variant B."""
-        self._set_variant(replace(self._controller.session, recording=path))
+        self._set_variant(self._controller.session.with_updates(recording=path))
 
     def clear_variant(self) -> None:
         """Remove variant B."""

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from PyQt6.QtCore import QObject
 
@@ -16,12 +17,14 @@ from app.work.evaluator import EvaluatedFrame
 from pipeline.base.errors import (
     AlignmentWarning,
     CalibrationWarning,
+    FileProblem,
     MissingReference,
     SensorMismatch,
     TouchError,
     UnknownSensor,
 )
 from pipeline.geometry.meshes import UnitProblem
+from pipeline.sensors.alignment_files import AlignmentMismatch
 from pipeline.sensors.spec import list_sensor_titles, load_sensor
 from pipeline.translation.translate import Translation
 from pipeline.values.results import Cloud, DepthMap
@@ -40,7 +43,9 @@ class MendingController(QObject):
         self._alternatives: tuple[Path, ...] = ()  # recordings of the folder that was opened last
         self._shown: set[Path | None] = set()  # recordings of which a frame was on screen
         controller.find_remedies = self.find_remedies
+        self._dropped: AlignmentMismatch | None = None  # alignment of other sensors that is not used any more
         controller.opening_cancelled.connect(self._offer_opening)
+        controller.alignment_dropped.connect(self._remember_dropped)
         controller.frame_shown.connect(self._show_frame)
 
     def find_remedies(self, error: BaseException) -> tuple[Choice, ...]:
@@ -53,6 +58,13 @@ class MendingController(QObject):
         if isinstance(error, UnitProblem):
             open_in = partial(self._controller.open_mesh, error.path)
             remedies += [(f"Open in {dialogs.UNIT_NAMES[unit]}", partial(open_in, unit)) for unit in error.fits]
+        failed = self._controller.failed_session
+        if isinstance(error, AlignmentMismatch) and error.field == "target":
+            with_target = replace(failed, target=error.target)
+            remedies.append((f"Target {load_sensor(error.target).title}", self._restore("choose target", with_target)))
+        if isinstance(error, FileProblem) and failed.alignment is not None and error.path == failed.alignment:
+            without = failed.with_updates(alignment=None)
+            remedies.append(("Without this alignment", self._restore("use no alignment", without)))
         if isinstance(error, TouchError) and error.alternatives:
             remedies.append(self._offer_alternatives(error.alternatives))
         if isinstance(error, TouchError) and self._controller.views.translation is None:
@@ -61,9 +73,18 @@ class MendingController(QObject):
 
     def show_session(self, session: Session) -> None:
         """Drop the offers for another recording."""
+        if session.alignment is not None:
+            self._dropped = None
         if self._offered is not None and self._offered.request.recording != session.recording:
             self._offered = None
             self.notification.hide()
+
+    def _restore(self, text: str, session: Session) -> Callable[[], None]:
+        return lambda: self._controller.push_session(session, text)
+
+    def _remember_dropped(self, dropped: AlignmentMismatch) -> None:
+        """Say at the next frame on screen that an alignment is not used."""
+        self._dropped, self._offered = dropped, None
 
     def _offer_opening(self) -> None:
         """Offer to go on with an opening that was cancelled."""
@@ -145,11 +166,31 @@ class MendingController(QObject):
                 f"the recording holds touches of {' and '.join(titles)}, the target is {opened.target.title}"
             )
             choices += [
-                (f"Target {title}", partial(self._controller.change, "choose target", target=sensor))
+                (f"Target {title}", self._make_change("choose target", target=sensor))
                 for sensor, title in zip(own, titles, strict=True)
             ]
-        if choices:
-            self.notification.show_notification("; ".join(sentences), choices)
+        old = self._controller.previous_target
+        if old not in ("", name, opened.source.name) and old not in own:
+            sentences.append(f"the target is {opened.target.title} now")
+            choices.append((f"Target {load_sensor(old).title}", self._make_change("choose target", target=old)))
+        self._controller.previous_target = ""
+        if self._dropped is not None:
+            sentences.append(f"the alignment {self._dropped.path.name} is of other sensors and not used")
+            choices += self._offer_dropped(self._dropped, opened)
+        if sentences:
+            self.notification.show_notification("; ".join(sentences), choices, stays=self._dropped is not None)
+
+    def _offer_dropped(self, dropped: AlignmentMismatch, opened: Translation) -> list[Choice]:
+        """Offer the alignment where the recording holds its source."""
+        fields: dict[str, Any] = {"alignment": dropped.path, "target": dropped.target}
+        if dropped.source != opened.source.name:
+            if dropped.source not in {stream.sensor for stream in opened.recording.streams}:
+                return []
+            fields |= {"source": dropped.source, "stream": ""}
+        return [("Use it again", self._make_change("use alignment", **fields))]
+
+    def _make_change(self, text: str, **fields: Any) -> Callable[[], None]:
+        return lambda: self._controller.change(text, **fields)
 
     def centre_touch(self) -> None:
         """Move the alignment so that the touch of the frame on screen lies in the middle of the target."""

@@ -23,6 +23,7 @@ from app.work.stage_previews import SourcePreview, StagePreview
 from pipeline.base.params import list_settings
 from pipeline.engine.graph import Method
 from pipeline.networks.guidance import raise_steps
+from pipeline.sensors.alignment_files import AlignmentMismatch
 from pipeline.translation.catalogue import BUILT_IN, Catalogue
 from pipeline.translation.translate import Request, Translation
 from pipeline.translation.truth_view import ComparisonMode
@@ -40,6 +41,7 @@ class SessionController(SessionDocument):
     frame_shown = pyqtSignal(int)
     session_shown = pyqtSignal(object)  # Session; `app.window.connections` lists all that follows
     opening_cancelled = pyqtSignal()
+    alignment_dropped = pyqtSignal(object)  # AlignmentMismatch
     closing = pyqtSignal()
     termination_requested = pyqtSignal()  # by a signal, before closing without questions
 
@@ -59,6 +61,7 @@ class SessionController(SessionDocument):
         self._dragged_key = ""  # method whose slider is held
         self._draft_stage = ""  # whose draft is computed and not yet on screen: the next request waits for it
         self.latest_frame: EvaluatedFrame | None = None  # the frame on screen
+        self.failed_session = self.session  # that failed last
         self._stale_timer, self._interrupt_timer = (
             make_single_shot_timer(self, _STALE_DELAY_MS, self.views.mark_stale),
             make_single_shot_timer(self, _INTERRUPT_DELAY_MS, lambda: None),
@@ -96,9 +99,11 @@ class SessionController(SessionDocument):
             self.refresh()
 
     def choose_method(self, stage: str, name: str) -> None:
-        """Compute a stage by another method; the route's own method clears the choice."""
+        """Compute a stage by another method; the route's own method, or "" for it, clears the choice."""
         others = {s: m for s, m in self.session.methods.items() if s != stage}
-        is_default = self.catalogue.route(self.session.route).methods.get(stage) == name
+        default = self.catalogue.route(self.session.route).methods.get(stage, "")
+        name = name or default
+        is_default = default == name
         title = self.catalogue.method(stage, name).title
         self.change(
             f"choose {title} for {self.catalogue.stage(stage).title.lower()}",
@@ -110,7 +115,7 @@ class SessionController(SessionDocument):
         if self._is_skipping:
             return
         old, self.session = self.session, session
-        if session.recording not in (None, old.recording):
+        if session.recording != old.recording:
             self._close_recording(session.recording)
         if session.layout != self.window.current_layout:
             self.window.show_layout(session.layout)
@@ -250,6 +255,10 @@ class SessionController(SessionDocument):
         if ticket == self._ticket:
             cannot_open = self._opening_ticket == ticket and not self._is_open()  # else one frame is damaged
             self._end_request()
+            self.failed_session = self.session
+            if cannot_open and isinstance(error, AlignmentMismatch) and self._drop_alignment():
+                self.alignment_dropped.emit(error)
+                return
             if cannot_open and self.views.translation is not None:
                 self._undo_opening()
             else:
@@ -269,10 +278,15 @@ class SessionController(SessionDocument):
         if ticket == self._ticket and self._is_pending:
             self.window.show_progress(fraction, text)
 
-    def _close_recording(self, following: Path) -> None:
-        """Show nothing of the recording on screen, as another one is opened."""
+    def _close_recording(self, following: Path | None) -> None:
+        """Show nothing of the recording on screen, as another one is opened, or none."""
         self.latest_frame, self._open_requests = None, {None}
-        self.views.clear_recording(following.name)
+        self.views.clear_recording("" if following is None else following.name)
+        if following is None:
+            self.job.cancel()
+            self._ticket = self._background_ticket = 0
+            self._oldest_shown = self.job.newest_ticket + 1
+            self._end_request()
 
     def _undo_opening(self) -> None:
         """Undo to the nearest session that is open, but stay on the frame chosen meanwhile."""
@@ -288,6 +302,19 @@ class SessionController(SessionDocument):
         self.show_session(sessions[index])
         if self.session.recording == failed.recording:
             self.choose_frame(failed.frame)
+
+    def _drop_alignment(self) -> bool:
+        """Open without the alignment what was changed around it; False if the alignment itself was chosen last."""
+        failed, index, text = self.session, self.undo_stack.index(), self.undo_stack.undoText()
+        before = list_sessions(self.undo_stack)[index - 1] if index else failed
+        if before is failed or before.alignment != failed.alignment:
+            return False
+        self._is_skipping = True
+        self.undo_stack.setIndex(index - 1)
+        self._is_skipping = False
+        self.session = before
+        self.push_session(failed.with_updates(alignment=None), text)
+        return True
 
     def _is_open(self) -> bool:
         return make_request_if_open(self.session) in self._open_requests

@@ -19,9 +19,9 @@ from app.window.logs import describe_error, log
 from app.window.main_window import MainWindow
 from app.window.screenshots import write_screenshot
 from pipeline.base.errors import FileProblem, TouchError
-from pipeline.base.files import read_toml
 from pipeline.base.fingerprints import compute_fingerprint
 from pipeline.calibration.calibration_file import is_calibration_file
+from pipeline.sensors.alignment_files import read_alignment
 from pipeline.sensors.descriptions import is_description
 from pipeline.tasks.trial_rows import is_rollout_folder
 from pipeline.tracking.track_record import is_track_folder
@@ -29,7 +29,7 @@ from pipeline.translation.cross_section import SectionLine
 from widgets.notification_bar import Choice
 
 _AS_RECORDED: Mapping[str, Any] = {
-    "source": "", "stream": "", "reference": None, "calibration": None, "mesh": None, "mesh_unit": "auto",
+    "source": "", "target": "", "stream": "", "reference": None, "calibration": None, "mesh": None, "mesh_unit": "auto",
     "depth_unit": "auto",
 }  # fmt: skip
 
@@ -51,6 +51,7 @@ class SessionDocument(QObject):
         self.session_file: Path | None = None
         self._file_fingerprint = ""  # of the session file as this window left it
         self.section: SectionLine | None = None  # section line through all images
+        self.previous_target = ""  # of the recording before
         self.tick = 0  # of the rollout in the Task layout
         self.find_remedies: Callable[[BaseException], Sequence[Choice]] = lambda _: ()  # buttons that mend an error
 
@@ -112,7 +113,7 @@ class SessionDocument(QObject):
             self.change("choose source", source=str(path), stream="")
         elif path.suffix.lower() == dialogs.ALIGNMENT_SUFFIX:
             with self._problems_in_banner():
-                read_toml(path, "the alignment")
+                read_alignment(path)
                 self.change("open alignment", alignment=path)
         elif path.suffix.lower() == dialogs.WEIGHTS_SUFFIX:
             self.open_weights(path)
@@ -128,6 +129,7 @@ class SessionDocument(QObject):
     def open_recording(self, path: Path, *, keeps_choices: bool = False) -> None:
         """Open a recording; with `keeps_choices` its sensor and the files that go with it are those chosen before."""
         own = {} if keeps_choices else _AS_RECORDED
+        self.previous_target = self.session.target
         self.change("open recording", key=f"open {path}", recording=path, frame=AUTO_FRAME, **own)
         self.recording_opened.emit(path)
 

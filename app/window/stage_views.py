@@ -54,7 +54,8 @@ class StageViews:
     def show_translation(self, t: Translation, session: Session) -> None:
         """Show another recording, or the same one between other sensors."""
         (old, self.translation), window = (self.translation, t), self._window
-        window.setWindowTitle(f"{t.request.recording.name}[*] · {t.source.title} → {t.target.title} · Tactoscope")
+        sensors = ", ".join(filter(None, (f"{t.source.title} → {t.target.title}", t.truth_label)))
+        window.setWindowTitle(f"{t.request.recording.name}[*] · {sensors} · Tactoscope")
         window.timeline.show_frames(t.n_frames)
         if old is None or old.stream is not t.stream:
             window.frames.model.reset_frames(t.n_frames)
@@ -69,9 +70,9 @@ class StageViews:
         self.cameras.apply_requested_cameras(self.scene)
 
     def clear_recording(self, following: str) -> None:
-        """Show nothing in all columns, 3D views and tables, as another recording of this name is opened."""
+        """Show nothing in all columns, 3D views and tables, as a recording of this name is opened; "" = none is."""
         self.translation, window = None, self._window
-        window.setWindowTitle(f"{following}[*] · Tactoscope")
+        window.setWindowTitle(f"{following}[*] · Tactoscope" if following else "Tactoscope[*]")
         window.banner.hide()
         window.warning_line.show_warnings(())
         window.warning_line.show_remedies(())
@@ -104,15 +105,16 @@ class StageViews:
             if name == _GENERATED:
                 self._show_truth(part)
             self._results = {**self._results, name: part.result}
-            is_truth = part.result.method is not None and part.result.method.name == TRUTH
+            result = part.result
             column.show_result(
-                "draft" if part.result.draft else "read" if is_truth else part.result.state,
-                part.result.ms,
-                part.result.notes,
-                part.result.warnings,
-                part.result.badge,
-                is_fallback=bool(part.result.fallback),
+                "draft" if result.draft else result.state,
+                result.ms,
+                result.notes,
+                result.warnings,
+                ", ".join(filter(None, (result.badge, self._get_truth_label(name)))),
+                is_fallback=bool(result.fallback),
             )
+            self._show_who_answered(result)
             self._probe.set_results(self._results)
             if name in self._window.steps:
                 self._steps[name] = part
@@ -128,6 +130,19 @@ class StageViews:
         if is_newest:
             self._fresh.add(name)
         self._shown[name] = part
+
+    def _get_truth_label(self, stage: str) -> str:
+        """Return "with true depth" for a stage that is, or comes after, one whose truth is pinned."""
+        methods = () if self.translation is None else self.translation.methods
+        before = [m.name for m in methods[: 1 + next((i for i, m in enumerate(methods) if m.stage == stage), -1)]]
+        return self.translation.truth_label if self.translation is not None and TRUTH in before else ""
+
+    def _show_who_answered(self, result: StageResult) -> None:
+        """Mark the parameters of a method that did not answer: moving them changes nothing on this frame."""
+        reason = result.fallback or (next(iter(result.notes), "") if result.state == "skipped" else "")
+        self._window.columns[result.name].pinned.show_unused(reason)
+        if result.method is not None:
+            self._window.parameters.show_unused(result.method.key, reason)
 
     def get_shown_stage(self, name: str) -> SourcePreview | StagePreview | None:
         """Return what a column shows; None if it is empty."""

@@ -32,8 +32,7 @@ def make_panes(opened: Translation, shown: Mapping[str, object], contrast: Fitte
     source, part = shown.get(SOURCE), shown.get(stage)
     if not isinstance(source, SourcePreview) or not isinstance(part, StagePreview):
         return ()
-    method = part.result.method
-    by = "physics" if part.result.fallback else "" if method is None else method.title
+    by = ", ".join(filter(None, (part.result.answered_by, opened.truth_label)))
     target = opened.source.title if stage == "depth" else opened.target.title
     titles = [f"{opened.source.title}, recorded", f"{target}, {opened.catalogue.stage(stage).title.lower()}: {by}"]
     previews = [source.preview, part.preview]
@@ -41,7 +40,7 @@ def make_panes(opened: Translation, shown: Mapping[str, object], contrast: Fitte
         titles.append(f"{target}, recorded")
         previews.append(part.truth_view.truth)
     return tuple(
-        PresentedPane(title=title.removesuffix(": "), preview=preview)
+        PresentedPane(title=title, preview=preview)
         for title, preview in zip(titles, contrast.fit(*previews), strict=True)
     )
 

@@ -12,6 +12,7 @@ from pipeline.engine.graph import Method
 from pipeline.networks.guidance import NO_CONDITION_DROPOUT
 from pipeline.networks.weights import NoWeights, Weights
 from pipeline.recordings import open_recording
+from pipeline.sensors.alignment_files import read_alignment
 from pipeline.sensors.spec import load_sensor
 from pipeline.stages.depth.photometric import DepthParams
 from pipeline.stages.depth.stage import NETWORK, PHYSICS
@@ -65,7 +66,7 @@ def open_request(request: Request, catalogue: Catalogue) -> Translation:
 
 
 def _choose_target(request: Request) -> str:
-    """Return another sensor of the recording, one of another kind first, else a built-in one that differs."""
+    """Return the target of the alignment file, else another sensor of the recording, else one of another kind."""
     with closing(
         open_recording(
             request.recording,
@@ -75,12 +76,16 @@ def _choose_target(request: Request) -> str:
             depth_unit=request.depth_unit,
         )
     ) as recording:
-        source = recording.stream(request.stream or (load_sensor(request.source).name if request.source else "")).sensor
+        stated = load_sensor(request.source).name if request.source else ""
+        source = request.source or recording.stream(request.stream or stated).sensor
         others = [s.sensor for s in recording.streams if s.sensor not in ("", source)]
+    file = None if request.alignment is None else read_alignment(request.alignment)
+    if file is not None and file.source == source:
+        return file.target
+    kind = load_sensor(source).kind if source else ""  # of a sensor that nobody knows, which does not open
     if others:
-        kind = load_sensor(source).kind
         return next((name for name in others if load_sensor(name).kind != kind), others[0])
-    return "soft_bubble" if source.startswith("gelslim") else "gelslim"
+    return "soft_bubble" if kind == "gel" else "gelslim"
 
 
 def explain_unavailable(opened: Translation, progress: Progress) -> Mapping[str, Mapping[str, str]]:

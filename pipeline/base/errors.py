@@ -140,11 +140,25 @@ class OutsideViewWarning(UnseenObjectWarning):
     """A warning that a method leaves out what lies outside the source's view: one that generates it is better."""
 
 
+class UncertainContact(str):
+    """A note that a change of the image is taken for light and not for touch: neither "no contact" nor "exact"."""
+
+
 class ChangeNote(str):
     """A note of how far a network's result is from physics; the window shows it as a badge."""
 
 
 AT_BORDER = StageWarning("the contact reaches the image border: the part beyond is missing")
+
+
+def describe_no_contact(result: str, notes: Iterable[str], certainty: str = "") -> str:
+    """Return the note of a value without contact, uncertain where one of the `notes` of what it is made of is.
+
+    `result` says what the value is, `certainty` what holds of it only where there is certainly no contact.
+    """
+    if any(isinstance(note, UncertainContact) for note in notes):
+        return UncertainContact(f"contact uncertain: {result}")
+    return f"no contact: {result}{certainty}"
 
 
 def select_warnings(notes: Iterable[str]) -> tuple[StageWarning, ...]:

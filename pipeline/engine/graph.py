@@ -49,7 +49,7 @@ class Fallback(Generic[Output]):
     """What a method returns when it cannot answer and another did: that one's answer, and why."""
 
     result: Output | Skipped[Output]
-    reason: str
+    reason: str  # "who answered: why; details"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,6 +66,8 @@ class Method(Generic[Params, Output, *Reads]):
     help: str = ""  # what it does, in half a sentence
     weights: Callable[..., object] | None = None  # (source, target, file) -> input `weights_name`; None = no weights
     draft: Callable[[Params], Params] | None = None  # parameters -> cheaper ones for dragging; None = no draft
+    # Stage -> method of those that it runs again inside, with default parameters: others do not reach it.
+    inner_methods: Mapping[str, str] = field(default_factory=dict[str, str])
 
     @property
     def weights_name(self) -> str:
@@ -91,6 +93,13 @@ class StageResult:
     digest: str
     fallback: str = ""  # why another method gave the result; "" = it did not
     draft: bool = False  # whether it or one of its inputs was computed with draft parameters
+
+    @property
+    def answered_by(self) -> str:
+        """Title of what gave the result: of the method that another answered for, what did; "Truth" for a truth."""
+        if self.fallback:
+            return self.fallback.partition(":")[0]
+        return "Truth" if self.method is None else self.method.title
 
     @property
     def badge(self) -> str:
@@ -164,6 +173,7 @@ class Graph:
                 if is_draft(own) or drafts.intersection(method.reads):
                     drafts.add(method.stage)
                     result = replace(result, draft=True)
+                result = replace(result, notes=(*self._warn_of_unused_settings(method, params), *result.notes))
             values[method.stage], digests[method.stage] = result.output, result.digest
             results[method.stage] = result
             if result.state not in ("cached", "given"):
@@ -184,6 +194,20 @@ class Graph:
             if method.stage in names and method.stage not in given:
                 names.update(method.reads)
         return tuple(m for m in self.methods if m.stage in names)
+
+    def _warn_of_unused_settings(self, method: Method, params: Mapping[str, object]) -> tuple[StageWarning, ...]:
+        """Return a warning of each method or parameter that a method leaves out by running that stage again inside."""
+        chosen = {other.stage: other for other in self.methods}
+        return tuple(
+            StageWarning(
+                f"the {what} of {stage.replace('_', ' ')} {'are' if what == 'parameters' else 'is'} not used: "
+                f"{method.title} runs that stage again with default settings; T2D2 uses yours"
+            )
+            for stage, name in method.inner_methods.items()
+            if (other := chosen.get(stage)) is not None
+            for what in [f"method {other.title!r}" if other.name != name else "parameters"]
+            if other.name != name or _select_params(params, other) != other.params()
+        )
 
     def _evaluate_method(
         self,

@@ -1,13 +1,14 @@
 """Two variants on one frame: each stage of both, and the difference of one stage."""
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from pipeline.base.errors import SettingProblem, TouchError
 from pipeline.base.progress import SILENT, Progress
 from pipeline.engine.graph import StageResult
 from pipeline.evaluation.comparison_tiles import Comparison
 from pipeline.evaluation.variants import Variant, VariantRunner
+from pipeline.previews.contrast import share_scale
 from pipeline.previews.difference import compute_difference
 from pipeline.previews.display_params import DisplayParams
 from pipeline.previews.layers import Layer, make_frame_layer
@@ -129,6 +130,7 @@ def evaluate_view(
 def build_tiles(one: VariantView, other: VariantView, frame: int, stage: str, differs: str) -> Comparison:
     """A stage of both and their difference, or all stages of both for ""."""
     summary = f"A and B on frame {frame}: {differs}"
+    one, other = _share_scales(one, other)
     if other.problem not in ("", IN_PROGRESS):
         summary = f"{summary} · B: {other.problem}"
     if not stage:
@@ -141,6 +143,18 @@ def build_tiles(one: VariantView, other: VariantView, frame: int, stage: str, di
         summary=summary, stage=stage,
         views_3d=tuple(zip(layers, (one.translation, other.translation), strict=True)),
     )  # fmt: skip
+
+
+def _share_scales(one: VariantView, other: VariantView) -> tuple[VariantView, VariantView]:
+    """Both variants with one colour scale per stage, also where their sensors have other ranges."""
+    both = one.stages.keys() & other.stages.keys()
+    shared = {name: share_scale(one.stages[name].preview, other.stages[name].preview) for name in both}
+
+    def recolour(view: VariantView, which: int) -> VariantView:
+        changed = {name: replace(view.stages[name], preview=previews[which]) for name, previews in shared.items()}
+        return replace(view, stages={name: changed.get(name, each) for name, each in view.stages.items()})
+
+    return recolour(one, 0), recolour(other, 1)
 
 
 def _build_difference_tile(one: VariantView, other: VariantView, stage: str) -> Tile:

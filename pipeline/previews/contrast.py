@@ -36,8 +36,24 @@ class FittedContrast:
         if scale is None or preview.values is None:
             return preview
         limit = self._limits[scale.quantity]
-        scale = replace(scale, low=-limit if scale.low < 0.0 else 0.0, high=limit, is_fitted=True)
-        return replace(preview, scale=scale, pixels=apply_colour_map(preview.values, scale))
+        fitted = replace(preview, scale=replace(scale, is_fitted=True))
+        return _set_limits(fitted, -limit if scale.low < 0.0 else 0.0, limit)
+
+
+def share_scale(first: Preview, second: Preview) -> tuple[Preview, Preview]:
+    """Return two images with limits that hold both, where they show one quantity on scales of other limits."""
+    a, b = first.scale, second.scale
+    if a is None or b is None or a == b or (a.quantity, a.unit, a.colour_map) != (b.quantity, b.unit, b.colour_map):
+        return first, second
+    low, high = min(a.low, b.low), max(a.high, b.high)
+    return _set_limits(first, low, high), _set_limits(second, low, high)
+
+
+def _set_limits(preview: Preview, low: float, high: float) -> Preview:
+    if preview.scale is None or preview.values is None:
+        return preview
+    scale = replace(preview.scale, low=low, high=high)
+    return replace(preview, scale=scale, pixels=apply_colour_map(preview.values, scale))
 
 
 def _round_up(value: float) -> float:

@@ -47,7 +47,7 @@ _UNDATED: Mapping[str, Mapping[str, None]] = {  # no dates in the files: the sam
 class ExportOutcome:
     """What the reader of a written file should know."""
 
-    fallbacks: tuple[str, ...]  # stages that another method answered, and why
+    fallbacks: tuple[str, ...]  # stages that another method or the recording's truth answered, and why
     problems: tuple[str, ...]  # frames that could not be read and are left out, and why
 
 
@@ -84,7 +84,7 @@ class _Work:
     def __init__(self, asked: ExportRequest, translation: Translation, progress: Progress) -> None:
         self.asked, self.translation, self.progress = asked, translation, progress
         self.params, self.display = asked.parse_params(translation.methods), asked.display_params
-        self.replaced: set[str] = set()
+        self.replaced = {translation.truth_label} if translation.truth_label else set[str]()
         self.problems: dict[int, FileProblem] = {}
         self._graph = translation.build_graph(like=Graph((), cache=Cache(_CACHE_BYTES)))
 
@@ -192,9 +192,11 @@ def _table(work: _Work) -> None:
     names = sorted({name for _, _, metrics in rows for name in metrics})
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
-    table.writerow(["frame", "time_s", *names])
+    label = work.translation.truth_label
+    table.writerow(["frame", "time_s", *names, *([label] if label else [])])
     for index, time_s, metrics in rows:
-        table.writerow([index, _number(time_s), *(_number(metrics.get(name, np.nan)) for name in names)])
+        values = (_number(metrics.get(name, np.nan)) for name in names)
+        table.writerow([index, _number(time_s), *values, *(["yes"] if label else [])])
     with open_atomic(work.asked.path, "the table", None) as file:
         file.write(text.getvalue().encode())
 

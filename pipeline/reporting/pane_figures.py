@@ -51,7 +51,8 @@ def render_pane(
     stage = translation.catalogue.stage(name)
     outputs = {key: result.output for key, result in results.items()}
     seen = translation.make_preview_context(outputs, display)
-    picture, value, title = stage.make_preview(outputs[name], seen), outputs[name], stage.title
+    picture, value = stage.make_preview(outputs[name], seen), outputs[name]
+    title = ", ".join(filter(None, (f"{stage.title} · {results[name].answered_by}", translation.truth_label)))
     if shown != "computed":
         truths = translation.read_true_outputs(frame.index)
         if name not in truths:

@@ -24,6 +24,7 @@ from pipeline.geometry.camera import Camera
 from pipeline.metrics.stage_metrics import METRICS
 from pipeline.reporting.frame_report import FrameReport
 from pipeline.stages.depth.contact_force import FORCE
+from pipeline.stages.truth_method import TRUTH
 from pipeline.translation.translate import Translation
 from pipeline.values.frames import TactileFrame
 from pipeline.values.results import ObjectPose
@@ -38,6 +39,8 @@ def collect_stage_arrays(frame: TactileFrame, results: Mapping[str, StageResult]
         arrays["source.reference"] = frame.reference
     for name, result in results.items():
         arrays |= collect_value_arrays(name, result.output)
+        if result.method is not None and result.method.name == TRUTH:
+            arrays[f"{name}.is_truth"] = np.asarray(True)
         for kept in ("steps", "alternatives"):
             poses = [getattr(one, "sensor_from_object", one) for one in getattr(result.output, kept, ())]
             if poses:
@@ -111,7 +114,7 @@ def _figure_names(frames: Sequence[FrameReport]) -> list[str]:
 def _to_json(frame: FrameReport) -> dict[str, object]:
     stages = [
         {"name": r.name, "ms": round(r.ms, 3), "skipped": r.state == "skipped", "state": r.state, "notes": r.notes,
-         "warnings": r.warnings, "fallback": r.fallback}
+         "warnings": r.warnings, "fallback": r.fallback, "answered_by": r.answered_by}
         for r in frame.results.values()
     ]  # fmt: skip
     lines: dict[str, object] = {"index": frame.index, "stages": stages, "metrics": dict(frame.metrics)}

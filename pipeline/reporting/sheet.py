@@ -53,10 +53,12 @@ def draw_sheet(
         if result is None:
             ax.set_axis_off()
             continue
-        title = stage.title if result.method is None else f"{stage.title} · {result.method.title}"
+        title = stage.title if result.method is None else f"{stage.title} · {result.answered_by}"
         draw_panel(figure, ax, stage.make_preview(result.output, seen), title)
         _footer(ax, result, timed=timed)
-    figure.suptitle(f"frame {report.index}   {source.name} → {translation.target.name}", fontsize=11, y=0.985)
+    sensors = f"{source.name} → {translation.target.name}"
+    words = "   ".join(filter(None, (f"frame {report.index}", sensors, translation.truth_label)))
+    figure.suptitle(words, fontsize=11, y=0.985)
     figure.text(0.5, 0.925, _figures(report), fontsize=8, ha="center", va="top", color="0.3")
     return figure
 

@@ -88,22 +88,34 @@ def format_alignment(content: AlignmentFile) -> str:
     return "\n".join(lines) + "\n"
 
 
+class AlignmentMismatch(FileProblem):
+    """An alignment is of other sensors than those chosen; `field` names the one that differs, "" the direction."""
+
+    def __init__(self, what: str, content: AlignmentFile, path: Path, field: str = "") -> None:
+        """Build the sentence, and keep the sensors that the file is of."""
+        super().__init__(what, path, field=field)
+        self.source, self.target = content.source, content.target
+
+
+def read_alignment(path: Path) -> AlignmentFile:
+    """The alignment of a file, whichever its sensors; raises FileProblem."""
+    table = convert(read_toml(path, "the alignment"), _AlignmentTable, "the alignment", path)
+    alignment = Alignment(**{side: getattr(table, side).to_matrix() for side in ALIGNMENT_PARTS})
+    return AlignmentFile(alignment=alignment, origin=table.origin, source=table.source, target=table.target)
+
+
 def load_alignment(path: Path, *, source: str, target: str) -> AlignmentFile:
     """The alignment of a file, which must be for these two sensors; raises FileProblem."""
-    content = convert(read_toml(path, "the alignment"), _AlignmentTable, "the alignment", path)
+    content = read_alignment(path)
     if (content.source, content.target) == (target, source) != (source, target):
-        raise FileProblem(
-            f"this alignment is for {target} to {source}, the reverse direction; swap source and target", path
+        raise AlignmentMismatch(
+            f"this alignment is for {target} to {source}, the reverse direction; swap source and target", content, path
         )
     for key, found, expected in (("source", content.source, source), ("target", content.target, target)):
         if found != expected:
-            raise FileProblem(
-                f"this alignment has the {key} {found!r}, not {expected!r}; choose the file of these two sensors",
-                path,
-                field=key,
-            )
-    alignment = Alignment(**{side: getattr(content, side).to_matrix() for side in ALIGNMENT_PARTS})
-    return AlignmentFile(alignment=alignment, origin=content.origin, source=content.source, target=content.target)
+            what = f"this alignment has the {key} {found!r}, not {expected!r}; choose the file of these two sensors"
+            raise AlignmentMismatch(what, content, path, key)
+    return content
 
 
 def _format_numbers(values: Doubles) -> str:

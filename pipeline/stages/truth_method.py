@@ -1,12 +1,14 @@
 """The method that every stage with known truth has besides its own: what the recording knows in place of a computation.
 
-It pins a cause: with the truth in one stage, only the errors of those after it remain.
+It pins a cause: with the truth in one stage, only the errors of those after it remain. Every result made with it says
+so by a warning.
 """
 
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
-from pipeline.base.errors import SettingProblem
+from pipeline.base.errors import SettingProblem, StageWarning
 from pipeline.base.params import NoParams
 from pipeline.base.progress import Progress
 from pipeline.engine.graph import Method
@@ -33,4 +35,5 @@ def _return_truth(title: str, value: Any | None, _params: NoParams, _progress: P
         raise SettingProblem(
             f"the recording does not know the true {title} of this frame; choose another method for it"
         )
-    return value
+    warning = StageWarning(f"with true {title}: the recording's truth is in place of a computation; unpin it")
+    return replace(value, notes=(warning, *value.notes))

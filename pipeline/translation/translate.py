@@ -94,6 +94,12 @@ class Translation:
         """The stages of the route, in order."""
         return tuple(method.stage for method in self.methods)
 
+    @property
+    def truth_label(self) -> str:
+        """Title of the truths in place of computed stages, such as "with true depth"; "" without."""
+        pinned = [self.catalogue.stage(m.stage).title.lower() for m in self.methods if m.name == TRUTH]
+        return f"with true {' and '.join(pinned)}" if pinned else ""
+
     def get_role(self, column: str) -> SensorRole:
         """Return whose frame a column is in: "source" or the name of a stage."""
         return "source" if column == "source" else self.catalogue.stage(column).sensor_role
@@ -305,6 +311,7 @@ def _open_with(
             *_about_pairs(recording, stream, target),
             *_about_symmetry(recording, stream, mesh),
             *_about_weights(request, methods, catalogue),
+            *_about_methods(request, methods),
         ),
         symmetry=recording.symmetry if mesh is recording.object_mesh else None,
         force_scale=_load_force_scale(request.calibration, source),
@@ -370,6 +377,16 @@ def _about_weights(request: Request, methods: tuple[Method, ...], catalogue: Cat
         f"{f'the method of {stage} reads none' if stage else 'no method reads any'}; "
         f"{_suggest_methods(stage, catalogue)}"
         for stage, file in unread
+    )
+
+
+def _about_methods(request: Request, methods: tuple[Method, ...]) -> tuple[str, ...]:
+    """Return a note on methods chosen for stages that the route leaves out."""
+    stages = {method.stage for method in methods}
+    return tuple(
+        f"the method {name!r} of {stage} is not used: the route {request.route!r} has no such stage"
+        for stage, name in request.methods
+        if stage not in stages
     )
 
 

@@ -35,7 +35,7 @@ def build_observation_view(
     recorded = make_indentation_preview(
         observed.indentation_mm, observed.depth_mm, observed.contact, observed.camera, target, display
     )
-    difference = compute_difference(preview, recorded, label="reprojected less recorded", fit_scale=True)
+    difference = compute_difference(preview, recorded, label="reprojected less recorded")
     return TruthView(truth=replace(recorded, caption=f"recorded by {target.name}"), difference_to_truth=difference)
 
 

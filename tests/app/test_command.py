@@ -25,11 +25,14 @@ def test_without_a_display_the_window_is_refused():
 def test_an_interrupted_translation_leaves_complete_frames(tmp_path):
     out = tmp_path / "out"
     command = [SCRIPT, "translate", SAMPLE, "--sensor", "gelslim", "--target", "digit", "--all", "--out", out]
-    running = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
-    while not list(out.glob("frame_*")) and running.poll() is None:
-        time.sleep(0.02)
-    running.send_signal(signal.SIGINT)
-    _, said = running.communicate(timeout=60)
+    with subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True) as running:
+        try:
+            while not list(out.glob("frame_*")) and running.poll() is None:
+                time.sleep(0.02)
+            running.send_signal(signal.SIGINT)
+            _, said = running.communicate()
+        finally:
+            running.kill()  # one that did not end
     assert running.returncode == 130
     assert "interrupted; finished frames are complete" in said
     assert "Traceback" not in said

@@ -87,7 +87,7 @@ def _run(script: str, *words: object, home: Path) -> Iterator[subprocess.Popen[s
 
 def test_a_window_that_was_not_destroyed_does_not_crash_at_exit(tmp_path):
     with _run(_NEVER_DESTROYED, home=tmp_path) as running:
-        _, output = running.communicate(timeout=30)
+        _, output = running.communicate()
     assert running.returncode == 0, output[-2000:]
 
 
@@ -96,7 +96,7 @@ def test_ctrl_c_closes_the_window_and_saves_the_recovery_file(touch_file, rememb
     with _run(_ENDED, touch_file, home=remembered_here) as running:
         assert running.stdout.readline() == "ready\n"
         running.send_signal(signal.SIGINT)
-        _, output = running.communicate(timeout=30)
+        _, output = running.communicate()
     assert (running.returncode, output) == (128 + signal.SIGINT, "")
     (left,) = recovery.find_recoverable_sessions(recovery.get_recovery_folder())
     assert left.session.offsets.translation_mm == (1.5, 0.0, 0.0)
@@ -107,5 +107,5 @@ def test_a_signal_ends_a_tour(touch_file, tmp_path):
     with _run(_ENDED, touch_file, tmp_path / "tour", home=tmp_path) as running:
         assert running.stdout.readline() == "ready\n"
         running.send_signal(signal.SIGTERM)
-        _, output = running.communicate(timeout=30)
+        _, output = running.communicate()
     assert (running.returncode, output) == (128 + signal.SIGTERM, "")

@@ -18,7 +18,6 @@ from pipeline.networks.samplers import MAX_STEPS
 from pipeline.physics import optics
 from pipeline.simulation import shapes, variation
 from pipeline.stages.depth import network as depth_network
-from pipeline.stages.depth import photometric as depth_stage
 from pipeline.stages.depth.gel_network import NetworkParams
 from pipeline.stages.pose import network as pose_network
 from pipeline.stages.pose.signed_distances import PoseParams, estimate_pose_icp, estimate_pose_planar
@@ -124,16 +123,6 @@ def test_t2t(picture, how, seed, strength):
         shipped("t2t_bubble"), how,
     )  # fmt: skip
     sound_touch(result, target)
-
-
-def test_a_touch_that_the_network_alone_sees_is_not_said_to_be_none():
-    source, target = small(GEL, 0.3), small(BUBBLE)
-    frame = reading(source, "noise", 5)
-    asked = (source, None, aligned(source, target), target)
-    assert not depth_stage.estimate_depth(frame, source, None, depth_stage.DepthParams()).contact.any()
-    found = t2t.generate_touch(frame, *asked, shipped("t2t_bubble"), DiffusionParams())
-    assert t2t.NETWORK_ONLY_WARNING in found.notes
-    assert t2d2.physical_render.NO_CONTACT not in found.notes
 
 
 @row("12,3", "VQ-VAE: any picture, either way", share=0.13, refused=0.25)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.base.arrays import Doubles, Floats, Indices, ensure_float, freeze
-from pipeline.base.errors import ShapeError
+from pipeline.base.errors import ShapeError, describe_no_contact
 from pipeline.base.params import setting
 from pipeline.base.progress import SILENT, Progress
 from pipeline.geometry import rigid
@@ -13,7 +13,7 @@ from pipeline.geometry.camera import MIN_DEPTH_MM
 from pipeline.sensors.alignment import Alignment
 from pipeline.values.results import Cloud, DepthMap
 
-NO_CONTACT = "no contact: the cloud is empty"
+_EMPTY = "the cloud is empty"
 MAX_DEPTH_MM = 1e9  # depths beyond are ignored for the median depth
 
 
@@ -57,7 +57,7 @@ def back_project_depth(
         field_of_view_mm=_compute_window(depth, target_from_source),
         grid_shape=depth.camera.shape,
         stride=params.stride,
-        notes=_make_notes(n_contact=n_contact, n_points=pixel.size, stride=params.stride),
+        notes=_make_notes(depth.notes, n_contact=n_contact, n_points=pixel.size, stride=params.stride),
         error=depth.error,
     )
 
@@ -72,7 +72,7 @@ def skip_without_contact(depth: DepthMap, alignment: Alignment, params: BackProj
         field_of_view_mm=_compute_window(depth, alignment.target_from_source),
         grid_shape=depth.camera.shape,
         stride=params.stride,
-        notes=(NO_CONTACT,),
+        notes=(describe_no_contact(_EMPTY, depth.notes),),
     )
 
 
@@ -116,11 +116,13 @@ def _compute_median_depth(depth_mm: Floats) -> float:
     return float(np.median(valid)) if valid.size else 0.0
 
 
-def _make_notes(*, n_contact: int, n_points: int, stride: int) -> tuple[str, ...]:
+def _make_notes(depth_notes: tuple[str, ...], *, n_contact: int, n_points: int, stride: int) -> tuple[str, ...]:
     notes: list[str] = []
     if n_contact == 0:
         notes.append(
-            NO_CONTACT if stride == 1 else f"no contact pixel in every {stride}th row and column; lower the stride"
+            describe_no_contact(_EMPTY, depth_notes)
+            if stride == 1
+            else f"no contact pixel in every {stride}th row and column; lower the stride"
         )
     elif n_points < n_contact:
         notes.append(f"{n_contact - n_points:,} of {n_contact:,} contact pixels have no depth and were left out")

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.base.arrays import Doubles, Floats, Image, freeze
-from pipeline.base.errors import StageWarning
+from pipeline.base.errors import StageWarning, UncertainContact
 from pipeline.base.memo import Memo
 from pipeline.engine.digests import compute_cached_digest
 
@@ -128,9 +128,9 @@ def _estimate(image: Image, reference: Image) -> DriftedReference:
 
 
 def describe_no_contact(still: DriftedReference) -> str:
-    """The note for a frame without change after the drift is removed."""
+    """The note for a frame without change after the drift is removed; uncertain where a level face may be the drift."""
     if still.drift is not None and still.drift.notes:
-        return "nothing touches the sensor, or a level face larger than the view"
+        return UncertainContact("contact uncertain: nothing touches the sensor, or a level face larger than the view")
     return "nothing touches the sensor"
 
 

@@ -14,7 +14,7 @@ from typing import cast
 import numpy as np
 
 from pipeline.base.arrays import Floats, Image, Mask, freeze
-from pipeline.base.errors import AT_BORDER, StageWarning
+from pipeline.base.errors import AT_BORDER, StageWarning, UncertainContact
 from pipeline.base.progress import Progress
 from pipeline.calibration import near_led_prior
 from pipeline.calibration.calibration_table import Calibration, check_calibration, make_built_in
@@ -51,7 +51,9 @@ _WEAK_SHADING = StageWarning(
     "the LEDs hardly shade slopes where the sensor is touched: sizes and depths may be wrong by half; calibrate"
 )
 _NOT_COVERED = StageWarning("no indentation of the calibration covers this touch: it is measured without calibration")
-_LIGHT_CHANGE = "the light has changed, but no dent explains it: nothing touches the sensor"
+_LIGHT_CHANGE = UncertainContact(
+    "contact uncertain: the image has changed, but no dent explains it; it is taken for light, not for touch"
+)
 NOT_SCALED = "the light is fitted to this touch: the depth scale of the calibration does not apply to it"
 _SHADOW_LEDS = "no usual LEDs explain the image: measured with low LEDs that cast shadows, fitted to this touch"
 
@@ -265,5 +267,5 @@ def _limit_depth(indentation: Floats, touched: Mask, largest_mm: float) -> list[
     elif edge.any():
         notes.append(AT_BORDER)
     if not touched.any() and indentation.any():
-        notes.append("the image has changed, but nothing presses hard enough to be a contact")
+        notes.append(UncertainContact("contact uncertain: the image has changed, but nothing presses hard enough"))
     return notes

@@ -18,7 +18,7 @@ from typing import cast
 import numpy as np
 
 from pipeline.base.arrays import Floats, Image, Mask, freeze
-from pipeline.base.errors import AT_BORDER, StageWarning
+from pipeline.base.errors import AT_BORDER, StageWarning, UncertainContact
 from pipeline.base.memo import Memo
 from pipeline.base.params import setting
 from pipeline.base.progress import SILENT, Progress, SubProgress
@@ -163,7 +163,7 @@ def correct_depth(
     indentation *= _compute_depth_scale(indentation, relaxed, touched, float(prediction.log_depth_factor), below)
     notes = _limit_indentation(indentation, touched, source)
     if not touched.any():
-        notes.append("nothing touches the sensor: the network finds no contact where the image changed")
+        notes.append(UncertainContact("contact uncertain: the network finds none where the image has changed"))
     error_px = unit_px * np.exp(prediction.log_error_scale)
     in_contact = grid.resample_to_grid(touched.astype(np.float32)) > np.float32(0.5)
     return replace(

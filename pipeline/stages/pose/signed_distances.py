@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pipeline.base.arrays import Doubles, Floats, Indices, freeze
-from pipeline.base.errors import SettingProblem
+from pipeline.base.errors import SettingProblem, describe_no_contact
 from pipeline.base.params import setting
 from pipeline.base.progress import SILENT, Progress, SubProgress
 from pipeline.geometry import rigid
@@ -26,7 +26,7 @@ from pipeline.registration.starts import FACES, list_edge_starts, list_starts
 from pipeline.stages.pose.icp import register_icp
 from pipeline.values.results import DepthMap, ObjectPose
 
-NO_CONTACT = "no contact: there is no pose"
+_NO_POSE = "there is no pose"
 NO_MESH = "no object mesh is given; a pose needs one"
 _MIN_POINTS = 20  # contact points, about three per unknown
 _MIN_FITNESS = 0.05  # inlier share below which there is no pose
@@ -161,7 +161,7 @@ def estimate_pose_icp(
 def skip_without_contact(touch_depth: DepthMap, mesh: Mesh | None, *_: object) -> ObjectPose | None:
     """The unknown pose if there is no mesh or no contact, else None, whatever else a method reads."""
     if not touch_depth.contact.any():
-        return _make_unknown_pose(NO_CONTACT)
+        return _make_unknown_pose(describe_no_contact(_NO_POSE, touch_depth.notes))
     return _make_unknown_pose(NO_MESH) if mesh is None else None
 
 

@@ -16,9 +16,9 @@ import numpy as np
 from pipeline.base.arrays import Floats
 from pipeline.base.errors import UnseenObjectWarning
 from pipeline.base.params import setting
-from pipeline.base.progress import SILENT, Progress, SubProgress
+from pipeline.base.progress import SILENT, Progress
 from pipeline.calibration.calibration_table import Calibration
-from pipeline.engine.graph import Fallback, Skipped
+from pipeline.engine.graph import Fallback
 from pipeline.networks import published_weights, weights_registry
 from pipeline.networks.guidance import GUIDED_STEPS, MAX_WEIGHT, WEIGHTS, GuidedDenoiser, plan_guidance
 from pipeline.networks.network_factory import reproducible_inference
@@ -34,10 +34,9 @@ from pipeline.networks.weights import NoWeights, Weights
 from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import photometric as depth
-from pipeline.stages.touch import physical_render
+from pipeline.stages.touch import frame_chain, physical_render
 from pipeline.stages.touch.depth_condition import build_depth_square
 from pipeline.stages.touch.image_condition import build_reprojected_square
-from pipeline.stages.touch.t2t import render_from_frame
 from pipeline.stages.touch.touch_from_change import check_depth_limit, make_touch_from_change
 from pipeline.values.frames import TactileFrame
 from pipeline.values.results import GeneratedTouch, TargetDepth
@@ -149,31 +148,31 @@ def generate_touch(
     network: nn.Module,
     params: LatentParams,
     progress: Progress = SILENT,
-) -> GeneratedTouch | Skipped | Fallback:
-    """Generate what `target` would record; deterministic per seed. Raises ShapeError without a reference image.
+) -> GeneratedTouch | Fallback[GeneratedTouch]:
+    """Generate what `target` would record of a frame in contact; deterministic per seed.
 
-    Physics answers where the touch is deeper than the source can be pressed: a network that sees the source's own view
-    generates the depths of the alignment that it was trained on.
+    A network that sees the source's own view generates the depths of the alignment that it was trained on. One step
+    shows them: where they are deeper than the source can be pressed, physics answers and nothing is sampled. Raises
+    ShapeError without a reference image.
     """
     depth.check_frame(frame, source)
     assert frame.reference is not None  # checked
-    if depth.skip_without_contact(frame, source, calibration, depth.DepthParams()) is not None:
-        return physical_render.skip_to_reference_touch(target)
     net: Any = network
     square = resize_to_square(source.sensor_kind.compute_relative_change(frame.image, frame.reference), net.side)
     if params.raw_condition == "yes" or (params.raw_condition == "as trained" and net.raw_condition):
         square = square * np.float32(source.sensor_kind.full_change)
     condition = build_image_square(square, net.condition, source, target, alignment)
-    touch = _sample_touch(condition, target, net, params, SubProgress(progress, 0.0, 0.9))
-    knows_alignment = getattr(net, "trained_on_recordings", False)
-    impossible = () if knows_alignment else check_depth_limit(touch, source, target, alignment)
-    if impossible:
-        physical = render_from_frame(
-            frame, source, calibration, alignment, target, physical_render.PhysicalRenderParams(),
-            SubProgress(progress, 0.9, 0.1),
-        )  # fmt: skip
-        return Fallback(result=physical, reason=f"{impossible[0]}; physical render is used instead")
-    warnings = (*depth.warn_of_mismatch(frame, source, calibration), *_warn_outside_view(target))
+    checks_depth = target.sensor_kind.is_depth and not getattr(net, "trained_on_recordings", False)
+    if checks_depth:
+        first = _sample_touch(condition, target, net, replace(params, steps=1, guidance=1.0), SILENT)
+        impossible = check_depth_limit(first, source, target, alignment)
+        if impossible:
+            reads = frame, source, calibration, alignment, target
+            physical = frame_chain.render_from_frame(*reads, physical_render.PhysicalRenderParams(), progress)
+            return Fallback(result=physical, reason=f"physics: {impossible[0]}")
+    touch = _sample_touch(condition, target, net, params, progress)
+    limits = check_depth_limit(touch, source, target, alignment) if checks_depth else ()
+    warnings = (*depth.warn_of_mismatch(frame, source, calibration), *limits, *_warn_outside_view(target))
     return replace(touch, notes=(*warnings, NOTE.format("the source image"), *touch.notes))
 
 

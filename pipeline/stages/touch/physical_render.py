@@ -14,12 +14,19 @@ import numpy as np
 
 from pipeline.base.arrays import Floats, Image, Indices, Mask, freeze
 from pipeline.base.entry_points import load_reference
-from pipeline.base.errors import OutsideViewWarning, SettingProblem, ShapeError, StageWarning, UnseenObjectWarning
+from pipeline.base.errors import (
+    AlignmentWarning,
+    OutsideViewWarning,
+    SettingProblem,
+    ShapeError,
+    StageWarning,
+    UnseenObjectWarning,
+    describe_no_contact,
+)
 from pipeline.base.memo import Memo
 from pipeline.base.params import setting
 from pipeline.base.progress import SILENT, Progress
 from pipeline.engine.digests import compute_cached_digest
-from pipeline.engine.graph import Skipped
 from pipeline.geometry.camera import MIN_DEPTH_MM
 from pipeline.physics import bubble, bubble_camera, gel, lattice, optics
 from pipeline.sensors.spec import SensorSpec
@@ -27,10 +34,8 @@ from pipeline.values.results import GeneratedTouch, TargetDepth, make_depth_map,
 
 GelSurfaceMode = Literal["press", "follow"]
 
-NO_CONTACT = "no contact: the target's reference image is exact"
-NO_CONTACT_ON_SOURCE = (
-    "no contact on the source: the target's reference image; a bubble that reaches farther may touch already"
-)
+_REFERENCE = "the target's reference image"
+_MISSED = f"{_REFERENCE}: by the alignment, the source's touch does not reach the target; correct the alignment"
 
 _MAX_CLIPPED_SHARE = 0.02  # share of clipped pixels from which on there is a warning
 # Of 48 held-out grasps 13 mm deep physics is worse than the mean touch on 25; these limits mark all of them where the
@@ -102,18 +107,15 @@ def skip_without_contact(view: TargetDepth, target: SensorSpec, *_: object) -> G
         )
     if view.contact.any():
         return None
-    return replace(make_reference_touch(target), in_view=view.in_view)
+    touch = make_reference_touch(target)
+    is_missed = any(isinstance(note, AlignmentWarning) for note in view.notes)
+    notes = (_MISSED,) if is_missed else _describe_no_contact(target, view.notes)
+    return replace(touch, in_view=view.in_view, notes=touch.notes if notes == touch.notes else notes)
 
 
 def make_reference_touch(target: SensorSpec) -> GeneratedTouch:
     """The target's reference image as a touch; cached per sensor."""
     return _reference_touches.get_or_make(compute_cached_digest(target), lambda: _make_reference_touch(target))
-
-
-def skip_to_reference_touch(target: SensorSpec) -> Skipped[GeneratedTouch]:
-    """The target's reference image as the answer for a source frame without contact."""
-    touch = make_reference_touch(target)
-    return Skipped(output=touch, reason=touch.notes[0])
 
 
 _reference_touches: Memo[str, GeneratedTouch] = Memo(8)
@@ -130,8 +132,14 @@ def _make_reference_touch(target: SensorSpec) -> GeneratedTouch:
         source_index=freeze(np.full(shape, -1, np.int32)),
         in_view=freeze(np.ones(shape, np.bool_)),
         membrane=rest_membrane,
-        notes=(NO_CONTACT_ON_SOURCE if target.sensor_kind.is_depth else NO_CONTACT,),
+        notes=_describe_no_contact(target, ()),
     )
+
+
+def _describe_no_contact(target: SensorSpec, notes: tuple[str, ...]) -> tuple[str, ...]:
+    """The note of a touch whose source has no contact; `notes` are those of the target depth."""
+    farther = "; a bubble that reaches farther than the source may touch already"
+    return (describe_no_contact(_REFERENCE, notes, farther if target.sensor_kind.is_depth else " is exact"),)
 
 
 def _drop_invalid_pixels(view: TargetDepth) -> tuple[TargetDepth, list[str]]:

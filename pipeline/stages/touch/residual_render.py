@@ -14,6 +14,8 @@ from pipeline.stages.touch.residual_diffusion import DenoisingState, ResidualSam
 from pipeline.values.results import DepthMap, GeneratedTouch, TouchStep
 
 _HALF = 0.5
+NO_STEPS = "physics: no denoising step"
+NO_PRIOR_CONTACT = "physics: the render has no contact that the network could correct"
 NO_CHANGE = "physics: the network changes nothing; its corrections are smaller than their expected errors"
 
 

@@ -26,6 +26,7 @@ from pipeline.stages.stage import (
     look_up_element,
 )
 from pipeline.stages.touch import latent_diffusion, physical_render, t2d2, t2t, vqvae
+from pipeline.stages.touch.frame_chain import INNER_METHODS, PHYSICS_FROM_FRAME, READS, guard_contact
 from pipeline.stages.touch.latent_diffusion import LatentParams
 from pipeline.stages.touch.residual_diffusion import DiffusionParams, make_draft_params
 from pipeline.values.results import GeneratedTouch
@@ -38,7 +39,7 @@ PHYSICS = Method(
     run=skip_if_exact(physical_render.skip_without_contact, physical_render.render_touch),
     params=physical_render.PhysicalRenderParams,
     reads=("target_depth", "target"),
-    version=4,
+    version=5,
 )
 T2D2 = Method(
     stage="touch",
@@ -52,19 +53,20 @@ T2D2 = Method(
     reads=(*PHYSICS.reads, "touch_weights"),
     weights=t2d2.select_weights,
     draft=make_draft_params,
-    version=7,
+    version=8,
 )
 T2T = Method(
     stage="touch",
     name="t2t",
     title="T2T diffusion",
     help="image-to-image diffusion trained on pairs; falls back to the physical render where uncertain",
-    run=fall_back_without_weights(t2t.generate_touch, fallback=t2t.PHYSICS_FROM_FRAME),
+    run=guard_contact(fall_back_without_weights(t2t.generate_touch, fallback=PHYSICS_FROM_FRAME)),
     params=DiffusionParams,
-    reads=(*t2t.READS, "touch_weights"),
+    reads=(*READS, "touch_weights"),
     weights=t2t.select_weights,
+    inner_methods=INNER_METHODS,
     draft=make_draft_params,
-    version=9,
+    version=10,
 )
 LATENT_T2D2 = Method(
     stage="touch",
@@ -85,21 +87,25 @@ LATENT = Method(
     name="latent",
     title="T2T latent diffusion (the paper's)",
     help="200 steps from noise, conditioned on the encoded source image",
-    run=fall_back_without_weights(latent_diffusion.generate_touch, fallback=t2t.PHYSICS_FROM_FRAME),
+    run=guard_contact(fall_back_without_weights(latent_diffusion.generate_touch, fallback=PHYSICS_FROM_FRAME)),
     params=LatentParams,
-    reads=(*t2t.READS, "touch_weights"),
+    reads=(*READS, "touch_weights"),
     weights=latent_diffusion.select_weights,
+    inner_methods=INNER_METHODS,
     draft=latent_diffusion.make_draft_params,
+    version=2,
 )
 VQVAE = Method(
     stage="touch",
     name="vqvae",
     title="VQ-VAE, the paper's baseline",
     help="image-to-image at 128 x 128 through a codebook; uses no depth",
-    run=fall_back_without_weights(vqvae.generate_touch, fallback=t2t.PHYSICS_FROM_FRAME),
+    run=guard_contact(fall_back_without_weights(vqvae.generate_touch, fallback=PHYSICS_FROM_FRAME)),
     params=NoParams,
-    reads=(*t2t.READS, "touch_weights"),
+    reads=(*READS, "touch_weights"),
     weights=vqvae.select_weights,
+    inner_methods=INNER_METHODS,
+    version=2,
 )
 
 

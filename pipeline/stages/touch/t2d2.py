@@ -27,7 +27,13 @@ from pipeline.stages.touch.confidence_weighting import read_error_calibration, s
 from pipeline.stages.touch.depth_condition import build_depth_condition, make_working_sensor
 from pipeline.stages.touch.physical_render import PhysicalRenderParams
 from pipeline.stages.touch.residual_diffusion import DiffusionParams, sample_residual
-from pipeline.stages.touch.residual_render import render_correction, report_change, resample_to_grid
+from pipeline.stages.touch.residual_render import (
+    NO_PRIOR_CONTACT,
+    NO_STEPS,
+    render_correction,
+    report_change,
+    resample_to_grid,
+)
 from pipeline.values.results import DepthMap, GeneratedTouch, TargetDepth
 
 MAX_PIXEL_RATIO = 1.25  # allowed ratio to the trained pixel size
@@ -67,8 +73,10 @@ def generate_touch(
     rendering = SubProgress(progress, 0.0, 0.3) if params.steps else progress
     physical = _render(view, target, PhysicalRenderParams(add_noise=params.add_noise, seed=params.seed), rendering)
     prior = physical.membrane
-    if not params.steps or prior is None or not prior.contact.any():
-        return physical
+    if not params.steps:
+        return Fallback(result=physical, reason=NO_STEPS)
+    if prior is None or not prior.contact.any():
+        return Fallback(result=physical, reason=NO_PRIOR_CONTACT)
     samples_contact = target.sensor_kind.is_depth
     sample = sample_residual(
         network,

@@ -14,7 +14,6 @@ import numpy as np
 from pipeline.base.params import NoParams
 from pipeline.base.progress import SILENT, Progress
 from pipeline.calibration.calibration_table import Calibration
-from pipeline.engine.graph import Skipped
 from pipeline.networks import published_weights, weights_registry
 from pipeline.networks.network_factory import reproducible_inference
 from pipeline.networks.square_images import (
@@ -28,7 +27,6 @@ from pipeline.networks.weights import NoWeights, Weights
 from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import photometric as depth
-from pipeline.stages.touch import physical_render
 from pipeline.stages.touch.image_condition import reproject_square
 from pipeline.stages.touch.touch_from_change import check_depth_limit, make_touch_from_change
 from pipeline.values.frames import TactileFrame
@@ -67,12 +65,10 @@ def generate_touch(
     network: nn.Module,
     params: NoParams,  # noqa: ARG001 - no settings
     progress: Progress = SILENT,
-) -> GeneratedTouch | Skipped:
-    """Generate what `target` would record, at 128 x 128 pixels; raises ShapeError without a reference image."""
+) -> GeneratedTouch:
+    """Generate what `target` would record of a frame in contact, at 128 x 128 pixels; raises as `check_frame`."""
     depth.check_frame(frame, source)
     assert frame.reference is not None  # checked
-    if depth.skip_without_contact(frame, source, calibration, depth.DepthParams()) is not None:
-        return physical_render.skip_to_reference_touch(target)
     square = resize_to_square(source.sensor_kind.compute_relative_change(frame.image, frame.reference))
     reprojects = getattr(network, "reprojects_input", False)
     network_input = (

@@ -6,6 +6,7 @@ method, which shows how much of a touch the image preserves.
 
 from dataclasses import replace
 
+from pipeline.base.errors import describe_no_contact
 from pipeline.base.params import NoParams
 from pipeline.base.progress import SILENT, Progress
 from pipeline.engine.graph import Fallback, Method, skip_if_exact
@@ -16,8 +17,8 @@ from pipeline.stages.depth_map_stage import make_depth_stage
 from pipeline.values.frames import TactileFrame
 from pipeline.values.results import DepthMap, GeneratedTouch
 
-NO_CONTACT = "no contact: the target's membrane is at rest"
-NO_MEMBRANE = "the generated touch has no membrane: its depth is estimated from the image"
+_AT_REST = "the target's membrane is at rest"
+NO_MEMBRANE = "depth from the image: the generated touch has no membrane"
 
 
 def use_membrane(
@@ -36,7 +37,7 @@ def skip_without_contact(touch: GeneratedTouch, *_: object) -> DepthMap | None:
     """The membrane at rest if the touch has no contact, else None, whatever else a method reads."""
     if touch.membrane is None or touch.membrane.contact.any():
         return None
-    return replace(touch.membrane, in_view=touch.in_view, notes=(NO_CONTACT,))
+    return replace(touch.membrane, in_view=touch.in_view, notes=(describe_no_contact(_AT_REST, touch.notes),))
 
 
 def estimate_from_image(

@@ -49,7 +49,7 @@ def test_a_click_on_a_share_pins_the_truth_of_its_stage_in_the_column_head(windo
     assert wait_until_shown(window, 240)
     assert window.session.methods == {"depth": "truth"}
     assert columns["depth"]._method.currentText() == "Truth"
-    assert columns["depth"].state == "read"
+    assert columns["depth"].state == "warning"
     assert window.latest_frame.metrics["depth.mae_mm"] == 0.0
     columns["depth"].method_chosen.emit("depth", "network")  # released in the head
     assert wait_until_shown(window, 240)

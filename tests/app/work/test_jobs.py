@@ -11,7 +11,7 @@ from PyQt6 import sip
 from app.work.jobs import JobReporter, LatestJob
 from pipeline.base import compiling
 
-SOON_MS = 5000
+SOON_MS = 240_000
 
 
 @pytest.fixture
@@ -56,7 +56,7 @@ def test_cancelling_stops_the_work_at_its_next_step(job, qtbot):
             report.step(0.5, "turning")
 
     ticket = job.submit(endless)
-    assert begun.wait(5)
+    assert begun.wait()
     with qtbot.waitSignal(job.cancelled, timeout=SOON_MS) as signal:
         job.cancel()
     assert signal.args[0] == ticket
@@ -71,7 +71,7 @@ def test_newer_work_interrupts_older_work(job, qtbot):
             report.step(0.5, "turning")
 
     job.submit(endless)
-    assert begun.wait(5)
+    assert begun.wait()
     with qtbot.waitSignal(job.finished, timeout=SOON_MS) as signal:
         job.submit(lambda _report: "new")
     assert signal.args[1] == "new"
@@ -84,11 +84,11 @@ def test_a_job_without_interrupt_lets_the_running_one_finish(job, qtbot):
 
     def first(_report: JobReporter) -> str:
         begun.set()
-        go.wait(5)
+        go.wait()
         return "first"
 
     job.submit(first)
-    assert begun.wait(5)
+    assert begun.wait()
     job.submit(lambda _report: "second", interrupt=False)
     go.set()
     qtbot.waitUntil(lambda: got == ["first", "second"], timeout=SOON_MS)
@@ -150,14 +150,13 @@ def test_a_job_that_outlives_its_window_ends_silently(qapp, monkeypatch):
 
     def late(_report):
         begun.set()
-        go_on.wait(10)
+        go_on.wait()
 
     job.submit(late)
-    assert begun.wait(10)
+    assert begun.wait()
     assert not job.close(timeout_s=0.01)
     thread = job._thread
     sip.delete(job)
     go_on.set()
-    thread.join(10)
-    assert not thread.is_alive()
+    thread.join()
     assert reports == []

@@ -15,7 +15,7 @@ from pipeline.base.processes import WorkerPool
 
 
 def test_a_request_to_stop_ends_workers_that_are_busy():
-    begin_s, running = time.monotonic(), []
+    running = []
 
     def work_until_stopped() -> None:
         with WorkerPool(1) as pool:
@@ -26,7 +26,6 @@ def test_a_request_to_stop_ends_workers_that_are_busy():
     with pytest.raises(KeyboardInterrupt):
         work_until_stopped()
     assert running[0].done()
-    assert time.monotonic() - begin_s < 120.0
     assert multiprocessing.active_children() == []
 
 
@@ -51,10 +50,11 @@ def stop_half_way(done):
 def test_a_worker_that_ends_while_it_sends_a_result_does_not_keep_the_process(tmp_path):
     ended = multiprocessing.get_context("spawn").Process(target=stop_half_way, args=(tmp_path / "done",))
     ended.start()
-    ended.join(60.0)
-    code = ended.exitcode
-    ended.kill()
-    assert code == 0
+    try:
+        ended.join()
+        assert ended.exitcode == 0
+    finally:
+        ended.kill()  # one that did not end
 
 
 def test_leaving_a_pool_waits_for_its_tasks():

@@ -23,7 +23,7 @@ from pipeline.stages.depth import network as depth_network
 from pipeline.stages.depth import photometric as depth
 from pipeline.stages.depth.gel_network import NetworkParams
 from pipeline.stages.target_depth.surface_projection import SurfaceProjectionParams, project_cloud
-from pipeline.stages.touch import physical_render, t2d2, t2t
+from pipeline.stages.touch import frame_chain, physical_render, t2d2, t2t
 from pipeline.stages.touch.depth_condition import CONDITION_CHANNELS, make_working_sensor
 from pipeline.stages.touch.residual_diffusion import DiffusionParams
 from pipeline.stages.touch.stage import PHYSICS, T2D2, T2T
@@ -74,7 +74,9 @@ def view_of(target, deep_mm=3.0):
 def test_zero_steps_give_the_physical_render_without_the_network(target):
     view, net = view_of(target, 0.5), ConstantDenoiser(1.0)
     physics = physical_render.render_touch(view, target, physical_render.PhysicalRenderParams(add_noise=True, seed=3))
-    touch = t2d2.generate_touch(view, target, net, unweighted(steps=0, add_noise=True, seed=3))
+    answer = t2d2.generate_touch(view, target, net, unweighted(steps=0, add_noise=True, seed=3))
+    touch = answer.result
+    assert answer.reason == "physics: no denoising step"
     assert touch.image.tobytes() == physics.image.tobytes()
     assert touch.membrane.indentation_mm.tobytes() == physics.membrane.indentation_mm.tobytes()
     assert not net.shown
@@ -228,7 +230,7 @@ def test_t2t_uses_physics_where_uncertain_and_with_zero_steps(ball_frames):
     def generated(net, **how):
         return t2t.generate_touch(frame, GEL, None, between, BUBBLE, net, DiffusionParams(**how))
 
-    physics = generated(ConstantDenoiser(1.0), steps=0)
+    physics = generated(ConstantDenoiser(1.0), steps=0).result
     assert physics.membrane.indentation_mm.max() > 2.0
     uncertain = ConstantDenoiser(1.0, contact=1.0)
     uncertain.error_factors = 1e3, 1e3
@@ -247,7 +249,7 @@ def test_t2t_uses_physics_where_uncertain_and_with_zero_steps(ball_frames):
 
 def test_t2t_uses_physics_where_it_contradicts_the_contact(ball_frames):
     reads = ball_frames[0], GEL, None, alignment.resolve_alignment(GEL, BUBBLE), BUBBLE
-    physics = t2t.generate_touch(*reads, ConstantDenoiser(1.0), DiffusionParams(steps=0))
+    physics = t2t.generate_touch(*reads, ConstantDenoiser(1.0), DiffusionParams(steps=0)).result
     answer = t2t.generate_touch(*reads, ConstantDenoiser(1.0, contact=1.0, spread=0.01), DiffusionParams())
     assert isinstance(answer, Fallback)
     assert answer.result.image.tobytes() == physics.image.tobytes()
@@ -257,9 +259,8 @@ def test_t2t_uses_physics_where_it_contradicts_the_contact(ball_frames):
 def test_t2t_skips_a_frame_without_contact(ball_frames):
     net = ConstantDenoiser(1.0)
     at_rest = replace(ball_frames[0], image=ball_frames[0].reference)
-    answer = t2t.generate_touch(
-        at_rest, GEL, None, alignment.resolve_alignment(GEL, BUBBLE), BUBBLE, net, unweighted(steps=200)
-    )
+    reads = at_rest, GEL, None, alignment.resolve_alignment(GEL, BUBBLE), BUBBLE
+    answer = frame_chain.guard_contact(t2t.generate_touch)(*reads, net, unweighted(steps=200), SILENT)
     assert isinstance(answer, Skipped)
     assert not net.shown
 
@@ -327,5 +328,5 @@ def test_the_fallback_of_t2t_uses_the_default_depth_method(ball_frames, monkeypa
     for seen in (by_network, depth.estimate_depth_with_notes(frame, BUBBLE, None, depth.DepthParams())):
         view = project_cloud(back_project_depth(seen, between, BackProjectionParams()), GEL, SurfaceProjectionParams())
         expected = physical_render.render_touch(view, GEL, physical_render.PhysicalRenderParams()).membrane
-        assert np.array_equal(t2t.render_from_frame(*reads).membrane.contact, expected.contact)
+        assert np.array_equal(frame_chain.render_from_frame(*reads).membrane.contact, expected.contact)
         monkeypatch.setattr(depth_network, "select_weights", lambda *_: NoWeights(why="none are there"))

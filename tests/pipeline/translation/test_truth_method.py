@@ -10,6 +10,13 @@ import pytest
 
 from app.session.sample import SAMPLE_RECORDING
 from pipeline.base.errors import SettingProblem
+from pipeline.previews.display_params import DisplayParams
+from pipeline.reporting.export import export_file
+from pipeline.reporting.export_request import ExportRequest
+from pipeline.reporting.frame_report import FrameReport
+from pipeline.reporting.pane_figures import render_pane
+from pipeline.reporting.report import collect_stage_arrays
+from pipeline.reporting.sheet import draw_sheet
 from pipeline.translation.catalogue import BUILT_IN, default_params
 from pipeline.translation.error_attribution import DEFAULT_METRIC, attribute_error
 from pipeline.translation.pixel_trace import trace_to_source
@@ -64,3 +71,32 @@ def test_a_stage_whose_truth_no_recording_knows_has_no_such_method():
     assert "truth" not in [method.name for method in BUILT_IN.list_choices("cloud")]
     with pytest.raises(SettingProblem, match="truth"):
         BUILT_IN.method("cloud", "truth")
+
+
+def test_every_output_made_with_a_truth_says_so(sample, tmp_path):
+    pinned = pin(sample, "depth")
+    assert (sample.truth_label, pinned.truth_label) == ("", "with true depth")
+    results = evaluate(pinned, "touch_depth")
+    assert "with true depth" in results["depth"].warnings[0]
+    report = FrameReport(index=FRAME, results=results, metrics={})
+    frame = pinned.stream.frame(FRAME)
+    sheet = draw_sheet(frame, report, pinned)
+    assert "with true depth" in sheet.get_suptitle()
+    assert render_pane("touch", frame, results, pinned, DisplayParams()).title.endswith("with true depth")
+    assert "depth.is_truth" in collect_stage_arrays(frame, results)
+    assert "depth.is_truth" not in collect_stage_arrays(frame, evaluate(sample, "touch_depth"))
+    table = tmp_path / "table.csv"
+    outcome = export_file(ExportRequest(request=pinned.request, path=table, frames=str(FRAME), pane="depth"))
+    assert outcome.fallbacks == ("with true depth",)
+    assert table.read_text().splitlines()[0].endswith(",with true depth")
+
+
+def test_panes_and_sheets_name_what_answered(sample):
+    """A method that falls back to physics does not give it its name."""
+    chosen = replace(sample, request=replace(sample.request, methods=(("depth", "physics"), ("touch", "vqvae"))))
+    results = evaluate(chosen, "touch")
+    assert results["touch"].fallback
+    frame = chosen.stream.frame(FRAME)
+    assert render_pane("touch", frame, results, chosen, DisplayParams()).title == "Generated touch · physics"
+    sheet = draw_sheet(frame, FrameReport(index=FRAME, results=results, metrics={}), chosen)
+    assert not [axes for axes in sheet.axes if "VQ-VAE" in axes.get_title()]

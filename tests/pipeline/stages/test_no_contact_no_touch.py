@@ -1,0 +1,170 @@
+"""No contact in, no touch out: whatever the method, nothing is sampled of a frame that does not touch the target."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pipeline.base.errors import AlignmentWarning, UncertainContact
+from pipeline.engine.graph import Graph
+from pipeline.geometry import rigid
+from pipeline.networks.weights import NoWeights
+from pipeline.physics import optics
+from pipeline.sensors import alignment
+from pipeline.sensors.spec import load_sensor
+from pipeline.stages.depth.gel_network import NetworkParams
+from pipeline.stages.touch import latent_diffusion, physical_render, t2d2, t2t, vqvae
+from pipeline.stages.touch.frame_chain import INNER_METHODS, guard_contact
+from pipeline.translation.catalogue import BUILT_IN
+from pipeline.values.frames import TactileFrame
+from tests.pipeline.stages.test_light_changes import add_spot
+
+GEL, BUBBLE = load_sensor("gelslim"), load_sensor("soft_bubble")
+METHODS = tuple(method.name for method in BUILT_IN.stage("touch").methods)
+SAMPLERS = (
+    (t2d2, "sample_residual"), (t2t, "sample_residual"), (latent_diffusion, "sample_image"), (vqvae, "_run_network"),
+)  # fmt: skip
+
+
+def evaluate(name, frame, *, target=BUBBLE, target_too_far_mm=0.0):
+    """All results up to the depth of the touch by a method with its shipped weights."""
+    methods = BUILT_IN.methods("t2d2", {"touch": name})
+    moved = alignment.correct_alignment(
+        alignment.resolve_alignment(GEL, target), rigid.translation(0.0, 0.0, target_too_far_mm)
+    )
+    inputs = {
+        "frame": frame, "source": GEL, "target": target, "calibration": None, "mesh": None, "previous": None,
+        "alignment": moved,
+        **{m.weights_name: m.weights(GEL, target, None) for m in methods if m.weights is not None},
+    }  # fmt: skip
+    return Graph(methods).evaluate(["touch", "touch_depth", "pose"], inputs, {})
+
+
+@pytest.fixture(scope="module")
+def still():
+    return optics.render_reference(GEL)
+
+
+@pytest.fixture(scope="module")
+def lit_frame(still):
+    """The reference image with a spot of light."""
+    image = add_spot(still, grey=40.0, place=(0.5, 0.4), width=0.1)
+    return TactileFrame(sensor="gelslim", image=image, reference=still)
+
+
+@pytest.fixture(scope="module")
+def touched_frame(still):
+    y, x = np.mgrid[: GEL.camera.rows, : GEL.camera.cols] * GEL.pixel_mm
+    dent = np.maximum(0.6 - ((x - 9.0) ** 2 + (y - 7.0) ** 2) / 12.0, 0.0).astype(np.float32)
+    return TactileFrame(sensor="gelslim", image=optics.render(GEL, dent, seed=1), reference=still)
+
+
+@pytest.fixture
+def sampled(monkeypatch):
+    """The samplers that were asked."""
+    asked = []
+    for module, name in SAMPLERS:
+        sample = getattr(module, name)
+        monkeypatch.setattr(
+            module, name, lambda *given, _sample=sample, _name=name, **more: (asked.append(_name), _sample(*given, **more))[1]
+        )  # fmt: skip
+    return asked
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_a_change_taken_for_light_makes_no_touch(name, lit_frame, sampled):
+    results = evaluate(name, lit_frame)
+    touch = results["touch"]
+    assert not sampled
+    assert touch.state == "skipped"
+    assert np.array_equal(touch.output.image, physical_render.make_reference_touch(BUBBLE).image)
+    assert not results["touch_depth"].output.contact.any()
+
+
+def test_nothing_made_of_an_uncertain_frame_is_called_exact_or_untouched(lit_frame):
+    for name in METHODS:
+        results = evaluate(name, lit_frame, target=GEL)
+        for stage, result in results.items():
+            assert any(isinstance(note, UncertainContact) for note in result.notes), (name, stage, result.notes)
+            for note in result.notes:
+                assert "exact" not in note, (name, stage)
+                assert not note.startswith("no contact"), (name, stage)
+
+
+def test_a_frame_without_change_is_exact_on_a_gel(still):
+    frame = TactileFrame(sensor="gelslim", image=still, reference=still)
+    for name in METHODS:
+        assert evaluate(name, frame, target=GEL)["touch"].notes[0].endswith("is exact")
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_a_target_out_of_reach_is_not_touched_and_the_alignment_is_named(name, touched_frame, sampled):
+    assert evaluate(name, touched_frame)["touch_depth"].output.contact.any()
+    sampled.clear()
+    results = evaluate(name, touched_frame, target_too_far_mm=9.0)
+    touch = results["touch"]
+    assert not sampled
+    assert not results["touch_depth"].output.contact.any()
+    assert "correct the alignment" in " ".join(touch.notes)
+    assert not any("check the source" in note or "no contact:" in note for note in touch.notes)
+    warnings = [warning for result in results.values() for warning in result.warnings]
+    assert any(isinstance(warning, AlignmentWarning) for warning in warnings), "offers to centre the touch"
+
+
+def test_latent_touches_deeper_than_possible_cost_one_step(touched_frame, monkeypatch):
+    """The shipped network knows grasps of one depth; physics answers, and the 200 steps are not sampled."""
+    steps = []
+    sample = latent_diffusion.sample_image
+
+    def sample_image(net, condition, params, *more):
+        steps.append(params.steps)
+        return sample(net, condition, params, *more)
+
+    monkeypatch.setattr(latent_diffusion, "sample_image", sample_image)
+    found = evaluate("latent", touched_frame)["touch"]
+    assert steps == [1]
+    assert found.answered_by == "physics"
+    assert "another alignment" in found.fallback
+
+
+def test_weights_of_recorded_pairs_are_asked_wherever_the_source_is_touched(touched_frame, lit_frame):
+    """They know how their sensors lay to each other; the described alignment may not."""
+    from tests.pipeline.stages.test_touch_from_source import weights_of
+
+    weights = replace(
+        weights_of("vqvae", "vqvae", inputs=3, outputs=1, width=4, codes=8), config={"trained_on_recordings": 1.0}
+    )
+    far = alignment.correct_alignment(alignment.resolve_alignment(GEL, BUBBLE), rigid.translation(0.0, 0.0, 30.0))
+    run = guard_contact(lambda *_: "asked")
+    assert run(touched_frame, GEL, None, far, BUBBLE, weights, None) == "asked"
+    assert run(touched_frame, GEL, None, far, BUBBLE, NoWeights(why="none"), None) != "asked"
+    assert run(lit_frame, GEL, None, far, BUBBLE, weights, None) != "asked"
+
+
+@pytest.mark.parametrize("name", ["t2t", "latent", "vqvae"])
+def test_settings_that_do_not_reach_a_method_are_named(name, lit_frame):
+    def warn(params, **others):
+        graph = Graph(BUILT_IN.methods("t2d2", {"touch": name, **others}))
+        methods = {method.stage: method for method in graph.methods}
+        inputs = {
+            "frame": lit_frame, "source": GEL, "target": BUBBLE, "calibration": None, "mesh": None, "previous": None,
+            "alignment": alignment.resolve_alignment(GEL, BUBBLE),
+            "touch_weights": methods["touch"].weights(GEL, BUBBLE, None),
+        }  # fmt: skip
+        notes = graph.evaluate(["touch"], inputs, params)["touch"].notes
+        return [note for note in notes if "not used" in note]
+
+    assert not warn({})
+    assert not warn({"depth": NetworkParams()})
+    (of_parameters,) = warn({"depth": NetworkParams(contact_limit=3.0)})
+    assert of_parameters.startswith("the parameters of depth are not used")
+    (of_method,) = warn({}, depth="physics")
+    assert of_method.startswith("the method 'Physics' of depth is not used")
+    assert len(warn({}, depth="unet", target_depth="paper")) == 2
+
+
+def test_the_inner_methods_are_those_of_the_default_route():
+    route = BUILT_IN.route("t2d2").methods
+    assert {stage: route[stage] for stage in INNER_METHODS} == INNER_METHODS
