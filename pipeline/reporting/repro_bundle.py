@@ -236,12 +236,13 @@ def _record(translation: Translation, index: int, path: Path) -> None:
     with RecordingWriter(
         path, object_mesh=recording.object_mesh, symmetry=recording.symmetry, pairings=pairings, notes=recording.notes
     ) as writer:
-        context = select_context_frames(stream) if translation.load_context_images() else ()
+        context, is_observed = select_context_frames(stream) if translation.load_context_images() else (), False
         for place, k in enumerate(dict.fromkeys((index, *(frame.index for frame in context)))):
             source_frame = replace(stream.frame(k), sensor=translation.source.name, index=place)
             writer.append(stream.name, source_frame, stream.truth(k))
             observed = translation.read_target_observation(k)
-            if observed is not None and other is not None:
+            is_observed = observed is not None and (place == 0 or is_observed)  # else a later one would be the first
+            if is_observed and observed is not None and other is not None:
                 writer.append(other.name, replace(observed[0], index=place), observed[1])
 
 
