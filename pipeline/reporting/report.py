@@ -114,7 +114,7 @@ def _figure_names(frames: Sequence[FrameReport]) -> list[str]:
 def _to_json(frame: FrameReport) -> dict[str, object]:
     stages = [
         {"name": r.name, "ms": round(r.ms, 3), "skipped": r.state == "skipped", "state": r.state, "notes": r.notes,
-         "warnings": r.warnings, "fallback": r.fallback, "answered_by": r.answered_by}
+         "warnings": r.warnings, "fallback": r.fallback}
         for r in frame.results.values()
     ]  # fmt: skip
     lines: dict[str, object] = {"index": frame.index, "stages": stages, "metrics": dict(frame.metrics)}

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TypeVar
+from typing import Any, TypeVar, TypeVarTuple, Unpack
 
 from pipeline.base.errors import AlignmentWarning, select_warnings
 from pipeline.base.memo import Memo
@@ -32,11 +32,8 @@ from pipeline.values.results import DepthMap, GeneratedTouch, TargetDepth
 INNER_METHODS = {"depth": "network", "cloud": "back_projection", "target_depth": "surface"}  # of `project_frame`
 READS = ("frame", "source", "calibration", "alignment", "target")
 _Answer = GeneratedTouch | Skipped[GeneratedTouch] | Fallback[GeneratedTouch]
-_Params = TypeVar("_Params")
-_Run = Callable[
-    [TactileFrame, SensorSpec, Calibration | None, Alignment, SensorSpec, Weights | NoWeights, _Params, Progress],
-    _Answer,
-]
+Params = TypeVar("Params")
+Reads = TypeVarTuple("Reads")
 
 
 def project_frame(
@@ -67,16 +64,17 @@ def project_frame(
 _projected: Memo[str, tuple[DepthMap, TargetDepth]] = Memo(4)
 
 
-def guard_contact(run: _Run[_Params]) -> _Run[_Params]:
+def guard_contact(
+    run: Callable[[Unpack[Reads], Params, Progress], _Answer],
+) -> Callable[[Unpack[Reads], Params, Progress], _Answer]:
     """Return a method's function that asks `run` (*READS, weights, params, progress) only where there is contact.
 
     Weights of recorded pairs know how their sensors lay to each other: for them the alignment rules nothing out.
     """
 
-    def run_in_contact(
-        frame: TactileFrame, source: SensorSpec, calibration: Calibration | None, alignment: Alignment,
-        target: SensorSpec, weights: Weights | NoWeights, params: _Params, progress: Progress = SILENT,
-    ) -> _Answer:  # fmt: skip
+    def run_in_contact(*args: *tuple[*Reads, Params, Progress]) -> _Answer:
+        values: Any = args  # by position, as the graph passes them
+        frame, source, calibration, alignment, target, weights, _, progress = values
         photometric.check_frame(frame, source)
         reads = frame, source, calibration, alignment, target
         depth, view = project_frame(*reads, progress)
@@ -90,7 +88,7 @@ def guard_contact(run: _Run[_Params]) -> _Run[_Params]:
             )
             touch = replace(reference_touch, notes=(*select_warnings(view.notes), *reference_touch.notes))
             return Fallback(result=touch, reason=f"physics: {why}")
-        return run(*reads, weights, params, progress)
+        return run(*args)
 
     return run_in_contact
 

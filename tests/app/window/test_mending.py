@@ -136,7 +136,7 @@ def test_a_touch_beyond_the_target_is_centred_by_one_click(bubble_window):
 def test_a_calibration_needs_a_gel(bubble_window, tmp_path, qtbot):
     calibration = bubble_window.findChild(BallCalibrationController)
     calibration.calibrate(6.35, tmp_path / "table.npz")
-    qtbot.waitUntil(bubble_window.window.banner.isVisible, timeout=100_000)
+    qtbot.waitUntil(bubble_window.window.banner.isVisible, timeout=240_000)
     assert "the source is Soft Bubble" in bubble_window.window.banner.text
     assert not (tmp_path / "table.npz").exists()
     assert bubble_window.session.calibration is None

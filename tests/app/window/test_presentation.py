@@ -146,7 +146,7 @@ def test_the_video_is_the_presentation(open_window, tmp_path, qtbot, monkeypatch
     size, path = QSize(640, 360), tmp_path / "shown.avi"
     writer, export = controller.findChild(PresentationVideoController), controller.findChild(ExportController)
     writer.write(path, size)
-    qtbot.waitUntil(lambda: "Written as MJPEG" in export.notification.text, timeout=100_000)
+    qtbot.waitUntil(lambda: "Written as MJPEG" in export.notification.text, timeout=240_000)
     assert "H.264 needs an ffmpeg" in export.notification.text
     film = cv2.VideoCapture(str(path))
     frames = [film.read()[1] for _ in range(int(film.get(cv2.CAP_PROP_FRAME_COUNT)))]

@@ -158,10 +158,10 @@ def test_numbers_stay_whole_in_a_narrow_column(sampling, qtbot):
     box = pinned.get_control("guidance").findChild(QDoubleSpinBox)
     slider = pinned.get_control("guidance").findChild(QSlider)
     window.resize(1600, 950)
-    qtbot.waitUntil(slider.isVisible, timeout=100_000)
+    qtbot.waitUntil(slider.isVisible, timeout=240_000)
     window.resize(820, 950)
     needed_px = box.fontMetrics().horizontalAdvance("15.00")
-    qtbot.waitUntil(lambda: not slider.isVisible() and box.width() >= needed_px, timeout=30_000)
+    qtbot.waitUntil(lambda: not slider.isVisible() and box.width() >= needed_px, timeout=240_000)
     assert box.text() == "2.00"
 
 

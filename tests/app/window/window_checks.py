@@ -39,9 +39,9 @@ def resize_window(window: QWidget, size: tuple[int, int], qtbot) -> None:
         window.resize(*size)
         return window.size() == QSize(*size)
 
-    qtbot.waitUntil(has_size, timeout=60_000)
+    qtbot.waitUntil(has_size, timeout=240_000)
     qtbot.wait(20)
-    qtbot.waitUntil(has_size, timeout=60_000)
+    qtbot.waitUntil(has_size, timeout=240_000)
 
 
 class Watched:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from pipeline.base.errors import AlignmentWarning, UncertainContact
+from pipeline.base.progress import SILENT
 from pipeline.engine.graph import Graph
 from pipeline.geometry import rigid
 from pipeline.networks.weights import NoWeights
@@ -138,9 +139,9 @@ def test_weights_of_recorded_pairs_are_asked_wherever_the_source_is_touched(touc
     )
     far = alignment.correct_alignment(alignment.resolve_alignment(GEL, BUBBLE), rigid.translation(0.0, 0.0, 30.0))
     run = guard_contact(lambda *_: "asked")
-    assert run(touched_frame, GEL, None, far, BUBBLE, weights, None) == "asked"
-    assert run(touched_frame, GEL, None, far, BUBBLE, NoWeights(why="none"), None) != "asked"
-    assert run(lit_frame, GEL, None, far, BUBBLE, weights, None) != "asked"
+    assert run(touched_frame, GEL, None, far, BUBBLE, weights, None, SILENT) == "asked"
+    assert run(touched_frame, GEL, None, far, BUBBLE, NoWeights(why="none"), None, SILENT) != "asked"
+    assert run(lit_frame, GEL, None, far, BUBBLE, weights, None, SILENT) != "asked"
 
 
 @pytest.mark.parametrize("name", ["t2t", "latent", "vqvae"])
