@@ -14,7 +14,7 @@ from pipeline.base.errors import FileProblem, escape_text
 from pipeline.base.files import read_arrays
 from pipeline.recordings.colour_layouts import find_colour_axis
 from pipeline.recordings.file_names import natural_sort_key, sort_series
-from pipeline.recordings.formats import RecordingFiles, get_format, list_formats, list_suffixes
+from pipeline.recordings.formats import RecordingFiles, explain_not_read, get_format, list_formats, list_suffixes
 from pipeline.recordings.image_files import is_image_file, is_reference_file
 
 PICKLE_SUFFIXES = frozenset({".pkl", ".pickle"})

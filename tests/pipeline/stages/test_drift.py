@@ -132,3 +132,16 @@ def test_a_real_reference_that_has_moved_far_is_put_back(real_data):
         found, _ = drift.fit_drift(drifted(still, shift_px=(3.0, -4.0), seed=seed), still)
         assert found is not None
         assert found.shift_px == pytest.approx((3.0, -4.0), abs=0.1)
+
+
+@pytest.mark.parametrize("name", ["gelslim", "digit", "gelsight_mini"])
+@pytest.mark.parametrize("exposure", [0.5, 0.8, 1.25])
+def test_another_exposure_is_taken_out_and_hides_no_touch(name, exposure):
+    source, touch, truth = press(name, depth_mm=0.4)
+    wanted = contact_of(truth)
+    found = estimate_depth(replace(touch, image=drifted(touch.image, gain=exposure)), source, None, PARAMS)
+    assert (found.contact & wanted).sum() / (found.contact | wanted).sum() > 0.6
+    still = frame(source, drifted(touch.reference, gain=exposure), touch.reference)
+    found = skip_without_contact(still, source, None, PARAMS) or estimate_depth(still, source, None, PARAMS)
+    assert not found.contact.any()
+    assert any("the light has drifted" in note for note in found.notes)
