@@ -43,6 +43,8 @@ def read(files: RecordingFiles, options: ReadOptions) -> Recording:
     images = {k: a for k, a in arrays.items() if colour_layouts.find_colour_axis(a.shape) is not None}
     references = {k: a for k, a in images.items() if image_files.is_reference_key(k)}
     frames = {k: a for k, a in images.items() if k not in references}
+    if references and not frames:
+        raise FileProblem(f"the file holds a reference ({', '.join(references)}) and no frames", path)
     if not frames:
         key = next(k for k, a in arrays.items() if colour_layouts.is_grey(a))
         raise FileProblem(
@@ -85,6 +87,8 @@ def _read_one(file: Path) -> NDArray[Any]:
 
 
 def _split(array: NDArray[Any], key: str, path: Path) -> tuple[ImageStack, ...]:
+    if 0 in array.shape:
+        raise FileProblem(f"{key} holds no frame", path, field=key)
     stacks = colour_layouts.split_stacks(array)
     if not stacks:
         raise FileProblem(
@@ -93,8 +97,6 @@ def _split(array: NDArray[Any], key: str, path: Path) -> tuple[ImageStack, ...]:
             path,
             field=key,
         )
-    if not all(stack.n_frames for stack in stacks):
-        raise FileProblem(f"{key} holds no frame", path, field=key)
     return stacks
 
 

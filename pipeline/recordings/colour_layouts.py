@@ -47,7 +47,7 @@ def split_stacks(array: StoredArray) -> tuple[ImageStack, ...]:
     length 1 before them counts for nothing, another one of a few sensors, before or after the frames, is split.
     """
     axis = find_colour_axis(array.shape)
-    if axis is None or array.dtype.kind not in "fiu" or array.dtype.itemsize > 8:
+    if axis is None or 0 in array.shape or array.dtype.kind not in "fiu" or array.dtype.itemsize > 8:
         return ()
     leading, n_colours = array.shape[:-3], array.shape[axis]
     long = [k for k, n in enumerate(leading) if n != 1]

@@ -62,9 +62,8 @@ def read_image_folder(files: RecordingFiles, options: ReadOptions) -> Recording:
     images = [p for p in files.images if p != options.reference]
     if not images:
         raise FileProblem("the only depth image is the reference", path)
-    name = path.stem if path.is_file() else path.name
-    if unit == "auto" and _UNIT_SUFFIX.search(name) is None and _UNIT_SUFFIX.search(images[0].stem) is not None:
-        name = images[0].stem
+    names = [path.stem] if path.is_file() else [path.name, images[0].stem, images[0].parent.name]
+    name = next((n for n in names if unit != "auto" or _UNIT_SUFFIX.search(n)), names[-1])
     unit = _resolve_unit(name, unit, path)
     stack = _DepthStack(name, unit, len(images), lambda i: _read_depth_pixels(images[i]), path)
     reference = options.reference or (files.references[0] if files.references else None)

@@ -19,7 +19,7 @@ _SENSOR_WORDS = (  # words of one line tell the sensors of one hand or rig apart
     ("gelslim", "gelsight", "digit", "mini", "bubble", "duragel", "tac3d"),
 )  # fmt: skip
 _NUMBERED = re.compile(
-    r"(?<![a-z])(?:cam|camera|finger|sensor|gripper|digit|gelsight|gelslim|mini|tactile)[\W_]?(\d+)(?=\D)(?=.*\d)",
+    r"(?<![a-z])(?:cam|camera|finger|sensor|gripper|digit|gelsight|gelslim|mini|tactile)[\W_]?(\d+)(?!\d)",
     re.IGNORECASE,
 )
 _MAX_SENSORS = 8
@@ -47,7 +47,10 @@ def natural_sort_key(name: str, number: re.Pattern[str] = _WHOLE) -> tuple[objec
 
 
 def _were_written_in_order(files: Sequence[Path]) -> bool:
-    times_ns = [file.stat().st_mtime_ns for file in files]
+    try:
+        times_ns = [file.stat().st_mtime_ns for file in files]
+    except OSError:
+        return False
     return all(a < b for a, b in pairwise(times_ns))
 
 
@@ -106,7 +109,7 @@ def split_sensors(files: Sequence[Path]) -> Mapping[str, list[Path]]:
         named = [own.intersection(choices) for own in words]
         if all(len(name) == 1 for name in named) and len(set().union(*named)) > 1:
             return _group(files, [name.copy().pop() for name in named])
-    matches = [_NUMBERED.findall(file.stem) for file in files]
+    matches = [_NUMBERED.findall(file.stem) if len(_WHOLE.findall(file.stem)) > 1 else [] for file in files]
     if all(len(found) == 1 for found in matches) and 1 < len({found[0] for found in matches}) <= _MAX_SENSORS:
         return _group(files, [match[0].strip("_- ") for file in files if (match := _NUMBERED.search(file.stem))])
     return {}

@@ -14,7 +14,7 @@ from pipeline.base.errors import FileProblem, escape_text
 from pipeline.base.files import read_arrays
 from pipeline.recordings.colour_layouts import find_colour_axis
 from pipeline.recordings.file_names import natural_sort_key, sort_series
-from pipeline.recordings.formats import RecordingFiles, get_format, list_formats, list_suffixes
+from pipeline.recordings.formats import RecordingFiles, explain_not_read, get_format, list_formats, list_suffixes
 from pipeline.recordings.image_files import is_image_file, is_reference_file
 
 PICKLE_SUFFIXES = frozenset({".pkl", ".pickle"})
@@ -179,9 +179,11 @@ def _make_problem(folder: Path) -> FileProblem:
         return FileProblem("the folder is empty", folder)
     if any(p.suffix.lower() in PICKLE_SUFFIXES for p in folder.rglob("*")):
         return FileProblem(f"the folder holds only pickles; {PICKLE_REFUSAL}", folder)
-    meshes = sorted(
-        (p for p in folder.iterdir() if p.suffix.lower() in _MESH_SUFFIXES), key=lambda p: natural_sort_key(p.stem)
-    )
+    entries = _list_entries(folder)
+    not_read = next((p for p in entries if p.is_file() and explain_not_read(p.name, b"")), None)
+    if not_read is not None:
+        return FileProblem(explain_not_read(not_read.name, b""), not_read)
+    meshes = [p for p in entries if p.suffix.lower() in _MESH_SUFFIXES]
     problem = FileProblem(
         f"the folder holds {len(meshes)} meshes and no recording; open one as the object of an open recording"
         if meshes

@@ -62,7 +62,7 @@ def _read_alternative(recording_format: RecordingFormat, files: RecordingFiles, 
     try:
         return replace(recording_format.read(files, options), alternatives=files.alternatives)
     except FileProblem as error:
-        others = [file.name for file in files.alternatives if not error.path.is_relative_to(file)]
+        others = [file.name for file in files.alternatives[1:]]
         if others:
             error = error.extend(f"; or open {' or '.join(others[:_MAX_NAMES])} of the same folder")
         error.alternatives = files.alternatives

@@ -18,7 +18,7 @@ from typing import Any, Never
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.base.errors import FileProblem, SettingProblem, escape_text
+from pipeline.base.errors import FileProblem, SettingProblem, TouchError, escape_text
 from pipeline.base.files import read_json, require_file
 from pipeline.recordings import colour_layouts
 from pipeline.recordings.colour_arrays import make_array_stream
@@ -45,7 +45,7 @@ def is_robot_file(files: RecordingFiles) -> bool:
     try:
         with h5py.File(files.path, "r") as file:
             return "format" not in file.attrs and "streams" not in file
-    except (OSError, RuntimeError):
+    except (OSError, RuntimeError, LookupError):
         return False
 
 
@@ -76,9 +76,12 @@ def read_hdf5(files: RecordingFiles, options: ReadOptions) -> Recording:
             raise FileProblem("this HDF5 file is not a tactoscope recording, and holds no colour images of robomimic "
                               "(data/demo_0/obs) or ACT (observations/images)", path)  # fmt: skip
         streams, notes = _make_streams(cameras, path, options)
-    except BaseException:
+    except TouchError:
         file.close()
         raise
+    except (OSError, RuntimeError, LookupError, ValueError, TypeError, AttributeError) as error:
+        file.close()
+        raise FileProblem(f"the HDF5 file is damaged ({error!r:.80})", path) from error
     return Recording(path=path, format="HDF5 of a robot data set", streams=streams, notes=(*files.notes, *notes),
                      close=file.close)  # fmt: skip
 
@@ -92,7 +95,7 @@ def read_zarr(files: RecordingFiles, options: ReadOptions) -> Recording:
         raise SettingProblem(
             "Zarr replay buffers are read by zarr, which is not installed; pip install zarr"
         ) from error
-    cameras: dict[str, list[ImageStack]] = {}
+    cameras, n_episodes = dict[str, list[ImageStack]](), 1
     for folder in _list_zarr_arrays(path):
         place = folder.relative_to(path).as_posix()
         if _LEFT_OUT.search(place):
@@ -102,16 +105,18 @@ def read_zarr(files: RecordingFiles, options: ReadOptions) -> Recording:
             array: Any = zarr.open_array(str(folder), mode="r")
         except Exception as error:
             raise FileProblem(f"the array {place} cannot be read ({error!r:.80})", path, field=place) from error
+        if folder.name == "episode_ends":
+            n_episodes = array.shape[0]
         for stack in _make_stacks(array, place, path):
             cameras["_".join(part for part in (folder.name, stack.name) if part)] = [stack]
     if not cameras:
         raise FileProblem("the Zarr group holds no colour images of shape (frames, rows, cols, 3)", path)
-    streams, notes = _make_streams(cameras, path, options)
+    streams, notes = _make_streams(cameras, path, options, n_episodes)
     return Recording(path=path, format="Zarr replay buffer", streams=streams, notes=(*files.notes, *notes))
 
 
 def _make_streams(
-    cameras: Mapping[str, Sequence[ImageStack]], path: Path, options: ReadOptions
+    cameras: Mapping[str, Sequence[ImageStack]], path: Path, options: ReadOptions, n_episodes: int = 1
 ) -> tuple[tuple[Stream, ...], tuple[str, ...]]:
     chosen = [camera for camera in cameras if _TACTILE.search(camera)]
     if not chosen and len(cameras) == 1:
@@ -130,7 +135,7 @@ def _make_streams(
         notes += [f"{stream.name}: {note}" if len(chosen) > 1 else note for note in about]
     left_out = sorted(cameras.keys() - set(chosen))
     notes += [f"cameras without touch are left out: {', '.join(left_out)}"] if left_out else []
-    n_episodes = max(len(cameras[camera]) for camera in chosen)
+    n_episodes = max(n_episodes, *(len(cameras[camera]) for camera in chosen))
     notes += [f"{n_episodes} episodes follow each other; the reference is of the first"] if n_episodes > 1 else []
     return tuple(streams), tuple(dict.fromkeys(notes))
 

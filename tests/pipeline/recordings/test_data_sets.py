@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from pipeline.base.errors import FileProblem, SettingProblem
+from pipeline.base.errors import FileProblem, SettingProblem, StageWarning
 from pipeline.recordings import open_recording
 from pipeline.recordings.formats import describe_formats, make_dialog_filter
 
@@ -313,3 +313,21 @@ def test_dialogs_and_help_name_them():
     assert "MCAP (*.mcap)" in make_dialog_filter()
     for title in ("MCAP (.mcap)", "LeRobot data set (folder)", "TacQuad touch (folder)"):
         assert title in describe_formats()
+
+
+@pytest.mark.parametrize(("row", "unlisted"), [
+    ("pear_0,7,11,11,19,0,5", "gelsight_mini and digit"), ("apple_0,7,11,99,12,0,5", "digit"), (None, "gelsight_mini and digit"),
+])  # fmt: skip
+def test_a_tacquad_touch_that_the_table_lacks_is_paired_with_a_warning(tmp_path, row, unlisted):
+    touch = tmp_path / "tacquad" / "data_indoor" / "apple_0"
+    for sensor, numbers in (("gelsight", range(5, 15)), ("digit", range(10, 20))):
+        (touch / sensor).mkdir(parents=True)
+        for number in numbers:
+            image = np.full((24, 32, 3), (number, 60, 90), np.uint8)
+            cv2.imwrite(str(touch / sensor / f"{number}.png"), image)
+    if row is not None:
+        (tmp_path / "tacquad" / "contact_indoor.csv").write_text(f"{row}\n")
+    notes = open_recording(touch).notes
+    (warning,) = (note for note in notes if isinstance(note, StageWarning))
+    assert f"in contact of {unlisted}, so the whole film is taken" in warning
+    assert not any(note.startswith("the sensors touched one after the other") for note in notes)

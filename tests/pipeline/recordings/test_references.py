@@ -86,3 +86,30 @@ def test_a_video_that_begins_without_contact_keeps_its_first_frames_when_the_lig
     assert select_warnings(recording.notes) == ()
     assert any("the median of frame 0 to frame 3" in note for note in recording.notes)
     recording.close()
+
+
+START = [np.zeros_like(STILL)] * 2 + [np.rint(STILL * gain).astype(np.uint8) for gain in (0.3, 0.6, 0.85)]
+
+
+@pytest.mark.parametrize("dark", [START, START[:2], START[2:3] * 3, START[3:]])
+@pytest.mark.parametrize("is_film", [False, True])
+def test_the_dark_frames_of_a_camera_that_starts_are_no_reference(film, tmp_path, dark, is_film: bool):
+    _, touch, _ = press("gelsight_mini", depth_mm=0.5)
+    images = [*dark, *[STILL] * 4, *[touch.image] * 6]
+    for index, image in enumerate(images):
+        cv2.imwrite(str(tmp_path / f"frame_{index:03d}.png"), np.ascontiguousarray(image[..., ::-1]))
+    recording = open_recording(film(*images) if is_film else tmp_path, sensor="gelsight_mini")
+    reference = recording.streams[0].frame(0).reference
+    assert np.abs(reference.astype(float) - STILL).mean() < 3.0
+    (note,) = (note for note in recording.notes if "darker" in note)
+    assert f"{len(dark)}.png to" in note.replace("frame_00", "") or f"frame {len(dark)} to" in note
+    recording.close()
+
+
+@pytest.mark.parametrize("gain", [1.15, 1.3])
+def test_a_light_that_was_raised_later_leaves_the_first_frames_as_reference(film, gain):
+    _, touch, _ = press("gelsight_mini", depth_mm=0.5)
+    raised = np.clip(np.rint(touch.image * gain), 0, 255).astype(np.uint8)
+    recording = open_recording(film(*[STILL] * 4, *[raised] * 8), sensor="gelsight_mini")
+    assert np.abs(recording.streams[0].frame(0).reference.astype(float) - STILL).mean() < 3.0
+    recording.close()

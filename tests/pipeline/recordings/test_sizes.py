@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from pipeline.base.errors import FileProblem
+from pipeline.base.errors import FileProblem, select_warnings
 from pipeline.inspection.recording_report import inspect_recording
 from pipeline.physics.optics import compute_colour_change, render_reference
 from pipeline.recordings import open_recording
@@ -180,3 +180,29 @@ def test_colour_arrays_above_white_or_of_two_stacks_are_refused(tmp_path: Path):
     np.savez(tmp_path / "b.npz", left=two, right=two)
     with pytest.raises(FileProblem, match=r"cannot tell which array holds the frames.*left.*right"):
         open_recording(tmp_path / "b.npz")
+
+
+def uncropped(image, size: tuple[int, int], border: tuple[int, int, int]):
+    """The full camera image (cols, rows) of a Mini whose driver crops a seventh at each side to `image`."""
+    inner = cv2.resize(image, (size[0] * 5 // 7, size[1] * 5 // 7))
+    y, x = (size[1] - inner.shape[0]) // 2, (size[0] - inner.shape[1]) // 2
+    rest = {"bottom": size[1] - inner.shape[0] - y, "right": size[0] - inner.shape[1] - x}
+    return cv2.copyMakeBorder(inner, y, rest["bottom"], x, rest["right"], cv2.BORDER_CONSTANT, value=border)
+
+
+@pytest.mark.parametrize("size", [(640, 480), (1640, 1232), (800, 600)])
+@pytest.mark.parametrize("border", [(8, 12, 8), (20, 70, 25), None])
+def test_the_vignette_tells_whether_an_image_of_a_mini_is_cropped(tmp_path: Path, size, border):
+    still = render_reference(load_sensor("gelsight_mini"))
+    save(tmp_path / "press.png", cv2.resize(still, size) if border is None else uncropped(still, size, border))
+    recording = open_recording(tmp_path, sensor="gelsight_mini")
+    assert any(("the full camera image" if border else "they are cropped") in note for note in recording.notes)
+    assert np.abs(recording.streams[0].frame(0).image.astype(float) - still).mean() < 3.0
+
+
+def test_a_vignette_that_does_not_tell_is_asked_about(tmp_path: Path):
+    flat = np.random.default_rng(0).integers(60, 120, (480, 640, 3), dtype=np.uint8)
+    save(tmp_path / "press.png", flat)
+    (warning,) = select_warnings(open_recording(tmp_path, sensor="gelsight_mini").notes)
+    assert "29 % too small" in warning
+    assert "crop a seventh" in warning

@@ -141,3 +141,16 @@ def test_the_prior_pulls_the_whole_shift_to_none_and_not_its_last_step():
     still = drift._Blocks(mean=flat, by_x=np.zeros_like(flat), by_y=np.zeros_like(flat))
     solution, _ = drift._solve(flat, still, place, np.array([1.5, -0.5]), 1.0)
     np.testing.assert_allclose(solution[12:], [-1.5, 0.5], atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["gelslim", "digit", "gelsight_mini"])
+@pytest.mark.parametrize("exposure", [0.5, 0.8, 1.25])
+def test_another_exposure_is_taken_out_and_hides_no_touch(name, exposure):
+    source, touch, truth = press(name, depth_mm=0.4)
+    wanted = contact_of(truth)
+    found = estimate_depth(replace(touch, image=drifted(touch.image, gain=exposure)), source, None, PARAMS)
+    assert (found.contact & wanted).sum() / (found.contact | wanted).sum() > 0.6
+    still = frame(source, drifted(touch.reference, gain=exposure), touch.reference)
+    found = skip_without_contact(still, source, None, PARAMS) or estimate_depth(still, source, None, PARAMS)
+    assert not found.contact.any()
+    assert any("the light has drifted" in note for note in found.notes)
