@@ -28,7 +28,7 @@ class _ModuleLocator(UserProvidedCacheLocator):
 
     def __init__(self, py_func, py_file):
         super().__init__(py_func, py_file)
-        self._cache_path = os.path.join(config.CACHE_DIR, py_func.__module__)  # noqa: PTH118 - a text, as numba's own
+        self._cache_path = os.fspath(compiling.kernel_folder() / py_func.__module__)
 
 
 class _ModuleCacheImpl(CompileResultCacheImpl):

@@ -65,9 +65,9 @@ def _end_when_idle() -> Generator[None]:
 
 def _wait_for_answer(process: subprocess.Popen[bytes]) -> bool:
     """Whether the process answers or ends; False where it is stopped, as by a debugger, or takes too long."""
-    until_s = time.monotonic() + _ANSWER_S
+    until_s, replies = time.monotonic() + _ANSWER_S, cast("BinaryIO", process.stdout)
     while time.monotonic() < until_s:
-        if select.select([process.stdout], [], [], _POLL_S)[0]:
+        if select.select([replies], [], [], _POLL_S)[0]:
             return True
         if os.waitid(os.P_PID, process.pid, os.WSTOPPED | os.WNOHANG | os.WNOWAIT):
             return False

@@ -13,7 +13,9 @@ import contextlib
 import io
 import math
 import pickle
+import struct
 import zipfile
+import zlib
 from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -31,7 +33,13 @@ from pipeline.base.read_budget import require_budget
 SIGNATURE = b"PK\x03\x04"  # first bytes of an archive
 _MAX_DESCRIPTION_BYTES = 4 << 20  # of data.pkl; that of a checkpoint with 2,000 tensors takes 0.3 MB
 _MAX_CLASSES = 10_000  # that a description names; each becomes one of some kB here
-_Unpickler: Any = pickle._Unpickler  # Python's own: that in C makes a table as long as any number that a file states
+_Unpickler: Any = vars(pickle)[
+    "_Unpickler"
+]  # Python's own: that in C makes a table as long as any number that a file states
+ZIP_ERRORS = (  # of a damaged archive: those of Python's reader have no common root
+    zipfile.BadZipFile, zlib.error, struct.error, ValueError, LookupError, ArithmeticError, EOFError, RuntimeError,
+    NotImplementedError,
+)  # fmt: skip
 _CHUNK_BYTES = 16 << 20
 _TYPES = {  # class of a storage -> type of its numbers
     "FloatStorage": "f4", "DoubleStorage": "f8", "HalfStorage": "f2", "BFloat16Storage": "bfloat16",
@@ -75,7 +83,7 @@ class TorchArchive:
             with self._open_storage(tensor.storage, n_bytes) as member:
                 stored = np.empty(tensor.n_stored, size)
                 _fill(memoryview(cast("Any", stored)).cast("B"), member, report)
-        except (KeyError, EOFError, OSError, zipfile.BadZipFile, NotImplementedError) as error:
+        except (OSError, *ZIP_ERRORS) as error:
             raise FileProblem("a tensor is damaged or missing: copy or download the file again", self.path) from error
         values = np.lib.stride_tricks.as_strided(
             stored[tensor.offset :], tensor.shape, tuple(n * size.itemsize for n in tensor.strides), writeable=False
@@ -89,22 +97,25 @@ class TorchArchive:
 def open_torch_archive(path: Path) -> Generator[TorchArchive]:
     """Yield the archive; raises FileProblem for a missing, truncated or foreign file."""
     require_file(path, "the file", most_bytes=1 << 50)
-    try:
-        with path.open("rb") as file:
-            if not file.read(len(SIGNATURE)).startswith(SIGNATURE):
-                file.seek(0)
-                yield _read_legacy(file, path)
-                return
-        with zipfile.ZipFile(path) as archive:
-            root = find_root(archive, path)
-            if f"{root}byteorder" in archive.namelist() and _read_byte_order(archive, root) == b"big":
-                raise FileProblem("the numbers are in big-endian order; save the file on a PC", path)
-            content = _describe(io.BytesIO(archive.read(f"{root}data.pkl")), path)
-            yield TorchArchive(path, content, partial(_open_member, archive, root))
-    except zipfile.BadZipFile as error:
-        raise FileProblem("the file is truncated or damaged: copy or download it again", path) from error
-    except OSError as error:
-        raise FileProblem(f"cannot read the file ({describe_os_error(error)})", path) from error
+    with contextlib.ExitStack() as stack:
+        try:
+            file = stack.enter_context(path.open("rb"))
+            is_archive = file.read(len(SIGNATURE)) == SIGNATURE
+            file.seek(0)
+            opened = _open_archive(stack.enter_context(zipfile.ZipFile(file)), path) if is_archive else None
+        except OSError as error:
+            raise FileProblem(f"cannot read the file ({describe_os_error(error)})", path) from error
+        except ZIP_ERRORS as error:
+            raise FileProblem("the file is truncated or damaged: copy or download it again", path) from error
+        yield opened or _read_legacy(file, path)
+
+
+def _open_archive(archive: zipfile.ZipFile, path: Path) -> TorchArchive:
+    root = find_root(archive, path)
+    if f"{root}byteorder" in archive.namelist() and _read_byte_order(archive, root) == b"big":
+        raise FileProblem("the numbers are in big-endian order; save the file on a PC", path)
+    content = _describe(io.BytesIO(archive.read(f"{root}data.pkl")), path)
+    return TorchArchive(path, content, partial(_open_member, archive, root))
 
 
 def _open_member(archive: zipfile.ZipFile, root: str, key: str, n_bytes: int) -> BinaryIO:
@@ -174,7 +185,7 @@ def require_short_description(path: Path) -> None:
     """
     with path.open("rb") as file:
         if file.read(len(SIGNATURE)) == SIGNATURE:
-            with contextlib.suppress(zipfile.BadZipFile), zipfile.ZipFile(file) as archive:
+            with contextlib.suppress(*ZIP_ERRORS), zipfile.ZipFile(file) as archive:
                 find_root(archive, path)
                 folded = [m for m in archive.infolist() if m.compress_type != zipfile.ZIP_STORED]
                 require_budget(sum(member.file_size for member in folded), "the compressed tensors", path)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pipeline.base.arrays import Doubles, freeze
 from pipeline.base.errors import CalibrationError, FileProblem
 from pipeline.base.files import open_atomic, read_arrays
+from pipeline.base.torch_archive import ZIP_ERRORS
 from pipeline.base.typed_data import Name, Note, Number, convert
 from pipeline.calibration import slope_model
 from pipeline.calibration.calibration_table import BallFit, Calibration, ExpectedError
@@ -74,7 +75,7 @@ def _list_arrays(path: Path) -> set[str]:
     try:
         with zipfile.ZipFile(path) as archive:
             return {name.removesuffix(".npy") for name in archive.namelist()}
-    except (OSError, zipfile.BadZipFile):
+    except (OSError, *ZIP_ERRORS):
         return set()
 
 

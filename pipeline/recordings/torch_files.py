@@ -12,7 +12,7 @@ from pipeline.base.arrays import Image, freeze
 from pipeline.base.errors import FileProblem, is_utf8_encodable
 from pipeline.base.files import describe_os_error, require_file
 from pipeline.base.read_budget import require_budget
-from pipeline.base.torch_archive import require_short_description
+from pipeline.base.torch_archive import ZIP_ERRORS, require_short_description
 from pipeline.recordings.formats import RecordingFiles
 
 _ZIP_SIGNATURE, _PICKLE_SIGNATURE = b"PK\x03\x04", b"\x80"  # first bytes; the second is a pickle's protocol mark
@@ -27,7 +27,7 @@ def is_torch_file(files: RecordingFiles) -> bool:
     try:
         with zipfile.ZipFile(files.path) as archive:
             return any(name.endswith("/data.pkl") for name in archive.namelist())
-    except zipfile.BadZipFile:
+    except ZIP_ERRORS:
         return False
 
 

@@ -134,8 +134,8 @@ def _open_group(path: Path) -> Generator[Any]:
             hdf5_validation.require_self_contained(file, path)
             if GROUP not in file:
                 raise FileProblem("this is no rollout of a task; `tactoscope task --record` writes some", path)
-            group = file[GROUP]
-            n_bytes = sum(2 * part.size * 8 for part in group.values() if isinstance(part, h5py.Dataset))
+            group: Any = file[GROUP]
+            n_bytes = sum(16 * int(part.size or 0) for part in group.values() if isinstance(part, h5py.Dataset))
             require_budget(n_bytes, "the rollout's tables", path, field=GROUP)
             yield group
     except TouchError:

@@ -1,8 +1,9 @@
-"""Whatever a file holds: it is read, or refused in one sentence. `--cases 100` draws 2,400."""
+"""Whatever a file holds: it is read, or refused in one sentence. `--cases 100` draws 3,500."""
 
 from __future__ import annotations
 
 import dataclasses
+import importlib.metadata
 import json
 import os
 import shutil
@@ -12,31 +13,39 @@ from pathlib import Path
 from typing import Any
 
 import cv2
+import h5py
 import numpy as np
 import pytest
+import torch
 
 from app.session.file_fingerprints import describe_changed_files, fingerprint_files
 from app.session.layout import Arrangement, ComparisonSettings, Layout, load_arrangements, save_arrangements
 from app.session.state import Session, load_session, save_session
+from pipeline.base.entry_points import load_entry_points
 from pipeline.base.errors import TouchError
 from pipeline.calibration import calibration_file
-from pipeline.networks import network_factory
+from pipeline.networks import network_factory, published_weights
 from pipeline.networks.weights import Weights, load_weights, save_weights
 from pipeline.previews.display_params import DisplayParams
-from pipeline.recordings import open_recording
+from pipeline.recordings import formats, open_recording
+from pipeline.recordings.formats import FORMATS
 from pipeline.recordings.grasp_files import read_split_file
 from pipeline.recordings.hdf5_writer import RecordingWriter
 from pipeline.reporting import repro_bundle
+from pipeline.sensors import kinds
 from pipeline.sensors.alignment_files import load_alignment
 from pipeline.sensors.descriptions import find_descriptions
-from pipeline.sensors.spec import load_sensor
+from pipeline.sensors.gel_kind import GEL
+from pipeline.sensors.spec import list_sensor_names, load_sensor
+from pipeline.tasks import insertion, rollout_file
 from pipeline.tasks.insertion import load_tool, make_tool
+from pipeline.tasks.task import Decision, RolloutSummary, TrialPlan, load_task
 from pipeline.training.recipe import RECIPES_FOLDER, load_recipe
 from pipeline.translation.catalogue import with_settings
 from pipeline.translation.cross_section import SectionLine
 from pipeline.values.frames import TactileFrame
 from tests.pipeline.recordings.test_data_sets import write_mcap
-from tests.stability.hostile import spoil_bytes, spoil_value, to_toml
+from tests.stability.hostile import JUNK, spoil_bytes, spoil_value, to_toml
 from tests.stability.rows import cases
 
 ROOT = Path(__file__).parents[2]
@@ -257,3 +266,144 @@ def test_headers(tmp_path, suffix, capfd):
 
     try_all(read, lambda rng: path.write_bytes(spoil_bytes(content, rng, head=4096)) and None, 1.0)
     assert capfd.readouterr().err == "", "only this program speaks"
+
+
+def _read_frames(path: Path, **options: Any) -> None:
+    recording = open_recording(path, **options)
+    try:
+        for stream in recording.streams:
+            for index in range(min(3, stream.n_frames)):
+                stream.frame(index)
+                stream.truth(index)
+    finally:
+        recording.close()
+
+
+def _spoil_file(path: Path, content: bytes, rng: np.random.Generator, head: int = 1 << 30) -> None:
+    plain = None
+    if path.suffix == ".json" and rng.random() < 0.7:
+        plain = json.dumps(spoil_value(json.loads(content), rng)).encode()
+    path.write_bytes(spoil_bytes(content, rng, head) if plain is None else plain)
+
+
+@pytest.mark.parametrize("kind", ["LeRobot", "TacQuad"])
+def test_data_sets(tmp_path, kind):
+    image = np.random.default_rng(1).integers(0, 255, (48, 64, 3), dtype=np.uint8)
+    blob = cv2.imencode(".png", image)[1].tobytes()
+    if kind == "LeRobot":
+        parquet, pyarrow = pytest.importorskip("pyarrow.parquet"), pytest.importorskip("pyarrow")
+        folder = tmp_path
+        (folder / "meta").mkdir()
+        (folder / "data").mkdir()
+        info = {"fps": 10, "features": {"tactile": {"dtype": "image", "shape": [48, 64, 3]}}, "total_episodes": 1}
+        (folder / "meta" / "info.json").write_text(json.dumps(info))
+        table = pyarrow.table({"tactile": [{"bytes": blob, "path": ""}] * 5, "episode_index": [0] * 5})
+        parquet.write_table(table, folder / "data" / "a.parquet")
+    else:
+        folder = tmp_path / "data_indoor" / "object"
+        for sensor in ("gelsight", "digit"):
+            (folder / sensor).mkdir(parents=True)
+            for k in range(3):
+                (folder / sensor / f"{k}.png").write_bytes(blob)
+        (tmp_path / "contact_indoor.csv").write_text("object,0,2,0,1,0,2\n")
+    contents = {path: path.read_bytes() for path in sorted(tmp_path.rglob("*")) if path.is_file()}
+    spoilt = sorted(contents)
+
+    def make(rng: np.random.Generator) -> None:
+        for path, content in contents.items():
+            path.write_bytes(content)
+        path = spoilt[int(rng.integers(len(spoilt)))]
+        _spoil_file(path, contents[path], rng)
+
+    try_all(lambda: _read_frames(folder), make, 1.0)
+
+
+@pytest.mark.parametrize("is_archive", [True, False])
+def test_checkpoints(tmp_path, is_archive):
+    path = tmp_path / "w.pt"
+    names = ("inc.double_conv.0.weight", "outc.conv.weight", "up.0.up.weight")
+    state = {
+        "state_dict": {f"module.{name}": torch.ones(2, 3, 3, 3) for name in names},
+        "epoch": 3,
+        "optimizer": [{"lr": 0.1}],
+    }
+    torch.save(state, path, _use_new_zipfile_serialization=is_archive)
+    content = path.read_bytes()
+
+    def read() -> None:
+        published_weights.read_unet(path)
+
+    def read_recording() -> None:
+        _read_frames(path, sensor="gelslim")
+
+    for one in (read, read_recording):
+        try_all(one, lambda rng: path.write_bytes(spoil_bytes(content, rng)) and None, 1.0)
+
+
+def test_rollouts(tmp_path):
+    path = tmp_path / "r.h5"
+    shutil.copyfile(ROOT / "sample_data" / "recordings" / "no_contact.h5", path)
+    pose = np.tile(np.eye(4), (4, 1, 1))
+    plan = TrialPlan(task="marble", case="bubble", index=0, touches=("true",), tolerances_mm=(1.0,), seed=0)
+    summary = RolloutSummary(
+        case="a", trial=0, touch="true", tolerance_mm=1.0, succeeds=True, cause="it holds", measures={"a_mm": 1.0},
+        decisions=(Decision(tick=1, error_mm=0.1),),
+    )  # fmt: skip
+    with h5py.File(path, "r+", libver=("v110", "latest")) as file:
+        group = file.create_group("rollout")
+        tables = {"time": (np.arange(4.0), "s"), "force": (np.zeros((4, 3)), "N"), "commanded": (pose, "mm"),
+                  "world_from_object": (pose, "mm"), "world_from_hand": (pose, "mm")}  # fmt: skip
+        for key, (values, unit) in tables.items():
+            group.create_dataset(key, data=values).attrs["unit"] = unit
+    plain = {"plan": dataclasses.asdict(plan), "summary": dataclasses.asdict(summary)}
+    with h5py.File(path, "r+", libver=("v110", "latest")) as file:
+        file["rollout"].attrs.update({**{key: json.dumps(value) for key, value in plain.items()}, "key": "k"})
+    rollout_file.read_rollout(path)
+    content = path.read_bytes()
+
+    def make(rng: np.random.Generator) -> None:
+        if rng.random() < 0.5:
+            path.write_bytes(spoil_bytes(content, rng, 4096 if rng.random() < 0.5 else 1 << 30))
+            return
+        path.write_bytes(content)
+        spoilt = spoil_value(plain, rng)
+        with h5py.File(path, "r+", libver=("v110", "latest")) as file:
+            for key in plain:
+                text = json.dumps(spoilt.get(key)).encode("utf-8", "replace").decode()
+                file["rollout"].attrs[key] = text[:60_000]
+
+    try_all(lambda: rollout_file.read_rollout(path), make, 2.0)
+
+
+def test_entry_points(monkeypatch):
+    """Whatever another package adds, what is listed for dialogs, options and help is listed."""
+    good = {"tactoscope.formats": (FORMATS[0], formats.list_formats), "tactoscope.sensor_kinds": (GEL, kinds.list_kinds),
+            "tactoscope.tasks": (insertion.TASK, lambda: load_task("stack")), "tactoscope.sensors": ("/dev/null", list_sensor_names)}  # fmt: skip
+    groups, added = sorted(good), list[Any]()
+    others = importlib.metadata.entry_points
+    monkeypatch.setattr(importlib.metadata.EntryPoint, "load", lambda _: added[-1])
+    point = [importlib.metadata.EntryPoint(name="x\x1b", value="lab:x", group="any")]
+    monkeypatch.setattr(
+        importlib.metadata, "entry_points",
+        lambda **asked: point if asked.get("group") in good else others(**asked),
+    )  # fmt: skip
+    chosen = [groups[0]]
+
+    def make(rng: np.random.Generator) -> None:
+        chosen[0] = groups[int(rng.integers(len(groups)))]
+        value: Any = good[chosen[0]][0]
+        junk = JUNK[int(rng.integers(len(JUNK)))]
+        if dataclasses.is_dataclass(value) and not isinstance(value, type) and rng.random() < 0.8:
+            names = [field.name for field in dataclasses.fields(value)]
+            junk = dataclasses.replace(value, **{names[int(rng.integers(len(names)))]: junk})
+        added.append(junk)
+        load_entry_points.cache_clear()
+
+    def read() -> None:
+        good[chosen[0]][1]()
+        formats.describe_formats()
+        formats.make_dialog_filter()
+        list_sensor_names()
+
+    try_all(read, make, 2.0)
+    load_entry_points.cache_clear()

@@ -224,5 +224,5 @@ def test_another_windows_notes_are_kept_whatever_the_spelling_of_the_file(bubble
     for spelling in (path, link, tmp_path / "none" / ".." / path.name):
         (tmp_path / "none").mkdir(exist_ok=True)
         bubble_window.save_session(spelling)
-        assert "another window has saved" in bubble_window.window.banner.text
+        assert "Another window has saved" in bubble_window.window.banner.text
         assert load_session(path).notes == {3: "of another window"}
