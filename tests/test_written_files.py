@@ -515,10 +515,13 @@ def viewer_samples(draw: Any) -> StageSample:
 def check_viewer_file(sample: StageSample, folder: Path) -> None:
     """Our exports are read by the viewers' own reader."""
     import cv2
-    from mcap_protobuf.reader import read_protobuf_messages
+    from mcap.reader import make_reader
+    from mcap_protobuf.decoder import DecoderFactory
 
     write_mcap(folder / "v.mcap", [sample])
-    found = {one.topic: one.proto_msg for one in read_protobuf_messages(str(folder / "v.mcap"))}
+    with (folder / "v.mcap").open("rb") as file:
+        read = make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages()
+        found = {one.channel.topic: one.decoded_message for one in read}
     image = cv2.imdecode(np.frombuffer(found[f"/{sample.name}/image"].data, np.uint8), cv2.IMREAD_COLOR)
     same(np.asarray(image)[:, :, ::-1], sample.pixels)
     depth = found.get(f"/{sample.name}/depth")

@@ -255,3 +255,20 @@ def test_pipes_and_devices_are_refused_at_once(tmp_path: Path, name: str):
     (tmp_path / "device.h5").symlink_to("/dev/zero")
     for path in (tmp_path / name, tmp_path / "device.h5"):
         assert "a pipe or a device" in refusal(path)
+
+
+def test_a_text_of_a_declared_length_is_refused_before_it_is_read(tmp_path: Path, small: Path):
+    path = tmp_path / "long.h5"
+    shutil.copyfile(small, path)
+    with h5py.File(path, "r+", libver="latest") as file:
+        file[STREAM].attrs["more"] = np.bytes_(b"x" * 60_000)
+    with closing(hdf5.read(path)):
+        pass
+    with h5py.File(path, "r+", libver="latest") as file:
+        file["pairs"] = np.zeros(1)
+        del file["pairs"]
+        group = file[STREAM].create_group("dense", track_order=True)
+        for k in range(9):  # more than eight attributes are stored densely, where they may be long
+            group.attrs[f"a{k}"] = k
+        group.attrs["more"] = np.bytes_(b"x" * 90_000)
+    assert "more is not one number or text" in refusal(path)

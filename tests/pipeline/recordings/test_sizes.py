@@ -12,6 +12,7 @@ from pipeline.base.errors import FileProblem, select_warnings
 from pipeline.inspection.recording_report import inspect_recording
 from pipeline.physics.optics import compute_colour_change, render_reference
 from pipeline.recordings import open_recording
+from pipeline.recordings.resampling import infer_depth_camera
 from pipeline.sensors.parts import compute_reference_light
 from pipeline.sensors.spec import load_sensor
 from pipeline.stages.depth.photometric import DepthParams, estimate_depth
@@ -206,3 +207,12 @@ def test_a_vignette_that_does_not_tell_is_asked_about(tmp_path: Path):
     (warning,) = select_warnings(open_recording(tmp_path, sensor="gelsight_mini").notes)
     assert "29 % too small" in warning
     assert "crop a seventh" in warning
+
+
+@pytest.mark.parametrize(("shape", "focal_px"), [((480, 848), 434.0), ((240, 424), 217.0), ((720, 1280), 651.0)])
+def test_the_focal_length_of_a_stereo_camera_grows_with_its_image(shape: tuple[int, int], focal_px: float):
+    camera, (note,) = infer_depth_camera(load_sensor("soft_bubble"), shape)
+    assert camera is not None
+    assert (camera.shape, camera.fx_px, camera.fy_px) == (shape, focal_px, focal_px)
+    assert (camera.cx_px, camera.cy_px) == ((shape[1] - 1) / 2, (shape[0] - 1) / 2)
+    assert f"about {focal_px:.0f} px" in note

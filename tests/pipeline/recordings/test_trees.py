@@ -122,6 +122,20 @@ def test_points_in_another_order_are_refused(tmp_path: Path):
         open_recording(tmp_path)
 
 
+@pytest.mark.parametrize(("off_px", "is_refused"), [(0.5, False), (6.0, True)])
+def test_points_that_are_off_their_pixels_by_more_than_one_are_refused(tmp_path: Path, off_px: float, is_refused: bool):
+    row, col = np.indices((171, 224)).astype(np.float32)
+    off = np.random.default_rng(0).uniform(-2.0 * off_px, 2.0 * off_px, (2, 171, 224))  # off by `off_px` in the median
+    cloud = 0.08 * np.stack([(col + off[0] - 110.0) / 180.0, (row + off[1] - 80.0) / 181.0, np.ones_like(row)], axis=-1)
+    for k in range(3):
+        np.save(tmp_path / f"pc_{k}.npy", cloud.reshape(-1, 3).astype(np.float32))
+    if is_refused:
+        with pytest.raises(FileProblem, match=r"order of an image's pixels \(6 px off\)"):
+            open_recording(tmp_path)
+    else:
+        assert open_recording(tmp_path).streams[0].n_frames == 3
+
+
 def test_a_folder_of_pickles_is_refused_with_advice(tmp_path: Path):
     (tmp_path / "dataset_0.pkl").write_bytes(pickle.dumps([b"jpeg"]))
     for place in (tmp_path, tmp_path / "dataset_0.pkl"):

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from pipeline.tracking import track
 from pipeline.tracking.track import smooth_coordinates
 
 FRAMES = np.arange(40.0)
@@ -37,3 +38,12 @@ def test_frames_without_a_measurement_are_bridged():
     holed = true.copy()
     holed[15:18] = np.nan
     assert np.abs(smooth_coordinates(holed) - true).max() < 0.1
+
+
+@given(phi=st.floats(0.0, 0.99), s=st.floats(1e-3, 10.0))
+def test_velocities_stay_as_large_as_they_are(phi, s):
+    """The variance of an Ornstein-Uhlenbeck process is the same in every frame."""
+    state = (np.zeros(1), np.full(1, 2.0), np.zeros(1), np.zeros(1), np.full(1, s**2))
+    x, v, xx, xv, vv = track._predict(state, np.full(1, phi), np.full(1, s))
+    np.testing.assert_allclose([x[0], v[0], vv[0]], [2.0, 2.0 * phi, s**2])
+    np.testing.assert_allclose([xx[0], xv[0]], [s**2, phi * s**2])

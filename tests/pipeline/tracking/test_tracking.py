@@ -212,6 +212,9 @@ def test_a_contact_that_most_views_do_not_confirm_is_no_surface():
     narrow_mm = patch_width_mm([small])
     assert patch_width_mm([wide]) > 2.5 * narrow_mm
     assert patch_width_mm([small, wide, small]) == pytest.approx(narrow_mm, rel=0.1)
+    # Two of five views are enough, one is not.
+    assert patch_width_mm([wide, small, wide, small, small]) == pytest.approx(patch_width_mm([wide]), rel=0.1)
+    assert patch_width_mm([wide, small, small, small]) == pytest.approx(narrow_mm, rel=0.1)
     # A membrane that is elsewhere says nothing of the place.
     away = flat_view(slice(0, 0), depth_mm=float(small.depth_mm[0, 0]) + 5.0)
     assert patch_width_mm([small, away, away]) == pytest.approx(narrow_mm, rel=0.1)
@@ -307,6 +310,8 @@ def test_motion_along_a_direction_that_is_not_measured_is_not_extrapolated(monke
         followed.add_frame(index, surface)
     np.testing.assert_allclose(followed._velocity, rigid.translation(step_mm, 0.0, 0.0), atol=1e-12)
     followed.add_frame(2, None)
+    farther = replace(fit, current_from_key=rigid.translation(0.9, 0.0, 0.0))
+    monkeypatch.setattr(tracker, "register_surfaces", lambda *_: farther)
     followed.add_frame(3, surface)  # a step over a lost frame is no velocity
     np.testing.assert_array_equal(followed._velocity, np.eye(4))
 
@@ -341,3 +346,23 @@ def test_an_edge_of_the_pose_graph_is_about_the_origin_of_the_frame():
     expected = by_motion @ (one + 1e-6 * np.eye(6)) @ by_motion.T
     found = patch_map._to_information(replace(fit, covariance=one, centre_mm=centre))
     np.testing.assert_allclose(np.linalg.inv(found), expected, rtol=1e-6, atol=1e-12)
+
+
+def test_frames_follow_the_key_frame_that_they_were_registered_to():
+    surface = make_surface(press("star")[0])
+    before = [
+        KeyFrame(
+            index=k, part=0, surface=surface, sensor_from_start=rigid.translation(float(k), 0, 0), covariance=np.eye(6)
+        )
+        for k in range(2)
+    ]
+    after = [before[0], replace(before[1], sensor_from_start=rigid.from_parts((0.5, 2.0, 0.0), (0.0, 0.0, 30.0)))]
+    frames = [
+        TrackedFrame(index=k, state="tracked", part=0, key=key, sensor_from_start=rigid.translation(1.5, 0, 0))
+        for k, key in enumerate((0, 1))
+    ]
+    lost = TrackedFrame(index=2, state="lost", part=0)
+    moved = patch_map.move_to_keys([*frames, lost], before, after)
+    np.testing.assert_allclose(moved[0].sensor_from_start, frames[0].sensor_from_start)
+    np.testing.assert_allclose(moved[1].sensor_from_start, rigid.translation(0.5, 0, 0) @ after[1].sensor_from_start)
+    assert moved[2] is lost
