@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from pipeline import __version__
 from pipeline.base.errors import FileProblem
-from pipeline.base.files import read_arrays, read_json, write_arrays, write_folder, write_json
+from pipeline.base.files import read_arrays, read_json, write_arrays, write_folder, write_json, write_text
 from pipeline.base.progress import SILENT, Progress, SubProgress
 from pipeline.base.typed_data import FileName, Name, Note, convert
 from pipeline.engine.cache import Cache
@@ -218,7 +218,8 @@ def _copy_mesh(file: Path, part: Path) -> Path:
         return _copy(file, part / f"mesh{file.suffix}")
     named, scale = urdf.read_mesh_place(file)
     place = part / f"mesh{urdf.SUFFIX}"
-    place.write_text(urdf.format_urdf(_copy(named, part / f"mesh{named.suffix}").name, scale))
+    text = urdf.format_urdf(_copy(named, part / f"mesh{named.suffix}").name, scale)
+    write_text(place, text, "the mesh", urdf.read_mesh_place)
     return place
 
 

@@ -52,7 +52,7 @@ def test_a_method_of_an_installed_package_is_offered_and_broken_ones_are_warning
     warnings = done.stderr.strip().splitlines()
     assert len(warnings) == 2
     assert "toy_method_that_is_missing" in warnings[0]
-    assert "'toy_method' is no Method" in warnings[1]
+    assert "it is a str, not a Method" in warnings[1]
 
 
 def test_a_method_is_added_to_its_stage_only(caplog):
