@@ -97,7 +97,7 @@ params = st.builds(
 )  # fmt: skip
 
 
-@row("12,1", "T2D2: any steps, guidance, caution and seed on any view, to a gel and a bubble", share=0.13, refused=0.05)
+@row("12,1", "T2D2: any steps, guidance, caution and seed on any view, to a gel and a bubble", share=0.13, refused=0.3)
 @given(st.sampled_from([(GEL, "t2d2_gelslim"), (BUBBLE, "t2d2_bubble")]), st.sampled_from(KINDS), params, seeds)
 def test_t2d2(target, kind, how, seed):
     spec = small(target[0])
