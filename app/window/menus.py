@@ -4,17 +4,19 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from PyQt6.QtCore import QSize, Qt
 from PyQt6.QtGui import QAction
-from PyQt6.QtWidgets import QDockWidget, QLabel, QMainWindow, QMenu, QTabWidget, QToolBar, QWidget
+from PyQt6.QtWidgets import QDockWidget, QLabel, QMainWindow, QMenu, QTabWidget, QToolBar, QToolButton, QWidget
 
-from app.window.actions import MENUS, THEME_COMMANDS
+from app.window.actions import MENUS, REFERENCE_COMMANDS, THEME_COMMANDS
 from widgets.command_bar import ActionTabs, CommandBar, name_extension
 from widgets.icons import make_command_icon
 from widgets.timeline import Timeline
 
+REFERENCE = "Reference"  # title of the menu inside the File menu and of its button in the tool bar
 _TOOLS = (
     "open_recording",
     "open_folder",
     "open_mesh",
+    REFERENCE,
     "export",
     "",
     "undo",
@@ -63,6 +65,12 @@ def build_menus(
         for name in names:
             if name in _AFTER_SEPARATOR:
                 menu.addSeparator()
+            if name == "open_calibration":
+                menu.addMenu(references := QMenu(REFERENCE, menu))
+                references.addActions([actions[command.name] for command in REFERENCE_COMMANDS])
+                references.setIcon(make_command_icon("file"))
+                references.menuAction().setToolTip("Choose the reference of the source sensor")
+                menus[REFERENCE] = references
             menu.addAction(actions[name])
         if title == "View":
             menu.addSeparator()
@@ -97,6 +105,9 @@ def build_tool_bar(
             bar.addAction(actions[name])
         else:
             bar.addSeparator()
+    button = bar.widgetForAction(actions[REFERENCE])
+    assert isinstance(button, QToolButton)
+    button.setPopupMode(QToolButton.ToolButtonPopupMode.InstantPopup)
     bar.addSeparator()
     for label, box in choosers:
         word = QLabel(f"  {label} ")

@@ -65,6 +65,21 @@ def find_first_reference(read: Callable[[int], Image], n_frames: int) -> tuple[I
     return reference, start, n_averaged
 
 
+def find_untouched_reference(read: Callable[[int], Image], n_frames: int) -> tuple[Image, int]:
+    """(median of the frames that are like the one with least contact, their number), of some over the recording.
+
+    Raises FileProblem where no frame can be read.
+    """
+    start = find_bright_start(read, n_frames)
+    first, *later = [*sample_frames(read, n_frames, first=start)] or [(start, read(start))]
+    chosen, image = select_reference_frame(first[1], later) or first
+    blocks = compute_block_means(image, _BLOCKS_ALONG)
+    alike = (other for index, other in (first, *later)
+             if index != chosen and other.shape == image.shape and _are_alike(other, blocks))  # fmt: skip
+    reference, n_averaged = denoise_reference(image, alike)
+    return reference, n_averaged + 1
+
+
 def find_bright_start(read: Callable[[int], Image], n_frames: int) -> int:
     """The first frame that is as bright as most: a camera may start black, or expose longer and longer.
 
