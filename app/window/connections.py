@@ -23,12 +23,12 @@ from app.window.layouts import LayoutController
 from app.window.live import LiveController
 from app.window.main_window import MainWindow
 from app.window.mending import MendingController
-from app.window.reference_choice import ReferenceController
 from app.window.pan_zoom import ColourLimitController, PanZoomController
 from app.window.panels import add_panels
 from app.window.pinned_probes import PinnedProbesController
 from app.window.presentation import PresentationController, PresentationVideoController
 from app.window.probe_3d import Probe3DController
+from app.window.reference_choice import ReferenceController
 from app.window.rollout_attribution import RolloutAttributionController
 from app.window.rollout_export import RolloutExportController
 from app.window.rollouts import RolloutController

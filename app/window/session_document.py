@@ -29,8 +29,8 @@ from pipeline.translation.cross_section import SectionLine
 from widgets.notification_bar import Choice
 
 _AS_RECORDED: Mapping[str, Any] = {
-    "source": "", "target": "", "stream": "", "reference": None, "reference_frames": "", "calibration": None, "mesh": None,
-    "mesh_unit": "auto", "depth_unit": "auto",
+    "source": "", "target": "", "stream": "", "reference": None, "reference_frames": "", "calibration": None,
+    "mesh": None, "mesh_unit": "auto", "depth_unit": "auto",
 }  # fmt: skip
 
 

@@ -87,7 +87,8 @@ class TranslationOptions:
         return Request(
             recording=recording, target=target, source=self.sensor, stream=self.stream, route=self.route,
             methods=tuple(methods.items()), reference=self.reference, reference_frames=self.reference_frames,
-            calibration=self.calibration, mesh=self.mesh, mesh_unit=self.mesh_unit, depth_unit=self.depth_unit, alignment=self.alignment,
+            calibration=self.calibration, mesh=self.mesh, mesh_unit=self.mesh_unit, depth_unit=self.depth_unit,
+            alignment=self.alignment,
             weights=tuple(weights.items()), refuses_unusable_weights=True, offsets=self._build_offsets(),
         )  # fmt: skip
 

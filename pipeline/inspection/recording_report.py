@@ -78,7 +78,7 @@ def inspect_recording(
             reference=reference,
             reference_frames=reference_frames,
             depth_unit=depth_unit,
-        )  # fmt: skip
+        )
     ) as recording:
         shown = (recording.stream(stream),) if stream else recording.streams
         signatures: dict[str, dict[int, ContactSignature]] = {s.name: {} for s in shown}
