@@ -13,7 +13,6 @@ from app.session.undo import list_sessions
 from app.window import dialogs
 from app.window.actions import REFERENCE_COMMANDS
 from app.window.ball_calibration import BallCalibrationController
-from app.window.menus import REFERENCE
 from app.window.session_controller import SessionController
 from app.work.evaluator import EvaluatedFrame
 from pipeline.base.errors import (
@@ -57,7 +56,7 @@ class MendingController(QObject):
             remedies.append(("Choose sensor…", self._list_sensors()))
         if isinstance(error, MissingReference):
             choices = [self._window.actions_by_name[command.name] for command in REFERENCE_COMMANDS]
-            remedies.append((REFERENCE, tuple((a.text(), a.trigger) for a in choices if a.isEnabled())))
+            remedies.append(("Choose reference…", tuple((a.text(), a.trigger) for a in choices if a.isEnabled())))
         if isinstance(error, UnitProblem):
             open_in = partial(self._controller.open_mesh, error.path)
             remedies += [(f"Open in {dialogs.UNIT_NAMES[unit]}", partial(open_in, unit)) for unit in error.fits]

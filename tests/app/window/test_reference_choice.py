@@ -17,7 +17,7 @@ LIMIT_S = 240
 
 
 def get_reference(controller):
-    return controller.views.translation.stream.frame(3).reference
+    return controller.views.translation.stream.frame(0).reference
 
 
 def get_marked(controller):
@@ -76,7 +76,7 @@ def test_a_frame_without_reference_offers_the_same_choices(open_window, single_t
     path, _ = single_touch
     controller = open_window(path, source="gelslim", target="soft_bubble")
     assert not wait_until_shown(controller, LIMIT_S)
-    (button,) = [b for b in controller.window.banner.buttons if b.text() == "Reference"]
+    (button,) = [b for b in controller.window.banner.buttons if b.text() == "Choose reference…"]
     choices = {action.text(): action for action in button.menu().actions()}
     assert list(choices) == [action.text() for action in controller.window.menus["Reference"].actions()]
     choices["This frame"].trigger()
