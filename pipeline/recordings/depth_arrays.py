@@ -226,7 +226,7 @@ def _find_depth_key(arrays: Mapping[str, NDArray[Any]], path: Path) -> str:
 
 
 def _resolve_unit(key: str, stated: DepthUnit, path: Path, read: Callable[[], NDArray[Any]], sensor: str = "") -> str:
-    """The stated unit, or that of the name `key`; raises FileProblem with the one that fits the sensor where none is."""
+    """The stated unit, or that of the name `key`; raises FileProblem with the one that fits where none is stated."""
     if stated != "auto":
         return stated
     match = _UNIT_SUFFIX.search(key)
