@@ -118,9 +118,9 @@ def _make_recording(files: RecordingFiles, stack: _DepthStack, options: ReadOpti
         about = "one depth image has no reference; name one with --reference"
 
     def frame(index: int) -> TactileFrame:
-        return TactileFrame(sensor=name, image=stack.depth_mm(index), reference=reference, index=index,
-                            time_s=math.nan if stack.times_s is None else float(stack.times_s[index]), origin=f"{path} [{stack.key} {index}]",
-                            camera=camera)  # fmt: skip
+        time_s = math.nan if stack.times_s is None else float(stack.times_s[index])
+        return TactileFrame(sensor=name, image=stack.depth_mm(index), reference=reference, index=index, time_s=time_s,
+                            origin=f"{path} [{stack.key} {index}]", camera=camera)  # fmt: skip
 
     stream = Stream(name=name, sensor=name, n_frames=n, frame=with_index_check(frame, n, path), times_s=stack.times_s)
     notes = (*files.notes, *notes, escape_text(f"{stack.key} is taken as {stack.unit}"), about, *stack.notes)
