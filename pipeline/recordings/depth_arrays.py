@@ -30,6 +30,7 @@ _MM_PER_UNIT: Mapping[str, float] = {"mm": 1.0, "m": 1000.0, "0.1mm": 0.1, "um":
 _UNIT_SUFFIX = re.compile(
     r"(?:^(?!m$)|_)(?P<unit>0[p.]1mm|mm|um|m)$", re.IGNORECASE
 )  # or the whole name, as of a folder
+_MAX_RATIO = 1.6  # to the rest depth within which a unit is suggested: steps of 0.25 mm are no tenths
 _PLAUSIBLE_MM = (5.0, 2000.0)  # range of a median depth: the camera is some centimetres from the membrane
 _N_REFERENCE_FRAMES = 5  # first frames whose median is the reference: its noise is half of that of one frame
 _TIME_KEYS = ("timestamps_s", "time_s", "t_s")
@@ -245,7 +246,8 @@ def _suggest_unit(raw: NDArray[Any], sensor: str) -> str:
     if not sensor or not known.size:
         return "give --depth-unit"
     spec, median = load_sensor(sensor), float(np.median(known))
-    fits = [unit for unit, mm in _MM_PER_UNIT.items() if find_unit_factor(median * mm, spec) == 1.0]
+    rest_mm = float(np.median(spec.rest_depth_mm))
+    fits = [unit for unit, mm in _MM_PER_UNIT.items() if abs(math.log(median * mm / rest_mm)) < math.log(_MAX_RATIO)]
     return "give --depth-unit" + (f" {fits[0]}, which fits the membrane of {spec.name}" if fits else "")
 
 
