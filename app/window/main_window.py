@@ -98,8 +98,7 @@ class MainWindow(QMainWindow):
         layouts = [self.actions_by_name[f"layout_{name}"] for name in LAYOUT_NAMES]
         self.layout_tabs = add_layout_tabs(self, layouts)
         choosers = ("source", self.source), ("target", self.target), ("route", self.route)
-        tools = {**self.actions_by_name, REFERENCE: self.menus[REFERENCE].menuAction()}
-        build_tool_bar(self, tools, choosers, self.timeline)
+        build_tool_bar(self, self.actions_by_name, self.menus[REFERENCE], choosers, self.timeline)
         self._build_status()
 
     def _set_default_size(self) -> None:

@@ -66,11 +66,7 @@ def build_menus(
             if name in _AFTER_SEPARATOR:
                 menu.addSeparator()
             if name == "open_calibration":
-                menu.addMenu(references := QMenu(REFERENCE, menu))
-                references.addActions([actions[command.name] for command in REFERENCE_COMMANDS])
-                references.setIcon(make_command_icon("file"))
-                references.menuAction().setToolTip("Choose the reference of the source sensor")
-                menus[REFERENCE] = references
+                menus[REFERENCE] = _add_reference_menu(menu, actions)
             menu.addAction(actions[name])
         if title == "View":
             menu.addSeparator()
@@ -79,6 +75,16 @@ def build_menus(
             menu.addSeparator()
             menu.addActions([actions[command.name] for command in THEME_COMMANDS])
     return menus
+
+
+def _add_reference_menu(menu: QMenu, actions: Mapping[str, QAction]) -> QMenu:
+    references = QMenu(REFERENCE, menu)
+    references.addActions([actions[command.name] for command in REFERENCE_COMMANDS])
+    entry = menu.addMenu(references)
+    assert entry is not None
+    entry.setIcon(make_command_icon("file"))
+    entry.setToolTip("Choose the reference of the source sensor")
+    return references
 
 
 def add_layout_tabs(window: QMainWindow, layouts: Sequence[QAction]) -> ActionTabs:
@@ -92,9 +98,15 @@ def add_layout_tabs(window: QMainWindow, layouts: Sequence[QAction]) -> ActionTa
 
 
 def build_tool_bar(
-    window: QMainWindow, actions: Mapping[str, QAction], choosers: Sequence[tuple[str, QWidget]], timeline: Timeline
+    window: QMainWindow,
+    actions: Mapping[str, QAction],
+    references: QMenu,
+    choosers: Sequence[tuple[str, QWidget]],
+    timeline: Timeline,
 ) -> None:
-    """Create the tool bar with `choosers` (label, widget), and the buttons of the timeline."""
+    """Create the tool bar with the Reference menu and `choosers` (label, widget), and the buttons of the timeline."""
+    entry = references.menuAction()
+    assert entry is not None
     bar = CommandBar("Commands", window)
     bar.setObjectName("tool_bar")
     bar.setMovable(False)
@@ -102,10 +114,10 @@ def build_tool_bar(
     window.addToolBar(bar)
     for name in _TOOLS:
         if name:
-            bar.addAction(actions[name])
+            bar.addAction(entry if name == REFERENCE else actions[name])
         else:
             bar.addSeparator()
-    button = bar.widgetForAction(actions[REFERENCE])
+    button = bar.widgetForAction(entry)
     assert isinstance(button, QToolButton)
     button.setPopupMode(QToolButton.ToolButtonPopupMode.InstantPopup)
     bar.addSeparator()
