@@ -197,7 +197,15 @@ def _replace_reference(
         return replace(frame, reference=reference)
 
     streams = tuple(_map_frames(s, replace_reference) if s is changed else s for s in recording.streams)
-    return replace(recording, streams=streams, notes=(*recording.notes, note))
+    refresh = recording.refresh
+
+    def refresh_with_reference() -> Recording:
+        assert refresh is not None
+        grown = refresh()
+        return _replace_reference(grown, grown.stream(changed.name), reference, note, origin)
+
+    return replace(recording, streams=streams, notes=(*recording.notes, note),
+                   refresh=None if refresh is None else refresh_with_reference)  # fmt: skip
 
 
 def _replace_sensor(stream: Stream, sensor: str) -> Stream:

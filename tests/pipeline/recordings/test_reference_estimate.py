@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -12,6 +13,7 @@ from pipeline.base.errors import FileProblem, TouchError
 from pipeline.cli.main import build_app, run_app
 from pipeline.recordings import open_recording
 from pipeline.recordings.image_files import read_rgb
+from pipeline.recordings.mounts import mount, unmount
 from pipeline.recordings.reference_estimate import write_reference
 
 SAMPLE_RECORDING = Path(__file__).parents[3] / "sample_data" / "recordings" / "first_touch.h5"
@@ -149,6 +151,25 @@ def test_other_references_are_refused(gel_folder, options, words):
         options = {**options, "reference": folder / options["reference"]}
     with pytest.raises(TouchError, match=words):
         open_recording(folder, sensor="gelslim", **options)
+
+
+def test_a_recording_that_grows_keeps_the_reference_that_was_chosen(gel_folder):
+    grown = open_recording(gel_folder[0], sensor="gelslim")
+    path = gel_folder[0] / "live"
+    mount(path, lambda: replace(grown, path=path, refresh=lambda: grown))
+    chosen = open_recording(path, reference_frames="11")
+    unmount(path)
+    assert chosen.refresh().stream().frame(0).reference is chosen.stream().frame(0).reference
+
+
+def test_a_bundle_holds_the_frame_with_the_reference_that_was_chosen(tmp_path, gel_folder):
+    folder, untouched = gel_folder
+    options = ["--sensor", "gelslim", "--target", "soft_bubble", "--method", "depth=physics", "--frame", "5"]
+    out = tmp_path / "a.bundle"
+    assert not run_app(build_app(), ["bundle", str(folder), *options, "--reference-frames", "11", "--out", str(out)])
+    (file,) = out.rglob("frame.h5")
+    assert np.abs(open_recording(file).stream().frame(0).reference.astype(int) - untouched).mean() < 3.0
+    assert not run_app(build_app(), ["replay", str(out)])
 
 
 def test_a_note_that_no_reference_was_found_goes_where_one_is_chosen(tmp_path):
