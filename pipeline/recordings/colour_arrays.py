@@ -116,7 +116,7 @@ def _make_recording(
     if is_shared and not any(_is_asked(stack, options) for stack in stacks):
         raise SettingProblem(
             f"a reference can be given for one sensor, and {key} holds the images of {len(stacks)}; choose one with "
-            f"--stream ({', '.join(stack.name for stack in stacks)}): '{path}'"
+            f"--stream, by the name that 'tactoscope inspect' lists: '{path}'"
         )
     streams, notes = list[Stream](), list[str]()
     for number, stack in enumerate(stacks):
@@ -138,7 +138,7 @@ def _make_recording(
 
 
 def _is_asked(stack: ImageStack, options: ReadOptions) -> bool:
-    """Whether the user names this stream, as `make_array_stream` does or by its last word."""
+    """Whether the user names this stream: `make_array_stream` puts its sensor before it."""
     return stack.name == options.stream.rpartition("_")[2]
 
 

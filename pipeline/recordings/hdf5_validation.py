@@ -45,7 +45,7 @@ def require_self_contained(file: Any, path: Path) -> None:
                     _refuse(f"{_name(group, key)} lies in another file, which is not opened", path, key)
                 if part.ndim < 3:  # a table, which is read as a whole and converted
                     n_bytes += 2 * 8 * math.prod(part.shape)
-                    require_budget(n_bytes, f"the tables up to {_name(group, key)}", path, field=key)
+                    require_budget(n_bytes, "its tables", path, field=key)
                 if part.chunks and math.prod(part.chunks) * part.dtype.itemsize > 8 * MAX_VALUES:
                     _refuse(f"{_name(group, key)} has chunks that are too large", path, key)
 

@@ -193,7 +193,7 @@ def test_declared_sizes_are_refused_before_allocation(
     assert path.stat().st_size < 2 * small.stat().st_size + 10_000
     message = refusal(path)
     assert name in message
-    assert any(words in message for words in ("cannot be as large as", "must have shape", "would take"))
+    assert "cannot be as large as" in message or "must have shape" in message
 
 
 def test_chunks_that_are_too_large_are_refused(tmp_path: Path, small: Path):

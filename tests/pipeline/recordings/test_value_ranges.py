@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from pipeline.base.errors import FileProblem
+from pipeline.base.errors import FileProblem, SettingProblem
 from pipeline.previews.preview import DisplayParams, make_frame_preview
 from pipeline.recordings import open_recording
 from pipeline.sensors.spec import load_sensor
@@ -164,3 +164,14 @@ def test_the_unit_of_a_depth_folder_is_its_name_or_the_one_that_the_message_name
         unit = re.search(r"give --depth-unit (\S+), which fits the membrane of soft_bubble", str(caught.value))[1]
     frame = open_recording(tmp_path / folder, depth_unit=unit).stream().frame(0)
     assert frame.image == pytest.approx(75.4, abs=0.5)
+
+
+def test_a_reference_is_of_the_sensor_of_an_array_that_the_user_names(tmp_path, touches):
+    np.savez(tmp_path / "a.npz", tactile=np.stack([touches.images, touches.images[::-1]], axis=1))
+    reference = tmp_path / "r.png"
+    assert cv2.imwrite(str(reference), np.full_like(touches.images[0], 77))
+    with pytest.raises(SettingProblem, match="choose one with --stream, by the name"):
+        open_recording(tmp_path / "a.npz", reference=reference)
+    first, second = open_recording(tmp_path / "a.npz", reference=reference, stream="gelslim_1").streams
+    assert (second.frame(0).reference == 77).all()
+    assert not (first.frame(0).reference == 77).all()
