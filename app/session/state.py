@@ -32,7 +32,7 @@ _N_CAMERA = 10  # numbers of a 3D view: position (3), focal point (3), view-up (
 _SectionMm = Annotated[float, Meta(ge=-1000.0, le=1000.0)]  # of the section line's ends; beyond any sensor
 _Number = Annotated[int, Meta(ge=0, le=2**31 - 1)]  # of a frame or tick; what Qt counts with
 PATH_FIELDS = ("recording", "reference", "calibration", "mesh", "alignment")
-_TEXT_FIELDS = ("source", "target", "stream", "route", "mesh_unit")
+_TEXT_FIELDS = ("source", "target", "stream", "reference_frames", "route", "mesh_unit")
 _PLAIN_FIELDS = (
     *_TEXT_FIELDS, "depth_unit", "cameras_linked", "offsets", "layout", "methods", "notes", "comparison", "cameras",
     "tick",
@@ -52,6 +52,7 @@ class Session:
     route: str = "t2d2"
     frame: int = 0  # or AUTO_FRAME
     reference: Path | None = None
+    reference_frames: str = ""  # frames of the recording to make the reference of
     calibration: Path | None = None
     mesh: Path | None = None
     mesh_unit: str = "auto"
@@ -151,6 +152,7 @@ class _SessionFile(msgspec.Struct, kw_only=True):
     route: Name
     mesh_unit: Name
     depth_unit: DepthUnit = "auto"
+    reference_frames: Name = ""
     recording: FileName | None = None
     reference: FileName | None = None
     calibration: FileName | None = None

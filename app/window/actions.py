@@ -33,13 +33,21 @@ FILE_COMMANDS = (
             "Open a calibration table written by `tactoscope calibrate balls`"),
     Command("open_weights", "Open weights…", "Open network weights for a method that reads weights"),
     Command("close_weights", "Close weights", "Return to the shipped weights"),
-    Command("open_reference", "Open reference…", "Open the reference image of the source sensor", icon="file"),
     Command("open_session", "Open session…", "Open a saved session", icon="session"),
     Command("save_session", "Save session", "Save the session: files, settings and layout", icon="save", key="Ctrl+S"),
     Command("save_session_as", "Save session as…", "Save the session under another name", key="Ctrl+Shift+S"),
     Command("export", "Export…", "Write panes as image, points, arrays, table or video", icon="image", key="Ctrl+E"),
     Command("export_bundle", "Export repro bundle…", "Write this frame and everything that reproduces it to a folder"),
     Command("quit", "Quit", "Close the window", icon="close", key="Ctrl+Q"),
+)
+REFERENCE_COMMANDS = (
+    Command("reference_median", "Median of this recording",
+            "Use the median of all frames as the reference: touches at different places vanish", checkable=True),
+    Command("reference_untouched", "Median of untouched frames",
+            "Use the median of the frames with least contact as the reference", checkable=True),
+    Command("reference_frame", "This frame", "Use this frame as the reference", checkable=True),
+    Command("open_reference", "Choose file…", "Open the reference image of the source sensor", checkable=True),
+    Command("reference_recorded", "As recorded", "Return to the reference of the recording, if any", checkable=True),
 )
 CAPTURE_COMMANDS = (
     Command("live", "Live…", "Open a live source: a simulated sensor, a camera, or a folder that grows", icon="live",

@@ -28,6 +28,7 @@ from app.window.panels import add_panels
 from app.window.pinned_probes import PinnedProbesController
 from app.window.presentation import PresentationController, PresentationVideoController
 from app.window.probe_3d import Probe3DController
+from app.window.reference_choice import ReferenceController
 from app.window.rollout_attribution import RolloutAttributionController
 from app.window.rollout_export import RolloutExportController
 from app.window.rollouts import RolloutController
@@ -96,7 +97,7 @@ def connect(controller: SessionController, theme: Theme = "light") -> AutosaveCo
     LiveController(controller, autosave)
     track = TrackController(controller, export, autosave)
     mending = MendingController(controller, BallCalibrationController(controller, export, autosave))
-    alignment = AlignmentController(controller)
+    reference, alignment = ReferenceController(controller), AlignmentController(controller)
     gizmo, layouts = AlignmentGizmoController(controller, alignment), LayoutController(controller)
 
     # A session change (`change`, undo, redo, opening) becomes work here, and only here: the stages are requested by
@@ -110,6 +111,7 @@ def connect(controller: SessionController, theme: Theme = "light") -> AutosaveCo
         comparison.show_session,  # computes the visible tab
         autosave.show_session,  # schedules the recovery file
         mending.show_session,  # drops the offers for another recording
+        reference.show_session,  # which one is chosen
         welcome.show_session,  # hides the page once something is open
         arrangements.show_session,  # check marks
         alignment.show_session,  # offsets; drops a proposal for another alignment

@@ -162,7 +162,7 @@ class LiveController(QObject):
         self._opened = self._path
         self._controller.change(
             "open live source", recording=self._path, frame=reader.n_frames - 1, source="", stream="", reference=None,
-            calibration=None, mesh=None, mesh_unit="auto", depth_unit="auto",
+            reference_frames="", calibration=None, mesh=None, mesh_unit="auto", depth_unit="auto",
         )  # fmt: skip
 
     def _show_new_frames(self, n_frames: int) -> None:

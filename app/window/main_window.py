@@ -18,9 +18,9 @@ from PyQt6.QtWidgets import (
 )
 
 from app.session.layout import LAYOUT_NAMES, Arrangement, Layout
-from app.window.actions import MENUS, THEME_COMMANDS, make_actions, make_stage_commands
+from app.window.actions import MENUS, REFERENCE_COMMANDS, THEME_COMMANDS, make_actions, make_stage_commands
 from app.window.dock_state import capture_arrangement, restore_arrangement
-from app.window.menus import Drawers, add_layout_tabs, build_menus, build_tool_bar
+from app.window.menus import REFERENCE, Drawers, add_layout_tabs, build_menus, build_tool_bar
 from widgets.alignment_panel import AlignmentPanel
 from widgets.banner import Banner
 from widgets.base import ChoiceBox, FixedSizeLabel
@@ -71,7 +71,7 @@ class MainWindow(QMainWindow):
         titles = tuple(title for _, title in columns)
         self.actions_by_name: Mapping[str, QAction] = make_actions(
             self,
-            (*chain.from_iterable(MENUS.values()), *THEME_COMMANDS, *make_stage_commands(titles)),
+            (*chain.from_iterable(MENUS.values()), *REFERENCE_COMMANDS, *THEME_COMMANDS, *make_stage_commands(titles)),
         )
         self.columns = {name: StageColumn(name, f"{i + 1} · {title}") for i, (name, title) in enumerate(columns)}
         self.banner, self.timeline = Banner(), Timeline()
@@ -98,7 +98,7 @@ class MainWindow(QMainWindow):
         layouts = [self.actions_by_name[f"layout_{name}"] for name in LAYOUT_NAMES]
         self.layout_tabs = add_layout_tabs(self, layouts)
         choosers = ("source", self.source), ("target", self.target), ("route", self.route)
-        build_tool_bar(self, self.actions_by_name, choosers, self.timeline)
+        build_tool_bar(self, self.actions_by_name, self.menus[REFERENCE], choosers, self.timeline)
         self._build_status()
 
     def _set_default_size(self) -> None:

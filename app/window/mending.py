@@ -11,6 +11,7 @@ from PyQt6.QtCore import QObject
 from app.session.state import Session
 from app.session.undo import list_sessions
 from app.window import dialogs
+from app.window.actions import REFERENCE_COMMANDS
 from app.window.ball_calibration import BallCalibrationController
 from app.window.session_controller import SessionController
 from app.work.evaluator import EvaluatedFrame
@@ -54,7 +55,8 @@ class MendingController(QObject):
         if isinstance(error, UnknownSensor | SensorMismatch):
             remedies.append(("Choose sensor…", self._list_sensors()))
         if isinstance(error, MissingReference):
-            remedies.append(("Choose reference…", self._window.actions_by_name["open_reference"].trigger))
+            choices = [self._window.actions_by_name[command.name] for command in REFERENCE_COMMANDS]
+            remedies.append(("Choose reference…", tuple((a.text(), a.trigger) for a in choices if a.isEnabled())))
         if isinstance(error, UnitProblem):
             open_in = partial(self._controller.open_mesh, error.path)
             remedies += [(f"Open in {dialogs.UNIT_NAMES[unit]}", partial(open_in, unit)) for unit in error.fits]

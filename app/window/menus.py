@@ -4,17 +4,19 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from PyQt6.QtCore import QSize, Qt
 from PyQt6.QtGui import QAction
-from PyQt6.QtWidgets import QDockWidget, QLabel, QMainWindow, QMenu, QTabWidget, QToolBar, QWidget
+from PyQt6.QtWidgets import QDockWidget, QLabel, QMainWindow, QMenu, QTabWidget, QToolBar, QToolButton, QWidget
 
-from app.window.actions import MENUS, THEME_COMMANDS
+from app.window.actions import MENUS, REFERENCE_COMMANDS, THEME_COMMANDS
 from widgets.command_bar import ActionTabs, CommandBar, name_extension
 from widgets.icons import make_command_icon
 from widgets.timeline import Timeline
 
+REFERENCE = "Reference"  # title of the menu inside the File menu and of its button in the tool bar
 _TOOLS = (
     "open_recording",
     "open_folder",
     "open_mesh",
+    REFERENCE,
     "export",
     "",
     "undo",
@@ -63,6 +65,8 @@ def build_menus(
         for name in names:
             if name in _AFTER_SEPARATOR:
                 menu.addSeparator()
+            if name == "open_calibration":
+                menus[REFERENCE] = _add_reference_menu(menu, actions)
             menu.addAction(actions[name])
         if title == "View":
             menu.addSeparator()
@@ -71,6 +75,16 @@ def build_menus(
             menu.addSeparator()
             menu.addActions([actions[command.name] for command in THEME_COMMANDS])
     return menus
+
+
+def _add_reference_menu(menu: QMenu, actions: Mapping[str, QAction]) -> QMenu:
+    references = QMenu(REFERENCE, menu)
+    references.addActions([actions[command.name] for command in REFERENCE_COMMANDS])
+    entry = menu.addMenu(references)
+    assert entry is not None
+    entry.setIcon(make_command_icon("file"))
+    entry.setToolTip("Choose the reference of the source sensor")
+    return references
 
 
 def add_layout_tabs(window: QMainWindow, layouts: Sequence[QAction]) -> ActionTabs:
@@ -84,9 +98,15 @@ def add_layout_tabs(window: QMainWindow, layouts: Sequence[QAction]) -> ActionTa
 
 
 def build_tool_bar(
-    window: QMainWindow, actions: Mapping[str, QAction], choosers: Sequence[tuple[str, QWidget]], timeline: Timeline
+    window: QMainWindow,
+    actions: Mapping[str, QAction],
+    references: QMenu,
+    choosers: Sequence[tuple[str, QWidget]],
+    timeline: Timeline,
 ) -> None:
-    """Create the tool bar with `choosers` (label, widget), and the buttons of the timeline."""
+    """Create the tool bar with the Reference menu and `choosers` (label, widget), and the buttons of the timeline."""
+    entry = references.menuAction()
+    assert entry is not None
     bar = CommandBar("Commands", window)
     bar.setObjectName("tool_bar")
     bar.setMovable(False)
@@ -94,9 +114,12 @@ def build_tool_bar(
     window.addToolBar(bar)
     for name in _TOOLS:
         if name:
-            bar.addAction(actions[name])
+            bar.addAction(entry if name == REFERENCE else actions[name])
         else:
             bar.addSeparator()
+    button = bar.widgetForAction(entry)
+    assert isinstance(button, QToolButton)
+    button.setPopupMode(QToolButton.ToolButtonPopupMode.InstantPopup)
     bar.addSeparator()
     for label, box in choosers:
         word = QLabel(f"  {label} ")

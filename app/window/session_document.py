@@ -29,8 +29,8 @@ from pipeline.translation.cross_section import SectionLine
 from widgets.notification_bar import Choice
 
 _AS_RECORDED: Mapping[str, Any] = {
-    "source": "", "target": "", "stream": "", "reference": None, "calibration": None, "mesh": None, "mesh_unit": "auto",
-    "depth_unit": "auto",
+    "source": "", "target": "", "stream": "", "reference": None, "reference_frames": "", "calibration": None,
+    "mesh": None, "mesh_unit": "auto", "depth_unit": "auto",
 }  # fmt: skip
 
 
@@ -153,7 +153,11 @@ class SessionDocument(QObject):
 
     def open_reference(self, path: Path) -> None:
         """Open the reference image of the source sensor."""
-        self.change("open reference", reference=path)
+        self.change("open reference", reference=path, reference_frames="")
+
+    def choose_reference_frames(self, frames: str) -> None:
+        """Make the reference of the source sensor of these frames; "" = as recorded."""
+        self.change("choose reference", reference=None, reference_frames=frames)
 
     def open_session(self, path: Path) -> None:
         """Open a session file, and warn of files that changed since it was saved."""

@@ -73,6 +73,7 @@ def _choose_target(request: Request) -> str:
             sensor=request.source,
             stream=request.stream,
             reference=request.reference,
+            reference_frames=request.reference_frames,
             depth_unit=request.depth_unit,
         )
     ) as recording:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from pipeline.calibration import calibration_file, force_scale, quality_notes
 from pipeline.cli.terminal import open_progress_bar, print_line
-from pipeline.cli.translation_options import DepthUnit, ReferenceImagePath
+from pipeline.cli.translation_options import DepthUnit, ReferenceFrames, ReferenceImagePath
 from pipeline.inspection.recording_report import format_report_lines, inspect_recording
 from pipeline.recordings.reference_estimate import write_reference
 
@@ -15,6 +15,7 @@ def inspect(
     sensor: str = "",
     stream: str = "",
     reference: ReferenceImagePath = None,
+    reference_frames: ReferenceFrames = "",
     depth_unit: DepthUnit = "auto",
     make_reference: Path | None = None,
 ) -> int:
@@ -39,7 +40,8 @@ def inspect(
         for line in [] if scale is None else force_scale.format_force_scale(scale):
             print_line(line)
         return 0
-    report = inspect_recording(recording, sensor=sensor, stream=stream, reference=reference, depth_unit=depth_unit)
+    report = inspect_recording(recording, sensor=sensor, stream=stream, reference=reference,
+                               reference_frames=reference_frames, depth_unit=depth_unit)  # fmt: skip
     for line in format_report_lines(report):
         print_line(line)
     return 0 if report.has_passed else 1

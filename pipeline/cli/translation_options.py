@@ -31,6 +31,9 @@ DepthUnit = Annotated[
 ReferenceImagePath = Annotated[
     Path | None, Parameter(help="Reference image (no contact), if the recording holds none.")
 ]
+ReferenceFrames = Annotated[
+    str, Parameter(help="Make the reference of the recording's own frames: `median`, `untouched`, or a frame's number.")
+]
 _WEIGHTS = "File of network weights; `stage=FILE` if several stages use a network."
 _METHODS = "`stage=method` in place of the route's own, such as `target_depth=paper`, or `depth=truth`; repeatable."
 
@@ -57,6 +60,7 @@ class TranslationOptions:
     sensor: str = ""
     stream: str = ""
     reference: ReferenceImagePath = None
+    reference_frames: ReferenceFrames = ""
     calibration: Path | None = None
     route: str = "t2d2"
     methods: Annotated[tuple[str, ...], Parameter(name="--method", negative="", help=_METHODS)] = ()
@@ -82,8 +86,9 @@ class TranslationOptions:
             weights = with_weights(weights, assignment)
         return Request(
             recording=recording, target=target, source=self.sensor, stream=self.stream, route=self.route,
-            methods=tuple(methods.items()), reference=self.reference, calibration=self.calibration, mesh=self.mesh,
-            mesh_unit=self.mesh_unit, depth_unit=self.depth_unit, alignment=self.alignment,
+            methods=tuple(methods.items()), reference=self.reference, reference_frames=self.reference_frames,
+            calibration=self.calibration, mesh=self.mesh, mesh_unit=self.mesh_unit, depth_unit=self.depth_unit,
+            alignment=self.alignment,
             weights=tuple(weights.items()), refuses_unusable_weights=True, offsets=self._build_offsets(),
         )  # fmt: skip
 

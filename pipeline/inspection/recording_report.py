@@ -62,6 +62,7 @@ def inspect_recording(
     sensor: str = "",
     stream: str = "",
     reference: Path | None = None,
+    reference_frames: str = "",
     depth_unit: DepthUnit = "auto",
     progress: Progress = SILENT,
 ) -> InspectionReport:
@@ -70,7 +71,14 @@ def inspect_recording(
     Raises TouchError only where the recording cannot be opened.
     """
     with closing(
-        open_recording(path, sensor=sensor, stream=stream, reference=reference, depth_unit=depth_unit)
+        open_recording(
+            path,
+            sensor=sensor,
+            stream=stream,
+            reference=reference,
+            reference_frames=reference_frames,
+            depth_unit=depth_unit,
+        )
     ) as recording:
         shown = (recording.stream(stream),) if stream else recording.streams
         signatures: dict[str, dict[int, ContactSignature]] = {s.name: {} for s in shown}

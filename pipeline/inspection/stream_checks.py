@@ -192,7 +192,9 @@ class StreamChecker:
 
     def _check_references(self) -> Check:
         if len(self._without_reference) == self._n_frames:
-            return self._make_check("reference", "unknown", "no reference; name one with --reference")
+            return self._make_check(
+                "reference", "unknown", "no reference; name one with --reference, or make one with --reference-frames"
+            )
         bad = [f"frame {i} has no reference, others do" for i in self._without_reference]
         return self._check("reference", bad, "every frame has a reference")
 

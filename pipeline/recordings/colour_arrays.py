@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.base.arrays import Floats, Image
+from pipeline.base.arrays import Doubles, Floats, Image
 from pipeline.base.errors import FileProblem, SettingProblem, escape_text
 from pipeline.base.files import read_arrays
 from pipeline.recordings import colour_layouts, depth_arrays, file_names, grey_scale, image_files
@@ -58,7 +58,9 @@ def read(files: RecordingFiles, options: ReadOptions) -> Recording:
         raise FileProblem(f"cannot tell which array holds the frames ({shapes}); keep one in the file", path)
     ((key, array),) = frames.items()
     bases = [stack for k, a in references.items() for stack in _split(a, k, path)]
-    return _make_recording(files, options, key, _split(array, key, path), next(iter(references), ""), bases)
+    stacks = _split(array, key, path)
+    times_s = depth_arrays.find_times(arrays, stacks[0].n_frames)
+    return _make_recording(files, options, key, stacks, next(iter(references), ""), bases, times_s)
 
 
 def read_series(files: RecordingFiles, options: ReadOptions) -> Recording:
@@ -107,18 +109,20 @@ def _make_recording(
     stacks: tuple[ImageStack, ...],
     reference_key: str,
     bases: list[ImageStack],
-    times_s: list[float] | None = None,
+    times_s: Doubles | None = None,
 ) -> Recording:
     path = files.path
-    if options.reference is not None and len(stacks) > 1:
+    is_shared = options.reference is not None and len(stacks) > 1
+    if is_shared and not any(_is_asked(stack, options) for stack in stacks):
         raise SettingProblem(
-            f"a reference can be given for one sensor, and {key} holds the images of {len(stacks)}: '{path}'"
+            f"a reference can be given for one sensor, and {key} holds the images of {len(stacks)}; choose one with "
+            f"--stream, by the name that 'tactoscope inspect' lists: '{path}'"
         )
     streams, notes = list[Stream](), list[str]()
     for number, stack in enumerate(stacks):
         base = bases[min(number, len(bases) - 1)] if bases else None
         reference, about, values = None, "", None if base is None else base.read(0)
-        if options.reference is not None:
+        if options.reference is not None and (not is_shared or _is_asked(stack, options)):
             reference, about = image_files.read_rgb(options.reference), f"{options.reference.name} is the reference"
         elif base is not None:
             reference = _read_reference(base, stack, reference_key, path)
@@ -131,6 +135,11 @@ def _make_recording(
     notes += [f"{escape_text(key)} holds the images of {len(stacks)} sensors"] if len(stacks) > 1 else []
     return Recording(path=path, format="colour arrays", streams=tuple(streams),
                      notes=(*files.notes, *dict.fromkeys(notes)))  # fmt: skip
+
+
+def _is_asked(stack: ImageStack, options: ReadOptions) -> bool:
+    """Whether the user names this stream: `make_array_stream` puts its sensor before it."""
+    return stack.name == options.stream.rpartition("_")[2]
 
 
 def _read_reference(base: ImageStack, frames: ImageStack, key: str, path: Path) -> Image:
@@ -150,7 +159,7 @@ def make_array_stream(
     reference: Image | None = None,
     reference_values: NDArray[np.generic] | None = None,
     about: str = "",
-    times_s: list[float] | None = None,
+    times_s: Doubles | None = None,
     name: str = "",
 ) -> tuple[Stream, tuple[str, ...]]:
     """The images of one sensor as a stream, and notes; `about` is the note on its `reference`, if one is known.
@@ -183,10 +192,10 @@ def make_array_stream(
         about = about or image_files.NO_REFERENCE_NOTE
 
     def frame(index: int) -> TactileFrame:
-        time_s = math.nan if times_s is None else times_s[index]
+        time_s = math.nan if times_s is None else float(times_s[index])
         return converter.make_frame(read_raw(index), index, f"{path} [{key} {index}]", time_s)
 
     label = "_".join(part for part in (name or converter.sensor or "images", stack.name) if part)
     stream = Stream(name=label, sensor=converter.sensor, n_frames=stack.n_frames,
-                    frame=with_index_check(frame, stack.n_frames, path))  # fmt: skip
+                    frame=with_index_check(frame, stack.n_frames, path), times_s=times_s)  # fmt: skip
     return stream, tuple(note for note in (*converter.notes, scale.note, about) if note)

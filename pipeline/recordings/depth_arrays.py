@@ -6,6 +6,7 @@ The name of the array (or file) states the unit: depth_mm, depth_m, depth_um, de
 from __future__ import annotations
 
 import contextlib
+import math
 import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -14,7 +15,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.base.arrays import Floats, freeze
+from pipeline.base.arrays import Doubles, Floats, freeze
 from pipeline.base.errors import CalibrationError, FileProblem, escape_text
 from pipeline.base.files import read_arrays
 from pipeline.geometry.camera import Camera, make_camera
@@ -26,7 +27,10 @@ from pipeline.sensors.spec import SensorSpec, load_sensor
 from pipeline.values.frames import Recording, Stream, TactileFrame
 
 _MM_PER_UNIT: Mapping[str, float] = {"mm": 1.0, "m": 1000.0, "0.1mm": 0.1, "um": 0.001}
-_UNIT_SUFFIX = re.compile(r"_(?P<unit>0p1mm|mm|um|m)$", re.IGNORECASE)
+_UNIT_SUFFIX = re.compile(
+    r"(?:^(?!m$)|_)(?P<unit>0[p.]1mm|mm|um|m)$", re.IGNORECASE
+)  # or the whole name, as of a folder
+_MAX_RATIO = 1.6  # to the rest depth within which a unit is suggested: steps of 0.25 mm are no tenths
 _PLAUSIBLE_MM = (5.0, 2000.0)  # range of a median depth: the camera is some centimetres from the membrane
 _N_REFERENCE_FRAMES = 5  # first frames whose median is the reference: its noise is half of that of one frame
 _TIME_KEYS = ("timestamps_s", "time_s", "t_s")
@@ -53,7 +57,7 @@ def read(files: RecordingFiles, options: ReadOptions) -> Recording:
     Raises FileProblem for an array that cannot be read or whose unit is not stated.
     """
     arrays = read_arrays(files.path, "the recording")
-    return _make_recording(files, _stack_arrays(files.path, arrays, options.depth_unit), options)
+    return _make_recording(files, _stack_arrays(files.path, arrays, options), options)
 
 
 def read_image_folder(files: RecordingFiles, options: ReadOptions) -> Recording:
@@ -64,9 +68,10 @@ def read_image_folder(files: RecordingFiles, options: ReadOptions) -> Recording:
         raise FileProblem("the only depth image is the reference", path)
     names = [path.stem] if path.is_file() else [path.name, images[0].stem, images[0].parent.name]
     name = next((n for n in names if unit != "auto" or _UNIT_SUFFIX.search(n)), names[-1])
-    unit = _resolve_unit(name, unit, path)
+    unit = _resolve_unit(name, unit, path, lambda: _read_depth_pixels(images[0]), options.sensor)
     stack = _DepthStack(name, unit, len(images), lambda i: _read_depth_pixels(images[i]), path)
     reference = options.reference or (files.references[0] if files.references else None)
+    stack.times_s = file_names.parse_times_s(images)
     options = ReadOptions(sensor=options.sensor, reference=reference, depth_unit=cast("DepthUnit", unit))
     return _make_recording(files, stack, options)
 
@@ -77,15 +82,15 @@ def read_array_folder(
     """As `read`, from a folder with one array a frame, whose name or that of the folder states the unit."""
     path, images = files.path, files.images
     key = next((n for n in (images[0].stem, path.name) if _UNIT_SUFFIX.search(n)), images[0].stem)
-    unit = _resolve_unit(key, options.depth_unit, path)
 
     def read_raw(index: int) -> NDArray[Any]:
         (image,) = _check_images(read_array(images[index]), images[index].stem, images[index])
         return image
 
-    read_raw(0)
+    first = read_raw(0)
+    unit = _resolve_unit(key, options.depth_unit, path, lambda: first, options.sensor)
     stack = _DepthStack(key, unit, len(images), read_raw, path)
-    stack.times_s = np.array(file_names.parse_times_s(images) or stack.times_s)
+    stack.times_s = file_names.parse_times_s(images)
     return _make_recording(files, stack, options)
 
 
@@ -114,9 +119,9 @@ def _make_recording(files: RecordingFiles, stack: _DepthStack, options: ReadOpti
         about = "one depth image has no reference; name one with --reference"
 
     def frame(index: int) -> TactileFrame:
-        return TactileFrame(sensor=name, image=stack.depth_mm(index), reference=reference, index=index,
-                            time_s=float(stack.times_s[index]), origin=f"{path} [{stack.key} {index}]",
-                            camera=camera)  # fmt: skip
+        time_s = math.nan if stack.times_s is None else float(stack.times_s[index])
+        return TactileFrame(sensor=name, image=stack.depth_mm(index), reference=reference, index=index, time_s=time_s,
+                            origin=f"{path} [{stack.key} {index}]", camera=camera)  # fmt: skip
 
     stream = Stream(name=name, sensor=name, n_frames=n, frame=with_index_check(frame, n, path), times_s=stack.times_s)
     notes = (*files.notes, *notes, escape_text(f"{stack.key} is taken as {stack.unit}"), about, *stack.notes)
@@ -144,8 +149,9 @@ def estimate_reference(depth_mm: Callable[[int], Floats], n_frames: int) -> tupl
 def read_depth_image(path: Path, unit: DepthUnit = "auto") -> Floats:
     """One depth image in mm: the median over all images of an array file, or one 16-bit image."""
     if image_files.is_image_file(path):
-        return _convert_to_mm(_read_depth_pixels(path), _resolve_unit(path.stem, unit, path), path.name, path)
-    stack = _stack_arrays(path, read_arrays(path, "the depth images"), unit)
+        pixels = _read_depth_pixels(path)
+        return _convert_to_mm(pixels, _resolve_unit(path.stem, unit, path, lambda: pixels), path.name, path)
+    stack = _stack_arrays(path, read_arrays(path, "the depth images"), ReadOptions(depth_unit=unit))
     return compute_median_depth(np.stack([stack.depth_mm(i) for i in range(stack.n_frames)]))
 
 
@@ -154,7 +160,7 @@ class _DepthStack:
 
     def __init__(self, key: str, unit: str, n_frames: int, read_raw: Callable[[int], NDArray[Any]], path: Path) -> None:
         self.key, self.unit, self.n_frames, self._read_raw, self.path = key, unit, n_frames, read_raw, path
-        self.times_s: NDArray[Any] = np.full(n_frames, np.nan)
+        self.times_s: Doubles | None = None
         self.camera: Camera | None = None
         self.notes: tuple[str, ...] = ()
 
@@ -162,10 +168,10 @@ class _DepthStack:
         return _convert_to_mm(self._read_raw(index), self.unit, f"{self.key} of frame {index}", self.path)
 
 
-def _stack_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], unit: DepthUnit) -> _DepthStack:
+def _stack_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], options: ReadOptions) -> _DepthStack:
     key = _find_depth_key(arrays, path)
     images = _check_images(arrays[key], key, path)
-    stated_unit = _resolve_unit(key, unit, path)
+    stated_unit = _resolve_unit(key, options.depth_unit, path, lambda: images[0], options.sensor)
     stack = _DepthStack(key, stated_unit, len(images), lambda i: images[i], path)  # pyright: ignore[reportUnknownLambdaType]
     if "K" in arrays:
         if arrays["K"].dtype.kind not in "fiu":
@@ -174,12 +180,18 @@ def _stack_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], unit: DepthUni
             stack.camera = make_camera(arrays["K"], images.shape[1], images.shape[2], what="K")
         except CalibrationError as error:
             raise CalibrationError(f"{error}: '{path}'") from error
-    for name in _TIME_KEYS:
-        if name in arrays and arrays[name].shape == (len(images),) and arrays[name].dtype.kind in "fiu":
-            stack.times_s = freeze(arrays[name].astype(np.float64))
+    stack.times_s = find_times(arrays, len(images))
     unused = sorted(arrays.keys() - {key, "K", "frame", *_TIME_KEYS})
     stack.notes = (f"other arrays of the file are left out: {escape_text(', '.join(unused))}",) if unused else ()
     return stack
+
+
+def find_times(arrays: Mapping[str, NDArray[Any]], n_frames: int) -> Doubles | None:
+    """The times in seconds (n_frames,) among arrays; None where none holds them."""
+    for name in _TIME_KEYS:
+        if name in arrays and arrays[name].shape == (n_frames,) and arrays[name].dtype.kind in "fiu":
+            return freeze(arrays[name].astype(np.float64))
+    return None
 
 
 def _check_images(array: NDArray[Any], key: str, path: Path) -> NDArray[Any]:
@@ -214,15 +226,29 @@ def _find_depth_key(arrays: Mapping[str, NDArray[Any]], path: Path) -> str:
     return candidates[0]
 
 
-def _resolve_unit(key: str, stated: DepthUnit, path: Path) -> str:
+def _resolve_unit(key: str, stated: DepthUnit, path: Path, read: Callable[[], NDArray[Any]], sensor: str = "") -> str:
+    """The stated unit, or that of the name `key`; raises FileProblem with the one that fits where none is stated."""
     if stated != "auto":
         return stated
     match = _UNIT_SUFFIX.search(key)
     if match is None:
+        name = f"name it {key}_mm, {key}_m, {key}_um or {key}_0p1mm"
         raise FileProblem(
-            f"cannot tell the unit of {key!r}; name it {key}_mm or {key}_m, or give --depth-unit", path, field=key
+            f"cannot tell the unit of {key!r}; {_suggest_unit(read(), sensor)}, or {name}", path, field=key
         )
     return match["unit"].lower().replace("0p1mm", "0.1mm")
+
+
+def _suggest_unit(raw: NDArray[Any], sensor: str) -> str:
+    """What to give as --depth-unit: the unit that brings a depth image as stored to the membrane of its sensor."""
+    sensor = sensor or resolve_sensor_name("", raw.shape[:2], is_depth=True)[0]
+    known = raw[np.isfinite(raw) & (raw > 0)]
+    if not sensor or not known.size:
+        return "give --depth-unit"
+    spec, median = load_sensor(sensor), float(np.median(known))
+    rest_mm = float(np.median(spec.rest_depth_mm))
+    fits = [unit for unit, mm in _MM_PER_UNIT.items() if abs(math.log(median * mm / rest_mm)) < math.log(_MAX_RATIO)]
+    return "give --depth-unit" + (f" {fits[0]}, which fits the membrane of {spec.name}" if fits else "")
 
 
 def _convert_to_mm(raw: NDArray[Any], unit: str, what: str, path: Path) -> Floats:

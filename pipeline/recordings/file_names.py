@@ -7,6 +7,10 @@ from decimal import Decimal
 from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
+
+from pipeline.base.arrays import Doubles, freeze
+
 _WHOLE = re.compile(r"((?:^-|(?<=[_\s=,;(@])-)?\d+)")  # a minus follows a separator; between digits it is one itself
 _DECIMAL = re.compile(r"((?:^-|(?<=[_\s=,;(@])-)?\d+(?:\.\d+)?)")
 _UNITS_PER_S = {10: 1, 13: 10**3, 16: 10**6, 19: 10**9}  # whole digits of a Unix time -> of its unit in a second
@@ -54,16 +58,25 @@ def _were_written_in_order(files: Sequence[Path]) -> bool:
     return all(a < b for a, b in pairwise(times_ns))
 
 
-def parse_times_s(files: Sequence[Path]) -> list[float] | None:
+def parse_times_s(files: Sequence[Path]) -> Doubles | None:
     """Times in seconds after the first file, as the names state them; None where they state none that only grow.
 
     Known are Unix times in s, ms, us or ns, whole seconds with nanoseconds after them, dates, and seconds after `t`.
     """
+    return parse_series_times_s({"": files}).get("")
+
+
+def parse_series_times_s(series: Mapping[str, Sequence[Path]]) -> Mapping[str, Doubles]:
+    """As `parse_times_s` for the files of each sensor, after the first file of all; {} unless all series have times."""
     for parse in (_parse_unix_times, _parse_dates, _parse_seconds):
-        times = parse([file.stem for file in files])
-        if len(times) == len(files) > 1 and all(a < b for a, b in pairwise(times)):
-            return [float(t - times[0]) for t in times]
-    return None
+        found = {name: parse([file.stem for file in files]) for name, files in series.items()}
+        if all(
+            len(found[name]) == len(files) > 1 and all(a < b for a, b in pairwise(found[name]))
+            for name, files in series.items()
+        ):
+            start = min(times[0] for times in found.values())
+            return {name: freeze(np.array([float(t - start) for t in times])) for name, times in found.items()}
+    return {}
 
 
 def _parse_unix_times(stems: list[str]) -> list[Decimal]:

@@ -7,7 +7,7 @@ from pathlib import Path
 from pipeline.base.arrays import Floats, Image
 from pipeline.base.errors import FileProblem, SettingProblem, ShapeError, TouchError
 from pipeline.base.files import describe_os_error, require_file
-from pipeline.recordings import depth_arrays, image_files
+from pipeline.recordings import depth_arrays, image_files, reference_estimate
 from pipeline.recordings.folder_contents import PICKLE_REFUSAL, PICKLE_SUFFIXES, find_recording
 from pipeline.recordings.formats import (
     DepthUnit,
@@ -28,15 +28,29 @@ _MAX_NAMES = 3  # in a message
 
 
 def open_recording(
-    path: Path, *, sensor: str = "", stream: str = "", reference: Path | None = None, depth_unit: DepthUnit = "auto"
+    path: Path,
+    *,
+    sensor: str = "",
+    stream: str = "",
+    reference: Path | None = None,
+    reference_frames: str = "",
+    depth_unit: DepthUnit = "auto",
 ) -> Recording:
     """The recording at `path`, a file or a folder; frames are read on demand.
 
     `sensor` names the sensor where the file does not; it overrides the file's own name for the only stream, or for the
-    one that `stream` names. `reference` is an image or depth file without contact, `depth_unit` the unit of depth
-    arrays whose names state none. Raises FileProblem, SettingProblem or CalibrationError.
+    one that `stream` names. `reference` is an image or depth file without contact; `reference_frames` names frames of
+    the stream to make it of: "median", "untouched" or a number. `depth_unit` is the unit of depth arrays whose names
+    state none. Raises FileProblem, SettingProblem or CalibrationError.
     """
-    path, options = Path(path), ReadOptions(sensor=sensor, stream=stream, reference=reference, depth_unit=depth_unit)
+    path, options = (
+        Path(path),
+        ReadOptions(
+            sensor=sensor, stream=stream, reference=reference, reference_frames=reference_frames, depth_unit=depth_unit
+        ),
+    )
+    if reference is not None and reference_frames:
+        raise SettingProblem("a reference is either a file or made of the recording's frames; leave out one of the two")
     mounted = open_mounted(path)
     if mounted is not None:
         return _override(mounted, options)
@@ -52,9 +66,9 @@ def open_recording(
         recording = _read_alternative(recording_format, files, options)
     except OSError as error:
         raise FileProblem(f"cannot read the recording ({describe_os_error(error)})", path) from error
-    if recording_format.applies_options:
-        return recording
-    return _override(replace(recording, notes=(*files.notes, *recording.notes)), options)
+    if not recording_format.applies_options:
+        return _override(replace(recording, notes=(*files.notes, *recording.notes)), options)
+    return _use_own_frames(recording, options)
 
 
 def _read_alternative(recording_format: RecordingFormat, files: RecordingFiles, options: ReadOptions) -> Recording:
@@ -112,13 +126,27 @@ def _override(recording: Recording, options: ReadOptions) -> Recording:
         recording = with_sensor(recording, options.sensor, options.stream)
         file = options.reference
         if file is None:
-            return recording
+            return _use_own_frames(recording, options)
         is_depth = not image_files.is_image_file(file) or depth_arrays.is_depth_image(file)
         image = depth_arrays.read_depth_image(file, options.depth_unit) if is_depth else image_files.read_rgb(file)
         return with_reference(recording, image, file, options.stream)
     except Exception:
         recording.close()
         raise
+
+
+def _use_own_frames(recording: Recording, options: ReadOptions) -> Recording:
+    """The recording with the reference of its own frames that the user chose, for the stream of the user's choice."""
+    if not options.reference_frames:
+        return recording
+    try:
+        stream = recording.stream(options.stream or (load_sensor(options.sensor).name if options.sensor else ""))
+        reference, note = reference_estimate.make_reference(stream, options.reference_frames, recording.path)
+    except Exception:
+        recording.close()
+        raise
+    kept = tuple(note for note in recording.notes if not note.endswith(image_files.NO_REFERENCE_NOTE))
+    return _replace_reference(replace(recording, notes=kept), stream, reference, f"{note}, as chosen")
 
 
 def with_sensor(recording: Recording, sensor: str, stream: str = "") -> Recording:
@@ -154,18 +182,30 @@ def with_reference(recording: Recording, reference: Image | Floats, origin: Path
             f"a reference can be given for one stream, this recording has {len(recording.streams)}; choose it with "
             f"--stream: '{origin}'"
         )
-    changed = recording.stream(stream)
+    return _replace_reference(recording, recording.stream(stream), reference, f"{origin.name} is the reference", origin)
 
+
+def _replace_reference(
+    recording: Recording, changed: Stream, reference: Image | Floats, note: str, origin: Path | None = None
+) -> Recording:
     def replace_reference(frame: TactileFrame) -> TactileFrame:
         if frame.image.shape != reference.shape:
             raise ShapeError(
-                f"the reference has shape {reference.shape} and frame {frame.index} {frame.image.shape}: '{origin}'"
+                f"the reference has shape {reference.shape} and frame {frame.index} {frame.image.shape}: "
+                f"'{origin or recording.path}'"
             )
         return replace(frame, reference=reference)
 
     streams = tuple(_map_frames(s, replace_reference) if s is changed else s for s in recording.streams)
-    return replace(recording, streams=streams,
-                   notes=(*recording.notes, f"{origin.name} is the reference"))  # fmt: skip
+    refresh = recording.refresh
+
+    def refresh_with_reference() -> Recording:
+        assert refresh is not None
+        grown = refresh()
+        return _replace_reference(grown, grown.stream(changed.name), reference, note, origin)
+
+    return replace(recording, streams=streams, notes=(*recording.notes, note),
+                   refresh=None if refresh is None else refresh_with_reference)  # fmt: skip
 
 
 def _replace_sensor(stream: Stream, sensor: str) -> Stream:

@@ -42,6 +42,7 @@ class ReadOptions:
     sensor: str = ""  # name or TOML file; "" = not stated
     stream: str = ""  # name of the stream that sensor and reference are about; "" = the format's choice
     reference: Path | None = None  # image or depth file of the sensor without contact
+    reference_frames: str = ""  # frames of the recording to make the reference of (`reference_estimate`); "" = none
     depth_unit: DepthUnit = "auto"  # of depth arrays whose names state none
 
 

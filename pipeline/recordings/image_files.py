@@ -13,7 +13,7 @@ from pipeline.base.files import read_bytes
 from pipeline.base.native_stderr import silence_native_libraries
 from pipeline.recordings.formats import IMAGE_SUFFIXES
 
-NO_REFERENCE_NOTE = "no reference image was found; name one with --reference"
+NO_REFERENCE_NOTE = "no reference image was found; name one with --reference, or make one with --reference-frames"
 _REFERENCE_STEM = re.compile(
     r"^(background|bg|ref|reference|untouched|undeformed)([\W_\d].*)?$"
     r"|^[a-z]+[\W_](background|bg|ref|reference|untouched|undeformed)$",  # left_background

@@ -4,11 +4,12 @@ import math
 import os
 import re
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from pipeline.base.arrays import Floats, Image
+from pipeline.base.arrays import Doubles, Floats, Image
 from pipeline.base.errors import FileProblem, SettingProblem, escape_text
 from pipeline.recordings import file_names, image_files
 from pipeline.recordings.formats import ReadOptions, RecordingFiles, with_index_check
@@ -48,19 +49,27 @@ def read(files: RecordingFiles, options: ReadOptions) -> Recording:
     groups = file_names.split_sensors(images) if path.is_dir() else {}
     if not groups:
         _require_one_light(file_names.find_subseries(images), path)
-        stream, about = _read_series("", images, files.references, path, options)
+        times_s = file_names.parse_times_s(images)
+        stream, about = _read_series("", images, files.references, path, options, times_s)
         streams = (stream,)
     else:
-        if options.reference is not None:
+        asked = options.stream if options.stream in groups else ""
+        if options.reference is not None and not asked:
             raise SettingProblem(
                 f"a reference can be given for one sensor, and the names of the images tell {len(groups)} apart "
-                f"({', '.join(groups)}): open a folder of one of them, or name the references "
+                f"({', '.join(groups)}): choose one with --stream, or name the references "
                 f"{', '.join(f'background_{name}' for name in groups)}"
             )
-        paired = file_names.select_common_numbers(groups)
+        times = file_names.parse_series_times_s(groups)
+        paired = groups if times else file_names.select_common_numbers(groups)
         n_alone = len(images) - sum(map(len, paired.values()))
-        made = [_read_series(name, paired[name], _select_references(name, groups, files.references), path, options)
-                for name in groups]  # fmt: skip
+        made = [
+            _read_series(
+                name, paired[name], _select_references(name, groups, files.references), path,
+                options if name == asked else replace(options, reference=None), times.get(name),
+            )
+            for name in groups
+        ]  # fmt: skip
         streams = tuple(stream for stream, _ in made)
         about = tuple(f"{stream.name}: {note}" for stream, own in made for note in own)
         notes += (f"the names of the images tell {len(groups)} sensors apart: {', '.join(groups)}",)
@@ -70,7 +79,7 @@ def read(files: RecordingFiles, options: ReadOptions) -> Recording:
 
 
 def _read_series(
-    name: str, images: list[Path], references: Sequence[Path], path: Path, options: ReadOptions
+    name: str, images: list[Path], references: Sequence[Path], path: Path, options: ReadOptions, times_s: Doubles | None
 ) -> tuple[Stream, tuple[str, ...]]:
     """The images of one sensor as a stream, and notes; `name` tells it from others, "" where it is alone."""
     reference_file = options.reference or next(iter(references), None)
@@ -100,14 +109,13 @@ def _read_series(
         lambda: _read_first(images),
         file_names=[p.stem for p in images],
     )
-    times_s = file_names.parse_times_s(images)
 
     def frame(index: int) -> TactileFrame:
-        time_s = math.nan if times_s is None else times_s[index]
+        time_s = math.nan if times_s is None else float(times_s[index])
         return converter.make_frame(read_raw(index), index, str(images[index]), time_s)
 
     stream = Stream(name=name or converter.sensor or "images", sensor=converter.sensor, n_frames=len(images),
-                    frame=with_index_check(frame, len(images), path))  # fmt: skip
+                    frame=with_index_check(frame, len(images), path), times_s=times_s)  # fmt: skip
     about = () if times_s is None else ("the times are those in the names of the files",)
     if converter.implied_reference is not None:
         return stream, (*converter.notes, *about)

@@ -31,6 +31,7 @@ _SCHEMAS = frozenset({
 })  # fmt: skip
 _VIDEO = "CompressedVideo"  # end of the names of video schemas
 _NS_PER_S = 10**9
+_MAX_STEPS_BACK = 10  # frames by which an image may be written too late; more is a clock that was set back
 _MAX_CLOCK_GAP_NS = 10 * _NS_PER_S  # by which header and log times of two topics may differ; more is two clocks
 
 
@@ -179,7 +180,16 @@ def _tells_times(times_ns: Sequence[int]) -> bool:
 def _has_stamps(images: Sequence[_StampedImage]) -> bool:
     """Whether all headers tell their time; a clock may begin at 0, which else means "not set"."""
     stamps_ns = [image.stamp_ns for image in images]
-    return _tells_times(stamps_ns) and stamps_ns.count(0) < 2
+    return _tells_times(stamps_ns) and stamps_ns.count(0) < 2 and not _is_set_back(images)
+
+
+def _is_set_back(images: Sequence[_StampedImage]) -> bool:
+    """Whether the clock of the headers was set back while that of the log went on."""
+    if len(images) < 2 or not _tells_times([image.message.log_time_ns for image in images]):
+        return False
+    written = sorted(images, key=lambda image: (image.message.log_time_ns, image.message.sequence))
+    steps_ns = np.diff([image.stamp_ns for image in written])
+    return bool(steps_ns.min() < -_MAX_STEPS_BACK * np.median(np.abs(steps_ns)))
 
 
 def _choose_times(topics: Mapping[str, Sequence[_StampedImage]]) -> tuple[dict[str, dict[int, int]], tuple[str, ...]]:
@@ -192,6 +202,8 @@ def _choose_times(topics: Mapping[str, Sequence[_StampedImage]]) -> tuple[dict[s
     notes: tuple[str, ...] = ()
     if has_stamps and not is_one_clock:
         notes = ("the headers of the topics are of different clocks, so the times at which they were written are used",)
+    if has_logs and any(map(_is_set_back, topics.values())):
+        notes = ("the clock of the headers was set back, so the times at which images were written are used",)
     if has_stamps and is_one_clock:
         chosen = stamps
     elif has_logs:

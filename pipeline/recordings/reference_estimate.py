@@ -1,22 +1,61 @@
-"""A reference image where a recording has none or a bad one: the median of images with touches at different places."""
+"""A reference where a recording has none or a bad one, made of its own frames.
+
+It is the median of frames with touches at different places, that of the frames without contact, or one frame.
+"""
 
 import contextlib
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from pipeline.base.arrays import Image, freeze
-from pipeline.base.errors import FileProblem
+from pipeline.base.arrays import Floats, Image, freeze
+from pipeline.base.errors import FileProblem, SettingProblem
 from pipeline.base.files import open_atomic, require_file, require_separate
 from pipeline.base.progress import SILENT, Progress
+from pipeline.recordings.depth_arrays import compute_median_depth
 from pipeline.recordings.folder_contents import find_recording
 from pipeline.recordings.formats import RecordingFiles, get_format
 from pipeline.recordings.image_files import is_image_file, read_rgb
+from pipeline.recordings.reference_images import denoise_reference, find_untouched_reference, read_until_damaged
 from pipeline.recordings.video import VideoDecoder
+from pipeline.values.frames import Stream
 
 _MAX_BYTES = 400_000_000  # of all images together
 _MAX_IMAGES, _MIN_IMAGES = 101, 3
+MEDIAN, UNTOUCHED = "median", "untouched"  # of all frames, of those without contact
+
+
+def make_reference(stream: Stream, frames: str, path: Path) -> tuple[Image | Floats, str]:
+    """(reference, note) of a stream's own frames: `MEDIAN`, `UNTOUCHED` or a frame number.
+
+    Raises FileProblem, and SettingProblem where `frames` is none of these.
+    """
+
+    def read(index: int) -> NDArray[Any]:
+        return stream.frame(index).image
+
+    if frames == MEDIAN:
+        image, n_images = _stack_median(stream.n_frames, read, path, SILENT)
+        return image, f"the median of {n_images} frames is the reference; check that it shows no touch"
+    if frames == UNTOUCHED:
+        if read(0).ndim == 2:
+            raise SettingProblem("untouched frames are detected in colour images; take the median or a frame by number")
+        image, n_images = find_untouched_reference(read, stream.n_frames)
+        return image, f"the median of {n_images} frames with least contact is the reference"
+    if not frames.isdecimal() or int(frames) >= stream.n_frames:
+        raise SettingProblem(
+            f"a reference is made of the {MEDIAN!r}, of {UNTOUCHED!r} frames or of a frame from 0 to "
+            f"{stream.n_frames - 1}, got {frames!r}"
+        )
+    image, n_averaged = read(int(frames)), 0
+    if image.ndim == 3:
+        following = read_until_damaged(read, range(int(frames) + 1, stream.n_frames))
+        image, n_averaged = denoise_reference(image, following)
+    alike = f", as the median with the {n_averaged} alike ones after it," if n_averaged else ""
+    return image, f"frame {int(frames)}{alike} is the reference"
 
 
 def write_reference(recording: Path, out: Path, progress: Progress = SILENT) -> tuple[Image, int]:
@@ -53,8 +92,10 @@ def _compute_median(files: RecordingFiles, progress: Progress) -> tuple[Image, i
         video.close()
 
 
-def _stack_median(n: int, read: Callable[[int], Image], path: Path, progress: Progress) -> tuple[Image, int]:
-    def read_each(indices: Iterable[int]) -> Iterator[Image]:
+def _stack_median(
+    n: int, read: Callable[[int], NDArray[Any]], path: Path, progress: Progress
+) -> tuple[NDArray[Any], int]:
+    def read_each(indices: Iterable[int]) -> Iterator[NDArray[Any]]:
         for index in indices:
             progress.step(index / n, f"image {index}")
             with contextlib.suppress(FileProblem):  # the report of the recording names it
@@ -68,4 +109,6 @@ def _stack_median(n: int, read: Callable[[int], Image], path: Path, progress: Pr
     stack = [image for image in read_each(chosen) if image.shape == first.shape]
     if len(stack) < _MIN_IMAGES:
         raise FileProblem(f"a median needs {_MIN_IMAGES} images of one size, there are {len(stack)}", path)
+    if first.ndim == 2:
+        return compute_median_depth(np.stack(stack)), len(stack)
     return freeze(np.median(np.stack(stack), axis=0).round().astype(np.uint8)), len(stack)

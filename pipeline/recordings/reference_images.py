@@ -31,6 +31,10 @@ _MAX_CANDIDATES, _N_BRIGHTNESS = 16, 5  # frames compared with the first: seekin
 _BRIGHT_RATIO, _DARK_RATIO = 0.92, 0.6  # of the brightness of most blocks to that of later frames
 _RISE = 0.03  # of this ratio from frame to frame, while a camera starts that is not dark
 _BLACK_GREY = 4.0  # grey level of a block that says nothing of the brightness
+_WHITE_GREY, _WHITE_SHARE = (
+    250.0,
+    0.05,
+)  # grey level of a saturated block; more of them than usual, beyond a touch's glare
 
 
 def compute_block_means(image: NDArray[np.generic], n_along: int) -> Floats:
@@ -65,8 +69,23 @@ def find_first_reference(read: Callable[[int], Image], n_frames: int) -> tuple[I
     return reference, start, n_averaged
 
 
+def find_untouched_reference(read: Callable[[int], Image], n_frames: int) -> tuple[Image, int]:
+    """(median of the frames that are like the one with least contact, their number), of some over the recording.
+
+    Raises FileProblem where no frame can be read.
+    """
+    start = find_bright_start(read, n_frames)
+    first, *later = [*sample_frames(read, n_frames, first=start)] or [(start, read(start))]
+    chosen, image = select_reference_frame(first[1], later) or first
+    blocks = compute_block_means(image, _BLOCKS_ALONG)
+    alike = (other for index, other in (first, *later)
+             if index != chosen and other.shape == image.shape and _are_alike(other, blocks))  # fmt: skip
+    reference, n_averaged = denoise_reference(image, alike)
+    return reference, n_averaged + 1
+
+
 def find_bright_start(read: Callable[[int], Image], n_frames: int) -> int:
-    """The first frame that is as bright as most: a camera may start black, or expose longer and longer.
+    """The first frame that is as bright as most: a camera may start black or overexposed, or expose longer and longer.
 
     A touch changes the brightness of some blocks, a gain that of all.
     """
@@ -78,6 +97,8 @@ def find_bright_start(read: Callable[[int], Image], n_frames: int) -> int:
     for index, image in _read_each(read, range(n_frames)):
         blocks = compute_block_means(image, _BLOCKS_ALONG)
         ratio = _compute_brightness_ratio(blocks, usual) if blocks.shape == usual.shape else 0.0
+        if ratio >= _BRIGHT_RATIO and (blocks >= _WHITE_GREY).mean() > (usual >= _WHITE_GREY).mean() + _WHITE_SHARE:
+            continue
         if ratio >= _BRIGHT_RATIO:
             return index
         if index and before > _DARK_RATIO and ratio < before + _RISE:
@@ -115,7 +136,7 @@ def describe_first_reference(name: Callable[[int], str], start: int, n_averaged:
     """The note on a reference of the first frames, or of those after dark ones; `name` names a frame."""
     which = name(start) if not n_averaged else f"the median of {name(start)} to {name(start + n_averaged)}, all alike,"
     dark = "the frame before is" if start == 1 else f"the {start} frames before are"
-    why = f"; {dark} darker, as of a camera that starts" if start else ""
+    why = f"; {dark} darker or overexposed, as of a camera that starts" if start else ""
     return f"{which} is taken as the reference{why}"
 
 

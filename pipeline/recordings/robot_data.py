@@ -11,6 +11,7 @@ import re
 import stat
 from bisect import bisect_right
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import accumulate
 from pathlib import Path
 from typing import Any, Never
@@ -26,6 +27,7 @@ from pipeline.recordings.colour_layouts import ImageStack
 from pipeline.recordings.encoded_images import decode_rgb
 from pipeline.recordings.file_names import natural_sort_key
 from pipeline.recordings.formats import ReadOptions, RecordingFiles
+from pipeline.recordings.image_files import read_rgb
 from pipeline.values.frames import Recording, Stream
 
 _TACTILE = re.compile(r"tactile|touch|digit|gel|finger(?!_joint)|bubble", re.IGNORECASE)  # in the name of a camera
@@ -118,19 +120,29 @@ def read_zarr(files: RecordingFiles, options: ReadOptions) -> Recording:
 def _make_streams(
     cameras: Mapping[str, Sequence[ImageStack]], path: Path, options: ReadOptions, n_episodes: int = 1
 ) -> tuple[tuple[Stream, ...], tuple[str, ...]]:
-    chosen = [camera for camera in cameras if _TACTILE.search(camera)]
+    chosen = [camera for camera in cameras if _TACTILE.search(camera) or camera == options.stream]
     if not chosen and len(cameras) == 1:
         chosen = list(cameras)
     if not chosen:
         raise FileProblem(
-            f"none of the cameras is named after touch ({', '.join(sorted(cameras))}); name the sensor's tactile_... "
-            "in the file, or export its images with numpy.save",
+            f"none of the cameras is named after touch ({', '.join(sorted(cameras))}); choose the sensor's with "
+            "--stream",
             path,
+        )
+    asked = options.stream if options.stream in chosen else chosen[0] if len(chosen) == 1 else ""
+    if options.reference is not None and not asked:
+        raise SettingProblem(
+            f"a reference can be given for one camera; choose it with --stream ({', '.join(chosen)}): '{path}'"
         )
     streams, notes = list[Stream](), list[str]()
     for camera in chosen:
         stack = _join_episodes(camera, cameras[camera], path)
-        stream, about = make_array_stream(stack, camera, path, options, name=escape_text(camera))
+        own = options if asked in ("", camera) else replace(options, sensor="", reference=None)
+        stream, about = make_array_stream(
+            stack, camera, path, own, name=escape_text(camera),
+            reference=None if own.reference is None else read_rgb(own.reference),
+            about="" if own.reference is None else f"{own.reference.name} is the reference",
+        )  # fmt: skip
         streams.append(stream)
         notes += [f"{stream.name}: {note}" if len(chosen) > 1 else note for note in about]
     left_out = sorted(cameras.keys() - set(chosen))

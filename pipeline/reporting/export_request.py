@@ -19,7 +19,8 @@ SHEET, SOURCE = "sheet", "source"  # panes that are no stages: all of them side 
 PaneContent = Literal["computed", "truth", "difference"]
 _DISPLAY = "display."
 _OPTIONS = {  # field of a request -> option of the command line
-    "source": "--sensor", "stream": "--stream", "reference": "--reference", "calibration": "--calibration",
+    "source": "--sensor", "stream": "--stream", "reference": "--reference",
+    "reference_frames": "--reference-frames", "calibration": "--calibration",
     "route": "--route", "mesh": "--mesh", "mesh_unit": "--mesh-unit", "depth_unit": "--depth-unit",
     "alignment": "--alignment",
 }  # fmt: skip

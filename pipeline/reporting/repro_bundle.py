@@ -198,7 +198,8 @@ def _copy_inputs(translation: Translation, part: Path) -> Request:
     save_alignment(part / "alignment.toml", aligned)
     weights = tuple((stage, _copy(file, part / f"weights_{stage}{file.suffix}")) for stage, file in request.weights)
     return replace(
-        request, recording=part / "frame.h5", reference=None, alignment=part / "alignment.toml", offsets=Offsets(),
+        request, recording=part / "frame.h5", reference=None, reference_frames="",
+        alignment=part / "alignment.toml", offsets=Offsets(),
         source=_sensor(request.source or source, part / "source.toml"),
         target=_sensor(request.target or target, part / "target.toml"), stream=translation.stream.name,
         mesh=None if request.mesh is None else _copy_mesh(request.mesh, part),

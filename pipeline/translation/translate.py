@@ -51,6 +51,7 @@ class Request:
     route: str = "t2d2"
     methods: tuple[tuple[str, str], ...] = ()  # (stage, method) in place of the route's own
     reference: Path | None = None
+    reference_frames: str = ""  # of the recording to make the reference of: "median", "untouched" or a number
     calibration: Path | None = None
     mesh: Path | None = None
     mesh_unit: str = "auto"
@@ -270,7 +271,7 @@ def open_translation(request: Request, catalogue: Catalogue = BUILT_IN) -> Trans
     target = load_sensor(request.target)
     recording = open_recording(
         request.recording, sensor=request.source, stream=request.stream, reference=request.reference,
-        depth_unit=request.depth_unit,
+        reference_frames=request.reference_frames, depth_unit=request.depth_unit,
     )  # fmt: skip
     try:
         return _open_with(recording, request, target, methods, catalogue)

@@ -86,6 +86,17 @@ def test_headers_of_two_clocks_are_not_mixed(tmp_path):
     assert any("different clocks" in note for note in notes)
 
 
+@pytest.mark.parametrize("back_ns", [10**9, 3600 * 10**9])
+def test_a_clock_that_is_set_back_leaves_the_order_in_which_images_were_written(tmp_path, back_ns):
+    images = draw(20)
+    rows = [(START_NS + k * STEP_NS, raw(image, START_NS + k * STEP_NS - back_ns * (k > 9)))
+            for k, image in enumerate(images)]  # fmt: skip
+    got, times, notes = read_all(write_ros(tmp_path / "a.mcap", {"/tactile": rows}))
+    np.testing.assert_array_equal(got, images)
+    assert times == pytest.approx([0.033 * k for k in range(20)])
+    assert any("the clock of the headers was set back" in note for note in notes)
+
+
 def test_a_wrong_checksum_is_noticed(tmp_path):
     """Of a chunk: its images are left out, the others are right; of the whole file: it is refused."""
     images = draw(240)  # in several chunks

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from pipeline.base.errors import FileProblem, SettingProblem
 from pipeline.recordings import open_recording
 from pipeline.recordings.file_names import parse_times_s, sort_series, split_sensors
+from pipeline.values.pairing import NO_PARTNER, pair_frames
 
 START_S = 1744664892.05
 
@@ -105,8 +106,40 @@ def test_each_of_two_sensors_has_its_own_reference(tmp_path: Path, touches):
             save(tmp_path / f"{name}_{i}.png", (image * share).astype(np.uint8))
     left, right = open_recording(tmp_path).streams
     assert left.frame(9).reference.mean() == pytest.approx(2 * right.frame(9).reference.mean(), rel=0.02)
-    with pytest.raises(SettingProblem, match="left, right"):
+    with pytest.raises(SettingProblem, match=r"left, right\): choose one with --stream"):
         open_recording(tmp_path, reference=tmp_path / "left_background.png")
+    left, right = open_recording(tmp_path, reference=tmp_path / "left_background.png", stream="right").streams
+    assert np.array_equal(right.frame(9).reference, touches.reference), "the named one's"
+    assert left.frame(9).reference.mean() == pytest.approx(touches.reference.mean(), rel=0.02), "its own"
+
+
+@pytest.mark.parametrize("lost", [0, 5])
+def test_two_sensors_of_one_folder_are_paired_by_the_times_in_their_names(tmp_path: Path, touches, lost: int):
+    other, indices = touches.images[::-1] // 2, range(len(touches.images))
+    for i in indices:
+        save(tmp_path / f"left_{round(START_S + 0.125 * i, 6)!r}.png", touches.images[i])
+        if i != lost:
+            save(tmp_path / f"right_{round(START_S + 0.125 * i + 0.02, 6)!r}.png", other[i])
+    left, right = open_recording(tmp_path).streams
+    partners = pair_frames(left, right).partners.tolist()
+    assert partners == [NO_PARTNER if i == lost else i - (i > lost) for i in indices]
+    assert all(np.array_equal(right.frame(partners[i]).image, other[i]) for i in indices if i != lost)
+    assert "1 of left have no partner" in pair_frames(left, right).note
+
+
+def test_arrays_and_depth_images_have_the_times_of_their_names(tmp_path: Path, touches):
+    depth = np.full((140, 175), 754, np.uint16)
+    for i in range(4):
+        (tmp_path / "colour").mkdir(exist_ok=True)
+        np.save(tmp_path / "colour" / f"{1744664892000 + 125 * i}.npy", touches.images[i])
+        save_depth = tmp_path / "depth_0p1mm" / f"{1744664892000 + 125 * i}.png"
+        save_depth.parent.mkdir(exist_ok=True)
+        assert cv2.imwrite(str(save_depth), depth)
+    np.savez(tmp_path / "a.npz", frames=touches.images[:4], timestamps_s=0.125 * np.arange(4))
+    for name in ("colour", "depth_0p1mm", "a.npz"):
+        (stream,) = open_recording(tmp_path / name).streams
+        assert stream.times_s.tolist() == pytest.approx([0.0, 0.125, 0.25, 0.375])
+        assert stream.frame(2).time_s == pytest.approx(0.25)
 
 
 def test_series_in_another_light_are_refused_with_both_names(tmp_path: Path, touches):

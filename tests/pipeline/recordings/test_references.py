@@ -91,7 +91,10 @@ def test_a_video_that_begins_without_contact_keeps_its_first_frames_when_the_lig
 START = [np.zeros_like(STILL)] * 2 + [np.rint(STILL * gain).astype(np.uint8) for gain in (0.3, 0.6, 0.85)]
 
 
-@pytest.mark.parametrize("dark", [START, START[:2], START[2:3] * 3, START[3:]])
+OVEREXPOSED = [np.clip(STILL * 3.0, 0, 255).astype(np.uint8)] * 3
+
+
+@pytest.mark.parametrize("dark", [START, START[:2], START[2:3] * 3, START[3:], OVEREXPOSED])
 @pytest.mark.parametrize("is_film", [False, True])
 def test_the_dark_frames_of_a_camera_that_starts_are_no_reference(film, tmp_path, dark, is_film: bool):
     _, touch, _ = press("gelsight_mini", depth_mm=0.5)

@@ -12,7 +12,7 @@ import h5py
 import numpy as np
 import pytest
 
-from pipeline.base.errors import FileProblem
+from pipeline.base.errors import FileProblem, SettingProblem
 from pipeline.recordings import open_recording
 
 
@@ -54,8 +54,22 @@ def test_cameras_of_act_are_read_plain_and_encoded(tmp_path: Path, touches, how:
 def test_cameras_that_name_no_touch_are_not_guessed_among(tmp_path: Path, touches):
     with h5py.File(tmp_path / "a.hdf5", "w") as file:
         file["observations/images/front"] = file["observations/images/wrist"] = touches.images
-    with pytest.raises(FileProblem, match="named after touch \\(front, wrist\\)"):
+    with pytest.raises(FileProblem, match="named after touch \\(front, wrist\\); choose the sensor's with --stream"):
         open_recording(tmp_path / "a.hdf5")
+    (stream,) = open_recording(tmp_path / "a.hdf5", stream="wrist", sensor="gelslim").streams
+    assert (stream.name, stream.sensor) == ("wrist", "gelslim")
+
+
+def test_a_reference_is_of_the_camera_that_the_user_names(tmp_path: Path, touches):
+    with h5py.File(tmp_path / "a.hdf5", "w") as file:
+        for camera in ("tactile_left", "tactile_right"):
+            file[f"data/demo_0/obs/{camera}"] = touches.images
+    assert cv2.imwrite(str(tmp_path / "r.png"), np.full_like(touches.images[0], 77))
+    with pytest.raises(SettingProblem, match=r"choose it with --stream \(tactile_left, tactile_right\)"):
+        open_recording(tmp_path / "a.hdf5", reference=tmp_path / "r.png")
+    recording = open_recording(tmp_path / "a.hdf5", reference=tmp_path / "r.png", stream="tactile_right")
+    assert (recording.stream("tactile_right").frame(0).reference == 77).all()
+    assert not (recording.stream("tactile_left").frame(0).reference == 77).all()
 
 
 def test_an_hdf5_file_that_points_outside_itself_shows_nothing_of_it(tmp_path: Path, touches):

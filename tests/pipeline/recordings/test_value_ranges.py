@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
-from pipeline.base.errors import FileProblem
+from pipeline.base.errors import FileProblem, SettingProblem
 from pipeline.previews.preview import DisplayParams, make_frame_preview
 from pipeline.recordings import open_recording
 from pipeline.sensors.spec import load_sensor
@@ -147,3 +148,30 @@ def test_images_of_floats_and_16_bits_say_what_they_are(tmp_path: Path, image, w
         open_recording(tmp_path / "a.tiff")
     if image.ndim == 2:
         assert open_recording(tmp_path / "a.tiff", depth_unit="mm").streams[0].frame(0).image[0, 0] == 80.0
+
+
+@pytest.mark.parametrize(("folder", "step_mm"), [("touch", 0.1), ("touch", 1.0), ("0.1mm", 0.1), ("mm", 1.0)])
+def test_the_unit_of_a_depth_folder_is_its_name_or_the_one_that_the_message_names(tmp_path, folder, step_mm):
+    """What fits the membrane is named, and works when it is given."""
+    (tmp_path / folder).mkdir()
+    for i in range(3):
+        image = np.full((140, 175), round(75.4 / step_mm), np.uint16)
+        assert cv2.imwrite(str(tmp_path / folder / f"{i}.png"), image)
+    unit = "auto"
+    if folder == "touch":
+        with pytest.raises(FileProblem, match="cannot tell the unit of 'touch'") as caught:
+            open_recording(tmp_path / folder)
+        unit = re.search(r"give --depth-unit (\S+), which fits the membrane of soft_bubble", str(caught.value))[1]
+    frame = open_recording(tmp_path / folder, depth_unit=unit).stream().frame(0)
+    assert frame.image == pytest.approx(75.4, abs=0.5)
+
+
+def test_a_reference_is_of_the_sensor_of_an_array_that_the_user_names(tmp_path, touches):
+    np.savez(tmp_path / "a.npz", tactile=np.stack([touches.images, touches.images[::-1]], axis=1))
+    reference = tmp_path / "r.png"
+    assert cv2.imwrite(str(reference), np.full_like(touches.images[0], 77))
+    with pytest.raises(SettingProblem, match="choose one with --stream, by the name"):
+        open_recording(tmp_path / "a.npz", reference=reference)
+    first, second = open_recording(tmp_path / "a.npz", reference=reference, stream="gelslim_1").streams
+    assert (second.frame(0).reference == 77).all()
+    assert not (first.frame(0).reference == 77).all()
