@@ -39,5 +39,6 @@ class ReferenceController(QObject):
         }  # fmt: skip
         for name, is_chosen in chosen.items():
             self._actions[name].setChecked(is_chosen)
-            self._actions[name].setEnabled(session.recording is not None)
+            # a file may be chosen before the recording that it is for
+            self._actions[name].setEnabled(name == "open_reference" or session.recording is not None)
         self._actions["reference_untouched"].setVisible(opened is None or opened.source.kind == "gel")
