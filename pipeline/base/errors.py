@@ -140,6 +140,13 @@ class ChangeNote(str):
     """A note of how far a network's result is from physics; the window shows it as a badge."""
 
 
+class UncertainContact(StageWarning):
+    """A warning that a frame without a measured contact may have one."""
+
+
+UNCERTAIN_CONTACT = UncertainContact(
+    "the image has changed; a light, large touch would look the same: add an untouched frame as the reference"
+)
 AT_BORDER = StageWarning("the contact reaches the image border: the part beyond is missing")
 
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from pipeline.base.arrays import Floats, Image, Mask, freeze
 from pipeline.stages.depth.contact import fill_holes
-from pipeline.stages.depth.drift import compute_block_means
+from pipeline.stages.depth.gel.rest import compute_block_means
 
 _BLOCK_PX = 8  # width of the blocks that changes are averaged over
 _LOW_SHARE = 0.35  # of the no-touch limit: a touched region extends down to this change
@@ -17,6 +17,7 @@ _SMOOTHING_BLOCKS = 1.2  # standard deviation in blocks: a touch is smooth over 
 _NOISE_FACTOR = 16.0  # times the noise: untouched frames of a dithered film reach 15, its touches 16 to 100
 _BLOCKS_MIN = 40  # along the longer side, for the estimate of noise
 _MARGIN_MM = 2.0  # around the visible change: the gel relaxes to rest within about this distance
+_DENT_SHARE = 0.25  # of the deepest point: the part of a coarse dent that is surely indented
 _BLEND_SHARE = 0.5  # share of the margin over which the surface is blended to rest
 
 
@@ -79,6 +80,18 @@ def detect_change(image: Image, reference: Image, no_touch_grey: float, pixel_mm
     # A flat face changes no colours, but is indented: what a touch encloses belongs to it.
     touched = fill_holes(strong[regions])
     return grow_to_window(touched, image.shape[:2], pixel_mm)
+
+
+def detect_press(image: Image, reference: Image, no_touch_grey: float, pixel_mm: float, dent_mm: Floats) -> ImageWindow:
+    """The window of a press: around its changes, or, where none stands out, around its coarse dent (rows, cols)."""
+    import cv2
+
+    window = detect_change(image, reference, no_touch_grey, pixel_mm)
+    if window is not None:
+        return window
+    blocks = tuple(max(1, n // _BLOCK_PX) for n in image.shape[1::-1])
+    dent = np.asarray(cv2.resize(dent_mm, blocks, interpolation=cv2.INTER_LINEAR))
+    return grow_to_window(dent >= _DENT_SHARE * dent.max(), image.shape[:2], pixel_mm)
 
 
 def _compare_with_noise(image: Image, reference: Image, shape: tuple[int, ...]) -> Floats:

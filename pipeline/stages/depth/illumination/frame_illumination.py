@@ -55,7 +55,7 @@ def estimate_illumination(
         of_recording = fit_recording(frame.context_frames, reference, source, calibration, progress)
         if of_recording is not None:
             return of_recording
-        changed = detect_changed_image(image, reference, source, calibration)
+        changed = detect_changed_image(image, reference, source, calibration, frame.context_frames)
         if changed is None:
             return selection.DESCRIBED
         _, cells = changed.patches
@@ -85,7 +85,7 @@ def fit_recording(
     )
 
     def fit() -> Illumination:
-        changed = [detect_changed_image(image, reference, source, calibration) for image in touches]
+        changed = [detect_changed_image(image, reference, source, calibration, touches) for image in touches]
         observations = [observe_leds(one, progress) for one in changed if one is not None]
         if len(observations) < _MIN_CONTEXT_TOUCHES:
             return selection.DESCRIBED

@@ -22,6 +22,7 @@ from pipeline.base.arrays import Doubles, Floats, Image, freeze
 from pipeline.base.errors import StageWarning
 from pipeline.base.memo import Memo
 from pipeline.engine.digests import compute_cached_digest
+from pipeline.stages.depth.gel.change import Change
 
 _BLOCKS_ALONG = 54  # blocks along the longer side: more do not improve the fit of smooth changes
 _BLOCK_MIN_PX = 8
@@ -78,7 +79,7 @@ class Drift:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class DriftedReference:
+class Rest:
     """A reference with the drift of a later image applied."""
 
     image: Floats  # (rows, cols, 3) grey levels
@@ -96,48 +97,42 @@ class _Blocks:
     by_y: Floats
 
 
-def apply_estimated_drift(image: Image, reference: Image) -> DriftedReference:
-    """The reference (rows, cols, 3) with the light and position of `image`, as far as its untouched parts show them."""
-    return _drifted_references.get_or_make(
-        (compute_cached_digest(image), compute_cached_digest(reference)), lambda: _estimate(image, reference)
-    )
-
-
-_drifted_references: Memo[tuple[str, str], DriftedReference] = Memo(
-    2
-)  # the check for contact and the stage need the same
-
-
-def _estimate(image: Image, reference: Image) -> DriftedReference:
-    drift, foreign = fit_drift(image, reference)
+def estimate_rest(image: Image, reference: Image, change: Change) -> Rest:
+    """The reference (rows, cols, 3) in the light and place of `image`, as far as what no dent explains shows them."""
+    drift, foreign = fit_drift(image, reference, change.dent_grey)
     warning = StageWarning(
         "most of the image differs from the reference, so depth may be wrong: record a new reference of this sensor"
     )
     notes: tuple[str, ...] = (warning,) if foreign else ()
     if drift is None:
-        return DriftedReference(
-            image=freeze(reference.astype(np.float32)), image_8bit=reference, drift=None, notes=notes
-        )
+        return Rest(image=freeze(reference.astype(np.float32)), image_8bit=reference, drift=None, notes=notes)
     picture = apply_drift(reference, drift)
     grey = np.clip(np.rint(picture), 0, 255).astype(np.uint8)
-    return DriftedReference(image=freeze(picture), image_8bit=freeze(grey), drift=drift, notes=notes + drift.notes)
+    return Rest(image=freeze(picture), image_8bit=freeze(grey), drift=drift, notes=notes + drift.notes)
 
 
-def describe_no_contact(still: DriftedReference) -> str:
+def describe_no_contact(still: Rest) -> str:
     """The note for a frame without change after the drift is removed."""
     if still.drift is not None and still.drift.notes:
         return "nothing touches the sensor, or a level face larger than the view"
     return "nothing touches the sensor"
 
 
-def fit_drift(image: Image, reference: Image) -> tuple[Drift | None, bool]:
-    """(drift from `reference` to `image` to remove, None if unknown; whether they may be of two sensor instances)."""
+def fit_drift(image: Image, reference: Image, dent_grey: Floats | None = None) -> tuple[Drift | None, bool]:
+    """(drift from `reference` to `image` to remove, None if unknown; whether they may be of two sensor instances).
+
+    `dent_grey` (rows, cols, 3) of any blocks is the change by a dent, which is no drift.
+    """
+    import cv2
+
     block = max(_BLOCK_MIN_PX, round(max(image.shape) / _BLOCKS_ALONG))
     if min(image.shape[:2]) < 4 * block:
         return None, False
     now, still = compute_block_means(image, block), _references.get_or_make(
         (compute_cached_digest(reference), block), lambda: _make_blocks(reference.astype(np.float32), block)
     )  # fmt: skip
+    if dent_grey is not None and dent_grey.any():
+        now = now - cv2.resize(dent_grey, now.shape[1::-1], interpolation=cv2.INTER_LINEAR)
     residual = now - still.mean.reshape(now.shape)
     change, agrees = np.abs(residual).max(axis=2), _compute_agreement_grey(residual)
     foreign = float(np.percentile(change, 25)) > _FOREIGN_GREY

@@ -1,0 +1,199 @@
+"""Press or drift? Two explanations of the same coarse colour change, compared by their likelihood.
+
+    drift   dI_c = g_c R_c + b_c + r_c . (u, v) - s . grad R_c      gain, offset and ramp of each colour c, shift s
+    light   drift, and a smooth field of light, nearly of one colour (a spot, daylight)
+    dent    drift, and a_c . grad h, where h is what pressures >= 0 do to the gel (`coarse_light`)
+
+All unknowns have Gaussian priors, so the evidence of each explanation is a closed form in the eigenvectors of its
+curvature, which are the same for every frame. The noise is the mean squared residual: by what the light of an instance
+differs from the described one counts as noise of either explanation (MacKay, Information Theory, 2003, chapter 28).
+
+A dent that fills the view looks like drift in each channel, but as drift it is unlikely: ramps of opposite directions
+in channels whose LEDs face each other. Beside a dent, drift costs as much as a coarse light's errors make plausible
+(`stiffness`), so that it does not take the dent's share.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from pipeline.base.arrays import Doubles, Floats, Image, freeze
+from pipeline.base.memo import Memo
+from pipeline.engine.digests import compute_cached_digest
+from pipeline.sensors.spec import SensorSpec
+from pipeline.stages.depth.gel import coarse_light
+from pipeline.stages.depth.gel.coarse_light import DriftPrior
+
+Verdict = Literal["press", "none", "uncertain"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ChangeSettings:
+    """Constants of the comparison; evidence is in nats."""
+
+    light_std: float = 4.0  # grey of the longest wave of a field of light, falling by its number
+    light_common_share: float = 0.9
+    light_waves: int = 7  # along each axis
+    floor_grey: float = 0.15  # least noise of a block
+    pressure_stds: tuple[float, ...] = (0.003, 0.01, 0.03, 0.1, 0.3)  # mm, of a knot; the likeliest counts
+    light_scales: tuple[float, ...] = (0.3, 1.0, 3.0, 10.0)  # times `light_std`; the likeliest counts
+    # 96 soft balls and 40 tools of each gel, 200 drifted references, real balls, objects and clips. Untouched: up to 40
+    # (a dithered film; simulated -500 to 10, 45 by JPEG of quality 70); weakest touches 85 (a rug), 150 (a film).
+    press_evidence: float = 50.0
+    none_evidence: float = 25.0
+    # Evidence of light over that of the dent: spots from 10 on, glints 5 and more, dents by the described light of
+    # another instance up to 4.
+    light_ratio_press: float = 4.0
+    light_ratio_none: float = 5.0
+    # Nats by which drift is likelier beside a dent: drifted references and spots up to 5, the largest balls 25 to 50.
+    unlikely_drift: float = 12.0
+
+
+CHANGE = ChangeSettings()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Waves:
+    """One kind of change, beside drift, by the eigenvectors of its curvature."""
+
+    columns: Floats  # (n, m) grey
+    by_drift: Floats  # (14, m) drift^T columns
+    vectors: Floats  # (m, m)
+    values: Doubles  # (m,)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ChangeModel:
+    """All that is the same for every frame of a reference image in one light."""
+
+    drift: DriftPrior
+    light: Waves
+    dent: Waves
+    dent_curvature: Floats  # (m, m) columns^T columns
+    heights: Floats  # (rows, cols, m)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Change:
+    """What explains the change of an image."""
+
+    verdict: Verdict
+    dent_evidence: float  # nats over drift alone
+    light_evidence: float
+    dent_mm: Floats  # (rows, cols) of the blocks: indentation, coarse; 0 without a press
+    dent_grey: Floats  # (rows, cols, 3) the change that it explains
+    drift: Doubles  # (14,) gain - 1, offset and ramp (2) of each colour, shift (2); beside the dent where there is one
+
+
+def explain_change(image: Image, reference: Image, source: SensorSpec, light: Floats, pixel_mm: float) -> Change:
+    """Whether the change between two images (rows, cols, 3) is a press, in this coarse light (rows, cols, 3, 2)."""
+    model = make_model(reference, source, light, pixel_mm)
+    change = coarse_light.compute_block_change(image, reference, source.markers, pixel_mm).ravel()
+    return compare_explanations(change, model)
+
+
+def compare_explanations(change: Floats, model: ChangeModel) -> Change:
+    """The explanation of a change (n,) of the blocks in grey levels."""
+    prior = model.drift
+    pull = prior.columns.T @ change
+    energy = float(change @ change)
+    drift = prior.projection @ pull
+    misfit = energy - float(pull @ drift)
+    evidence = _compute_evidence(change, model.dent, drift, misfit, CHANGE.pressure_stds)
+    light = _compute_evidence(change, model.light, drift, misfit, CHANGE.light_scales)
+    shape = model.heights.shape[:2]
+    alone = Change(
+        verdict="none", dent_evidence=evidence, light_evidence=light, drift=drift,
+        dent_mm=freeze(np.zeros(shape, np.float32)), dent_grey=freeze(np.zeros((*shape, 3), np.float32)),
+    )  # fmt: skip
+    cost = float(drift @ prior.precision @ drift) / 2
+    if evidence + cost < CHANGE.none_evidence:
+        return alone
+    pressures, beside = coarse_light.fit_dent(
+        model.dent.columns.T @ change, pull, energy / change.size, prior, model.dent.by_drift, model.dent_curvature
+    )
+    unlikely = max(0.0, cost - float(beside @ prior.precision @ beside) / 2)
+    evidence += unlikely
+    verdict = decide(evidence, light)
+    if verdict == "none" and unlikely > CHANGE.unlikely_drift:
+        verdict = "uncertain"
+    if verdict != "press":
+        return replace(alone, verdict=verdict, dent_evidence=evidence)
+    return Change(
+        verdict=verdict, dent_evidence=evidence, light_evidence=light, drift=beside,
+        dent_mm=freeze(model.heights @ pressures),
+        dent_grey=freeze((model.dent.columns @ pressures).reshape(*shape, 3)),
+    )  # fmt: skip
+
+
+def decide(dent_evidence: float, light_evidence: float) -> Verdict:
+    """The verdict by the evidence of both explanations over drift alone."""
+    if dent_evidence < CHANGE.none_evidence or light_evidence > CHANGE.light_ratio_none * dent_evidence:
+        return "none"
+    if dent_evidence < CHANGE.press_evidence or light_evidence > CHANGE.light_ratio_press * dent_evidence:
+        return "uncertain"
+    return "press"
+
+
+def _compute_evidence(
+    change: Floats, waves: Waves, drift: Doubles, misfit: float, scales: tuple[float, ...]
+) -> float:  # fmt: skip
+    """How much more likely a change (n,) is by waves of the likeliest scale than by drift alone, with noise it leaves.
+
+    `misfit` is the squared change that the `drift` (14,) alone leaves.
+    """
+    n = change.size
+    own = waves.vectors.T @ (waves.columns.T @ change - (waves.by_drift.T @ drift).astype(np.float32))
+    power, floor = own.astype(np.float64) ** 2, CHANGE.floor_grey**2
+    scale2 = np.square(scales)[:, None]
+    noise = np.full(len(scales), misfit / n + floor)
+    for _ in range(6):
+        explained = (power * scale2 / (noise[:, None] + scale2 * waves.values)).sum(axis=1)
+        noise = np.maximum(misfit - explained, 0.0) / n + floor
+    occam = np.log1p(scale2 * waves.values / noise[:, None]).sum(axis=1)
+    return float((-0.5 * n * np.log(noise / (misfit / n + floor)) - 0.5 * occam).max())
+
+
+_models: Memo[tuple[str, ...], ChangeModel] = Memo(4)
+
+
+def make_model(reference: Image, source: SensorSpec, light: Floats, pixel_mm: float) -> ChangeModel:
+    """The model of all changes of a reference image (rows, cols, 3), cached."""
+    key = (compute_cached_digest(reference), compute_cached_digest(source), compute_cached_digest(light), str(pixel_mm))
+    return _models.get_or_make(key, lambda: _make_model(reference, source, light, pixel_mm))
+
+
+def _make_model(reference: Image, source: SensorSpec, light: Floats, pixel_mm: float) -> ChangeModel:
+    basis = coarse_light.make_dent_basis(source, pixel_mm)
+    drift = coarse_light.make_drift_prior(reference, source, pixel_mm)
+    columns = coarse_light.make_dent_columns(light, basis)
+    curvature = columns.T @ columns
+    return ChangeModel(
+        drift=drift, light=_make_light_waves(*light.shape[:2], drift), dent=_diagonalise(columns, curvature, drift),
+        dent_curvature=freeze(curvature), heights=basis.heights,
+    )  # fmt: skip
+
+
+def _diagonalise(columns: Floats, curvature: Floats, drift: DriftPrior) -> Waves:
+    by_drift = drift.columns.T @ columns
+    values, vectors = np.linalg.eigh(curvature - by_drift.T @ (drift.projection @ by_drift).astype(np.float32))
+    return Waves(
+        columns=columns, by_drift=freeze(by_drift), vectors=freeze(vectors),
+        values=freeze(np.maximum(values, 0.0).astype(np.float64)),
+    )  # fmt: skip
+
+
+def _make_light_waves(rows: int, cols: int, drift: DriftPrior) -> Waves:
+    """Smooth fields of light, each wave in three orthogonal colours, in units of their prior."""
+    y, x = (np.pi * (np.arange(n) + 0.5) / n for n in (rows, cols))
+    mixture = np.linalg.cholesky(coarse_light.correlate_colours(CHANGE.light_common_share))
+    n = CHANGE.light_waves
+    fields = [
+        np.outer(np.cos(i * y), np.cos(j * x))[..., None, None] * (CHANGE.light_std / np.hypot(i, j) * mixture)
+        for i in range(n)
+        for j in range(n - i)
+        if i or j
+    ]
+    columns = np.concatenate(fields, -1).reshape(-1, 3 * len(fields)).astype(np.float32)
+    return _diagonalise(freeze(columns), columns.T @ columns, drift)
