@@ -26,7 +26,8 @@ from pipeline.stages.depth import (
     rest_level,
 )
 from pipeline.stages.depth.change_detection import ImageWindow
-from pipeline.stages.depth.gel import rest
+from pipeline.stages.depth.gel import coarse_light, rest
+from pipeline.stages.depth.gel.change import Change
 from pipeline.stages.depth.illumination import frame_illumination, gel_surface
 from pipeline.stages.depth.illumination.light import Illumination
 from pipeline.stages.depth.poisson import Boundary
@@ -35,6 +36,7 @@ from pipeline.values.results import DepthMap, make_depth_map
 
 _FADE_START, _FADE_END = 0.2, 0.6  # gel thicknesses from the contact, see `_relax_surface`
 _FAR = 0.7  # gel thicknesses from the contact: the gel is neither indented nor pulled down there (`rest_level`)
+_LOAD_SHARE = 0.35  # of the load-weighted mean: contact of a coarse dent (from .3 to .4, within 15 % of soft balls)
 _BLACK_GREY = 2  # brightest pixel of an image that shows nothing
 _SATURATED_GREY = 254  # noise of one grey level moves what is clipped at 255 down to here
 _MAX_SATURATED_SHARE = 0.01  # of the changed region; more is warned of
@@ -50,6 +52,7 @@ _BORDER_GEL = 0.5  # gel thicknesses, within which the gel beyond the border aff
 _WEAK_SHADING = StageWarning(
     "the LEDs hardly shade slopes where the sensor is touched: sizes and depths may be wrong by half; calibrate"
 )
+_SMOOTH_DENT = "the touch is wide and smooth: measured on blocks of the image, by the pressure that explains it"
 _NOT_COVERED = StageWarning("no indentation of the calibration covers this touch: it is measured without calibration")
 _SHADOW_LEDS = "no usual LEDs explain the image: measured with low LEDs that cast shadows, fitted to this touch"
 
@@ -106,6 +109,9 @@ def measure_gel_depth(
         notes.append(rest.describe_no_contact(drifted))
     elif seen.change.verdict == "uncertain":
         notes.append(UNCERTAIN_CONTACT)
+    elif seen.change.is_smooth and gel_surface.uses_illumination(source, calibration):
+        indentation, touched = _upsample_dent(seen.change, shape, least_mm)
+        notes += [_SMOOTH_DENT, *_limit_depth(indentation, touched, source.limits.indentation_max_mm)]
     else:
         window = change_detection.detect_press(image, drifted.image_8bit, no_touch_grey, pixel_mm, seen.change.dent_mm)
         here = (window.rows, window.cols)
@@ -155,6 +161,21 @@ def measure_gel_depth(
         notes += _limit_depth(indentation, touched, source.limits.indentation_max_mm)
     progress.step(1.0, "depth is ready")
     return make_depth_map(source.rest_depth_mm, indentation, touched, source.camera, tuple(notes)), measured
+
+
+def _upsample_dent(change: Change, shape: tuple[int, int], least_mm: float) -> tuple[Floats, Mask]:
+    """(indentation in mm, contact) (rows, cols) of a coarse dent: contact is where it is loaded."""
+    import cv2
+
+    block = coarse_light.compute_block_px(shape)
+    rows, cols = (n * block for n in change.load.shape)
+    more = (0, shape[0] - rows, 0, shape[1] - cols)
+    indentation, load = (
+        cv2.copyMakeBorder(cv2.resize(a, (cols, rows), interpolation=cv2.INTER_CUBIC), *more, cv2.BORDER_REPLICATE)
+        for a in (change.dent_mm, change.load)
+    )
+    weighted_mean = float((change.load**2).sum() / change.load.sum())
+    return np.asarray(indentation, np.float32), (load > _LOAD_SHARE * weighted_mean) & (indentation > least_mm)
 
 
 def describe_if_no_contact(

@@ -23,7 +23,7 @@ from pipeline.base.memo import Memo
 from pipeline.engine.digests import compute_cached_digest
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth.gel import coarse_light
-from pipeline.stages.depth.gel.coarse_light import DriftPrior
+from pipeline.stages.depth.gel.coarse_light import DentBasis, DriftPrior
 
 Verdict = Literal["press", "none", "uncertain"]
 
@@ -48,6 +48,10 @@ class ChangeSettings:
     light_ratio_none: float = 5.0
     # Nats by which drift is likelier beside a dent: drifted references and spots up to 5, the largest balls 25 to 50.
     unlikely_drift: float = 12.0
+    # Share of the view above half the depth, and of the squared change that is left: balls of 60 and 120 mm have .1 to
+    # .68 and at most .09, tools .16 to .32 and mostly .1 to .2, faces .09 and more, real balls up to .1, .06 and more.
+    smooth_share: float = 0.18
+    smooth_residual: float = 0.075
 
 
 CHANGE = ChangeSettings()
@@ -71,7 +75,7 @@ class ChangeModel:
     light: Waves
     dent: Waves
     dent_curvature: Floats  # (m, m) columns^T columns
-    heights: Floats  # (rows, cols, m)
+    basis: DentBasis
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,6 +87,8 @@ class Change:
     light_evidence: float
     dent_mm: Floats  # (rows, cols) of the blocks: indentation, coarse; 0 without a press
     dent_grey: Floats  # (rows, cols, 3) the change that it explains
+    load: Floats  # (rows, cols) relative pressure
+    is_smooth: bool = False  # the coarse dent is wide and explains nearly all: no finer surface is better known
     drift: Doubles  # (14,) gain - 1, offset and ramp (2) of each colour, shift (2); beside the dent where there is one
 
 
@@ -102,10 +108,11 @@ def compare_explanations(change: Floats, model: ChangeModel) -> Change:
     misfit = energy - float(pull @ drift)
     evidence = _compute_evidence(change, model.dent, drift, misfit, CHANGE.pressure_stds)
     light = _compute_evidence(change, model.light, drift, misfit, CHANGE.light_scales)
-    shape = model.heights.shape[:2]
+    shape = model.basis.heights.shape[:2]
     alone = Change(
         verdict="none", dent_evidence=evidence, light_evidence=light, drift=drift,
         dent_mm=freeze(np.zeros(shape, np.float32)), dent_grey=freeze(np.zeros((*shape, 3), np.float32)),
+        load=freeze(np.zeros(shape, np.float32)),
     )  # fmt: skip
     cost = float(drift @ prior.precision @ drift) / 2
     if evidence + cost < CHANGE.none_evidence:
@@ -120,11 +127,20 @@ def compare_explanations(change: Floats, model: ChangeModel) -> Change:
         verdict = "uncertain"
     if verdict != "press":
         return replace(alone, verdict=verdict, dent_evidence=evidence)
+    dent, explained = model.basis.heights @ pressures, model.dent.columns @ pressures
     return Change(
         verdict=verdict, dent_evidence=evidence, light_evidence=light, drift=beside,
-        dent_mm=freeze(model.heights @ pressures),
-        dent_grey=freeze((model.dent.columns @ pressures).reshape(*shape, 3)),
+        dent_mm=freeze(dent),
+        dent_grey=freeze(explained.reshape(*shape, 3)),
+        load=freeze(model.basis.loads @ pressures),
+        is_smooth=_is_smooth(dent, explained, change - prior.columns @ beside),
     )  # fmt: skip
+
+
+def _is_smooth(dent_mm: Floats, explained: Floats, change: Floats) -> bool:
+    residual = change - explained
+    wide = float((dent_mm > 0.5 * dent_mm.max()).mean()) > CHANGE.smooth_share
+    return wide and float(residual @ residual) < CHANGE.smooth_residual * float(change @ change)
 
 
 def decide(dent_evidence: float, light_evidence: float) -> Verdict:
@@ -171,7 +187,7 @@ def _make_model(reference: Image, source: SensorSpec, light: Floats, pixel_mm: f
     curvature = columns.T @ columns
     return ChangeModel(
         drift=drift, light=_make_light_waves(*light.shape[:2], drift), dent=_diagonalise(columns, curvature, drift),
-        dent_curvature=freeze(curvature), heights=basis.heights,
+        dent_curvature=freeze(curvature), basis=basis,
     )  # fmt: skip
 
 

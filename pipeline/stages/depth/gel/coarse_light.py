@@ -32,11 +32,12 @@ class CoarseSettings:
     slope_step: float = 0.05  # mm/mm, of the derivative of the described light
     unmarked_min: float = 0.2  # share of a block that markers must leave visible
     iterations: int = 150  # of the non-negative fit: the misfit changes by less than 1 % beyond
-    pressure_cost: float = 0.0015  # share of the largest pull: below it, soft balls touch 1.2 times their area and more
+    pressure_cost: float = 0.0007  # share of the largest pull: with less, pressure spreads where it moves nothing
     light_iterations: int = 5  # alternations of light and dents
-    light_ridge: float = .4  # share of the mean curvature that pulls the 36 numbers to the description
+    light_ridge: float = 0.4  # share of the mean curvature that pulls the 36 numbers to the description
     light_doubt: float = 160.0  # grey^2, the same pull where touches show little: a thousand times a block's noise
-    stiffness: float = 4.0  # blocks' worth of the mean squared change that an unlikely drift costs, beside a dent
+    turn_max: float = 1.0  # of a channel; real instances have up to 0.6, images of another instance 1.4
+    stiffness: float = 8.0  # blocks' worth of the mean squared change that an unlikely drift costs, beside a dent
 
     gain_std: float = 0.04  # prior of the drift: 3 % (`benchmarks.drift`) and a little more
     offset_std: float = 5.0  # grey
@@ -66,6 +67,7 @@ class DentBasis:
 
     slopes: Floats  # (rows, cols, 2, m) mm/mm, right and down
     heights: Floats  # (rows, cols, m) mm
+    loads: Floats  # (rows, cols, m) pressure over that in a blob's middle
 
 
 def compute_block_px(shape: tuple[int, ...]) -> int:
@@ -148,6 +150,7 @@ def _make_dent_basis(camera: Camera, gel: Gel, pixel_mm: float) -> DentBasis:
     return DentBasis(
         slopes=freeze(np.stack([outward * dx, outward * dy], 2).astype(np.float32)),
         heights=freeze(np.interp(away, radius_mm, height, right=0.0).astype(np.float32)),
+        loads=freeze(np.exp(-0.5 * (away / (COARSE.blob_share * knot_mm)) ** 2).astype(np.float32)),
     )
 
 
@@ -282,15 +285,18 @@ def _fit_light(touches: tuple[Image, ...], reference: Image, source: SensorSpec,
             fitted = columns.T @ change, drift.columns.T @ change, float(change @ change) / change.size
             pressures, beside = fit_dent(*fitted, drift, by_drift, curvature)
             slopes = basis.slopes @ pressures
-            turns = make_turn_columns(described, slopes)
+            rates = make_turn_columns(described, slopes)
             left = (change - drift.columns @ beside).reshape(-1, 3) - (described * slopes[:, :, None]).sum(-1).reshape(
                 -1, 3
             )
-            normal += np.einsum("nki,nkj->kij", turns, turns, optimize=True)
-            right += np.einsum("nki,nk->ki", turns, left)
+            normal += np.einsum("nki,nkj->kij", rates, rates, optimize=True)
+            right += np.einsum("nki,nk->ki", rates, left)
         strength = COARSE.light_ridge * np.trace(normal, axis1=1, axis2=2) / 12 + COARSE.light_doubt
         pull = strength[:, None, None] * np.eye(12)
-        light = turn_light(described, np.linalg.solve(normal + pull, right[..., None]).reshape(3, 4, 3))
+        turns = np.linalg.solve(normal + pull, right[..., None]).reshape(3, 4, 3)
+        if float(np.abs(turns[..., 0]).max()) > COARSE.turn_max:
+            return described
+        light = turn_light(described, turns)
     return freeze(light)
 
 

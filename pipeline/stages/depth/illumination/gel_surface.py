@@ -98,9 +98,12 @@ _observations: Memo[tuple[str, ...], Observation] = Memo(
 def detect_changed_image(
     image: Image, reference: Image, source: SensorSpec, calibration: Calibration, touches: tuple[Image, ...] = ()
 ) -> ChangedImage | None:
-    """The press of an image against its reference (rows, cols, 3), by default settings; None without a press."""
+    """The press of an image against its reference (rows, cols, 3), by default settings.
+
+    None without a press, or for one that is measured without its light.
+    """
     seen = observe(image, reference, source, calibration.pixel_mm, touches)
-    if seen.change.verdict != "press":
+    if seen.change.verdict != "press" or (seen.change.is_smooth and uses_illumination(source, calibration)):
         return None
     window = change_detection.detect_press(
         image, seen.rest.image_8bit, source.limits.no_contact_change, calibration.pixel_mm, seen.change.dent_mm
