@@ -29,6 +29,7 @@ from pipeline.stages.depth.change_detection import ImageWindow
 from pipeline.stages.depth.gel import coarse_light, rest
 from pipeline.stages.depth.gel.change import Change
 from pipeline.stages.depth.illumination import frame_illumination, gel_surface
+from pipeline.stages.depth.illumination.gel_surface import Observation
 from pipeline.stages.depth.illumination.light import Illumination
 from pipeline.stages.depth.poisson import Boundary
 from pipeline.values.frames import TactileFrame
@@ -101,66 +102,79 @@ def measure_gel_depth(
     image, reference = cast("Image", frame.image), cast("Image", frame.reference)
     check_calibration(calibration, source.name, image)
     shape, pixel_mm = source.camera.shape, calibration.pixel_mm
-    indentation, touched = np.zeros(shape, np.float32), np.zeros(shape, np.bool_)
     seen = gel_surface.observe(image, reference, source, pixel_mm, frame.context_frames)
-    drifted, measured = seen.rest, None
-    notes = [*instance_check.check_sensor_instance(calibration, reference), *drifted.notes]
-    if seen.change.verdict == "none":
-        notes.append(rest.describe_no_contact(drifted))
-    elif seen.change.verdict == "uncertain":
-        notes.append(UNCERTAIN_CONTACT)
-    elif seen.change.is_smooth and gel_surface.uses_illumination(source, calibration):
-        indentation, touched = _upsample_dent(seen.change, shape, least_mm)
-        notes += [_SMOOTH_DENT, *_limit_depth(indentation, touched, source.limits.indentation_max_mm)]
-    else:
-        window = change_detection.detect_press(image, drifted.image_8bit, no_touch_grey, pixel_mm, seen.change.dent_mm)
-        here = (window.rows, window.cols)
-        notes += _warn_of_image(image[here], source, window)
-        corner = (window.rows.start, window.cols.start)
-        if not calibration.covers(window.changed, corner):
-            notes.append(_NOT_COVERED)
-            calibration = replace(
-                make_built_in(source), pixel_mm=pixel_mm, median_pressure_share=calibration.median_pressure_share
-            )
-            illumination = frame_illumination.estimate_illumination(frame, source, calibration, progress)
-        progress.step(0.35, "integrating slopes")
-        changed = gel_surface.ChangedImage(
-            image=image, reference=drifted, window=window, source=source, calibration=calibration,
-            smoothing_px=smoothing_px, boundary=boundary,
-        )  # fmt: skip
-        surface = gel_surface.estimate_surface(changed, illumination, progress, draft=draft)
-        used = illumination if gel_surface.uses_illumination(source, calibration) else None
-        notes += _describe_illumination(used, len(frame.context_frames))
-        if used is not None and used.is_bound_to_place:
-            surface = surface * np.float32(calibration.compute_depth_scale(surface, corner))
-        surface, inside = _level_surface(surface, window, source, pixel_mm)
-        pressed = inside | contact.detect_contact(
-            surface, pixel_mm, least_mm=least_mm, pressure_share=pressure_share, smoothing_px=_CONTACT_BLUR_PX,
-            median_pressure_share=calibration.median_pressure_share or contact.MEDIAN_PRESSURE_SHARE,
-        )  # fmt: skip
-        pressed = contact.remove_specks(pressed & (window.changed | inside), max(4, round(_SPECK_MM2 / pixel_mm**2)))
-        dents = false_contacts.remove_light_changes(pressed, surface, changed, used)
-        if not dents.any():
-            dents = pressed
-        border = np.pad(np.zeros((shape[0] - 2, shape[1] - 2), np.bool_), 1, constant_values=True)[here]
-        pressed = false_contacts.remove_false_contacts(dents, surface, pixel_mm, border, window.changed)
-        pressed = contact.fill_small_holes(pressed, round(_HOLE_MM2 / pixel_mm**2))
-        narrow_px = _BORDER_GEL * (0.0 if source.gel is None else source.gel.thickness_mm) / pixel_mm
-        touched[here] = contact.remove_border_artifacts(pressed, surface, *here, shape, narrow_px)
-        distance = None if source.gel is None else _compute_distance(touched[here], pixel_mm, source.gel)
-        if used is not None and (used.is_trusted or used.model == "shadow_leds"):
-            surface = _level_far_field(surface, touched[here], distance, window, source, pixel_mm)
-        progress.step(0.8, "relaxing the gel around the contact")
-        measured = MeasuredSurface(
-            surface_mm=freeze(surface), window=window, source=source, pixel_mm=pixel_mm, illumination=used
-        )  # fmt: skip
-        indentation = measured.relax_outside_contact(touched, distance)
-        by_near_leds = used is not None and used.model in {"field", "near"}
-        if by_near_leds and near_led_prior.has_weak_shading(touched, drifted.image, source):
-            notes.append(_WEAK_SHADING)
-        notes += _limit_depth(indentation, touched, source.limits.indentation_max_mm)
+    notes: list[str] = [*instance_check.check_sensor_instance(calibration, reference), *seen.rest.notes]
+    answer = _answer_without_light(seen, source, calibration, notes, least_mm)
+    if answer is not None:
+        progress.step(1.0, "depth is ready")
+        return answer, None
+    touched = np.zeros(shape, np.bool_)
+    window = change_detection.detect_press(image, seen.rest.image_8bit, no_touch_grey, pixel_mm, seen.change.dent_mm)
+    here = (window.rows, window.cols)
+    notes += _warn_of_image(image[here], source, window)
+    corner = (window.rows.start, window.cols.start)
+    if not calibration.covers(window.changed, corner):
+        notes.append(_NOT_COVERED)
+        calibration = replace(
+            make_built_in(source), pixel_mm=pixel_mm, median_pressure_share=calibration.median_pressure_share
+        )
+        illumination = frame_illumination.estimate_illumination(frame, source, calibration, progress)
+    progress.step(0.35, "integrating slopes")
+    changed = gel_surface.ChangedImage(
+        image=image, reference=seen.rest, window=window, source=source, calibration=calibration,
+        smoothing_px=smoothing_px, boundary=boundary,
+    )  # fmt: skip
+    surface = gel_surface.estimate_surface(changed, illumination, progress, draft=draft)
+    used = illumination if gel_surface.uses_illumination(source, calibration) else None
+    notes += _describe_illumination(used, len(frame.context_frames))
+    if used is not None and used.is_bound_to_place:
+        surface = surface * np.float32(calibration.compute_depth_scale(surface, corner))
+    surface, inside = _level_surface(surface, window, source, pixel_mm)
+    pressed = inside | contact.detect_contact(
+        surface, pixel_mm, least_mm=least_mm, pressure_share=pressure_share, smoothing_px=_CONTACT_BLUR_PX,
+        median_pressure_share=calibration.median_pressure_share or contact.MEDIAN_PRESSURE_SHARE,
+    )  # fmt: skip
+    pressed = contact.remove_specks(pressed & (window.changed | inside), max(4, round(_SPECK_MM2 / pixel_mm**2)))
+    dents = false_contacts.remove_light_changes(pressed, surface, changed, used)
+    if not dents.any():
+        dents = pressed
+    border = np.pad(np.zeros((shape[0] - 2, shape[1] - 2), np.bool_), 1, constant_values=True)[here]
+    pressed = false_contacts.remove_false_contacts(dents, surface, pixel_mm, border, window.changed)
+    pressed = contact.fill_small_holes(pressed, round(_HOLE_MM2 / pixel_mm**2))
+    narrow_px = _BORDER_GEL * (0.0 if source.gel is None else source.gel.thickness_mm) / pixel_mm
+    touched[here] = contact.remove_border_artifacts(pressed, surface, *here, shape, narrow_px)
+    distance = None if source.gel is None else _compute_distance(touched[here], pixel_mm, source.gel)
+    if used is not None and (used.is_trusted or used.model == "shadow_leds"):
+        surface = _level_far_field(surface, touched[here], distance, window, source, pixel_mm)
+    progress.step(0.8, "relaxing the gel around the contact")
+    measured = MeasuredSurface(
+        surface_mm=freeze(surface), window=window, source=source, pixel_mm=pixel_mm, illumination=used
+    )  # fmt: skip
+    indentation = measured.relax_outside_contact(touched, distance)
+    by_near_leds = used is not None and used.model in {"field", "near"}
+    if by_near_leds and near_led_prior.has_weak_shading(touched, seen.rest.image, source):
+        notes.append(_WEAK_SHADING)
+    notes += _limit_depth(indentation, touched, source.limits.indentation_max_mm)
     progress.step(1.0, "depth is ready")
     return make_depth_map(source.rest_depth_mm, indentation, touched, source.camera, tuple(notes)), measured
+
+
+def _answer_without_light(
+    seen: Observation, source: SensorSpec, calibration: Calibration, notes: list[str], least_mm: float
+) -> DepthMap | None:
+    """The depth of a frame without a press, or of a wide and smooth one; None for others."""
+    shape = source.camera.shape
+    indentation, touched = np.zeros(shape, np.float32), np.zeros(shape, np.bool_)
+    if seen.change.verdict == "none":
+        notes = [*notes, rest.describe_no_contact(seen.rest)]
+    elif seen.change.verdict == "uncertain":
+        notes = [*notes, UNCERTAIN_CONTACT]
+    elif seen.change.is_smooth and gel_surface.uses_illumination(source, calibration):
+        indentation, touched = _upsample_dent(seen.change, shape, least_mm)
+        notes = [*notes, _SMOOTH_DENT, *_limit_depth(indentation, touched, source.limits.indentation_max_mm)]
+    else:
+        return None
+    return make_depth_map(source.rest_depth_mm, indentation, touched, source.camera, tuple(notes))
 
 
 def _upsample_dent(change: Change, shape: tuple[int, int], least_mm: float) -> tuple[Floats, Mask]:

@@ -51,7 +51,7 @@ class ChangeSettings:
     # Share of the view above half the depth, and of the squared change that is left: balls of 60 and 120 mm have .1 to
     # .68 and at most .09, tools .16 to .32 and mostly .1 to .2, faces .09 and more, real balls up to .1, .06 and more.
     smooth_share: float = 0.18
-    smooth_residual: float = 0.075
+    smooth_residual: float = 0.095
 
 
 CHANGE = ChangeSettings()
