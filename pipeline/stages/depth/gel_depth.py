@@ -37,7 +37,9 @@ from pipeline.values.results import DepthMap, make_depth_map
 
 _FADE_START, _FADE_END = 0.2, 0.6  # gel thicknesses from the contact, see `_relax_surface`
 _FAR = 0.7  # gel thicknesses from the contact: the gel is neither indented nor pulled down there (`rest_level`)
-_LOAD_SHARE = 0.35  # of the load-weighted mean: contact of a coarse dent (from .3 to .4, within 15 % of soft balls)
+# Contact of a coarse dent: load over its load-weighted mean, and depth over the deepest. Areas of soft balls are .8 to
+# 1.1 of the true ones; without the second, faint load far from the dent makes some 1.4.
+_LOAD_SHARE, _DENT_SHARE = 0.35, 0.15
 _BLACK_GREY = 2  # brightest pixel of an image that shows nothing
 _SATURATED_GREY = 254  # noise of one grey level moves what is clipped at 255 down to here
 _MAX_SATURATED_SHARE = 0.01  # of the changed region; more is warned of
@@ -189,7 +191,8 @@ def _upsample_dent(change: Change, shape: tuple[int, int], least_mm: float) -> t
         for a in (change.dent_mm, change.load)
     )
     weighted_mean = float((change.load**2).sum() / change.load.sum())
-    return np.asarray(indentation, np.float32), (load > _LOAD_SHARE * weighted_mean) & (indentation > least_mm)
+    deep = indentation > max(least_mm, _DENT_SHARE * float(indentation.max()))
+    return np.asarray(indentation, np.float32), (load > _LOAD_SHARE * weighted_mean) & deep
 
 
 def describe_if_no_contact(

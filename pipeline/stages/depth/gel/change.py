@@ -14,7 +14,7 @@ in channels whose LEDs face each other. Beside a dent, drift costs as much as a 
 """
 
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from pipeline.base.memo import Memo
 from pipeline.engine.digests import compute_cached_digest
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth.gel import coarse_light
-from pipeline.stages.depth.gel.coarse_light import DentBasis, DriftPrior
+from pipeline.stages.depth.gel.coarse_light import COARSE, DentBasis, DriftPrior
 
 Verdict = Literal["press", "none", "uncertain"]
 
@@ -50,8 +50,12 @@ class ChangeSettings:
     unlikely_drift: float = 12.0
     # Share of the view above half the depth, and of the squared change that is left: balls of 60 and 120 mm have .1 to
     # .68 and at most .09, tools .16 to .32 and mostly .1 to .2, faces .09 and more, real balls up to .1, .06 and more.
-    smooth_share: float = 0.18
+    smooth_share: float = 0.15
     smooth_residual: float = 0.095
+    # Beside a smooth dent, drift as costly as this is nearly none. It is held back where the residual grows by less
+    # than the first factor, not at all from the second: most without drift grow by up to 1.4, with drift by 1.3 to 60.
+    still_stiffness: float = 200.0
+    still_residuals: tuple[float, float] = (1.25, 1.6)
 
 
 CHANGE = ChangeSettings()
@@ -117,30 +121,56 @@ def compare_explanations(change: Floats, model: ChangeModel) -> Change:
     cost = float(drift @ prior.precision @ drift) / 2
     if evidence + cost < CHANGE.none_evidence:
         return alone
-    pressures, beside = coarse_light.fit_dent(
-        model.dent.columns.T @ change, pull, energy / change.size, prior, model.dent.by_drift, model.dent_curvature
-    )
-    unlikely = max(0.0, cost - float(beside @ prior.precision @ beside) / 2)
+    fit = _fit_dent(change, pull, model, COARSE.stiffness)
+    unlikely = max(0.0, cost - float(fit.drift @ prior.precision @ fit.drift) / 2)
     evidence += unlikely
     verdict = decide(evidence, light)
     if verdict == "none" and unlikely > CHANGE.unlikely_drift:
         verdict = "uncertain"
     if verdict != "press":
         return replace(alone, verdict=verdict, dent_evidence=evidence)
-    dent, explained = model.basis.heights @ pressures, model.dent.columns @ pressures
+    is_smooth = _is_smooth(fit, model)
+    if is_smooth:
+        fit = _hold_drift(fit, _fit_dent(change, pull, model, CHANGE.still_stiffness))
     return Change(
-        verdict=verdict, dent_evidence=evidence, light_evidence=light, drift=beside,
-        dent_mm=freeze(dent),
-        dent_grey=freeze(explained.reshape(*shape, 3)),
-        load=freeze(model.basis.loads @ pressures),
-        is_smooth=_is_smooth(dent, explained, change - prior.columns @ beside),
+        verdict=verdict, dent_evidence=evidence, light_evidence=light, drift=fit.drift,
+        dent_mm=freeze(model.basis.heights @ fit.pressures),
+        dent_grey=freeze((model.dent.columns @ fit.pressures).reshape(*shape, 3)),
+        load=freeze(model.basis.loads @ fit.pressures), is_smooth=is_smooth,
     )  # fmt: skip
 
 
-def _is_smooth(dent_mm: Floats, explained: Floats, change: Floats) -> bool:
-    residual = change - explained
-    wide = float((dent_mm > 0.5 * dent_mm.max()).mean()) > CHANGE.smooth_share
-    return wide and float(residual @ residual) < CHANGE.smooth_residual * float(change @ change)
+class _DentFit(NamedTuple):
+    pressures: Floats  # (m,)
+    drift: Doubles  # (14,)
+    mean_square: float  # grey^2 of the change without the drift
+    residual: float  # the same without the dent as well
+
+
+def _fit_dent(change: Floats, pull: Floats, model: ChangeModel, stiffness: float) -> _DentFit:
+    cost = stiffness * float(change @ change) / change.size
+    of_dent = model.dent.columns.T @ change
+    pressures, drift = coarse_light.fit_dent(
+        of_dent, pull, cost, model.drift, model.dent.by_drift, model.dent_curvature
+    )
+    left = change - model.drift.columns @ drift
+    residual = left - model.dent.columns @ pressures
+    n = change.size
+    return _DentFit(pressures, drift, float(left @ left) / n, float(residual @ residual) / n)
+
+
+def _is_smooth(fit: _DentFit, model: ChangeModel) -> bool:
+    dent_mm = model.basis.heights @ fit.pressures
+    is_wide = float((dent_mm > 0.5 * dent_mm.max()).mean()) > CHANGE.smooth_share
+    return is_wide and fit.residual < CHANGE.smooth_residual * fit.mean_square
+
+
+def _hold_drift(fit: _DentFit, still: _DentFit) -> _DentFit:
+    """The fit with drift held back, as far as that explains the change as well; gradually."""
+    floor, (low, high) = CHANGE.floor_grey**2, CHANGE.still_residuals
+    ratio = (still.residual + floor) / (fit.residual + floor)
+    share = min(max((high - ratio) / (high - low), 0.0), 1.0)
+    return _DentFit(*(share * a + (1 - share) * b for a, b in zip(still, fit, strict=True)))
 
 
 def decide(dent_evidence: float, light_evidence: float) -> Verdict:

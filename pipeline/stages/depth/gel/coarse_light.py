@@ -228,14 +228,13 @@ def make_drift_prior(reference: Image, source: SensorSpec, pixel_mm: float) -> D
 
 
 def fit_dent(
-    of_dent: Floats, pull: Floats, mean_square: float, drift: DriftPrior, by_drift: Floats, curvature: Floats
+    of_dent: Floats, pull: Floats, drift_cost: float, drift: DriftPrior, by_drift: Floats, curvature: Floats
 ) -> tuple[Floats, Doubles]:
-    """Pressures (m,) and the drift (14,) beside them that explain a change of this mean square.
+    """Pressures (m,) and the drift (14,) beside them that explain a change; `drift_cost` (grey^2) holds the drift back.
 
     `of_dent`, `pull`: columns^T change of dent and drift; `by_drift` (14, m), `curvature` (m, m): columns^T columns.
     """
-    cost = max(COARSE.noise_grey**2, COARSE.stiffness * mean_square)
-    projection = np.linalg.inv(cost * drift.precision + drift.curvature)
+    projection = np.linalg.inv(max(COARSE.noise_grey**2, drift_cost) * drift.precision + drift.curvature)
     left = curvature - by_drift.T @ (projection @ by_drift).astype(np.float32)
     unit = 1 / np.sqrt(np.maximum(np.diag(left), 1e-3 * float(np.diag(left).max())))
     left *= unit * unit[:, None]
@@ -282,7 +281,8 @@ def _fit_light(touches: tuple[Image, ...], reference: Image, source: SensorSpec,
         by_drift, curvature = drift.columns.T @ columns, columns.T @ columns
         normal, right = np.zeros((3, 12, 12)), np.zeros((3, 12))
         for change in changes:
-            fitted = columns.T @ change, drift.columns.T @ change, float(change @ change) / change.size
+            cost = COARSE.stiffness * float(change @ change) / change.size
+            fitted = columns.T @ change, drift.columns.T @ change, cost
             pressures, beside = fit_dent(*fitted, drift, by_drift, curvature)
             slopes = basis.slopes @ pressures
             rates = make_turn_columns(described, slopes)
