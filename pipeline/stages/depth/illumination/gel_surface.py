@@ -8,6 +8,7 @@ import numpy as np
 
 from pipeline.base.arrays import Floats, Image, median
 from pipeline.base.errors import CalibrationError
+from pipeline.base.machine import limit_blas_to_one_thread
 from pipeline.base.memo import Memo
 from pipeline.base.progress import Progress
 from pipeline.calibration.calibration_table import Calibration, compute_slopes
@@ -83,8 +84,9 @@ def observe(
     arrays = (compute_cached_digest(a) for a in (image, reference, source, touches))
 
     def make() -> Observation:
-        light = coarse_light.estimate_light(touches, reference, source, pixel_mm)
-        change = explain_change(image, reference, source, light, pixel_mm)
+        with limit_blas_to_one_thread():
+            light = coarse_light.estimate_light(touches, reference, source, pixel_mm)
+            change = explain_change(image, reference, source, light, pixel_mm)
         return Observation(change=change, rest=estimate_rest(image, reference, change))
 
     return _observations.get_or_make((*arrays, str(pixel_mm)), make)
