@@ -144,6 +144,11 @@ class UncertainContact(StageWarning):
     """A warning that a frame without a measured contact may have one."""
 
 
+def find_uncertain_contact(notes: Iterable[str]) -> UncertainContact | None:
+    """The warning among the notes that no contact was measured where there may be one; None without it."""
+    return next((note for note in notes if isinstance(note, UncertainContact)), None)
+
+
 UNCERTAIN_CONTACT = UncertainContact(
     "the image has changed; a light, large touch would look the same: add an untouched frame as the reference"
 )

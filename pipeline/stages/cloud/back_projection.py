@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.base.arrays import Doubles, Floats, Indices, ensure_float, freeze
-from pipeline.base.errors import ShapeError
+from pipeline.base.errors import ShapeError, find_uncertain_contact
 from pipeline.base.params import setting
 from pipeline.base.progress import SILENT, Progress
 from pipeline.geometry import rigid
@@ -72,7 +72,7 @@ def skip_without_contact(depth: DepthMap, alignment: Alignment, params: BackProj
         field_of_view_mm=_compute_window(depth, alignment.target_from_source),
         grid_shape=depth.camera.shape,
         stride=params.stride,
-        notes=(NO_CONTACT,),
+        notes=(find_uncertain_contact(depth.notes) or NO_CONTACT,),
     )
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pipeline.base.arrays import Doubles, Floats, Indices, freeze
-from pipeline.base.errors import SettingProblem
+from pipeline.base.errors import SettingProblem, find_uncertain_contact
 from pipeline.base.params import setting
 from pipeline.base.progress import SILENT, Progress, SubProgress
 from pipeline.geometry import rigid
@@ -161,7 +161,7 @@ def estimate_pose_icp(
 def skip_without_contact(touch_depth: DepthMap, mesh: Mesh | None, *_: object) -> ObjectPose | None:
     """The unknown pose if there is no mesh or no contact, else None, whatever else a method reads."""
     if not touch_depth.contact.any():
-        return _make_unknown_pose(NO_CONTACT)
+        return _make_unknown_pose(find_uncertain_contact(touch_depth.notes) or NO_CONTACT)
     return _make_unknown_pose(NO_MESH) if mesh is None else None
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.base.arrays import Doubles, Floats, Mask, freeze
-from pipeline.base.errors import ShapeError
+from pipeline.base.errors import ShapeError, find_uncertain_contact
 from pipeline.base.params import setting
 from pipeline.base.progress import SILENT, Progress
 from pipeline.geometry.camera import MIN_DEPTH_MM, Camera
@@ -138,7 +138,7 @@ def skip_without_contact(cloud: Cloud, target: SensorSpec, params: ProjectionPar
         camera=target.camera,
         source_index=freeze(np.full(shape, -1, dtype=np.int32)),
         in_view=_compute_field_of_view(cloud, target),
-        notes=(NO_CONTACT,),
+        notes=(find_uncertain_contact(cloud.notes) or NO_CONTACT,),
         pixel_of_point=freeze(np.empty(0, dtype=np.int32)),
         coverage=freeze(np.zeros(shape, dtype=np.float32)) if with_coverage else None,
     )

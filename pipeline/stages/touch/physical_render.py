@@ -14,7 +14,14 @@ import numpy as np
 
 from pipeline.base.arrays import Floats, Image, Indices, Mask, freeze
 from pipeline.base.entry_points import load_reference
-from pipeline.base.errors import OutsideViewWarning, SettingProblem, ShapeError, StageWarning, UnseenObjectWarning
+from pipeline.base.errors import (
+    OutsideViewWarning,
+    SettingProblem,
+    ShapeError,
+    StageWarning,
+    UnseenObjectWarning,
+    find_uncertain_contact,
+)
 from pipeline.base.memo import Memo
 from pipeline.base.params import setting
 from pipeline.base.progress import SILENT, Progress
@@ -102,7 +109,9 @@ def skip_without_contact(view: TargetDepth, target: SensorSpec, *_: object) -> G
         )
     if view.contact.any():
         return None
-    return replace(make_reference_touch(target), in_view=view.in_view)
+    touch = make_reference_touch(target)
+    uncertain = find_uncertain_contact(view.notes)
+    return replace(touch, in_view=view.in_view, notes=touch.notes if uncertain is None else (uncertain,))
 
 
 def make_reference_touch(target: SensorSpec) -> GeneratedTouch:

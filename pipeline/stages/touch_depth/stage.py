@@ -6,6 +6,7 @@ method, which shows how much of a touch the image preserves.
 
 from dataclasses import replace
 
+from pipeline.base.errors import find_uncertain_contact
 from pipeline.base.params import NoParams
 from pipeline.base.progress import SILENT, Progress
 from pipeline.engine.graph import Fallback, Method, skip_if_exact
@@ -36,7 +37,7 @@ def skip_without_contact(touch: GeneratedTouch, *_: object) -> DepthMap | None:
     """The membrane at rest if the touch has no contact, else None, whatever else a method reads."""
     if touch.membrane is None or touch.membrane.contact.any():
         return None
-    return replace(touch.membrane, in_view=touch.in_view, notes=(NO_CONTACT,))
+    return replace(touch.membrane, in_view=touch.in_view, notes=(find_uncertain_contact(touch.notes) or NO_CONTACT,))
 
 
 def estimate_from_image(

@@ -13,6 +13,7 @@ in channels whose LEDs face each other. Beside a dent, drift costs as much as a 
 (`stiffness`), so that it does not take the dent's share.
 """
 
+import math
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
@@ -39,19 +40,21 @@ class ChangeSettings:
     pressure_stds: tuple[float, ...] = (0.003, 0.01, 0.03, 0.1, 0.3)  # mm, of a knot; the likeliest counts
     light_scales: tuple[float, ...] = (0.3, 1.0, 3.0, 10.0)  # times `light_std`; the likeliest counts
     # 96 soft balls and 40 tools of each gel, 200 drifted references, real balls, objects and clips. Untouched: up to 40
-    # (a dithered film; simulated -500 to 10, 45 by JPEG of quality 70); weakest touches 85 (a rug), 150 (a film).
-    press_evidence: float = 50.0
-    none_evidence: float = 25.0
+    # (a dithered film; simulated -500 to 10, by JPEG up to 60); weakest touches 85 (a rug), 150 (a film).
+    press_evidence: float = 75.0
+    none_evidence: float = 30.0
     # Evidence of light over that of the dent: spots from 10 on, glints 5 and more, dents by the described light of
     # another instance up to 4.
     light_ratio_press: float = 4.0
     light_ratio_none: float = 5.0
-    # Nats by which drift is likelier beside a dent: drifted references and spots up to 5, the largest balls 25 to 50.
+    light_ratio_certain: float = 15.0  # no dent, however unlikely the drift is: spots of a fifth of the view from 30 on
+    # Nats by which drift is likelier beside a dent: drifted references up to 5, the largest balls 25 to 50.
     unlikely_drift: float = 12.0
-    # Share of the view above half the depth, and of the squared change that is left: balls of 60 and 120 mm have .1 to
-    # .68 and at most .09, tools .16 to .32 and mostly .1 to .2, faces .09 and more, real balls up to .1, .06 and more.
+    # A wide, smooth dent: share of the view above half its depth, and its steepest slope times the radius of that part
+    # over the depth. A paraboloid has 1.4; balls of 30 to 120 mm up to 1.9, faces and tools of every gel 2.0 to 7.4.
     smooth_share: float = 0.15
-    smooth_residual: float = 0.095
+    smooth_steepness: float = 1.92
+    smooth_residual: float = 0.15  # share of the squared change that is left: soft balls up to .1
     # Beside a smooth dent, drift as costly as this is nearly none. It is held back where the residual grows by less
     # than the first factor, not at all from the second: most without drift grow by up to 1.4, with drift by 1.3 to 60.
     still_stiffness: float = 200.0
@@ -125,7 +128,7 @@ def compare_explanations(change: Floats, model: ChangeModel) -> Change:
     unlikely = max(0.0, cost - float(fit.drift @ prior.precision @ fit.drift) / 2)
     evidence += unlikely
     verdict = decide(evidence, light)
-    if verdict == "none" and unlikely > CHANGE.unlikely_drift:
+    if verdict == "none" and unlikely > CHANGE.unlikely_drift and light < CHANGE.light_ratio_certain * evidence:
         verdict = "uncertain"
     if verdict != "press":
         return replace(alone, verdict=verdict, dent_evidence=evidence)
@@ -161,7 +164,12 @@ def _fit_dent(change: Floats, pull: Floats, model: ChangeModel, stiffness: float
 
 def _is_smooth(fit: _DentFit, model: ChangeModel) -> bool:
     dent_mm = model.basis.heights @ fit.pressures
-    is_wide = float((dent_mm > 0.5 * dent_mm.max()).mean()) > CHANGE.smooth_share
+    slopes = model.basis.slopes @ fit.pressures
+    deepest_mm = float(dent_mm.max())
+    share = float((dent_mm > 0.5 * deepest_mm).mean())
+    radius_mm = math.sqrt(share * dent_mm.size / math.pi) * model.basis.block_mm
+    steepness = float(np.hypot(slopes[..., 0], slopes[..., 1]).max()) * radius_mm / deepest_mm
+    is_wide = share > CHANGE.smooth_share and steepness < CHANGE.smooth_steepness
     return is_wide and fit.residual < CHANGE.smooth_residual * fit.mean_square
 
 
