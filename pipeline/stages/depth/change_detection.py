@@ -1,6 +1,5 @@
 """Where a gel's image differs from its reference, and the window in which the surface is estimated."""
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,17 +30,11 @@ class ImageWindow:
     blend_weight: Floats  # (rows, cols) weight of the surface: 1, falling to 0 at the end of `changed`
 
 
-def compute_largest_change(image: Image, reference: Image) -> float:
-    """Largest mean absolute change of a block of 8 x 8 pixels, in grey levels; infinite if the image is black."""
-    blocks = _compute_blocks(image, reference)
-    return float(blocks.max()) if int(image.max()) > 2 else math.inf
-
-
-def _compute_blocks(image: Image, reference: Image) -> Image:
+def compute_block_change(image: Image, reference: Image) -> Image:
     """Mean absolute change of every whole block (rows // 8, cols // 8, 3), rounded; the last few pixels are dropped."""
     import cv2
 
-    from pipeline.stages.depth.change_detection_kernels import compute_block_change
+    from pipeline.stages.depth import change_detection_kernels
 
     rows, cols = (n // _BLOCK_PX for n in image.shape[:2])
     if not (rows and cols):  # smaller than a block
@@ -49,7 +42,9 @@ def _compute_blocks(image: Image, reference: Image) -> Image:
         return np.asarray(cv2.resize(change, (max(1, cols), max(1, rows)), interpolation=cv2.INTER_AREA), np.uint8)
     out = np.empty((rows, cols, 3), np.uint8)
     of_rows = np.empty(3 * image.shape[1], np.uint16)
-    compute_block_change(_flatten_rows(image), _flatten_rows(reference), _BLOCK_PX, of_rows, out)
+    change_detection_kernels.compute_block_change(
+        _flatten_rows(image), _flatten_rows(reference), _BLOCK_PX, of_rows, out
+    )
     return out
 
 
@@ -65,7 +60,7 @@ def detect_change(image: Image, reference: Image, no_touch_grey: float, pixel_mm
     """
     import cv2
 
-    blocks = _compute_blocks(image, reference).max(axis=2).astype(np.float32)
+    blocks = compute_block_change(image, reference).max(axis=2).astype(np.float32)
     # A touched region does not extend into changes that the whole image has (drift of the light).
     low = max(_LOW_SHARE * no_touch_grey, _DRIFT_FACTOR * float(np.quantile(blocks, _TYPICAL_QUANTILE)))
     if float(blocks.max()) < low:  # all of it has changed equally: a touch larger than the image

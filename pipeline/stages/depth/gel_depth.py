@@ -137,11 +137,8 @@ def measure_gel_depth(
         median_pressure_share=calibration.median_pressure_share or contact.MEDIAN_PRESSURE_SHARE,
     )  # fmt: skip
     pressed = contact.remove_specks(pressed & (window.changed | inside), max(4, round(_SPECK_MM2 / pixel_mm**2)))
-    dents = false_contacts.remove_light_changes(pressed, surface, changed, used)
-    if not dents.any():
-        dents = pressed
     border = np.pad(np.zeros((shape[0] - 2, shape[1] - 2), np.bool_), 1, constant_values=True)[here]
-    pressed = false_contacts.remove_false_contacts(dents, surface, pixel_mm, border, window.changed)
+    pressed = false_contacts.remove_false_contacts(pressed, surface, pixel_mm, border, window.changed)
     pressed = contact.fill_small_holes(pressed, round(_HOLE_MM2 / pixel_mm**2))
     narrow_px = _BORDER_GEL * (0.0 if source.gel is None else source.gel.thickness_mm) / pixel_mm
     touched[here] = contact.remove_border_artifacts(pressed, surface, *here, shape, narrow_px)

@@ -53,7 +53,7 @@ class ChangeSettings:
     # A wide, smooth dent: share of the view above half its depth, and its steepest slope times the radius of that part
     # over the depth. A paraboloid has 1.4; balls of 30 to 120 mm up to 1.9, faces and tools of every gel 2.0 to 7.4.
     smooth_share: float = 0.15
-    smooth_steepness: float = 1.92
+    smooth_steepness: float = 1.95
     smooth_residual: float = 0.15  # share of the squared change that is left: soft balls up to .1
     # Beside a smooth dent, drift as costly as this is nearly none. It is held back where the residual grows by less
     # than the first factor, not at all from the second: most without drift grow by up to 1.4, with drift by 1.3 to 60.
