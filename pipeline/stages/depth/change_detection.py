@@ -6,7 +6,7 @@ import numpy as np
 
 from pipeline.base.arrays import Floats, Image, Mask, freeze
 from pipeline.stages.depth.contact import fill_holes
-from pipeline.stages.depth.gel.rest import compute_block_means
+from pipeline.stages.depth.gel.coarse_light import compute_block_means
 
 _BLOCK_PX = 8  # width of the blocks that changes are averaged over
 _LOW_SHARE = 0.35  # of the no-touch limit: a touched region extends down to this change

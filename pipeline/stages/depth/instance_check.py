@@ -11,7 +11,7 @@ from pipeline.base.errors import StageWarning
 from pipeline.base.memo import Memo
 from pipeline.calibration.calibration_table import Calibration, make_thumbnail
 from pipeline.engine.digests import compute_cached_digest
-from pipeline.stages.depth.gel import rest
+from pipeline.stages.depth.gel import coarse_light, rest
 
 # Median difference in grey levels. One simulated instance after drift: 0.2; two: 1.2 to 1.8 (Minis with equal LEDs, one
 # pair in ten), others from 4; one real Mini in six recordings, maybe of several days: 0.3 to 2.5; another real Mini: 8
@@ -53,7 +53,7 @@ def _compare_references(now: Image, calibrated: Image) -> tuple[float, bool]:
         now = np.asarray(cv2.resize(now, calibrated.shape[1::-1], interpolation=cv2.INTER_AREA), np.uint8)
     fitted, _ = rest.fit_drift(now, calibrated)
     drifted = calibrated.astype(np.float32) if fitted is None else rest.apply_drift(calibrated, fitted)
-    means = (rest.compute_block_means(image, _BLOCK_PX) for image in (now, drifted))
+    means = (coarse_light.compute_block_means(image, _BLOCK_PX) for image in (now, drifted))
     difference = np.abs(next(means) - next(means)).max(axis=2)
     mean_grey = float(calibrated.mean())
     return float(np.median(difference)), fitted is None or not fitted.exceeds_instance_drift(mean_grey)

@@ -96,7 +96,6 @@ class Change:
     dent_grey: Floats  # (rows, cols, 3) the change that it explains
     load: Floats  # (rows, cols) relative pressure
     is_smooth: bool = False  # the coarse dent is wide and explains nearly all: no finer surface is better known
-    drift: Doubles  # (14,) gain - 1, offset and ramp (2) of each colour, shift (2); beside the dent where there is one
 
 
 def explain_change(image: Image, reference: Image, source: SensorSpec, light: Floats, pixel_mm: float) -> Change:
@@ -117,7 +116,7 @@ def compare_explanations(change: Floats, model: ChangeModel) -> Change:
     light = _compute_evidence(change, model.light, drift, misfit, CHANGE.light_scales)
     shape = model.basis.heights.shape[:2]
     alone = Change(
-        verdict="none", dent_evidence=evidence, light_evidence=light, drift=drift,
+        verdict="none", dent_evidence=evidence, light_evidence=light,
         dent_mm=freeze(np.zeros(shape, np.float32)), dent_grey=freeze(np.zeros((*shape, 3), np.float32)),
         load=freeze(np.zeros(shape, np.float32)),
     )  # fmt: skip
@@ -136,7 +135,7 @@ def compare_explanations(change: Floats, model: ChangeModel) -> Change:
     if is_smooth:
         fit = _hold_drift(fit, _fit_dent(change, pull, model, CHANGE.still_stiffness))
     return Change(
-        verdict=verdict, dent_evidence=evidence, light_evidence=light, drift=fit.drift,
+        verdict=verdict, dent_evidence=evidence, light_evidence=light,
         dent_mm=freeze(model.basis.heights @ fit.pressures),
         dent_grey=freeze((model.dent.columns @ fit.pressures).reshape(*shape, 3)),
         load=freeze(model.basis.loads @ fit.pressures), is_smooth=is_smooth,
@@ -178,7 +177,8 @@ def _hold_drift(fit: _DentFit, still: _DentFit) -> _DentFit:
     floor, (low, high) = CHANGE.floor_grey**2, CHANGE.still_residuals
     ratio = (still.residual + floor) / (fit.residual + floor)
     share = min(max((high - ratio) / (high - low), 0.0), 1.0)
-    return _DentFit(*(share * a + (1 - share) * b for a, b in zip(still, fit, strict=True)))
+    pressures = share * still.pressures + (1 - share) * fit.pressures
+    return fit._replace(pressures=np.asarray(pressures, np.float32))
 
 
 def decide(dent_evidence: float, light_evidence: float) -> Verdict:
@@ -224,8 +224,8 @@ def _make_model(reference: Image, source: SensorSpec, light: Floats, pixel_mm: f
     columns = coarse_light.make_dent_columns(light, basis)
     curvature = columns.T @ columns
     return ChangeModel(
-        drift=drift, light=_make_light_waves(*light.shape[:2], drift), dent=_diagonalise(columns, curvature, drift),
-        dent_curvature=freeze(curvature), basis=basis,
+        drift=drift, light=_make_light_waves(light.shape[0], light.shape[1], drift),
+        dent=_diagonalise(columns, curvature, drift), dent_curvature=freeze(curvature), basis=basis,
     )  # fmt: skip
 
 

@@ -82,7 +82,9 @@ def compute_block_means(picture: Image | Floats, block: int) -> Floats:
 
     rows, cols = (n // block for n in picture.shape[:2])
     whole = np.ascontiguousarray(picture[: rows * block, : cols * block])
-    tall = np.add.reduce(whole.reshape(rows, block, -1), axis=1, dtype=np.float32)
+    # Integer sums over the rows of a block first take half the time.
+    kind = np.uint16 if picture.dtype == np.uint8 and block <= 256 else np.float32
+    tall = np.add.reduce(whole.reshape(rows, block, -1), axis=1, dtype=kind).astype(np.float32)
     wide = cv2.resize(tall.reshape(rows, cols * block, -1), (cols, rows), interpolation=cv2.INTER_AREA)
     return np.asarray(wide, np.float32).reshape(rows, cols, *picture.shape[2:]) / np.float32(block)
 
@@ -157,7 +159,7 @@ def _make_dent_basis(camera: Camera, gel: Gel, pixel_mm: float) -> DentBasis:
 
 
 def _center(n: int) -> Doubles:
-    return np.arange(n) - (n - 1) / 2
+    return np.asarray(np.arange(n) - (n - 1) / 2, np.float64)
 
 
 def _compute_blob_response(gel: Gel, width_mm: float, block_mm: float) -> tuple[Doubles, Doubles, Doubles]:
@@ -168,7 +170,7 @@ def _compute_blob_response(gel: Gel, width_mm: float, block_mm: float) -> tuple[
     blob = np.exp(-q2 * (width_mm**2 + block_mm**2 / 12) / 2)
     height = np.fft.irfft2(gel_layer.compute_symbol(gel, step_mm, (n, n)) * blob, s=(n, n))[0, : n // 2]
     height /= height[0]
-    return np.arange(n // 2) * step_mm, height, np.gradient(height, step_mm)
+    return np.arange(n // 2, dtype=np.float64) * step_mm, height, np.gradient(height, step_mm)
 
 
 def solve_pressures(curvature: Floats, pull: Floats, iterations: int) -> Floats:
@@ -195,7 +197,7 @@ def solve_pressures(curvature: Floats, pull: Floats, iterations: int) -> Floats:
 def make_dent_columns(light: Floats, basis: DentBasis) -> Floats:
     """The change (n, m) of all blocks and colours by each pressure."""
     colours = light[..., 0, None] * basis.slopes[:, :, None, 0] + light[..., 1, None] * basis.slopes[:, :, None, 1]
-    return freeze(np.ascontiguousarray(colours.reshape(-1, basis.slopes.shape[-1])))
+    return freeze(np.ascontiguousarray(colours.reshape(-1, basis.slopes.shape[-1]), np.float32))
 
 
 def make_drift_prior(reference: Image, source: SensorSpec, pixel_mm: float) -> DriftPrior:
@@ -225,7 +227,7 @@ def make_drift_prior(reference: Image, source: SensorSpec, pixel_mm: float) -> D
     curvature = columns.astype(np.float64).T @ columns
     return DriftPrior(
         columns=freeze(columns), precision=freeze(precision), curvature=freeze(curvature),
-        projection=freeze(np.linalg.inv(COARSE.noise_grey**2 * precision + curvature)),
+        projection=freeze(_invert(COARSE.noise_grey**2 * precision + curvature)),
     )  # fmt: skip
 
 
@@ -236,16 +238,20 @@ def fit_dent(
 
     `of_dent`, `pull`: columns^T change of dent and drift; `by_drift` (14, m), `curvature` (m, m): columns^T columns.
     """
-    projection = np.linalg.inv(max(COARSE.noise_grey**2, drift_cost) * drift.precision + drift.curvature)
+    projection = _invert(max(COARSE.noise_grey**2, drift_cost) * drift.precision + drift.curvature)
     left = curvature - by_drift.T @ (projection @ by_drift).astype(np.float32)
-    unit = 1 / np.sqrt(np.maximum(np.diag(left), 1e-3 * float(np.diag(left).max())))
-    left *= unit * unit[:, None]
+    unit = np.asarray(np.maximum(np.diag(left), 1e-3 * float(np.diag(left).max())) ** -0.5, np.float32)
+    left = np.asarray(left * unit * unit[:, None], np.float32)
     length = np.float32(1.1 * _estimate_norm(left))
     left[np.diag_indices_from(left)] += np.float32(1e-4)
     right = (of_dent - by_drift.T @ (projection @ pull)).astype(np.float32) * unit
     right -= np.float32(COARSE.pressure_cost) * right.max()
     pressures = unit * solve_pressures(left / length, right / length, COARSE.iterations)
-    return pressures, projection @ (pull - by_drift @ pressures)
+    return np.asarray(pressures, np.float32), np.asarray(projection @ (pull - by_drift @ pressures), np.float64)
+
+
+def _invert(matrix: Doubles) -> Doubles:
+    return np.asarray(np.linalg.inv(matrix), np.float64)
 
 
 def _estimate_norm(curvature: Floats) -> float:

@@ -5,8 +5,9 @@ LEDs warm up and fade, daylight leaks in, a camera sits loosely in its housing. 
     I_c = (1 + g_c) R_c + b_c + r_c . (u, v) - s . grad R_c        per colour c; the shift s is the same for all
 
 with R the reference. A touch fits none of this: its blocks are outliers, which a redescending weight removes from the
-fit (Geman and McClure 1985), from a wide scale to a narrow one, so no initial guess is needed. If too few blocks agree,
-the drift is unknown.
+fit (Geman and McClure 1985), from a wide scale to a narrow one, so no initial guess is needed. What a coarse dent
+explains (`change`) is taken from the image first, so that no drift takes a large touch for its own. If too few blocks
+agree, the drift is unknown.
 
 A touch changes light far from it as well: by light that its flanks scatter, and by gel that bulges. That looks like a
 small drift. So a small one is left alone, a large one removed, and one in between in part: noise moves the result
@@ -23,26 +24,43 @@ from pipeline.base.errors import StageWarning
 from pipeline.base.memo import Memo
 from pipeline.engine.digests import compute_cached_digest
 from pipeline.stages.depth.gel.change import Change
+from pipeline.stages.depth.gel.coarse_light import compute_block_means
 
-_BLOCKS_ALONG = 54  # blocks along the longer side: more do not improve the fit of smooth changes
-_BLOCK_MIN_PX = 8
-_SCALES_GREY = (24.0, 12.0, 6.0, 3.0)  # of the weights in successive fits, before that of the noise
-_AGREEMENT_GREY = 1.5  # residual up to which a block agrees, where noise is low
-_AGREEMENT_SIGMAS = 3.0  # the same in standard deviations of a block's noise, where that is more
-_AGREEMENT_MIN = 0.3  # share of the blocks; fewer may be part of a touch
-# Share by which more blocks agree than without drift: up to the first it is left alone, from the second removed whole.
-_AGREEMENT_GAIN = (0.25, 0.35)
-_PRIOR_STD = (0.05, 8.0, 10.0, 1.5)  # prior of gain, offset (grey), ramp (grey to the border), shift (px)
-_BLOCK_NOISE_GREY = 0.5
-_GAIN_MAX, _GREY_MAX, _SHIFT_MAX_PX = 0.2, 30.0, 8.0  # more is no drift: another sensor instance, or a failed LED
-_ITERATIONS = 4
-_SHIFT_TOLERANCE_PX = 0.05
-_SHIFT_MIN_PX = 0.1  # smaller shifts are ignored: interpolation would blur more
-_NOTE_GAIN, _NOTE_GREY, _NOTE_PX = 0.012, 2.5, 0.4  # changes that get a note
-_INSTANCE_DRIFT_GREY = (
-    18.0  # all drift together: two simulated instances that a drift explains 23 to 49; gain 3 %, ramp 12, 2 px: 11
-)
-_FOREIGN_GREY = 7.0  # change of three quarters of an image whose reference is of another instance
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RestSettings:
+    """Constants of the drift that is removed."""
+
+    blocks_along: int = 54  # along the longer side: more do not improve the fit of smooth changes
+    block_min_px: int = 8
+    scales_grey: tuple[float, ...] = (24.0, 12.0, 6.0, 3.0)  # of the weights in successive fits, before the noise's
+    agreement_grey: float = 1.5  # residual up to which a block agrees, where noise is low
+    agreement_sigmas: float = 3.0  # the same in standard deviations of a block's noise, where that is more
+    agreement_min: float = 0.3  # share of the blocks; fewer may be part of a touch
+    # Share by which more blocks agree than without drift: up to the first it is left alone, from the second removed.
+    agreement_gain: tuple[float, float] = (0.25, 0.35)
+    prior_std: tuple[float, ...] = (
+        0.05,
+        8.0,
+        10.0,
+        1.5,
+    )  # of gain, offset (grey), ramp (grey to the border), shift (px)
+    block_noise_grey: float = 0.5
+    gain_max: float = 0.2  # more is no drift: another sensor instance, or a failed LED
+    grey_max: float = 30.0
+    shift_max_px: float = 8.0
+    iterations: int = 4
+    shift_tolerance_px: float = 0.05
+    shift_min_px: float = 0.1  # smaller shifts are ignored: interpolation would blur more
+    note_gain: float = 0.012  # changes that get a note
+    note_grey: float = 2.5
+    note_px: float = 0.4
+    # All drift together: two simulated instances that a drift explains 23 to 49; gain 3 %, ramp 12, 2 px: 11.
+    instance_drift_grey: float = 18.0
+    foreign_grey: float = 7.0  # change of three quarters of an image whose reference is of another instance
+
+
+REST = RestSettings()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,10 +78,10 @@ class Drift:
         notes: list[str] = []
         change = float(self.gain.mean()) - 1.0
         grey = float(np.abs(self.offset_grey).max() + np.abs(self.ramp_grey).max())
-        if max(float(np.abs(self.gain - 1.0).max()) / _NOTE_GAIN, grey / _NOTE_GREY) > 1.0:
+        if max(float(np.abs(self.gain - 1.0).max()) / REST.note_gain, grey / REST.note_grey) > 1.0:
             notes.append(f"the light has drifted since the reference ({100 * change:+.1f} %, up to {grey:.0f} grey "
                         "levels across the image); it is removed")  # fmt: skip
-        if math.hypot(*self.shift_px) > _NOTE_PX:
+        if math.hypot(*self.shift_px) > REST.note_px:
             notes.append(
                 f"the image has moved by {math.hypot(*self.shift_px):.1f} px against the reference; it is removed"
             )
@@ -75,7 +93,7 @@ class Drift:
         Stray light of a touch reaches as much with a DIGIT's balls.
         """
         grey = float(np.abs(self.gain - 1.0).max()) * bright_grey
-        return grey + float(np.abs(self.offset_grey).max() + np.abs(self.ramp_grey).max()) > _INSTANCE_DRIFT_GREY
+        return grey + float(np.abs(self.offset_grey).max() + np.abs(self.ramp_grey).max()) > REST.instance_drift_grey
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -125,7 +143,7 @@ def fit_drift(image: Image, reference: Image, dent_grey: Floats | None = None) -
     """
     import cv2
 
-    block = max(_BLOCK_MIN_PX, round(max(image.shape) / _BLOCKS_ALONG))
+    block = max(REST.block_min_px, round(max(image.shape) / REST.blocks_along))
     if min(image.shape[:2]) < 4 * block:
         return None, False
     now, still = compute_block_means(image, block), _references.get_or_make(
@@ -135,23 +153,23 @@ def fit_drift(image: Image, reference: Image, dent_grey: Floats | None = None) -
         now = now - cv2.resize(dent_grey, now.shape[1::-1], interpolation=cv2.INTER_LINEAR)
     residual = now - still.mean.reshape(now.shape)
     change, agrees = np.abs(residual).max(axis=2), _compute_agreement_grey(residual)
-    foreign = float(np.percentile(change, 25)) > _FOREIGN_GREY
-    if agrees <= _AGREEMENT_GREY and float((change < agrees).mean()) > 1.0 - _AGREEMENT_GAIN[0]:
+    foreign = float(np.percentile(change, 25)) > REST.foreign_grey
+    if agrees <= REST.agreement_grey and float((change < agrees).mean()) > 1.0 - REST.agreement_gain[0]:
         return None, foreign
     place, shift, solution = _make_positions(*now.shape[:2]), np.zeros(2), np.zeros(14)
-    for _ in range(_ITERATIONS):
+    for _ in range(REST.iterations):
         solution, left = _solve(now.reshape(-1, 3), still, place, shift, agrees)
         residual = left.reshape(now.shape)
         shift = shift + solution[12:]
-        if float(np.abs(solution[12:]).max()) < _SHIFT_TOLERANCE_PX or math.hypot(*shift) > _SHIFT_MAX_PX:
+        if float(np.abs(solution[12:]).max()) < REST.shift_tolerance_px or math.hypot(*shift) > REST.shift_max_px:
             break
         still = _make_blocks(_shift_image(reference, shift), block)
     agrees = _compute_agreement_grey(residual)  # texture that has moved looks like noise before
     alike, agree = (float((a < agrees).mean()) for a in (change, np.abs(residual).max(axis=2)))
     own = solution[:12].reshape(3, 4)
-    small = float(np.abs(own[:, 0]).max()) < _GAIN_MAX and float(np.abs(own[:, 1:]).max()) < _GREY_MAX
-    share = _step(agree - alike, _AGREEMENT_GAIN)
-    if not small or math.hypot(*shift) > _SHIFT_MAX_PX or agree < _AGREEMENT_MIN or share == 0.0:
+    small = float(np.abs(own[:, 0]).max()) < REST.gain_max and float(np.abs(own[:, 1:]).max()) < REST.grey_max
+    share = _step(agree - alike, REST.agreement_gain)
+    if not small or math.hypot(*shift) > REST.shift_max_px or agree < REST.agreement_min or share == 0.0:
         return None, foreign
     own, shift = share * own, share * shift
     return Drift(gain=1.0 + own[:, 0], offset_grey=own[:, 1], ramp_grey=own[:, 2:],
@@ -166,7 +184,7 @@ def _step(value: float, limits: tuple[float, float]) -> float:
 
 def _compute_agreement_grey(residual: Floats | Doubles) -> float:
     """The residual (grey) up to which a block (rows, cols, 3) agrees."""
-    return max(_AGREEMENT_GREY, _AGREEMENT_SIGMAS * _estimate_noise(residual))
+    return max(REST.agreement_grey, REST.agreement_sigmas * _estimate_noise(residual))
 
 
 def _estimate_noise(change: Floats | Doubles) -> float:
@@ -181,7 +199,7 @@ def _estimate_noise(change: Floats | Doubles) -> float:
 def apply_drift(reference: Image, drift: Drift) -> Floats:
     """The reference (rows, cols, 3) with the drift applied; grey levels may lie outside 0 to 255."""
     rows, cols = reference.shape[:2]
-    small = math.hypot(*drift.shift_px) < _SHIFT_MIN_PX
+    small = math.hypot(*drift.shift_px) < REST.shift_min_px
     moved = reference.astype(np.float32) if small else _shift_image(reference, np.array(drift.shift_px))
     along_x, along_y = (_make_axis(n, max(rows, cols)).astype(np.float32) for n in (cols, rows))
     gain, offset, ramp = (a.astype(np.float32) for a in (drift.gain, drift.offset_grey, drift.ramp_grey))
@@ -189,19 +207,6 @@ def apply_drift(reference: Image, drift: Drift) -> Floats:
     moved += (offset + along_x[:, None] * ramp[:, 0])[None]
     moved += (along_y[:, None] * ramp[:, 1])[:, None]
     return moved
-
-
-def compute_block_means(picture: Image | Floats, block: int) -> Floats:
-    """Mean of every whole block (rows // block, cols // block, 3); the last few pixels are dropped."""
-    import cv2
-
-    rows, cols = (n // block for n in picture.shape[:2])
-    whole = picture[: rows * block, : cols * block]
-    # Integer sums over the rows of a block first take half the time.
-    kind = np.uint16 if picture.dtype == np.uint8 and block <= 256 else np.float32
-    tall = np.add.reduce(whole.reshape(rows, block, -1), axis=1, dtype=kind).astype(np.float32)
-    wide = cv2.resize(tall.reshape(rows, -1, 3), (cols, rows), interpolation=cv2.INTER_AREA)
-    return np.asarray(wide, np.float32) / np.float32(block)
 
 
 _references: Memo[tuple[str, int], _Blocks] = Memo(4)
@@ -247,12 +252,14 @@ def _solve(now: Floats, still: _Blocks, place: Floats, shift: Doubles, agrees: f
         [np.stack([still.mean[:, c], ones, *place.T, -still.by_x[:, c], -still.by_y[:, c]]) for c in range(3)]
     )
     numbers = [np.r_[4 * c : 4 * c + 4, 12, 13] for c in range(3)]  # unknowns of each colour
-    own_prior = np.array([_PRIOR_STD[0], _PRIOR_STD[1], _PRIOR_STD[2], _PRIOR_STD[2]]) / _BLOCK_NOISE_GREY
-    prior = np.concatenate([np.tile(own_prior, 3), np.full(2, _PRIOR_STD[3] / _BLOCK_NOISE_GREY)]) ** -2.0
+    own_prior = (
+        np.array([REST.prior_std[0], REST.prior_std[1], REST.prior_std[2], REST.prior_std[2]]) / REST.block_noise_grey
+    )
+    prior = np.concatenate([np.tile(own_prior, 3), np.full(2, REST.prior_std[3] / REST.block_noise_grey)]) ** -2.0
     weight = ones
     solution: Doubles = np.zeros(14)
     left = target.T
-    for scale in (*_SCALES_GREY, agrees, agrees):
+    for scale in (*REST.scales_grey, agrees, agrees):
         normal, right = np.diag(prior), np.zeros(14)
         right[12:] = -prior[12:] * shift
         weighted = columns * weight
