@@ -88,7 +88,9 @@ def test_all_frames_of_a_recording_share_its_leds():
     first, second = (measured.illumination for _, measured in results)
     table = make_built_in(source)
     observations = [
-        frame_illumination.observe_leds(detect_changed_image(frame.image, frame.reference, source, table), SILENT)
+        frame_illumination.observe_leds(
+            detect_changed_image(frame.image, frame.reference, source, table, context), SILENT
+        )
         for frame in frames
     ]
     assert first == second

@@ -5,9 +5,9 @@ LEDs warm up and fade, daylight leaks in, a camera sits loosely in its housing. 
     I_c = (1 + g_c) R_c + b_c + r_c . (u, v) - s . grad R_c        per colour c; the shift s is the same for all
 
 with R the reference. A touch fits none of this: its blocks are outliers, which a redescending weight removes from the
-fit (Geman and McClure 1985), from a wide scale to a narrow one, so no initial guess is needed. What a coarse dent
-explains (`change`) is taken from the image first, so that no drift takes a large touch for its own. If too few blocks
-agree, the drift is unknown.
+fit (Geman and McClure 1985), from a wide scale to a narrow one, so no initial guess is needed. If too few blocks agree,
+the drift is unknown. What a wide, smooth dent explains (`change`) is taken from the image first, so that drift does not
+take it for its own; a small one is an outlier, and what the coarse light gets wrong of it would be taken for drift.
 
 A touch changes light far from it as well: by light that its flanks scatter, and by gel that bulges. That looks like a
 small drift. So a small one is left alone, a large one removed, and one in between in part: noise moves the result
@@ -117,7 +117,7 @@ class _Blocks:
 
 def estimate_rest(image: Image, reference: Image, change: Change) -> Rest:
     """The reference (rows, cols, 3) in the light and place of `image`, as far as what no dent explains shows them."""
-    drift, foreign = fit_drift(image, reference, change.dent_grey)
+    drift, foreign = fit_drift(image, reference, change.dent_grey if change.is_smooth else None)
     warning = StageWarning(
         "most of the image differs from the reference, so depth may be wrong: record a new reference of this sensor"
     )

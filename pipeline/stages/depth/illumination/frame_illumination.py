@@ -26,8 +26,8 @@ from pipeline.values.frames import TactileFrame
 
 _MIN_CONTEXT_TOUCHES = 2  # one tells no more than the frame itself
 _CODE = (
-    "pipeline.stages.depth", "pipeline.stages.depth.illumination", "pipeline.calibration", "pipeline.physics",
-    "pipeline.sensors",
+    "pipeline.stages.depth", "pipeline.stages.depth.gel", "pipeline.stages.depth.illumination", "pipeline.calibration",
+    "pipeline.physics", "pipeline.sensors",
 )  # fmt: skip
 _cache: Memo[tuple[str, ...], Illumination] = Memo(1024)  # illuminations of frames, up to a few kilobytes each
 _recordings: Memo[tuple[str, ...], Illumination] = Memo(8)
