@@ -1,6 +1,6 @@
 """Depth of a gel: colour change -> slopes -> surface -> contact, computed only around what has changed.
 
-Drift of the light and of the camera is removed first (`drift`). Where the calibration table was derived from the
+What touches is decided first, and drift removed (`gel`). Where the calibration table was derived from the
 sensor's description, the surface is then corrected by rendering it in the frame's illumination (`illumination`).
 
 Constants marked "chosen" were compared with values a third less and half as much again (`docs/experiments.md`): the

@@ -15,7 +15,7 @@ PHYSICS = Method(
     run=skip_if_exact(photometric.skip_without_contact, photometric.estimate_depth_with_notes),
     params=photometric.DepthParams,
     reads=("frame", "source", "calibration"),
-    version=18,
+    version=19,
     draft=photometric.make_draft_params,
 )
 NETWORK = Method(
@@ -28,7 +28,7 @@ NETWORK = Method(
     ),
     params=network.NetworkParams,
     reads=(*PHYSICS.reads, "depth_weights"),
-    version=10,
+    version=11,
     draft=photometric.make_draft_params,
     weights=network.select_weights,
 )
