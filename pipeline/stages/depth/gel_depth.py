@@ -40,7 +40,6 @@ _FAR = 0.7  # gel thicknesses from the contact: the gel is neither indented nor 
 # Contact of a coarse dent: load over its load-weighted mean, and depth over the deepest. Areas of soft balls are .8 to
 # 1.1 of the true ones; without the second, faint load far from the dent makes some 1.4.
 _LOAD_SHARE, _DENT_SHARE = 0.35, 0.15
-_BLACK_GREY = 2  # brightest pixel of an image that shows nothing
 _SATURATED_GREY = 254  # noise of one grey level moves what is clipped at 255 down to here
 _MAX_SATURATED_SHARE = 0.01  # of the changed region; more is warned of
 _PRESSURE_BLUR_PX = 1.5  # blur of the relative pressure that separates certain contact (chosen)
@@ -197,8 +196,6 @@ def describe_if_no_contact(
 ) -> tuple[str, ...] | None:
     """Notes on a frame that differs from its reference by drift alone; None where something else may have changed."""
     image, reference = cast("Image", frame.image), cast("Image", frame.reference)
-    if int(image.max()) <= _BLACK_GREY:
-        return None
     pixel_mm = source.pixel_mm if calibration is None else calibration.pixel_mm
     seen = gel_surface.observe(image, reference, source, pixel_mm, frame.context_frames)
     if seen.change.verdict != "none":

@@ -239,7 +239,8 @@ def skip_without_contact(
         return None
     limit = source.limits.no_contact_change / params.sensitivity
     seen_by = see_by_frame(source, frame)
-    if frame.image.shape[:2] != seen_by.camera.shape:
+    is_readable = not any(load_reference(kind.image_checker)(array) for array in (image, reference))
+    if frame.image.shape[:2] != seen_by.camera.shape or not is_readable:
         return None
     notes = load_reference(kind.contact_checker)(frame, seen_by, calibration, limit)
     if notes is None:

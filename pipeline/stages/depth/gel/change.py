@@ -98,6 +98,15 @@ class Change:
     is_smooth: bool = False  # the coarse dent is wide and explains nearly all: no finer surface is better known
 
 
+def make_unexplained_change(verdict: Verdict, shape: tuple[int, ...] = (1, 1)) -> Change:
+    """A verdict without a dent on blocks of this shape (rows, cols)."""
+    nothing = freeze(np.zeros(shape, np.float32))
+    return Change(
+        verdict=verdict, dent_evidence=0.0, light_evidence=0.0, dent_mm=nothing,
+        dent_grey=freeze(np.zeros((*shape, 3), np.float32)), load=nothing,
+    )  # fmt: skip
+
+
 def explain_change(image: Image, reference: Image, source: SensorSpec, light: Floats, pixel_mm: float) -> Change:
     """Whether the change between two images (rows, cols, 3) is a press, in this coarse light (rows, cols, 3, 2)."""
     model = make_model(reference, source, light, pixel_mm)
@@ -115,11 +124,7 @@ def compare_explanations(change: Floats, model: ChangeModel) -> Change:
     evidence = _compute_evidence(change, model.dent, drift, misfit, CHANGE.pressure_stds)
     light = _compute_evidence(change, model.light, drift, misfit, CHANGE.light_scales)
     shape = model.basis.heights.shape[:2]
-    alone = Change(
-        verdict="none", dent_evidence=evidence, light_evidence=light,
-        dent_mm=freeze(np.zeros(shape, np.float32)), dent_grey=freeze(np.zeros((*shape, 3), np.float32)),
-        load=freeze(np.zeros(shape, np.float32)),
-    )  # fmt: skip
+    alone = replace(make_unexplained_change("none", shape), dent_evidence=evidence, light_evidence=light)
     cost = float(drift @ prior.precision @ drift) / 2
     if evidence + cost < CHANGE.none_evidence:
         return alone

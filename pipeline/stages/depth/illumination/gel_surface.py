@@ -17,7 +17,7 @@ from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import change_detection
 from pipeline.stages.depth.change_detection import ImageWindow
 from pipeline.stages.depth.gel import coarse_light
-from pipeline.stages.depth.gel.change import Change, explain_change
+from pipeline.stages.depth.gel.change import Change, explain_change, make_unexplained_change
 from pipeline.stages.depth.gel.rest import Rest, estimate_rest
 from pipeline.stages.depth.illumination import selection
 from pipeline.stages.depth.illumination.light import (
@@ -84,6 +84,13 @@ def observe(
     arrays = (compute_cached_digest(a) for a in (image, reference, source, touches))
 
     def make() -> Observation:
+        if source.optics is None:  # no light to explain a change by: what drift leaves is a press
+            change = make_unexplained_change("none")
+            rest = estimate_rest(image, reference, change)
+            limit_grey = source.limits.no_contact_change
+            if change_detection.detect_change(image, rest.image_8bit, limit_grey, pixel_mm) is not None:
+                change = make_unexplained_change("press")
+            return Observation(change=change, rest=rest)
         with limit_blas_to_one_thread():
             light = coarse_light.estimate_light(touches, reference, source, pixel_mm)
             change = explain_change(image, reference, source, light, pixel_mm)
