@@ -29,13 +29,13 @@ from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import (
     contact,
     draft_resolution,
-    drift,
     gel_depth,
     gel_network_input,
     illumination_channels,
     photometric,
 )
 from pipeline.stages.depth.gel_depth import MeasuredSurface
+from pipeline.stages.depth.illumination import gel_surface
 from pipeline.stages.depth.illumination.light import Illumination
 from pipeline.values.frames import TactileFrame
 from pipeline.values.results import DepthErrorModel, DepthMap
@@ -189,7 +189,7 @@ def estimate_physical_depth(
 def prepare_input(frame: TactileFrame, source: SensorSpec, physical: DepthMap) -> gel_network_input.NetworkInput:
     """The network's input from a frame and its photometric depth; `source` with the frame's own camera."""
     image, reference = cast("Image", frame.image), cast("Image", frame.reference)
-    reference = drift.apply_estimated_drift(image, reference).image
+    reference = gel_surface.observe(image, reference, source, source.pixel_mm, frame.context_frames).rest.image
     described = _described_lights.get_or_make(
         compute_cached_digest(source), lambda: gel_network_input.describe_light(source)
     )
