@@ -124,9 +124,10 @@ def _compute_excess(load: Floats, cell_mm: float, contact_share: float, settings
     excess = load - np.maximum(edge, np.float32(max(settings.pressure_min, settings.total_share * typical)))
     n, found = cv2.connectedComponents((excess > 0).astype(np.uint8), connectivity=8)
     parts, peaks = np.asarray(found, np.int32), np.zeros(n, np.float32)
-    np.maximum.at(peaks, parts, load)
+    np.maximum.at(peaks, parts, load - loads)  # slopes that are slightly wrong make broad pressure without an edge
+    peaks[0] = 0.0
     keep = np.bincount(parts.ravel(), minlength=n) * cell_mm**2 >= settings.part_mm2
-    keep &= peaks >= np.float32(settings.part_share * typical)
+    keep &= peaks >= min(np.float32(settings.part_share * typical), peaks.max())
     return np.where(keep[parts] | (parts == 0), excess, np.minimum(excess, -load))
 
 

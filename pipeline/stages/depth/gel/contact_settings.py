@@ -23,13 +23,15 @@ class ContactSettings:
     price_share: float = 0.04  # price of load, of the load-weighted mean pressure
     price_min: float = 0.001  # mm/mm: what noise of a camera makes
     blob_mm: float = 0.08  # standard deviation: about what lens and smoothing blur an edge by
-    contact_share: float = 0.47  # of the mean pressure nearby: contact
+    edge_blob_mm: float = 0.06  # the same of the pressure whose edge is the contact's
+    contact_share: float = 0.43  # of the mean pressure nearby: contact
     mean_mm: float = 1.0  # standard deviation of that mean's weights
     reach_mm: float = 2.0  # of that mean: pressure by errors of slopes lies within about a gel's thickness of a contact
     total_share: float = 0.1  # of the mean pressure of the whole image: contact anywhere
     pressure_min: float = 0.012  # mm/mm: contact anywhere
-    part_share: float = 0.4  # of the mean pressure of the whole image, which a part of the contact reaches somewhere:
-    # second touches of simulated presses reach .3 to 1.8, the corners of real GelSlims .33, of real DIGITs .36
+    # Of the mean pressure of the whole image: by so much a part of the contact exceeds the mean nearby somewhere. Balls of
+    # real sensors .38 to 1.7, simulated contacts .9 and more; corners of real GelSlims up to .43, of real DIGITs .39.
+    part_share: float = 0.4
     part_mm2: float = 0.12  # smaller parts are noise
     least_share: float = 0.5  # of a sensor's smallest indentation, which counts from the bulge around a contact
     around_share: float = 1.0  # of the gel's thickness around a contact, where the level of the surface is compared
