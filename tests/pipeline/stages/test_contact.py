@@ -8,12 +8,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
-from scipy.ndimage import binary_fill_holes, label
-
-from benchmarks.real_things import circle_of, straight
-from pipeline.metrics.stage_metrics import iou
-from pipeline.physics import gel
-from pipeline.sensors.parts import Gel
 from pipeline.stages.depth.contact import (
     detect_contact,
     detect_membrane_contact,
@@ -22,6 +16,12 @@ from pipeline.stages.depth.contact import (
     remove_border_artifacts,
     remove_weak_specks,
 )
+from scipy.ndimage import binary_fill_holes, label
+
+from benchmarks.real_things import circle_of, straight
+from pipeline.metrics.stage_metrics import iou
+from pipeline.physics import gel
+from pipeline.sensors.parts import Gel
 
 SHAPE = (60, 80)
 PAD, PIXEL_MM = Gel(thickness_mm=2.0, youngs_kpa=120.0, poisson=0.48), 0.05

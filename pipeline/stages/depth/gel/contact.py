@@ -21,11 +21,12 @@ _KPA_TO_N_MM2 = 1e-3
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeasuredSurface:
-    """The part of a gel's surface that was measured, up to its level."""
+    """The part of a gel's surface that was measured, up to its level; arrays (rows, cols) of a window of the image."""
 
-    surface_mm: Floats  # (rows, cols) of the window
-    changed: Mask  # (rows, cols) of the window: where the surface was measured; elsewhere the image is as at rest
-    rows: slice  # of the image
+    surface_mm: Floats
+    changed: Mask  # where the image shows slopes; elsewhere it is as at rest
+    weight: Floats  # of the surface outside the contact: 1, falling to 0 at the end of `changed`
+    rows: slice
     cols: slice
     shape: tuple[int, int]  # of the image
     pixel_mm: float
@@ -33,82 +34,91 @@ class MeasuredSurface:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class PressedRegion:
+    """Where pressure explains a surface."""
+
+    contact: Mask  # (rows, cols) of the image
+    cells: CellSurface
+    blobs: Floats  # (rows, cols) of the cells, see `pressure`: a similar frame may start from them
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class GelContact:
-    """A gel under the pressure that explains its surface; arrays (rows, cols) of the image, zero at rest."""
+    """A gel under the pressure of a contact; arrays (rows, cols) of the image, zero at rest."""
 
     contact: Mask
     measured_mm: Floats  # levelled; the mechanical surface where nothing was measured
     mechanical_mm: Floats
-    pressure_kpa: Floats  # (rows, cols) of the cells
-    blobs: Floats  # (rows, cols) of the cells: where the next frame may start
+    pressure_kpa: Floats  # (rows, cols) of cells
     cell_mm: float
     force_n: float
-    pixel_mm: float
-    gel: Gel
+    fade_px: tuple[float, float]  # distance from a contact, over which the measured surface becomes the mechanical one
 
-    def compute_indentation(self, touched: Mask, settings: ContactSettings) -> Floats:
+    def compute_indentation(self, touched: Mask) -> Floats:
         """The surface (rows, cols) in mm: measured where `touched`, mechanical away from it."""
         import cv2
 
         if not touched.any():
-            return self.mechanical_mm
-        away = cv2.distanceTransform((~touched).astype(np.uint8), cv2.DIST_L2, 5)
-        start, end = (share * self.gel.thickness_mm / self.pixel_mm for share in settings.fade_shares)
-        keep = np.clip((np.float32(end) - np.asarray(away, np.float32)) / np.float32(end - start), 0.0, 1.0)
+            return self.measured_mm
+        away = np.asarray(cv2.distanceTransform((~touched).astype(np.uint8), cv2.DIST_L2, 5), np.float32)
+        start, end = (np.float32(px) for px in self.fade_px)
+        keep = np.clip((end - away) / (end - start), np.float32(0.0), np.float32(1.0))
         return np.asarray(self.mechanical_mm + keep * (self.measured_mm - self.mechanical_mm), np.float32)
 
 
-def estimate_contact(
-    measured: MeasuredSurface,
-    settings: ContactSettings,
-    *,
-    least_mm: float,
-    contact_share: float,
-    start: Floats | None = None,
-) -> GelContact:
-    """The contact of a measured surface.
+def detect_contact(
+    measured: MeasuredSurface, settings: ContactSettings, contact_share: float, start: Floats | None = None
+) -> PressedRegion:
+    """Where the pressure behind a measured surface is more than `contact_share` of the mean nearby.
 
-    Contact is indented by more than `least_mm`, under more than `contact_share` of the mean pressure nearby. `start`:
-    the `blobs` of a similar surface of the same image size.
+    `start`: the blobs of a similar surface of the same image size.
     """
-    on, image_mm, changed = _downsample(measured, settings)
-    blobs = pressure.estimate_pressure(on, measured.gel, settings, start)
-    load = pressure.compute_pressure(blobs, on.cell_mm, measured.gel, settings)
-    excess = _compute_excess(load, on.cell_mm, contact_share, settings)
-    touched = _resize(excess, measured.shape) > 0
-    refitted, cells = pressure.refit_pressure(on, measured.gel, settings, blobs, excess > 0)
-    load = pressure.compute_pressure(refitted, cells.cell_mm, measured.gel, settings)
-    moved = pressure.compute_displacement(refitted, cells.cell_mm, measured.gel, settings)
-    offset = _compute_offset(cells, moved, refitted > 0, settings.around_share * measured.gel.thickness_mm)
-    mechanical = _resize(moved, measured.shape)
-    levelled = np.where(changed, image_mm - np.float32(offset), mechanical)
-    touched &= levelled > np.float32(settings.least_share * least_mm)
-    kpa = load * np.float32(measured.gel.youngs_kpa / (2 * (1 - measured.gel.poisson**2)))
+    cells = _downsample(measured, settings)
+    blobs = pressure.estimate_pressure(cells, measured.gel, settings, start)
+    load = pressure.compute_pressure(blobs, cells.cell_mm, measured.gel, settings)
+    excess = _compute_excess(load, cells.cell_mm, contact_share, settings)
+    return PressedRegion(contact=freeze(_resize(excess, measured.shape) > 0), cells=cells, blobs=freeze(blobs))
+
+
+def press_surface(
+    measured: MeasuredSurface, region: PressedRegion, touched: Mask, settings: ContactSettings, least_mm: float
+) -> GelContact:
+    """The gel under pressure where `touched` (rows, cols) alone; contact is indented by `least_mm`, nearly."""
+    gel, shape = measured.gel, measured.shape
+    blobs, cells = pressure.refit_pressure(region.cells, gel, settings, region.blobs, touched)
+    load = pressure.compute_pressure(blobs, cells.cell_mm, gel, settings)
+    moved = pressure.compute_displacement(blobs, cells.cell_mm, gel, settings)
+    offset = _compute_offset(cells, moved, blobs > 0, settings.around_share * gel.thickness_mm)
+    mechanical = _resize(moved, shape)
+    here = (measured.rows, measured.cols)
+    levelled = measured.surface_mm - np.float32(offset)
+    touched = touched.copy()
+    touched[here] &= levelled > np.float32(settings.least_share * least_mm)
+    surface = mechanical.copy()
+    surface[here] += np.maximum(measured.weight, touched[here]) * (levelled - mechanical[here])
+    kpa = load * np.float32(gel.youngs_kpa / (2 * (1 - gel.poisson**2)))
+    start_share, end_share = settings.fade_shares
     return GelContact(
-        contact=freeze(touched), measured_mm=freeze(levelled), mechanical_mm=freeze(mechanical),
-        pressure_kpa=freeze(kpa), blobs=freeze(blobs), cell_mm=cells.cell_mm,
+        contact=freeze(touched), measured_mm=freeze(surface), mechanical_mm=freeze(mechanical),
+        pressure_kpa=freeze(kpa), cell_mm=cells.cell_mm,
         force_n=float(kpa.sum(dtype=np.float64)) * cells.cell_mm**2 * _KPA_TO_N_MM2,
-        pixel_mm=measured.pixel_mm, gel=measured.gel,
+        fade_px=(start_share * gel.thickness_mm / measured.pixel_mm, end_share * gel.thickness_mm / measured.pixel_mm),
     )  # fmt: skip
 
 
-def _downsample(measured: MeasuredSurface, settings: ContactSettings) -> tuple[CellSurface, Floats, Mask]:
-    """The surface on cells, and on the pixels of the image with the mask of what was measured; zero elsewhere."""
+def _downsample(measured: MeasuredSurface, settings: ContactSettings) -> CellSurface:
+    """The measured surface on cells; zero where nothing was measured."""
     import cv2
 
     rows, cols = measured.shape
     by = math.ceil(max(measured.shape) / settings.cells_max)
     size = (-(-cols // by), -(-rows // by))
-    image, changed = np.zeros(measured.shape, np.float32), np.zeros(measured.shape, np.bool_)
+    image, changed = np.zeros(measured.shape, np.float32), np.zeros(measured.shape, np.float32)
     here = (measured.rows, measured.cols)
-    image[here], changed[here] = np.where(measured.changed, measured.surface_mm, np.float32(0.0)), measured.changed
+    image[here], changed[here] = measured.surface_mm, measured.changed
     mean = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.float32)
-    share = np.asarray(cv2.resize(changed.astype(np.float32), size, interpolation=cv2.INTER_AREA), np.float32)
-    inside = share > settings.cell_share
-    on = CellSurface(
-        surface_mm=np.where(inside, mean, np.float32(0.0)), inside=inside, cell_mm=measured.pixel_mm * cols / size[0]
-    )
-    return on, image, changed
+    share = np.asarray(cv2.resize(changed, size, interpolation=cv2.INTER_AREA), np.float32)
+    return CellSurface(surface_mm=mean, inside=share > settings.cell_share, cell_mm=measured.pixel_mm * cols / size[0])
 
 
 def _compute_excess(load: Floats, cell_mm: float, contact_share: float, settings: ContactSettings) -> Floats:

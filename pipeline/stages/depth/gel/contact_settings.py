@@ -36,4 +36,10 @@ class ContactSettings:
     least_share: float = 0.5  # of a sensor's smallest indentation, which counts from the bulge around a contact
     around_share: float = 1.0  # of the gel's thickness around a contact, where the level of the surface is compared
     cell_share: float = 0.99  # of a cell that must have been measured
-    fade_shares: tuple[float, float] = (0.2, 0.6)  # of the gel's thickness from the contact: from measured to mechanical
+    fade_shares: tuple[float, float] = (
+        0.2,
+        0.6,
+    )  # of the gel's thickness from the contact: from measured to mechanical
+
+
+CONTACT = ContactSettings()

@@ -81,7 +81,9 @@ def compute_displacement(blobs: Floats, cell_mm: float, gel: Gel, settings: Cont
 
     Load at the border goes on for a part of the margin: it ends somewhere there.
     """
-    continued, margin = (round(n * gel.thickness_mm / cell_mm) for n in (settings.continued_share, settings.margin_share))
+    continued, margin = (
+        round(n * gel.thickness_mm / cell_mm) for n in (settings.continued_share, settings.margin_share)
+    )
     padded = np.pad(np.pad(blobs, continued, mode="edge"), margin - continued)
     waves = _make_waves(gel, cell_mm, padded.shape, settings)
     moved = waves.invert(waves.displacement * waves.transform(padded))
