@@ -52,7 +52,8 @@ class GelContact:
     pressure_kpa: Floats  # (rows, cols) of cells
     cell_mm: float
     force_n: float
-    fade_px: tuple[float, float]  # distance from a contact, over which the measured surface becomes the mechanical one
+    pixel_mm: float
+    fade_mm: tuple[float, float]  # distances from a contact, over which the measured surface becomes the mechanical one
 
     def compute_indentation(self, touched: Mask) -> Floats:
         """The surface (rows, cols) in mm: measured where `touched`, mechanical away from it."""
@@ -60,9 +61,13 @@ class GelContact:
 
         if not touched.any():
             return self.measured_mm
-        away = np.asarray(cv2.distanceTransform((~touched).astype(np.uint8), cv2.DIST_L2, 5), np.float32)
-        start, end = (np.float32(px) for px in self.fade_px)
-        keep = np.clip((end - away) / (end - start), np.float32(0.0), np.float32(1.0))
+        by = max(1, round(self.cell_mm / self.pixel_mm / 2))  # distances are smooth
+        size = tuple(-(-n // by) for n in touched.shape[::-1])
+        share = np.asarray(cv2.resize(touched.astype(np.float32), size, interpolation=cv2.INTER_AREA), np.float32)
+        away = cv2.distanceTransform((share < 0.5).astype(np.uint8), cv2.DIST_L2, 5)  # noqa: PLR2004 - half a cell
+        away = _resize(np.asarray(away, np.float32) * np.float32(by * self.pixel_mm), touched.shape)
+        start, end = (np.float32(distance) for distance in self.fade_mm)
+        keep = np.maximum(np.clip((end - away) / (end - start), np.float32(0.0), np.float32(1.0)), touched)
         return np.asarray(self.mechanical_mm + keep * (self.measured_mm - self.mechanical_mm), np.float32)
 
 
@@ -97,12 +102,12 @@ def press_surface(
     surface = mechanical.copy()
     surface[here] += np.maximum(measured.weight, touched[here]) * (levelled - mechanical[here])
     kpa = load * np.float32(gel.youngs_kpa / (2 * (1 - gel.poisson**2)))
-    start_share, end_share = settings.fade_shares
+    start, end = settings.fade_shares
     return GelContact(
         contact=freeze(touched), measured_mm=freeze(surface), mechanical_mm=freeze(mechanical),
         pressure_kpa=freeze(kpa), cell_mm=cells.cell_mm,
         force_n=float(kpa.sum(dtype=np.float64)) * cells.cell_mm**2 * _KPA_TO_N_MM2,
-        fade_px=(start_share * gel.thickness_mm / measured.pixel_mm, end_share * gel.thickness_mm / measured.pixel_mm),
+        pixel_mm=measured.pixel_mm, fade_mm=(start * gel.thickness_mm, end * gel.thickness_mm),
     )  # fmt: skip
 
 
@@ -125,19 +130,24 @@ def _compute_excess(load: Floats, cell_mm: float, contact_share: float, settings
     """Pressure above that of the contact's edge (rows, cols), negative outside; specks and faint parts are outside."""
     import cv2
 
-    width, reach = settings.mean_mm / cell_mm, max(1, round(settings.reach_mm / cell_mm))
-    squares, loads = (np.asarray(cv2.GaussianBlur(a, (0, 0), width), np.float32) for a in (load * load, load))
-    mean = squares / np.maximum(loads, np.float32(1e-9))
+    by = max(1, int(settings.mean_mm / (settings.mean_cells * cell_mm)))  # smooth over many cells
+    coarse_mm, shape = by * cell_mm, load.shape
+    size = (-(-shape[1] // by), -(-shape[0] // by))
+    means = (cv2.resize(a, size, interpolation=cv2.INTER_AREA) for a in (load * load, load))
+    squares, loads = (np.asarray(cv2.GaussianBlur(a, (0, 0), settings.mean_mm / coarse_mm), np.float32) for a in means)
+    reach = max(1, round(settings.reach_mm / coarse_mm))
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
+    nearby = np.asarray(cv2.dilate(squares / np.maximum(loads, np.float32(1e-9)), disc), np.float32)
     typical = pressure.weigh_by_itself(load)
-    edge = np.float32(contact_share) * np.asarray(cv2.dilate(mean, disc), np.float32)
-    excess = load - np.maximum(edge, np.float32(max(settings.pressure_min, settings.total_share * typical)))
+    least = np.float32(max(settings.pressure_min, settings.total_share * typical))
+    excess = load - np.maximum(np.float32(contact_share) * _resize(nearby, shape), least)
     n, found = cv2.connectedComponents((excess > 0).astype(np.uint8), connectivity=8)
     parts, peaks = np.asarray(found, np.int32), np.zeros(n, np.float32)
-    np.maximum.at(peaks, parts, load - loads)  # slopes that are slightly wrong make broad pressure without an edge
+    np.maximum.at(peaks, parts, load - _resize(loads, shape))  # slopes that are slightly wrong make broad pressure without an edge
     peaks[0] = 0.0
     keep = np.bincount(parts.ravel(), minlength=n) * cell_mm**2 >= settings.part_mm2
-    keep &= peaks >= min(np.float32(settings.part_share * typical), peaks.max())
+    keep &= peaks >= np.float32(settings.part_share * typical)
+    keep |= peaks >= peaks.max()  # a light touch is small and faint, but there is nothing else
     return np.where(keep[parts] | (parts == 0), excess, np.minimum(excess, -load))
 
 

@@ -12,7 +12,7 @@ class ContactSettings:
 
     cells_max: int = 160  # along the longer side of the image
     steps_coarse: tuple[int, ...] = (8, 8, 8)  # of descent on cells of twice the width; each updates the price of load
-    steps: int = 12  # on the cells
+    steps: int = 8  # on the cells
     steps_warm: int = 6  # from the pressure of a similar surface
     steps_refit: int = 24
     ridge_refit: float = 0.001
@@ -24,8 +24,9 @@ class ContactSettings:
     price_min: float = 0.001  # mm/mm: what noise of a camera makes
     blob_mm: float = 0.08  # standard deviation: about what lens and smoothing blur an edge by
     edge_blob_mm: float = 0.06  # the same of the pressure whose edge is the contact's
-    contact_share: float = 0.43  # of the mean pressure nearby: contact
+    contact_share: float = 0.42  # of the mean pressure nearby: contact
     mean_mm: float = 1.0  # standard deviation of that mean's weights
+    mean_cells: int = 2  # along that standard deviation
     reach_mm: float = 2.0  # of that mean: pressure by errors of slopes lies within about a gel's thickness of a contact
     total_share: float = 0.1  # of the mean pressure of the whole image: contact anywhere
     pressure_min: float = 0.012  # mm/mm: contact anywhere
