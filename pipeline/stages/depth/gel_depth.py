@@ -108,7 +108,8 @@ def measure_gel_depth(
         )  # fmt: skip
         region = contact.detect_contact(found, CONTACT, calibration.median_pressure_share or pressure_share)
         pressed = np.zeros(shape, np.bool_)
-        pressed[here] = light_changes.remove_light_changes(region.contact[here], surface, changed, used)
+        if region.explained_share >= CONTACT.explained_min:
+            pressed[here] = light_changes.remove_light_changes(region.contact[here], surface, changed, used)
         if region.contact.any() and not pressed.any():
             notes.append(_LIGHT_CHANGE)
         else:

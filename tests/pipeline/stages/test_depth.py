@@ -12,7 +12,7 @@ from pipeline.geometry.camera import Camera
 from pipeline.geometry.membrane import make_flat_membrane
 from pipeline.physics import optics
 from pipeline.sensors.spec import load_sensor
-from pipeline.stages.depth import contact, photometric
+from pipeline.stages.depth import photometric
 from pipeline.stages.depth.photometric import (
     DepthParams,
     estimate_depth,
@@ -294,15 +294,6 @@ def test_a_look_up_without_numbers_is_refused(wrong):
     bad = replace(good, model=replace(good.model, coefficients=np.full_like(good.model.coefficients, wrong)))
     with pytest.raises(CalibrationError, match="digit"):
         estimate_depth(frame, source, bad, PARAMS)
-
-
-def test_a_flat_punch_is_touched_inside_its_rim_too():
-    y, x = np.mgrid[:120, :120]
-    outside = np.maximum(np.maximum(abs(x - 60) - 20, abs(y - 60) - 20), 0)
-    surface = (0.5 * np.exp(-outside / 8.0)).astype(np.float32)
-    found = contact.detect_contact(surface, 0.05, least_mm=0.03, pressure_share=0.25, smoothing_px=1.0)
-    assert found[60, 60]
-    assert not found[60, 100]
 
 
 @pytest.mark.real_data

@@ -1,8 +1,8 @@
 """Contact of a gel, and its surface: the pressure that explains what was measured.
 
 Contact is where the pressure of `pressure.estimate_pressure` is positive: above a share of the mean pressure nearby, as
-slopes that are slightly wrong make some around every contact. Outside the contact the surface is what mechanics makes of
-that pressure; inside it is the measured one, brought to the level of the mechanical surface around it.
+slopes that are slightly wrong make some around every contact. Outside the contact the surface is what mechanics makes
+of that pressure; inside it is the measured one, brought to the level of the mechanical surface around it.
 """
 
 import math
@@ -12,6 +12,7 @@ import numpy as np
 
 from pipeline.base.arrays import Floats, Mask, freeze
 from pipeline.sensors.parts import Gel
+from pipeline.stages.depth import regions
 from pipeline.stages.depth.gel import pressure
 from pipeline.stages.depth.gel.contact_settings import ContactSettings
 from pipeline.stages.depth.gel.pressure import CellSurface
@@ -40,6 +41,7 @@ class PressedRegion:
     contact: Mask  # (rows, cols) of the image
     cells: CellSurface
     blobs: Floats  # (rows, cols) of the cells, see `pressure`: a similar frame may start from them
+    explained_share: float  # of the squared slopes: low where the light has changed instead
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,7 +84,10 @@ def detect_contact(
     blobs = pressure.estimate_pressure(cells, measured.gel, settings, start)
     load = pressure.compute_pressure(blobs, cells.cell_mm, measured.gel, settings)
     excess = _compute_excess(load, cells.cell_mm, contact_share, settings)
-    return PressedRegion(contact=freeze(_resize(excess, measured.shape) > 0), cells=cells, blobs=freeze(blobs))
+    return PressedRegion(
+        contact=freeze(_resize(excess, measured.shape) > 0), cells=cells, blobs=freeze(blobs),
+        explained_share=pressure.compute_explained_share(cells, blobs, measured.gel, settings),
+    )  # fmt: skip
 
 
 def press_surface(
@@ -99,6 +104,7 @@ def press_surface(
     levelled = measured.surface_mm - np.float32(offset)
     touched = touched.copy()
     touched[here] &= levelled > np.float32(settings.least_share * least_mm)
+    touched = regions.remove_specks(touched, settings.crumb_px)
     surface = mechanical.copy()
     surface[here] += np.maximum(measured.weight, touched[here]) * (levelled - mechanical[here])
     kpa = load * np.float32(gel.youngs_kpa / (2 * (1 - gel.poisson**2)))
@@ -143,7 +149,9 @@ def _compute_excess(load: Floats, cell_mm: float, contact_share: float, settings
     excess = load - np.maximum(np.float32(contact_share) * _resize(nearby, shape), least)
     n, found = cv2.connectedComponents((excess > 0).astype(np.uint8), connectivity=8)
     parts, peaks = np.asarray(found, np.int32), np.zeros(n, np.float32)
-    np.maximum.at(peaks, parts, load - _resize(loads, shape))  # slopes that are slightly wrong make broad pressure without an edge
+    np.maximum.at(
+        peaks, parts, load - _resize(loads, shape)
+    )  # slopes that are slightly wrong make broad pressure without an edge
     peaks[0] = 0.0
     keep = np.bincount(parts.ravel(), minlength=n) * cell_mm**2 >= settings.part_mm2
     keep &= peaks >= np.float32(settings.part_share * typical)

@@ -29,7 +29,8 @@ def compute_divergence(surface, inside, per_cell, out):
 def descend(pressure, ahead, gradient, allowed, step, penalty, momentum):
     """One accelerated projected step, in place: `ahead` is the extrapolated point that `gradient` was computed at.
 
-    Pressure is zero where not `allowed`.     Returns the next momentum's parameter; momentum restarts where it points uphill (O'Donoghue and Candes 2015).
+    Pressure is zero where not `allowed`. Returns the next momentum's parameter; momentum restarts where it points
+    uphill (O'Donoghue and Candes 2015).
     """
     rows, cols = pressure.shape
     nothing, uphill = np.float32(0.0), 0.0

@@ -24,18 +24,24 @@ class ContactSettings:
     price_min: float = 0.001  # mm/mm: what noise of a camera makes
     blob_mm: float = 0.08  # standard deviation: about what lens and smoothing blur an edge by
     edge_blob_mm: float = 0.06  # the same of the pressure whose edge is the contact's
-    contact_share: float = 0.42  # of the mean pressure nearby: contact
+    contact_share: float = 0.43  # of the mean pressure nearby: contact
     mean_mm: float = 1.0  # standard deviation of that mean's weights
     mean_cells: int = 2  # along that standard deviation
     reach_mm: float = 2.0  # of that mean: pressure by errors of slopes lies within about a gel's thickness of a contact
-    total_share: float = 0.1  # of the mean pressure of the whole image: contact anywhere
+    total_share: float = 0.25  # of the mean pressure of the whole image: contact anywhere
     pressure_min: float = 0.012  # mm/mm: contact anywhere
-    # Of the mean pressure of the whole image: by so much a part of the contact exceeds the mean nearby somewhere. Balls of
-    # real sensors .38 to 1.7, simulated contacts .9 and more; corners of real GelSlims up to .43, of real DIGITs .39.
+    # Of the mean pressure of the whole image: by so much a part of the contact exceeds the mean nearby somewhere. Balls
+    # on real sensors .38 to 1.7, simulated contacts .9 and more; corners of real GelSlims up to .43, of DIGITs .39.
     part_share: float = 0.4
     part_mm2: float = 0.12  # smaller parts are noise
     least_share: float = 0.5  # of a sensor's smallest indentation, which counts from the bulge around a contact
     around_share: float = 1.0  # of the gel's thickness around a contact, where the level of the surface is compared
+    crumb_px: int = 4  # of the image: what is left of a part where it is that shallow
+    grain_mm: float = 0.3  # standard deviation of the blur that removes noise from slopes before they are compared
+    # Of the squared slopes, that pressure explains. Balls on real sensors .85 and more, things .9, simulated tools and
+    # light touches .96, faces .81, a dithered film .76 (one in 20 less); changes of light on it up to .75, on a GelSlim
+    # .61.
+    explained_min: float = 0.75
     cell_share: float = 0.99  # of a cell that must have been measured
     fade_shares: tuple[float, float] = (
         0.2,

@@ -1,9 +1,9 @@
 """The pressure on a bonded elastic layer that explains a measured surface.
 
-    minimise  1/2 |W (A p - z)|^2 + r/2 p' (D A) p + k sum p,   p >= 0,     |W f|^2 = sum |grad f|^2 + |f - mean f|^2 / l^2
+    minimise  1/2 |A p - z|^2 + r/2 p' (D A) p + k sum p,   p >= 0,   |f|^2 = sum |grad f|^2 + |f - mean f|^2 / l^2
 
-z is the surface, A the response of the layer (`physics.gel_layer`), D the gradient. A surface is integrated from slopes,
-so the error of its slopes is what is alike everywhere: the first part of the norm. The second holds long waves, to which
+z is the surface, A the response of the layer (`physics.gel_layer`), D the gradient. A surface is integrated from
+slopes, and the error of slopes is alike everywhere: the first part of the norm. The second holds long waves, to which
 slopes are blind, such as the inside of a wide face; the level of the surface is free. The ridge r keeps waves that the
 layer hardly shows from growing; the price k of load keeps what slopes are wrong by from becoming contact, and is
 proportional to the load, since the errors of a light estimate are. Pressure is a sum of blobs (Gaussians) of positive
@@ -45,6 +45,8 @@ class _Waves:
     curvature: Floats  # second derivative of the misfit and the ridge
     blob: Floats  # pressure of a blob
     displacement: Floats  # mm of a blob
+    smooth_slope: Floats  # from the wave of the slopes' divergence to that of slopes without grain
+    smooth_response: Floats  # slopes without grain of a blob
 
     def transform(self, field: Floats) -> Floats:
         return self.down @ (field @ self.across)
@@ -90,6 +92,17 @@ def compute_displacement(blobs: Floats, cell_mm: float, gel: Gel, settings: Cont
     return np.ascontiguousarray(moved[margin : margin + blobs.shape[0], margin : margin + blobs.shape[1]])
 
 
+def compute_explained_share(on: CellSurface, blobs: Floats, gel: Gel, settings: ContactSettings) -> float:
+    """Share of the surface's squared slopes that its pressure explains, without the grain of noise; 1 is all.
+
+    Pressure can only push: it explains dents, and little of what a change of the light looks like.
+    """
+    waves = _make_waves(gel, on.cell_mm, on.surface_mm.shape, settings)
+    seen = waves.smooth_slope * waves.transform(_compute_divergence(on))
+    left = seen - waves.smooth_response * waves.transform(blobs)
+    return 1.0 - float(np.square(left).sum(dtype=np.float64) / max(float(np.square(seen).sum(dtype=np.float64)), 1e-30))
+
+
 def weigh_by_itself(pressure: Floats) -> float:
     """The mean pressure, weighted by pressure: that of the contact, however large the image is."""
     return float(np.square(pressure).sum(dtype=np.float64) / max(float(pressure.sum(dtype=np.float64)), 1e-9))
@@ -115,12 +128,10 @@ def _solve(
     allowed: Mask | None = None,
 ) -> Floats:  # fmt: skip
     """Weights of the blobs after `steps` of descent."""
-    from pipeline.stages.depth.gel.contact_kernels import compute_divergence, descend
+    from pipeline.stages.depth.gel.contact_kernels import descend
 
     waves = _make_waves(gel, on.cell_mm, on.surface_mm.shape, settings)
-    data = np.empty_like(on.surface_mm)
-    compute_divergence(on.surface_mm, on.inside, np.float32(on.cell_mm**-2), data)
-    data = waves.to_gradient * waves.transform(data)
+    data = waves.to_gradient * waves.transform(_compute_divergence(on))
     step, momentum = np.float32(1.0 / float(waves.curvature.max())), 1.0
     blobs, ahead = start.copy(), start.copy()
     if allowed is None:
@@ -129,6 +140,15 @@ def _solve(
         gradient = waves.invert(waves.curvature * waves.transform(ahead) - data)
         momentum = descend(blobs, ahead, gradient, allowed, step, np.float32(price), momentum)
     return blobs
+
+
+def _compute_divergence(on: CellSurface) -> Floats:
+    """The negated divergence (rows, cols) of the measured slopes, per mm."""
+    from pipeline.stages.depth.gel.contact_kernels import compute_divergence
+
+    out = np.empty_like(on.surface_mm)
+    compute_divergence(on.surface_mm, on.inside, np.float32(on.cell_mm**-2), out)
+    return out
 
 
 @memoise(8)
@@ -141,12 +161,16 @@ def _make_waves(gel: Gel, cell_mm: float, shape: tuple[int, int], settings: Cont
     moved = layer * blob
     norm = slope**2 + settings.level_mm**-2
     norm[0, 0], slope_sq = 0.0, np.maximum(slope**2, 1e-12)  # the level of the surface is not known
+    smooth = np.exp(-0.5 * np.square(settings.grain_mm * q))
+    smooth[0, 0] = 0.0
     down, across = (freeze(_make_cosines(n)) for n in shape)
     return _Waves(
         down=down, across=freeze(np.ascontiguousarray(across.T)),
         to_gradient=freeze((moved * norm / slope_sq).astype(np.float32)),
         curvature=freeze((moved**2 * norm + settings.ridge * moved * slope).astype(np.float32)),
         blob=freeze(blob.astype(np.float32)), displacement=freeze(moved.astype(np.float32)),
+        smooth_slope=freeze((smooth / np.sqrt(slope_sq)).astype(np.float32)),
+        smooth_response=freeze((smooth * slope * moved).astype(np.float32)),
     )  # fmt: skip
 
 
