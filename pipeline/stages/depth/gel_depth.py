@@ -107,14 +107,18 @@ def measure_gel_depth(
             shape=shape, pixel_mm=pixel_mm, gel=source.gel or _USUAL_GEL,
         )  # fmt: skip
         region = contact.detect_contact(found, CONTACT, calibration.median_pressure_share or pressure_share)
-        pressed = np.zeros(shape, np.bool_)
-        if region.explained_share >= CONTACT.explained_min:
+        progress.step(0.8, "relaxing the gel around the contact")
+        gel, pressed = (
+            contact.press_surface(found, region, region.contact, CONTACT, least_mm),
+            np.zeros(shape, np.bool_),
+        )
+        if gel.explained_share >= CONTACT.explained_min:
             pressed[here] = light_changes.remove_light_changes(region.contact[here], surface, changed, used)
         if region.contact.any() and not pressed.any():
             notes.append(_LIGHT_CHANGE)
         else:
-            progress.step(0.8, "relaxing the gel around the contact")
-            gel = contact.press_surface(found, region, pressed, CONTACT, least_mm)
+            if not np.array_equal(pressed, region.contact):
+                gel = contact.press_surface(found, region, pressed, CONTACT, least_mm)
             touched, indentation = gel.contact.copy(), gel.compute_indentation(gel.contact).copy()
             measured = MeasuredContact(gel=gel, illumination=used)
         by_near_leds = used is not None and used.model in {"field", "near"}

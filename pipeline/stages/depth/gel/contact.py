@@ -41,7 +41,6 @@ class PressedRegion:
     contact: Mask  # (rows, cols) of the image
     cells: CellSurface
     blobs: Floats  # (rows, cols) of the cells, see `pressure`: a similar frame may start from them
-    explained_share: float  # of the squared slopes: low where the light has changed instead
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,6 +53,7 @@ class GelContact:
     pressure_kpa: Floats  # (rows, cols) of cells
     cell_mm: float
     force_n: float
+    explained_share: float  # of the squared slopes: low where the light has changed instead
     pixel_mm: float
     fade_mm: tuple[float, float]  # distances from a contact, over which the measured surface becomes the mechanical one
 
@@ -84,10 +84,7 @@ def detect_contact(
     blobs = pressure.estimate_pressure(cells, measured.gel, settings, start)
     load = pressure.compute_pressure(blobs, cells.cell_mm, measured.gel, settings)
     excess = _compute_excess(load, cells.cell_mm, contact_share, settings)
-    return PressedRegion(
-        contact=freeze(_resize(excess, measured.shape) > 0), cells=cells, blobs=freeze(blobs),
-        explained_share=pressure.compute_explained_share(cells, blobs, measured.gel, settings),
-    )  # fmt: skip
+    return PressedRegion(contact=freeze(_resize(excess, measured.shape) > 0), cells=cells, blobs=freeze(blobs))
 
 
 def press_surface(
@@ -113,6 +110,7 @@ def press_surface(
         contact=freeze(touched), measured_mm=freeze(surface), mechanical_mm=freeze(mechanical),
         pressure_kpa=freeze(kpa), cell_mm=cells.cell_mm,
         force_n=float(kpa.sum(dtype=np.float64)) * cells.cell_mm**2 * _KPA_TO_N_MM2,
+        explained_share=pressure.compute_explained_share(cells, blobs, gel, settings),
         pixel_mm=measured.pixel_mm, fade_mm=(start * gel.thickness_mm, end * gel.thickness_mm),
     )  # fmt: skip
 

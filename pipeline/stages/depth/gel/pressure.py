@@ -56,7 +56,7 @@ class _Waves:
 
 
 def estimate_pressure(on: CellSurface, gel: Gel, settings: ContactSettings, start: Floats | None) -> Floats:
-    """Weights (rows, cols) of the blobs that explain the surface; `start`: those of a similar one, on the same cells."""
+    """Weights (rows, cols) of the blobs that explain the surface; `start`: those of a similar one on the same cells."""
     price = settings.price_min
     if start is None:
         coarse = _downsample(on)
@@ -111,7 +111,7 @@ def weigh_by_itself(pressure: Floats) -> float:
 def refit_pressure(
     on: CellSurface, gel: Gel, settings: ContactSettings, blobs: Floats, touched: Mask
 ) -> tuple[Floats, CellSurface]:
-    """Weights of the blobs where `touched` (rows, cols) alone, without price and ridge, and the coarser cells they are on.
+    """Weights of the blobs where `touched` (rows, cols) alone, without price and ridge, and the coarse cells of them.
 
     Price and ridge find the contact, but make its pressure too small.
     """
