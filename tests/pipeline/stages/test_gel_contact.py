@@ -75,7 +75,7 @@ def test_contact_and_surface_are_those_that_mechanics_made(height_mm, least):
     found = explain(surface + 0.3)  # the level of a surface that was integrated from slopes is not known
     assert iou(found.contact, contact) > least
     away = np.abs(found.compute_indentation(found.contact) - surface)
-    assert away[contact].mean() < 0.13 * surface.max()
+    assert away[contact].mean() < 0.15 * surface.max()
     assert away[~contact].mean() < 0.13 * surface.max()
 
 

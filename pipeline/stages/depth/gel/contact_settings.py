@@ -14,8 +14,7 @@ class ContactSettings:
     steps_coarse: tuple[int, ...] = (8, 8, 8)  # of descent on cells of twice the width; each updates the price of load
     steps: int = 8  # on the cells
     steps_warm: int = 6  # from the pressure of a similar surface
-    steps_refit: int = 24
-    ridge_refit: float = 0.001
+    steps_refit: int = 12  # on the coarse cells, of the contact alone: 60 change nothing
     continued_share: float = 0.5  # of the gel's thickness, by which load at the border goes on beyond the image
     margin_share: float = 2.0  # of the gel's thickness: the layer beyond the image
     level_mm: float = 1.2  # length l from which on waves are known by their height rather than by their slope

@@ -49,10 +49,10 @@ class _Waves:
     smooth_response: Floats  # slopes without grain of a blob
 
     def transform(self, field: Floats) -> Floats:
-        return self.down @ (field @ self.across)
+        return np.asarray(self.down @ (field @ self.across), np.float32)
 
     def invert(self, wave: Floats) -> Floats:
-        return self.down.T @ (wave @ self.across.T)
+        return np.asarray(self.down.T @ (wave @ self.across.T), np.float32)
 
 
 def estimate_pressure(on: CellSurface, gel: Gel, settings: ContactSettings, start: Floats | None) -> Floats:
@@ -75,7 +75,7 @@ def estimate_pressure(on: CellSurface, gel: Gel, settings: ContactSettings, star
 def compute_pressure(blobs: Floats, cell_mm: float, gel: Gel, settings: ContactSettings) -> Floats:
     """Pressure (rows, cols) in mm/mm of blobs with these weights, drawn narrower than they are: with sharper edges."""
     waves = _make_waves(gel, cell_mm, blobs.shape, replace(settings, blob_mm=settings.edge_blob_mm))
-    return np.maximum(waves.invert(waves.blob * waves.transform(blobs)), np.float32(0.0))
+    return np.asarray(np.maximum(waves.invert(waves.blob * waves.transform(blobs)), 0.0), np.float32)
 
 
 def compute_displacement(blobs: Floats, cell_mm: float, gel: Gel, settings: ContactSettings) -> Floats:
@@ -111,16 +111,15 @@ def weigh_by_itself(pressure: Floats) -> float:
 def refit_pressure(
     on: CellSurface, gel: Gel, settings: ContactSettings, blobs: Floats, touched: Mask
 ) -> tuple[Floats, CellSurface]:
-    """Weights of the blobs where `touched` (rows, cols) alone, without price and ridge, and the coarse cells of them.
+    """Weights of the blobs where `touched` (rows, cols) alone, at no price, and the coarse cells of them.
 
-    Price and ridge find the contact, but make its pressure too small.
+    The price finds the contact, but makes its pressure too small.
     """
     coarse = _downsample(on)
     shape = coarse.surface_mm.shape
     allowed = _resize(touched.astype(np.float32), shape) > 0
     start = np.where(allowed, _resize(blobs, shape), np.float32(0.0))
-    free = replace(settings, ridge=settings.ridge_refit)
-    return _solve(coarse, gel, free, start, 0.0, settings.steps_refit, allowed), coarse
+    return _solve(coarse, gel, settings, start, 0.0, settings.steps_refit, allowed), coarse
 
 
 def _solve(
@@ -137,7 +136,7 @@ def _solve(
     if allowed is None:
         allowed = np.ones(start.shape, np.bool_)
     for _ in range(steps):
-        gradient = waves.invert(waves.curvature * waves.transform(ahead) - data)
+        gradient = waves.invert(np.asarray(waves.curvature * waves.transform(ahead) - data, np.float32))
         momentum = descend(blobs, ahead, gradient, allowed, step, np.float32(price), momentum)
     return blobs
 
