@@ -9,8 +9,8 @@ absolute difference in the true contact. Boxes with a level face, 0.2 to 1.2 of 
 pressed by 0.5 mm in the middle of the view, on the described sensor and on another. Very light presses, 0.02 to 0.12 mm
 of tools and training objects on other sensor instances: Spearman's order of the measured volume (the sum of the
 indentation) against the force. Recordings: eight presses of all three depths on one unit, each read alone and by the
-light that four of them tell together, as when they are frames of one recording. Noted next to: the contact that the
-rule finds in exact depth, so that what is left is depth's, and the order that the true volume has: units differ in
+light that four of them tell together, as when they are frames of one recording. Noted next to: the contact by load
+of exact depth, so that what is left is depth's, and the order that the true volume has: units differ in
 stiffness and thickness, which no volume tells.
 """
 
@@ -33,8 +33,8 @@ from pipeline.sensors.spec import load_sensor
 from pipeline.simulation import shapes
 from pipeline.simulation.press import simulate_press
 from pipeline.simulation.variation import vary_sensor
-from pipeline.stages.depth import contact
-from pipeline.stages.depth.photometric import DepthParams
+from pipeline.stages.depth.gel import contact
+from pipeline.stages.depth.gel.contact_settings import CONTACT
 from pipeline.translation.frame_selection import select_context_images
 from pipeline.values.frames import Stream, TactileFrame
 
@@ -71,10 +71,15 @@ def draw_place(rng, reach_mm: float):
     return {"place": rng.uniform(-reach_mm, reach_mm, 2), "turn": rng.uniform(-3, 3)}
 
 
-def by_rule(indentation_mm, source):
-    """The contact that the rule finds in exact depth."""
-    return contact.detect_contact(indentation_mm, source.pixel_mm, least_mm=source.limits.contact_min_mm,
-                           pressure_share=DepthParams().pressure_share, smoothing_px=1.0)  # fmt: skip
+def by_load(indentation_mm, source):
+    """The contact by load of exact depth."""
+    rows, cols = indentation_mm.shape
+    everywhere = np.ones((rows, cols), np.bool_)
+    measured = contact.MeasuredSurface(
+        surface_mm=indentation_mm, changed=everywhere, weight=everywhere.astype(np.float32), rows=slice(0, rows),
+        cols=slice(0, cols), shape=(rows, cols), pixel_mm=source.pixel_mm, gel=source.gel,
+    )  # fmt: skip
+    return contact.detect_contact(measured, CONTACT, CONTACT.contact_share).contact
 
 
 def tools(read, name: str):
@@ -92,11 +97,11 @@ def tools(read, name: str):
                     1e3 * compute_mae_mm(answer.indentation_mm, truth.indentation_mm, of) for of in (inside, ~inside)
                 ]
                 off.append(1e3 * compute_mae_mm(scale_to_truth(answer, truth), truth.indentation_mm, inside))
-                exact = iou(by_rule(truth.indentation_mm, source), inside)
+                exact = iou(by_load(truth.indentation_mm, source), inside)
                 found.append((1 - iou(answer.contact, inside), *off, exact, ms))
         wrong, inside_um, outside_um, shape_um, exact, ms = np.array(found).T
         label = f"{name}, unseen tools, {depth_mm:g} mm"
-        note = f"{label}: IoU of each {_listed(1 - wrong)}; by the rule in exact depth {_listed(exact)}"
+        note = f"{label}: IoU of each {_listed(1 - wrong)}; by load in exact depth {_listed(exact)}"
         figures = (("contact", wrong, "1 - IoU", 0.10), ("depth in contact", inside_um, "um", most_um))
         yield (
             tuple(

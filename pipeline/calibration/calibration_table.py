@@ -78,7 +78,7 @@ class Calibration:
     depth_scale_map: Floats | None = None  # on any coarse grid: factor of depth by the description; None = 1
     coverage_map: Mask | None = None  # on any coarse grid: parts of the image that the presses cover; None = all
     median_pressure_share: float | None = (
-        None  # of the median pressure, at which contacts end on this gel (`contact`); None = default
+        None  # of the mean pressure nearby, at which contacts end on this gel (`contact`); None = default
     )
 
     @property

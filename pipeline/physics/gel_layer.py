@@ -111,13 +111,23 @@ def _compute_symbol(gel: Gel, pixel_mm: float, padded: tuple[int, int]) -> Doubl
     qx = 2 * np.pi * np.fft.rfftfreq(padded[1], pixel_mm)[None, :]
     q = np.hypot(qx, qy)
     q[0, 0] = 0.5 * q[0, 1]
-    x = np.minimum(q * t, _LARGEST_X)
-    k = ((3 - 4 * v) * np.sinh(2 * x) - 2 * x) / ((3 - 4 * v) * np.cosh(2 * x) + 2 * x * x + 5 - 12 * v + 8 * v * v)
-    symbol = 2.0 * (1 - v * v) / (gel.youngs_kpa * q) * k
+    symbol = 2.0 * (1 - v * v) / gel.youngs_kpa * compute_compliance(gel, q)
     if math.isfinite(t):
         # An incompressible layer does not move as a whole; a small value keeps the operator definite.
         symbol[0, 0] = max(t * (1 + v) * (1 - 2 * v) / (1 - v), 1e-6 * t) / gel.youngs_kpa
     return symbol
+
+
+def compute_compliance(gel: Gel, q: Doubles) -> Doubles:
+    """Displacement in mm of waves of wavenumber `q` (rad/mm) under a pressure in units of E / (2 (1 - v^2)).
+
+    A layer as a whole moves by its compression alone; a half-space does so without limit, which counts as none.
+    """
+    v, t = gel.poisson, gel.thickness_mm
+    x = np.minimum(q * t, _LARGEST_X)
+    k = ((3 - 4 * v) * np.sinh(2 * x) - 2 * x) / ((3 - 4 * v) * np.cosh(2 * x) + 2 * x * x + 5 - 12 * v + 8 * v * v)
+    whole = t * (1 - 2 * v) / (2 * (1 - v) ** 2) if math.isfinite(t) else 0.0
+    return np.where(q > 0, k / np.where(q > 0, q, 1.0), whole)
 
 
 def _compute_half_space_kernel(gel: Gel, pixel_mm: float, x: Doubles, y: Doubles) -> Doubles:

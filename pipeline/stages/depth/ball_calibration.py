@@ -21,13 +21,13 @@ from pipeline.calibration.contact_circles import find_largest_part, fit_sphere
 from pipeline.calibration.expected_error import summarise_errors
 from pipeline.physics.slopes import compute_slopes
 from pipeline.sensors.spec import SensorSpec
-from pipeline.stages.depth.gel_depth import MeasuredSurface
+from pipeline.stages.depth.gel_depth import MeasuredContact
 from pipeline.stages.depth.photometric import DepthParams, estimate_depth, estimate_gel_depth
 from pipeline.values.frames import TactileFrame
 from pipeline.values.results import DepthMap
 
 _PRESSES_MAX = 8  # used to fit the contact limit, and to measure a table
-_SHARES = (0.45, 0.6, 0.75)
+_SHARES = (0.5, 0.6, 0.75)
 _WIDTH_RATIO_MAX = (
     1.08  # of contact width to circle: balls on simulated gels 0.96, on a real Mini 1.03, on a GelSlim 3 1.16
 )
@@ -49,7 +49,7 @@ def calibrate_sensor(
         plain = replace(plain, pixel_mm=pixel_mm)
 
     @functools.cache
-    def read(index: int) -> tuple[DepthMap, MeasuredSurface | None]:
+    def read(index: int) -> tuple[DepthMap, MeasuredContact | None]:
         frame = TactileFrame(sensor=sensor.name, image=images[index], reference=reference, index=index)
         return estimate_gel_depth(frame, sensor, plain, DepthParams())
 
@@ -107,7 +107,7 @@ def _select_presses(found: Calibration) -> list[BallFit]:
     return fits[:: max(1, len(fits) // _PRESSES_MAX)]
 
 
-def _measure_diameter(depth: DepthMap, surface: MeasuredSurface | None, pixel_mm: float) -> tuple[float, float]:
+def _measure_diameter(depth: DepthMap, surface: MeasuredContact | None, pixel_mm: float) -> tuple[float, float]:
     """Diameter in mm of a press, and again if its light errs by places, as a depth scale assumes; NaN = not known."""
     diameter_mm, _ = fit_sphere(depth.indentation_mm, find_largest_part(depth.contact), pixel_mm)
     light = None if surface is None else surface.illumination

@@ -5,18 +5,20 @@ half as much again changes the error by 1.3 % at most.
 """
 
 import math
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.base.arrays import Floats, Mask, freeze
+from pipeline.base.arrays import Floats, Indices, Mask, freeze
 from pipeline.base.memo import memoise
 from pipeline.sensors.spec import SensorSpec
-from pipeline.stages.depth import contact, membrane_load
+from pipeline.stages.depth import membrane_load, regions
 
 _MEDIAN_PX = 5  # of the median that removes single outliers: the widest that OpenCV has for floats
 _SMOOTHING_MM = 1.25  # shorter waves of a taut membrane are smaller than a depth camera's noise
 _CURVATURE_MM = 1.5
+_WORKERS, _PARALLEL_PIXELS = 2, 2**18  # threads, and the pixels above which they save time
 _CERTAIN_SHARE = 0.35  # of the peak pressure; with less, noise joins the contact
 _CANDIDATE_SHARE = 0.15  # of the peak: leaves out 2 % of a contact at most
 _SPECK_MM2 = 20.0  # of a smoothed region: noise alone makes smaller ones
@@ -48,6 +50,54 @@ def estimate_indentation(
     else:
         touched = candidates
     return (smooth if smoothing_px > 0 else moved), touched & (smooth > least_mm)
+
+
+def compute_relative_pressure(indentation_mm: Floats, smoothing_px: float, order: Literal[1, 2] = 1) -> Floats:
+    """Pressure (rows, cols) up to a constant factor and a smooth offset; negative where the surface hangs free.
+
+    `order` is the power of the wavenumber: 1 for an elastic gel, 2 for a membrane under tension, which carries load by
+    its curvature alone. The image is mirrored at its border (cosine transform).
+    """
+    from scipy import fft
+
+    rows, cols = indentation_mm.shape
+    workers = _WORKERS if rows * cols > _PARALLEL_PIXELS else 1
+    wave = np.asarray(fft.dctn(indentation_mm, type=2, norm="ortho", workers=workers))
+    wave *= _compute_wavenumbers(rows, cols, smoothing_px, order)
+    return np.asarray(fft.idctn(wave, type=2, norm="ortho", workers=workers, overwrite_x=True), np.float32)
+
+
+def detect_membrane_contact(
+    indentation_mm: Floats, *, least_mm: float, pressure_share: float, smoothing_px: float
+) -> Mask:
+    """Contact of a membrane (rows, cols): indented, with more load than a share of its region's peak; without holes.
+
+    Each indented region has its own peak, so a light touch next to a firm one is kept.
+    """
+    deep = indentation_mm > least_mm
+    if not deep.any():
+        return deep
+    load = compute_relative_pressure(indentation_mm, smoothing_px, 2)
+    labels, n = regions.label_regions(deep)
+    peak = np.maximum(_find_peaks(load[deep], labels[deep], n), np.float32(1e-9))
+    mask = deep & (load > peak[labels] * np.float32(pressure_share))
+    return regions.fill_holes(np.asarray(mask, np.bool_))
+
+
+def _find_peaks(values: Floats, region: Indices, n: int) -> Floats:
+    """The largest of the values (m,) in each of `n` regions; 0 where it is negative."""
+    peaks = np.zeros(n, np.float32)
+    np.maximum.at(peaks, region, values)
+    return peaks
+
+
+@memoise(8)  # a touch has a window of its own size
+def _compute_wavenumbers(rows: int, cols: int, smoothing_px: float, order: Literal[1, 2]) -> Floats:
+    """Wavenumbers (rows, cols) of a cosine transform to the power of `order`, radians per pixel, damped by a blur."""
+    ky, kx = (np.arange(n) * (math.pi / n) for n in (rows, cols))
+    q_sq = ky[:, None] ** 2 + kx[None, :] ** 2
+    blurs = [np.exp(-0.5 * (smoothing_px * k) ** 2) for k in (ky, kx)]
+    return freeze(((np.sqrt(q_sq) if order == 1 else q_sq) * blurs[0][:, None] * blurs[1]).astype(np.float32))
 
 
 def denoise_displacement(raw: Floats, length_px: float) -> Floats:
@@ -85,17 +135,16 @@ def _detect_candidates(indentation: Floats, least_mm: float, pixel_mm: float) ->
 
     smooth, speck = max(1.0, _CURVATURE_MM / pixel_mm), max(4, round(_SPECK_MM2 / pixel_mm**2))
     weak, strong = (
-        contact.remove_specks(
-            contact.detect_membrane_contact(indentation, least_mm=least_mm, pressure_share=share, smoothing_px=smooth),
+        regions.remove_specks(
+            detect_membrane_contact(indentation, least_mm=least_mm, pressure_share=share, smoothing_px=smooth),
             speck,
         )
         for share in (_CANDIDATE_SHARE, _CERTAIN_SHARE)
     )
     if not strong.any():
         return strong
-    _, regions = cv2.connectedComponents(weak.astype(np.uint8), connectivity=8)
-    regions = np.asarray(regions, np.int32)
-    weak &= np.isin(regions, np.unique(regions[strong]))
+    labels, _ = regions.label_regions(weak)
+    weak &= np.isin(labels, np.unique(labels[strong]))
     return np.asarray(cv2.dilate(weak.astype(np.uint8), _make_disc(_CANDIDATE_MARGIN_MM / pixel_mm)), np.bool_)
 
 
@@ -139,7 +188,7 @@ def _threshold_load(load: Floats, pixel_mm: float) -> Mask:
 
     pressed = np.asarray(cv2.GaussianBlur(load, (0, 0), max(_BLUR_MM / pixel_mm, 0.5))) > _LOAD_MIN
     closed = cv2.morphologyEx(pressed.astype(np.uint8), cv2.MORPH_CLOSE, _make_disc(_GAP_MM / pixel_mm))
-    return contact.remove_specks(np.asarray(closed, np.bool_), max(4, round(_ISLAND_MM2 / pixel_mm**2)))
+    return regions.remove_specks(np.asarray(closed, np.bool_), max(4, round(_ISLAND_MM2 / pixel_mm**2)))
 
 
 def _make_disc(radius_px: float) -> NDArray[np.uint8]:

@@ -14,7 +14,7 @@ from pipeline.base.errors import AT_BORDER
 from pipeline.base.progress import Progress
 from pipeline.calibration.calibration_table import Calibration
 from pipeline.sensors.spec import SensorSpec
-from pipeline.stages.depth import contact, photometric
+from pipeline.stages.depth import photometric, regions
 from pipeline.stages.depth.bubble_depth import compute_displacement
 from pipeline.stages.depth.bubble_network_input import WORKING_PIXEL_MM, estimate_rest_surface, make_network_input
 from pipeline.stages.depth.bubble_network_output import BubblePrediction, decode_prediction
@@ -62,7 +62,7 @@ def estimate_depth(
     prediction = _predict(moved, rest, measured, source.pixel_mm, network)
     islands = max(4, round(_ISLAND_MM2 / source.pixel_mm**2))
     moves = prediction.displacement_mm > least_mm
-    touched = contact.remove_specks((prediction.contact > certainty) & known & moves, islands)
+    touched = regions.remove_specks((prediction.contact > certainty) & known & moves, islands)
     if not touched.any():
         notes.append("nothing touches the sensor")
     elif np.concatenate([touched[0], touched[-1], touched[:, 0], touched[:, -1]]).any():

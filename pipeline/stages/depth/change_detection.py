@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.base.arrays import Floats, Image, Mask, freeze
-from pipeline.stages.depth.contact import fill_holes
 from pipeline.stages.depth.drift import compute_block_means
+from pipeline.stages.depth.regions import fill_holes
 
 _BLOCK_PX = 8  # width of the blocks that changes are averaged over
 _LOW_SHARE = 0.35  # of the no-touch limit: a touched region extends down to this change

@@ -13,7 +13,7 @@ from typing import cast
 
 import numpy as np
 
-from pipeline.base.arrays import Floats, Image, Mask, freeze
+from pipeline.base.arrays import Floats, Image, Mask
 from pipeline.base.errors import AT_BORDER, StageWarning, UncertainContact
 from pipeline.base.progress import Progress
 from pipeline.calibration import near_led_prior
@@ -21,32 +21,24 @@ from pipeline.calibration.calibration_table import Calibration, check_calibratio
 from pipeline.sensors.spec import Gel, SensorSpec
 from pipeline.stages.depth import (
     change_detection,
-    contact,
     drift,
-    false_contacts,
     instance_check,
-    rest_level,
+    light_changes,
 )
 from pipeline.stages.depth.change_detection import ImageWindow
+from pipeline.stages.depth.gel import contact
+from pipeline.stages.depth.gel.contact import GelContact, MeasuredSurface
+from pipeline.stages.depth.gel.contact_settings import CONTACT
 from pipeline.stages.depth.illumination import frame_illumination, gel_surface
 from pipeline.stages.depth.illumination.light import Illumination
 from pipeline.stages.depth.poisson import Boundary
 from pipeline.values.frames import TactileFrame
 from pipeline.values.results import DepthMap, make_depth_map
 
-_FADE_START, _FADE_END = 0.2, 0.6  # gel thicknesses from the contact, see `_relax_surface`
-_FAR = 0.7  # gel thicknesses from the contact: the gel is neither indented nor pulled down there (`rest_level`)
 _SATURATED_GREY = 254  # noise of one grey level moves what is clipped at 255 down to here
 _MAX_SATURATED_SHARE = 0.01  # of the changed region; more is warned of
-_PRESSURE_BLUR_PX = 1.5  # blur of the relative pressure that separates certain contact (chosen)
-_CONTACT_BLUR_PX = 1.0
-_PRESSURE_CELLS = 220  # of that pressure's grid, along the longer side
-_CERTAIN_SLOPE, _CERTAIN_SHARE = 0.04, 0.1  # mm/mm, and of the peak: relative pressure that noise does not reach
-_GRAIN_SHARE = 0.5  # of the peak: a speck with this much pressure is no noise
-_SPECK_MM2 = 0.15  # smaller contacts are camera noise
-_HOLE_MM2 = 0.5  # gaps that a rough ball or a book leaves between its threads (`benchmarks/real_things.py`)
 _FULL_SHARE = 0.9  # of the view: the contact leaves too little of the gel at rest
-_BORDER_GEL = 0.5  # gel thicknesses, within which the gel beyond the border affects what is visible
+_USUAL_GEL = Gel(thickness_mm=2.0, youngs_kpa=120.0, poisson=0.48)  # of a sensor described without its gel
 _WEAK_SHADING = StageWarning(
     "the LEDs hardly shade slopes where the sensor is touched: sizes and depths may be wrong by half; calibrate"
 )
@@ -59,26 +51,11 @@ _SHADOW_LEDS = "no usual LEDs explain the image: measured with low LEDs that cas
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class MeasuredSurface:
-    """A gel's surface as measured, before mechanics replace it away from the contact."""
+class MeasuredContact:
+    """A gel's contact, and the light that its surface was measured by."""
 
-    surface_mm: Floats  # (rows, cols) of the window
-    window: ImageWindow
-    source: SensorSpec
-    pixel_mm: float
+    gel: GelContact
     illumination: Illumination | None  # None where the calibration table contains its own light
-
-    def relax_outside_contact(self, touched: Mask, distance: Floats | None = None) -> Floats:
-        """The indentation (rows, cols) in mm for the contact `touched` (rows, cols); zero outside the window.
-
-        `distance` of the window's pixels from the contact, in gel thicknesses, is computed where it is None.
-        """
-        here = (self.window.rows, self.window.cols)
-        indentation = np.zeros(touched.shape, np.float32)
-        indentation[here] = _relax_surface(
-            self.surface_mm, touched[here], distance, self.window, self.source, self.pixel_mm
-        )
-        return indentation
 
 
 def measure_gel_depth(
@@ -94,7 +71,7 @@ def measure_gel_depth(
     boundary: Boundary,
     progress: Progress,
     draft: bool = False,
-) -> tuple[DepthMap, MeasuredSurface | None]:
+) -> tuple[DepthMap, MeasuredContact | None]:
     """The depth of one gel image in its illumination, and the surface it rests on; the frame has been checked.
 
     See `photometric.estimate_depth`. The surface is None where nothing has changed. A draft takes fewer iterations.
@@ -130,28 +107,25 @@ def measure_gel_depth(
             surface = surface * np.float32(calibration.compute_depth_scale(surface, corner))
         elif calibration.depth_scale_map is not None:
             notes.append(NOT_SCALED)
-        surface, inside = _level_surface(surface, window, source, pixel_mm)
-        pressed = inside | contact.detect_contact(
-            surface, pixel_mm, least_mm=least_mm, pressure_share=pressure_share, smoothing_px=_CONTACT_BLUR_PX,
-            median_pressure_share=calibration.median_pressure_share or contact.MEDIAN_PRESSURE_SHARE,
+        found = MeasuredSurface(
+            surface_mm=surface, changed=window.changed, weight=window.blend_weight, rows=window.rows, cols=window.cols,
+            shape=shape, pixel_mm=pixel_mm, gel=source.gel or _USUAL_GEL,
         )  # fmt: skip
-        pressed = contact.remove_specks(pressed & (window.changed | inside), max(4, round(_SPECK_MM2 / pixel_mm**2)))
-        dents = false_contacts.remove_light_changes(pressed, surface, changed, used)
-        if pressed.any() and not dents.any():
-            notes, surface = [*notes, _LIGHT_CHANGE], np.zeros_like(surface)
-        border = np.pad(np.zeros((shape[0] - 2, shape[1] - 2), np.bool_), 1, constant_values=True)[here]
-        pressed = false_contacts.remove_false_contacts(dents, surface, pixel_mm, border, window.changed)
-        pressed = contact.fill_small_holes(pressed, round(_HOLE_MM2 / pixel_mm**2))
-        narrow_px = _BORDER_GEL * (0.0 if source.gel is None else source.gel.thickness_mm) / pixel_mm
-        touched[here] = contact.remove_border_artifacts(pressed, surface, *here, shape, narrow_px)
-        distance = None if source.gel is None else _compute_distance(touched[here], pixel_mm, source.gel)
-        if used is not None and (used.is_trusted or used.model == "shadow_leds"):
-            surface = _level_far_field(surface, touched[here], distance, window, source, pixel_mm)
+        region = contact.detect_contact(found, CONTACT, calibration.median_pressure_share or pressure_share)
         progress.step(0.8, "relaxing the gel around the contact")
-        measured = MeasuredSurface(
-            surface_mm=freeze(surface), window=window, source=source, pixel_mm=pixel_mm, illumination=used
-        )  # fmt: skip
-        indentation = measured.relax_outside_contact(touched, distance)
+        gel, pressed = (
+            contact.press_surface(found, region, region.contact, CONTACT, least_mm),
+            np.zeros(shape, np.bool_),
+        )
+        if gel.explained_share >= CONTACT.explained_min:
+            pressed[here] = light_changes.remove_light_changes(region.contact[here], surface, changed, used)
+        if region.contact.any() and not pressed.any():
+            notes.append(_LIGHT_CHANGE)
+        else:
+            if not np.array_equal(pressed, region.contact):
+                gel = contact.press_surface(found, region, pressed, CONTACT, least_mm)
+            touched, indentation = gel.contact.copy(), gel.compute_indentation(gel.contact).copy()
+            measured = MeasuredContact(gel=gel, illumination=used)
         by_near_leds = used is not None and used.model in {"field", "near"}
         if by_near_leds and near_led_prior.has_weak_shading(touched, drifted.image, source):
             notes.append(_WEAK_SHADING)
@@ -181,61 +155,6 @@ def _describe_illumination(illumination: Illumination | None, n_context_frames: 
         to = f"{n_context_frames} touches of the recording" if illumination.from_context else "this touch"
         return [f"measured with this sensor's LEDs, fitted to {to}"]
     return [_SHADOW_LEDS] if illumination.model == "shadow_leds" else []
-
-
-def _level_surface(surface: Floats, window: ImageWindow, source: SensorSpec, pixel_mm: float) -> tuple[Floats, Mask]:
-    """The surface (rows, cols) with its rest at zero, and a mask of the inside of flat faces."""
-    if source.gel is None:
-        return surface, np.zeros_like(window.changed)
-    by = max(1, round(max(source.camera.shape) / _PRESSURE_CELLS))
-    cells = rest_level.downsample(surface, by)
-    changed_share = rest_level.downsample(window.changed.astype(np.float32), by)
-    pressure = contact.compute_relative_pressure(cells, _PRESSURE_BLUR_PX / by) / np.float32(pixel_mm * by)
-    pressure[changed_share == 0] = 0.0
-    certain = np.asarray(pressure > max(_CERTAIN_SLOPE, _CERTAIN_SHARE * float(pressure.max())), np.bool_)
-    certain = contact.remove_weak_specks(certain, pressure, _SPECK_MM2 / (pixel_mm * by) ** 2, _GRAIN_SHARE)
-    pressed = rest_level.upsample(certain.astype(np.float32), surface.shape)
-    levelled = rest_level.level_surface(surface, pressed > 0.5, pixel_mm, source.gel)
-    return levelled.surface_mm, levelled.face_interior
-
-
-def _relax_surface(
-    surface: Floats, touched: Mask, distance: Floats | None, window: ImageWindow, source: SensorSpec, pixel_mm: float
-) -> Floats:
-    """The surface (rows, cols) without what the gel cannot do.
-
-    Outside a contact a nearly incompressible layer of thickness t, bonded to its back, falls to its rest within about
-    t / 2 and bulges beyond: between t / 5 and 3 t / 5 from the contact, the measured surface passes into the mechanical
-    one. Without a contact the surface stays as measured.
-    """
-    if source.gel is None or not touched.any():
-        return surface * window.blend_weight
-    thicknesses = _compute_distance(touched, pixel_mm, source.gel) if distance is None else distance
-    keep = np.clip((_FADE_END - thicknesses) / (_FADE_END - _FADE_START), 0.0, 1.0)
-    keep = np.maximum(keep * window.blend_weight, touched)
-    beyond = rest_level.compute_far_field(surface, touched, pixel_mm, source.gel)
-    return np.asarray(beyond + (surface - beyond) * keep, np.float32)
-
-
-def _level_far_field(
-    surface: Floats, touched: Mask, distance: Floats | None, window: ImageWindow, source: SensorSpec, pixel_mm: float
-) -> Floats:
-    """The surface (rows, cols), shifted to the height that mechanics give it far from the contact.
-
-    Only for light whose LEDs are known: other light is estimated from surfaces that are at rest outside the contact.
-    """
-    if source.gel is None or distance is None or not touched.any():
-        return surface
-    far = (distance > _FAR) & window.changed
-    return rest_level.level_by_far_field(surface, touched, far, pixel_mm, source.gel)
-
-
-def _compute_distance(touched: Mask, pixel_mm: float, gel: Gel) -> Floats:
-    """Distance of each pixel (rows, cols) from the contact, in gel thicknesses."""
-    import cv2
-
-    distance_px = cv2.distanceTransform((~touched).astype(np.uint8), cv2.DIST_L2, 5)
-    return np.asarray(distance_px, np.float32) * np.float32(pixel_mm / gel.thickness_mm)
 
 
 def _warn_of_image(part: Image, source: SensorSpec, window: ImageWindow) -> list[str]:

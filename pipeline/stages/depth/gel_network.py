@@ -27,15 +27,15 @@ from pipeline.engine.digests import compute_cached_digest
 from pipeline.networks.gel_depth_prediction import PHYSICS_CONTACT_LOGIT, GelDepthPrediction
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import (
-    contact,
     draft_resolution,
     drift,
     gel_depth,
     gel_network_input,
     illumination_channels,
     photometric,
+    regions,
 )
-from pipeline.stages.depth.gel_depth import MeasuredSurface
+from pipeline.stages.depth.gel_depth import MeasuredContact
 from pipeline.stages.depth.illumination.light import Illumination
 from pipeline.values.frames import TactileFrame
 from pipeline.values.results import DepthErrorModel, DepthMap
@@ -138,7 +138,7 @@ def match_pixel_size(source: SensorSpec, calibration: Calibration | None) -> Sen
 
 
 def correct_depth(
-    physical: DepthMap, measured: MeasuredSurface, inputs: gel_network_input.NetworkInput, source: SensorSpec,
+    physical: DepthMap, measured: MeasuredContact, inputs: gel_network_input.NetworkInput, source: SensorSpec,
     network: GelNetwork, params: NetworkParams, *, has_context_frames: bool = False,
 ) -> DepthMap:  # fmt: skip
     """The photometric depth with the network's correction; `source` with the frame's own camera.
@@ -155,8 +155,8 @@ def correct_depth(
     likely = logit > np.float32(limit) + np.where(
         physical.contact, np.float32(-PHYSICS_CONTACT_LOGIT), np.float32(PHYSICS_CONTACT_LOGIT)
     )
-    touched = contact.remove_specks(likely, max(4, round(_SPECK_MM2 / source.pixel_mm**2)))
-    relaxed = measured.relax_outside_contact(touched)
+    touched = regions.remove_specks(likely, max(4, round(_SPECK_MM2 / source.pixel_mm**2)))
+    relaxed = measured.gel.compute_indentation(touched)
     correction = grid.resample_to_image(unit_px * prediction.correction)
     indentation = np.asarray(relaxed + correction * cell_mm, np.float32)
     below = _WEIGHT_BELOW_WITH_CONTEXT if has_context_frames else _WEIGHT_BELOW
@@ -179,7 +179,7 @@ def correct_depth(
 
 def estimate_physical_depth(
     frame: TactileFrame, source: SensorSpec
-) -> tuple[DepthMap, MeasuredSurface | None, gel_network_input.NetworkInput]:
+) -> tuple[DepthMap, MeasuredContact | None, gel_network_input.NetworkInput]:
     """The photometric depth of a frame without calibration, the surface it was made of, and the network's input."""
     physical, measured = photometric.estimate_gel_depth(frame, source, None, photometric.DepthParams())
     seen_by = source if frame.camera is None else source.with_camera(frame.camera)

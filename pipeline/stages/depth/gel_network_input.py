@@ -26,7 +26,7 @@ from pipeline.physics import optics
 from pipeline.physics.slopes import compute_slopes
 from pipeline.sensors.parts import Glow, Optics
 from pipeline.sensors.spec import SensorSpec
-from pipeline.stages.depth import contact
+from pipeline.stages.depth import bubble_contact
 
 ROWS, COLS, N_CHANNELS = 120, 160, 16
 SLOPE_CHANNELS = (6, 8), (7, 9)  # right, down
@@ -190,7 +190,7 @@ def compute_channels(inputs: NetworkInput, peak_slope: float | None = None) -> F
     out[SURFACE_CHANNEL] = surface
     out[CONTACT_CHANNEL] = inputs.physical_contact
     out[PRESSURE_CHANNEL] = _normalise(
-        contact.compute_relative_pressure(surface, _PRESSURE_BLUR_PX), touched, _PRESSURE_MIN
+        bubble_contact.compute_relative_pressure(surface, _PRESSURE_BLUR_PX), touched, _PRESSURE_MIN
     )
     out[LOG_DEPTH_CHANNEL] = math.log(depth_px / _DEPTH_UNIT_PX)
     out[POSITION_CHANNEL] = np.linspace(-1.0, 1.0, COLS, dtype=np.float32)

@@ -28,6 +28,7 @@ from pipeline.stages.depth import (
     draft_resolution,
     gel_depth,
 )
+from pipeline.stages.depth.gel.contact_settings import CONTACT
 from pipeline.stages.depth.illumination import frame_illumination
 from pipeline.stages.depth.illumination.light import Illumination
 from pipeline.stages.depth.mirror_check import looks_mirrored
@@ -50,9 +51,9 @@ class DepthParams:
         source="our own; the limit is in the sensor's description",
     )  # fmt: skip
     pressure_share: float = setting(
-        0.25, "Pressure share", unit="share", low=0.02, high=0.8, step=0.02,
-        help="contact is where the pressure exceeds this share of its peak nearby",
-        source="Johnson, Contact Mechanics, 1985", only="gel",
+        CONTACT.contact_share, "Pressure share", unit="share", low=0.02, high=0.9, step=0.01,
+        help="contact is where the pressure exceeds this share of the mean nearby",
+        source="our own; see the contact's settings", only="gel",
     )  # fmt: skip
     smoothing_px: float = setting(1.0, "Smoothing", unit="px", low=0.0, high=5.0, step=0.25,
                                   help="blur of the colour change, or of a bubble's depth",
@@ -155,7 +156,7 @@ def estimate_gel_depth(
     params: DepthParams,
     progress: Progress = SILENT,
     illumination: Illumination | None = None,
-) -> tuple[DepthMap, gel_depth.MeasuredSurface | None]:
+) -> tuple[DepthMap, gel_depth.MeasuredContact | None]:
     """Depth of a gel's frame, and the surface it rests on; the frame has been checked.
 
     `illumination` None is the frame's own; a downsampled frame takes that of the full one.

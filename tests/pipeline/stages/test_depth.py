@@ -5,22 +5,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pipeline.base.arrays import freeze
 from pipeline.base.errors import AT_BORDER, CalibrationError, ShapeError, select_warnings
 from pipeline.calibration.calibration_table import BallFit, make_built_in
 from pipeline.calibration.quality_notes import UNCALIBRATED
 from pipeline.geometry.camera import Camera
 from pipeline.geometry.membrane import make_flat_membrane
-from pipeline.physics import optics
+from pipeline.physics import gel, optics
 from pipeline.sensors.spec import load_sensor
-from pipeline.stages.depth import contact, photometric
+from pipeline.stages.depth import photometric
 from pipeline.stages.depth.photometric import (
     DepthParams,
     estimate_depth,
     estimate_depth_with_notes,
     skip_without_contact,
 )
-from pipeline.values.frames import TactileFrame
-from tests.pipeline.calibration.test_balls import hertz
+from pipeline.values.frames import TactileFrame, Truth
 
 QUIET_MM = 0.03  # what the stage promises far from a contact
 CONTACT_IOU = 0.8  # the blurred rim costs one to two pixels of a contact of about 20
@@ -29,26 +29,33 @@ PARAMS = DepthParams()
 
 
 def press(name, depth_mm=0.5, seed=1):
+    """(sensor, frame, pressed gel) of a ball that reaches `depth_mm` into the sensor's gel."""
     source = load_sensor(name)
+    pressed = press_ball(source, 0.55 * source.camera.cols, 0.45 * source.camera.rows, depth_mm)
+    image = optics.render(source, pressed.indentation_mm, seed=seed)
+    return source, TactileFrame(sensor=name, image=image, reference=optics.render_reference(source)), pressed
+
+
+def press_ball(source, x_px, y_px, depth_mm, diameter_mm=6.31):
+    """The view (rows, cols) of a gel under a ball, as mechanics presses it."""
     rows, cols = source.camera.shape
-    truth = hertz((rows, cols), source.pixel_mm, 0.55 * cols, 0.45 * rows, 6.31, depth_mm)
-    frame = TactileFrame(
-        sensor=name, image=optics.render(source, truth, seed=seed), reference=optics.render_reference(source)
+    margin = round(source.gel.thickness_mm / source.pixel_mm)
+    y, x = np.mgrid[-margin : rows + margin, -margin : cols + margin]
+    away_mm = np.hypot(y - y_px, x - x_px) * source.pixel_mm
+    pressed = gel.press_gel(source.gel, source.pixel_mm, depth_mm - away_mm**2 / diameter_mm)
+    view = slice(margin, margin + rows), slice(margin, margin + cols)
+    return Truth(
+        indentation_mm=freeze(pressed.indentation_mm[view].copy()), contact=freeze(pressed.contact[view].copy())
     )
-    return source, frame, truth
-
-
-def contact_of(truth):
-    return truth >= 0.5 * truth.max()  # Hertz: the edge lies at half of the peak
 
 
 @pytest.mark.parametrize("name", ["gelslim", "gelslim_dotless", "digit", "gelsight_mini"])
 def test_a_ball_press_is_found_with_its_depth_and_contact(name):
     source, frame, truth = press(name)
     found = estimate_depth(frame, source, None, PARAMS)
-    wanted = contact_of(truth)
+    wanted = truth.contact
     assert (found.contact & wanted).sum() / (found.contact | wanted).sum() > CONTACT_IOU
-    assert found.indentation_mm.max() == pytest.approx(truth.max(), rel=PEAK_TOLERANCE)
+    assert found.indentation_mm.max() == pytest.approx(truth.indentation_mm.max(), rel=PEAK_TOLERANCE)
     assert np.allclose(found.depth_mm, source.rest_depth_mm - found.indentation_mm, atol=1e-5)
     assert found.source_index[1, 2] == source.camera.cols + 2
 
@@ -56,7 +63,7 @@ def test_a_ball_press_is_found_with_its_depth_and_contact(name):
 def test_far_from_the_contact_the_gel_is_at_rest():
     source, frame, truth = press("gelsight_mini")
     found = estimate_depth(frame, source, None, PARAMS)
-    rows, cols = np.mgrid[: truth.shape[0], : truth.shape[1]]
+    rows, cols = np.mgrid[: source.camera.rows, : source.camera.cols]
     far = np.hypot(cols - 0.55 * 320, rows - 0.45 * 240) * source.pixel_mm > 8.0
     assert np.abs(found.indentation_mm[far]).max() < QUIET_MM
 
@@ -125,13 +132,15 @@ def test_a_saturated_picture_is_doubted_and_stays_finite():
 
 def test_a_contact_at_the_image_border_is_told():
     source = load_sensor("gelsight_mini")
-    truth = hertz(source.camera.shape, source.pixel_mm, 4, 120, 6.31, 0.6)
+    truth = press_ball(source, 4, 120, 0.6)
     frame = TactileFrame(
-        sensor=source.name, image=optics.render(source, truth, seed=1), reference=optics.render_reference(source)
+        sensor=source.name,
+        image=optics.render(source, truth.indentation_mm, seed=1),
+        reference=optics.render_reference(source),
     )
     found = estimate_depth(frame, source, None, PARAMS)
     assert AT_BORDER in select_warnings(found.notes)
-    assert found.indentation_mm.max() == pytest.approx(truth.max(), rel=PEAK_TOLERANCE)
+    assert found.indentation_mm.max() == pytest.approx(truth.indentation_mm.max(), rel=PEAK_TOLERANCE)
 
 
 def test_the_frames_own_camera_replaces_the_sensors():
@@ -308,15 +317,6 @@ def test_a_look_up_without_numbers_is_refused(wrong):
     bad = replace(good, model=replace(good.model, coefficients=np.full_like(good.model.coefficients, wrong)))
     with pytest.raises(CalibrationError, match="digit"):
         estimate_depth(frame, source, bad, PARAMS)
-
-
-def test_a_flat_punch_is_touched_inside_its_rim_too():
-    y, x = np.mgrid[:120, :120]
-    outside = np.maximum(np.maximum(abs(x - 60) - 20, abs(y - 60) - 20), 0)
-    surface = (0.5 * np.exp(-outside / 8.0)).astype(np.float32)
-    found = contact.detect_contact(surface, 0.05, least_mm=0.03, pressure_share=0.25, smoothing_px=1.0)
-    assert found[60, 60]
-    assert not found[60, 100]
 
 
 @pytest.mark.real_data

@@ -13,7 +13,7 @@ from pipeline.simulation.variation import vary_sensor
 from pipeline.stages.depth import drift
 from pipeline.stages.depth.photometric import DepthParams, estimate_depth, skip_without_contact
 from pipeline.values.frames import TactileFrame
-from tests.pipeline.stages.test_depth import contact_of, press
+from tests.pipeline.stages.test_depth import press
 
 PARAMS = DepthParams()
 
@@ -81,7 +81,7 @@ def test_a_touch_is_no_drift_and_is_found_through_one(name):
     source, touch, truth = press(name, depth_mm=0.4)
     assert drift.apply_estimated_drift(touch.image, touch.reference).drift is None
     image = drifted(touch.image, gain=1.03, ramp_grey=12.0, shift_px=(0.0, 1.0))
-    found, wanted = estimate_depth(replace(touch, image=image), source, None, PARAMS), contact_of(truth)
+    found, wanted = estimate_depth(replace(touch, image=image), source, None, PARAMS), truth.contact
     assert (found.contact & wanted).sum() / (found.contact | wanted).sum() > 0.75
 
 

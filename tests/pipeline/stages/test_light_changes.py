@@ -13,7 +13,7 @@ from pipeline.physics import optics
 from pipeline.sensors.spec import load_sensor
 from pipeline.stages.depth.photometric import DepthParams, estimate_depth
 from pipeline.values.frames import TactileFrame
-from tests.pipeline.stages.test_depth import contact_of, press
+from tests.pipeline.stages.test_depth import press
 
 PARAMS = DepthParams()
 SENSORS = ("gelslim", "digit", "gelsight_mini")
@@ -44,7 +44,7 @@ def test_a_touch_next_to_a_spot_of_light_is_measured(name):
     source, frame, truth = press(name)
     spotted = replace(frame, image=add_spot(frame.image, grey=10.0, place=(0.1, 0.1), width=0.08))
     found = estimate_depth(spotted, source, None, PARAMS)
-    assert iou(found.contact, contact_of(truth)) > 0.7
+    assert iou(found.contact, truth.contact) > 0.7
 
 
 @pytest.mark.real_data
