@@ -147,7 +147,7 @@ def test_the_prior_pulls_the_whole_shift_to_none_and_not_its_last_step():
 @pytest.mark.parametrize("exposure", [0.5, 0.8, 1.25])
 def test_another_exposure_is_taken_out_and_hides_no_touch(name, exposure):
     source, touch, truth = press(name, depth_mm=0.4)
-    wanted = contact_of(truth)
+    wanted = truth.contact
     found = estimate_depth(replace(touch, image=drifted(touch.image, gain=exposure)), source, None, PARAMS)
     assert (found.contact & wanted).sum() / (found.contact | wanted).sum() > 0.6
     still = frame(source, drifted(touch.reference, gain=exposure), touch.reference)
