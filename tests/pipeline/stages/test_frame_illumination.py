@@ -11,8 +11,7 @@ from pipeline.base.progress import SILENT
 from pipeline.calibration.calibration_table import make_built_in
 from pipeline.engine import disk_store
 from pipeline.sensors.spec import load_sensor
-from pipeline.stages.depth.illumination import frame_illumination
-from pipeline.stages.depth.illumination.gel_surface import detect_changed_image
+from pipeline.stages.depth.illumination import frame_illumination, selection
 from pipeline.stages.depth.illumination.light import Illumination
 from pipeline.stages.depth.illumination.parameter_fit import fit_leds
 from pipeline.stages.depth.photometric import DepthParams, estimate_depth, estimate_gel_depth, make_draft_params
@@ -33,7 +32,7 @@ def fits(tmp_path, monkeypatch):
             fitted.append(len(touches))
         return fit_leds(source, touches, *more)
 
-    monkeypatch.setattr(frame_illumination, "fit_leds", count)
+    monkeypatch.setattr(selection, "fit_leds", count)
     yield fitted
     clear_caches()
 
@@ -87,12 +86,9 @@ def test_all_frames_of_a_recording_share_its_leds():
     assert all("fitted to 2 touches of the recording" in " ".join(depth.notes) for depth, _ in results)
     first, second = (measured.illumination for _, measured in results)
     table = make_built_in(source)
-    observations = [
-        frame_illumination.observe_leds(detect_changed_image(frame.image, frame.reference, source, table), SILENT)
-        for frame in frames
-    ]
+    touches = [frame_illumination.find_touch(f.image, f.reference, source, table, SILENT) for f in frames]
     assert first == second
-    assert first.parameters == tuple(fit_leds(source, observations))
+    assert first.parameters == tuple(fit_leds(source, [touch.observe(touch.described[0]) for touch in touches]))
     for frame, truth, (depth, _) in zip(frames, truths, results, strict=True):
         described, _ = estimate_gel_depth(frame, source, None, PARAMS, illumination=Illumination(model="trusted"))
         assert mean_error_mm(depth, truth) < 0.6 * mean_error_mm(described, truth)

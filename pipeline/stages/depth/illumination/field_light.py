@@ -103,38 +103,72 @@ def estimate_likeliest_depth(
     `sample` returns the same pixels and colours with the depth times a factor.
     """
     logs = np.log(CONSTANTS.field_depth_factors)
-    unlikeliness = [_compute_posterior(prior, sample(factor))[0] for factor in CONSTANTS.field_depth_factors]
+    surfaces = [sample(factor) for factor in CONSTANTS.field_depth_factors]
+    places = _compute_places(surfaces[0].u, surfaces[0].v)
+    unlikeliness = [_compute_posterior(prior, surface, places)[0] for surface in surfaces]
     bend, slope, _ = np.polyfit(logs, unlikeliness, 2)
     at = -0.5 * slope / bend if bend > 0.0 else logs[int(np.argmin(unlikeliness))]
     factor = math.exp(min(max(float(at), float(logs[0])), float(logs[-1])))
-    return factor, _compute_posterior(prior, sample(factor))[1]
+    return factor, _compute_posterior(prior, sample(factor), places)[1]
 
 
 def expand_field(coefficients: Doubles, u: Floats, v: Floats) -> Floats:
     """The field (rows, cols, 3, N_SHADING_TERMS) at the columns `u` and rows `v`."""
     table = coefficients.reshape(3, N_POSITION_TERMS, N_SHADING_TERMS)
-    grid = np.zeros((3, N_SHADING_TERMS, POSITION_DEGREE + 1, POSITION_DEGREE + 1))
-    n = range(POSITION_DEGREE + 1)
-    powers = [(j, i) for j in n for i in n if i + j <= POSITION_DEGREE]  # as `shading_field.compute_position_terms`
-    for k, (j, i) in enumerate(powers):
-        grid[:, :, j, i] = table[:, k]
-    along_u, along_v = (np.vander(w.astype(np.float64), POSITION_DEGREE + 1, increasing=True) for w in (u, v))
-    field = np.einsum("rj,kpji,ci->rckp", along_v, grid, along_u, optimize=True)
-    return np.ascontiguousarray(field, np.float32)
+    n = POSITION_DEGREE + 1
+    grid = np.zeros((n, n, 3, N_SHADING_TERMS))
+    for k, (i, j) in enumerate(_list_powers(POSITION_DEGREE)):
+        grid[j, i] = table[:, k]
+    along_u, along_v = (np.vander(w.astype(np.float64), n, increasing=True) for w in (u, v))
+    rows = np.tensordot(along_v, grid, 1).reshape(len(v), n, -1)  # (rows, powers of u, colours x terms)
+    return np.asarray(along_u @ rows, np.float32).reshape(len(v), len(u), 3, N_SHADING_TERMS)
 
 
-def _compute_posterior(prior: ShadingFieldPrior, surface: SurfaceSamples) -> tuple[float, Doubles]:
-    """(-2 ln p of the colours up to a constant, posterior mean of the coefficients)."""
+def _list_powers(degree: int) -> list[tuple[int, int]]:
+    """Powers of u and v of the monomials up to a degree, in the order of `shading_field.compute_position_terms`."""
+    return [(i, j) for j in range(degree + 1) for i in range(degree + 1 - j)]
+
+
+def _compute_places(u: Floats, v: Floats) -> Doubles:
+    """Monomials of positions (n,), up to those of products of two position terms: (m, n)."""
+    degree = 2 * POSITION_DEGREE
+    of_u, of_v = (np.ascontiguousarray(np.vander(w.astype(np.float64), degree + 1, increasing=True).T) for w in (u, v))
+    return np.stack([of_u[i] * of_v[j] for i, j in _list_powers(degree)])
+
+
+@functools.cache
+def _index_products() -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Rows in `_compute_places` of all position terms (m,) and of all products of two (m, m)."""
+    number = {powers: k for k, powers in enumerate(_list_powers(2 * POSITION_DEGREE))}
+    powers = _list_powers(POSITION_DEGREE)
+    pairs = [[number[a + c, b + d] for c, d in powers] for a, b in powers]
+    return np.array([number[p] for p in powers]), np.array(pairs)
+
+
+def _compute_posterior(prior: ShadingFieldPrior, surface: SurfaceSamples, places: Doubles) -> tuple[float, Doubles]:
+    """(-2 ln p of the colours up to a constant, posterior mean of the coefficients).
+
+    The normal equations are sums over pixels of products of two position terms and two shading terms: products of
+    positions are monomials again, the same for every depth.
+    """
     weight = CONSTANTS.field_independent_pixels / max(len(surface.u), 1) / CONSTANTS.field_noise**2
-    features = shading_field.compute_features(surface)
+    single, pairs = _index_products()
+    block, terms = N_POSITION_TERMS * N_SHADING_TERMS, np.ascontiguousarray(surface.shading_terms.T)
+    change = surface.change.T.astype(np.float64)
+    first, second = np.triu_indices(N_SHADING_TERMS)
+    products = np.concatenate([terms[first] * terms[second], (terms[:, None] * change).reshape(-1, len(surface.u))])
+    sums = places @ products.T
+    both = np.zeros((N_SHADING_TERMS, N_SHADING_TERMS), np.intp)
+    both[first, second] = both[second, first] = np.arange(len(first))
+    normal = sums[:, both][pairs].transpose(0, 2, 1, 3).reshape(block, block)
+    seen = sums[single, len(first) :].reshape(block, 3)
     pull = prior.precision @ prior.mean
-    unlikeliness = float(prior.mean @ pull) + weight * float((surface.change.astype(np.float64) ** 2).sum())
-    precision, block = prior.precision.copy(), features.shape[1]
-    normal = weight * (features.T @ features)
+    unlikeliness = float(prior.mean @ pull) + weight * float((change**2).sum())
+    precision = prior.precision.copy()
     for k in range(3):
         colour = slice(k * block, (k + 1) * block)
-        precision[colour, colour] += normal
-    right = pull + weight * (features.T @ surface.change).T.ravel()
+        precision[colour, colour] += weight * normal
+    right = pull + weight * seen.T.ravel()
     coefficients = np.asarray(np.linalg.solve(precision, right), np.float64)
     log_root = np.log(np.diag(np.linalg.cholesky(precision)))
     return unlikeliness - float(right @ coefficients) + 2.0 * float(log_root.sum()), coefficients

@@ -16,11 +16,8 @@ from pipeline.engine import disk_store
 from pipeline.engine.digests import compute_cached_digest
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth.illumination import selection
-from pipeline.stages.depth.illumination.constants import CONSTANTS
-from pipeline.stages.depth.illumination.gel_surface import ChangedImage, detect_changed_image, uses_illumination
+from pipeline.stages.depth.illumination.gel_surface import detect_changed_image, uses_illumination
 from pipeline.stages.depth.illumination.light import Illumination, ImagePatch
-from pipeline.stages.depth.illumination.parameter_fit import LedObservation, fit_leds
-from pipeline.stages.depth.illumination.surface_refinement import refine_surface
 from pipeline.stages.depth.poisson import Integrator
 from pipeline.values.frames import TactileFrame
 
@@ -36,7 +33,7 @@ _recordings: Memo[tuple[str, ...], Illumination] = Memo(8)
 def estimate_illumination(
     frame: TactileFrame, source: SensorSpec, calibration: Calibration, progress: Progress
 ) -> Illumination:
-    """The illumination of a gel's frame: fitted to several context frames, else to the frame itself.
+    """The illumination of a gel's frame: chosen by several context frames, else by the frame itself.
 
     The described light where nothing has changed, and where the calibration table was fitted to indentations.
     """
@@ -52,61 +49,54 @@ def estimate_illumination(
     )
 
     def estimate() -> Illumination:
-        of_recording = fit_recording(frame.context_frames, reference, source, calibration, progress)
-        if of_recording is not None:
-            return of_recording
-        changed = detect_changed_image(image, reference, source, calibration)
-        if changed is None:
+        model = choose_for_recording(frame.context_frames, reference, source, calibration, progress)
+        if model is not None and model.is_complete:
+            return model
+        touch = find_touch(image, reference, source, calibration, progress)
+        if touch is None:
             return selection.DESCRIBED
-        _, cells = changed.patches
-        integrate = changed.make_integrator(cells, progress, 0.3)
-        return selection.choose_illumination(
-            changed.guess_surface(cells, integrate), cells, source,
-            lambda patch: changed.make_integrator(patch, progress, 0.3),
-        )  # fmt: skip
+        return selection.choose_illumination([touch]) if model is None else selection.fit_touch(model.model, touch)
 
     return _cache.get_or_make(keys, estimate)
 
 
-def fit_recording(
-    touches: tuple[Image, ...], reference: Image, source: SensorSpec, calibration: Calibration, progress: Progress
+def choose_for_recording(
+    images: tuple[Image, ...], reference: Image, source: SensorSpec, calibration: Calibration, progress: Progress
 ) -> Illumination | None:
-    """LEDs of the sensor instance, fitted to several touches (rows, cols, 3) of one recording.
-
-    None for less than two touches, and where no usual instance explains them.
-    """
-    if len(touches) < _MIN_CONTEXT_TOUCHES:
+    """The light of the sensor instance, chosen by several touches (rows, cols, 3) of one recording; None for fewer."""
+    if len(images) < _MIN_CONTEXT_TOUCHES:
         return None
     made_of = (
-        compute_cached_digest(touches),
+        compute_cached_digest(images),
         compute_cached_digest(reference),
         compute_cached_digest(source),
         compute_cached_digest(calibration),
     )
 
-    def fit() -> Illumination:
-        changed = [detect_changed_image(image, reference, source, calibration) for image in touches]
-        observations = [observe_leds(one, progress) for one in changed if one is not None]
-        if len(observations) < _MIN_CONTEXT_TOUCHES:
+    def choose() -> Illumination:
+        touches = [find_touch(image, reference, source, calibration, progress) for image in images]
+        found = [touch for touch in touches if touch is not None]
+        if len(found) < _MIN_CONTEXT_TOUCHES:
             return selection.DESCRIBED
-        leds = selection.pack_leds("leds", fit_leds(source, observations))
-        return selection.DESCRIBED if leds is None else replace(leds, from_context=True)
+        return replace(selection.choose_illumination(found), from_context=True)
 
-    found = _recordings.get_or_make(
-        made_of, lambda: disk_store.load_or_make(Illumination, made_of, _CODE, fit, "led_fits")
+    chosen = _recordings.get_or_make(
+        made_of, lambda: disk_store.load_or_make(Illumination, made_of, _CODE, choose, "led_fits")
     )
-    return found if found.model == "leds" else None
+    return chosen if chosen.from_context else None
 
 
-def observe_leds(changed: ChangedImage, progress: Progress) -> LedObservation:
-    """What one touch contributes to the LED fit of its recording."""
+def find_touch(
+    image: Image, reference: Image, source: SensorSpec, calibration: Calibration, progress: Progress
+) -> selection.Touch | None:
+    """The touch of an image (rows, cols, 3) on the refinement grid; None where nothing has changed."""
+    changed = detect_changed_image(image, reference, source, calibration)
+    if changed is None:
+        return None
     _, cells = changed.patches
 
     def make_integrator(patch: ImagePatch) -> Integrator:
-        return changed.make_integrator(patch, progress)
+        return changed.make_integrator(patch, progress, 0.3)
 
-    integrate = make_integrator(cells)
-    plain = selection.make_light(selection.DESCRIBED, cells, changed.source)
-    guess = changed.guess_surface(cells, integrate)
-    surface, _ = refine_surface(guess, cells, plain, integrate, CONSTANTS.iterations)
-    return selection.make_led_observation(surface, cells, changed.source, make_integrator)
+    guess_mm = changed.guess_surface(cells, make_integrator(cells))
+    return selection.Touch(guess_mm=guess_mm, patch=cells, source=source, make_integrator=make_integrator)

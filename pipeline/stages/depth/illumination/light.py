@@ -139,7 +139,7 @@ class Illumination:
 
     model: IlluminationModel = "described"
     parameters: tuple[float, ...] = ()  # of fitted models: deviations (`led_light`, `shadow_light`), or coefficients
-    from_context: bool = False  # fitted to the context frames, not to the frame itself
+    from_context: bool = False  # chosen by the context frames, not by the frame itself
 
     def __post_init__(self) -> None:
         """Accept the parameters as an array, as a file holds them."""
@@ -154,6 +154,11 @@ class Illumination:
     def is_bound_to_place(self) -> bool:
         """Whether touches at one place err alike: the light is not fitted to each by itself, or by LEDs alone."""
         return self.model in {"described", "trusted", "near", "shadow_leds"}
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether nothing is left to be fitted to each touch: no field and no low LEDs hold for all places."""
+        return self.model not in {"field", "shadow_leds"} or bool(self.parameters)
 
     @property
     def is_fitted_leds(self) -> bool:

@@ -1,11 +1,13 @@
-"""Choice of the light model of one touch, and correction of its surface in that light.
+"""Choice of the light model of a sensor instance from its touches, and correction of a surface in that light.
 
-The candidates are tried in the order of `CANDIDATES`; the first that explains the image is taken, and the described
+The candidates are tried in the order of `CANDIDATES`; the first that explains the touches is taken, and the described
 light where none does. `docs/illumination.md` says which recordings need which.
 """
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -35,88 +37,108 @@ DESCRIBED = Illumination()
 TRUSTED = Illumination(model="trusted")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)  # without slots, which a cached property needs
 class Touch:
-    """One touch whose light is to be chosen."""
+    """One touch by which light is chosen."""
 
     guess_mm: Floats  # (rows, cols) surface by the calibration table
-    described_mm: Floats  # (rows, cols) surface in the described light
-    described_misfit: float
     patch: ImagePatch
     source: SensorSpec
     make_integrator: IntegratorFactory
 
-    def compute_misfit(self, illumination: Illumination, start_mm: Floats) -> float:
-        """What an illumination leaves of the image."""
-        return _refine(start_mm, self.patch, self.source, illumination, self.make_integrator(self.patch))[1]
+    @cached_property
+    def described(self) -> tuple[Floats, float]:
+        """The surface (rows, cols) in the described light, and what that leaves of the image."""
+        return self.refine(DESCRIBED, self.guess_mm)
 
-    def is_explained(self, misfit: float) -> bool:
-        """Whether a misfit is a small part of the change."""
-        return misfit <= CONSTANTS.explained_share * sum_change_grey(self.patch, self.patch.unmarked_share)
+    def refine(self, illumination: Illumination, start_mm: Floats) -> tuple[Floats, float]:
+        """The surface (rows, cols) in an illumination, and what that leaves of the image."""
+        factor = CONSTANTS.trusted_iteration_factor if illumination.is_trusted else 1
+        light = make_light(illumination, self.patch, self.source)
+        integrate = self.make_integrator(self.patch)
+        return refine_surface(start_mm, self.patch, light, integrate, factor * CONSTANTS.iterations)
+
+    def observe(self, surface_mm: Floats) -> LedObservation:
+        """The touch with a surface (rows, cols), on the coarser grid of the LED fit."""
+        cells = downsample_patch(self.patch, self.source.camera.shape, CONSTANTS.led_grid_cells)
+        if cells is not self.patch:
+            surface_mm = compute_cell_means(surface_mm, cells.downsampling // self.patch.downsampling)
+        return LedObservation(patch=cells, surface_mm=surface_mm, integrate=self.make_integrator(cells))
 
 
-def choose_illumination(
-    guess_mm: Floats, patch: ImagePatch, source: SensorSpec, make_integrator: IntegratorFactory
-) -> Illumination:
-    """The light that explains a touch: the first candidate that does, else the described light."""
-    surface, misfit = _refine(guess_mm, patch, source, DESCRIBED, make_integrator(patch))
-    touch = Touch(
-        guess_mm=guess_mm, described_mm=surface, described_misfit=misfit, patch=patch, source=source,
-        make_integrator=make_integrator,
-    )  # fmt: skip
-    return next((light for candidate in CANDIDATES if (light := candidate(touch)) is not None), DESCRIBED)
+def choose_illumination(touches: Sequence[Touch]) -> Illumination:
+    """The light that explains the touches of one sensor instance: that of the first candidate that does.
+
+    A model whose parameters differ from place to place has none for several touches: `fit_touch` finds those of each.
+    """
+    return next((light for candidate in CANDIDATES if (light := candidate(touches)) is not None), DESCRIBED)
 
 
-def _try_fitted_leds(touch: Touch) -> Illumination | None:
+def fit_touch(model: IlluminationModel, touch: Touch) -> Illumination:
+    """The light of one touch in the model of its recording; the described light where the touch determines none."""
+    found = _fit_field(touch)[0] if model == "field" else _fit_shadow_leds(touch)
+    return pack_leds(model, found) or DESCRIBED
+
+
+def _try_fitted_leds(touches: Sequence[Touch]) -> Illumination | None:
     """LEDs of a usual instance: most simulated touches."""
-    observation = make_led_observation(touch.described_mm, touch.patch, touch.source, touch.make_integrator)
-    return pack_leds("leds", fit_leds(touch.source, [observation]))
+    return pack_leds("leds", fit_leds(touches[0].source, [touch.observe(touch.described[0]) for touch in touches]))
 
 
-def _try_field(touch: Touch) -> Illumination | None:
-    """A shading field, if it explains far more than the described light: a real GelSight Mini."""
-    if _casts_shadows(touch.source):
+def _try_field(touches: Sequence[Touch]) -> Illumination | None:
+    """A shading field for each touch, if it explains far more than the described light: a real GelSight Mini."""
+    if _casts_shadows(touches[0].source):
         return None
+    decisive = touches[: CONSTANTS.field_touches]
+    described = sum(touch.described[1] for touch in decisive)
+    fits = [_fit_field(touch, touch.described[1] if len(touches) == 1 else math.inf) for touch in decisive]
+    if described <= CONSTANTS.field_gain * sum(fit[1] for fit in fits):
+        return None
+    return pack_leds("field", fits[0][0]) if len(touches) == 1 else Illumination(model="field")
+
+
+def _fit_field(touch: Touch, described_misfit: float = math.inf) -> tuple[Doubles | None, float]:
+    """Coefficients (m,) of the shading field of one touch and its misfit; none and infinity where it has none."""
     integrate = touch.make_integrator(touch.patch)
-    fit = fit_field(touch.guess_mm, touch.patch, touch.source, integrate, touch.described_misfit)
-    if fit is None or touch.described_misfit <= CONSTANTS.field_gain * fit[1]:
+    fit = fit_field(touch.guess_mm, touch.patch, touch.source, integrate, described_misfit)
+    return (None, math.inf) if fit is None else fit
+
+
+def _try_near_leds(touches: Sequence[Touch]) -> Illumination | None:
+    """The described LEDs, close to the gel, where they leave much as described: a real GelSlim."""
+    if _casts_shadows(touches[0].source) or _is_explained(touches, sum(touch.described[1] for touch in touches)):
         return None
-    return pack_leds("field", fit[0])
+    return Illumination(model="near")
 
 
-def _try_near_leds(touch: Touch) -> Illumination | None:
-    """The described LEDs, close to the gel: most touches of real GelSlims."""
-    near = Illumination(model="near")
-    if _casts_shadows(touch.source):
-        return None
-    misfit = touch.compute_misfit(near, touch.guess_mm)
-    return near if touch.described_misfit > CONSTANTS.near_gain * misfit else None
+def _try_trusted_light(touches: Sequence[Touch]) -> Illumination | None:
+    """The described LEDs, where they explain the touches once each pixel counts by its certainty."""
+    misfit = sum(touch.refine(TRUSTED, touch.described[0])[1] for touch in touches)
+    return TRUSTED if _is_explained(touches, misfit) else None
 
 
-def _try_trusted_light(touch: Touch) -> Illumination | None:
-    """The described LEDs, where they explain the image once each pixel counts by its certainty."""
-    return TRUSTED if touch.is_explained(touch.compute_misfit(TRUSTED, touch.described_mm)) else None
-
-
-def _try_shadow_leds(touch: Touch) -> Illumination | None:
+def _try_shadow_leds(touches: Sequence[Touch]) -> Illumination | None:
     """Low LEDs that cast shadows, if the described light leaves most of the change: a real DIGIT."""
-    if not _casts_shadows(touch.source) or touch.is_explained(touch.described_misfit):
+    described = sum(touch.described[1] for touch in touches)
+    if not _casts_shadows(touches[0].source) or _is_explained(touches, described):
         return None
-    observation = make_led_observation(touch.guess_mm, touch.patch, touch.source, touch.make_integrator)
-    return pack_leds("shadow_leds", fit_shadow_leds(touch.source, observation))
+    if len(touches) == 1:
+        return pack_leds("shadow_leds", _fit_shadow_leds(touches[0]))
+    return Illumination(model="shadow_leds")
+
+
+def _fit_shadow_leds(touch: Touch) -> Doubles | None:
+    """Deviations (m,) of the low LEDs of one touch."""
+    return fit_shadow_leds(touch.source, touch.observe(touch.guess_mm))
 
 
 CANDIDATES = (_try_fitted_leds, _try_field, _try_near_leds, _try_trusted_light, _try_shadow_leds)
 
 
-def make_led_observation(
-    surface_mm: Floats, patch: ImagePatch, source: SensorSpec, make_integrator: IntegratorFactory
-) -> LedObservation:
-    """One touch on the coarser grid of the LED fit."""
-    cells = downsample_patch(patch, source.camera.shape, CONSTANTS.led_grid_cells)
-    if cells is not patch:
-        surface_mm = compute_cell_means(surface_mm, cells.downsampling // patch.downsampling)
-    return LedObservation(patch=cells, surface_mm=surface_mm, integrate=make_integrator(cells))
+def _is_explained(touches: Sequence[Touch], misfit: float) -> bool:
+    """Whether a misfit is a small part of the touches' change."""
+    change = sum(sum_change_grey(touch.patch, touch.patch.unmarked_share) for touch in touches)
+    return misfit <= CONSTANTS.explained_share * change
 
 
 def pack_leds(model: IlluminationModel, parameters: Doubles | None) -> Illumination | None:
@@ -168,14 +190,6 @@ def add_detail(
     """The surface (rows, cols) after one more iteration, at the image's own resolution."""
     light = make_light(illumination, patch, source)
     return refine_surface(surface_mm, patch, light, integrate, 1, CONSTANTS.fine_cg_steps)[0]
-
-
-def _refine(
-    surface_mm: Floats, patch: ImagePatch, source: SensorSpec, illumination: Illumination, integrate: Integrator
-) -> tuple[Floats, float]:
-    factor = CONSTANTS.trusted_iteration_factor if illumination.is_trusted else 1
-    light = make_light(illumination, patch, source)
-    return refine_surface(surface_mm, patch, light, integrate, factor * CONSTANTS.iterations)
 
 
 def _casts_shadows(source: SensorSpec) -> bool:

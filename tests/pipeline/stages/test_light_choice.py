@@ -1,0 +1,128 @@
+"""Which light a sensor instance has: chosen by one touch, or by several touches for all frames of their recording."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from pipeline.base.progress import SILENT
+from pipeline.calibration import near_led_prior
+from pipeline.calibration.calibration_table import make_built_in
+from pipeline.geometry.camera import Camera
+from pipeline.geometry.rigid import translation
+from pipeline.physics import optics
+from pipeline.physics.slopes import compute_slopes
+from pipeline.sensors.spec import load_sensor
+from pipeline.simulation import shapes
+from pipeline.simulation.press import simulate_press
+from pipeline.stages.depth.illumination import field_light, frame_illumination, selection
+from pipeline.stages.depth.illumination.light import ImagePatch, simulate_recorded_change
+from pipeline.stages.depth.photometric import DepthParams, estimate_gel_depth
+from pipeline.values.frames import TactileFrame
+
+PLACES_MM = (0.6, -0.8), (-1.0, 1.0), (2.0, 1.5)
+DIGIT_PRESSES = 1, 14, 30
+GELSLIM_3_PX_MM = 0.07
+
+
+@pytest.fixture(autouse=True)
+def caches(tmp_path, monkeypatch):
+    """Empty caches, in memory and on disk."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    frame_illumination._cache.clear()
+    frame_illumination._recordings.clear()
+    yield
+    frame_illumination._cache.clear()
+    frame_illumination._recordings.clear()
+
+
+def draw_touches(seed=3):
+    """Presses of a ball on a Mini whose LEDs stand next to the gel: light that no distant LEDs explain."""
+    source = load_sensor("gelsight_mini")
+    (rows, cols), reference = source.camera.shape, optics.render_reference(source)
+    rng = np.random.default_rng(seed)
+    field = near_led_prior.sample_instances(source.optics, source.pixel_mm, (rows, cols), 1, rng)[0].ravel()
+    patch = ImagePatch(
+        x_px=np.arange(cols, dtype=np.float32), y_px=np.arange(rows, dtype=np.float32),
+        change=np.zeros(reference.shape, np.float32), reference=reference.astype(np.float32),
+        changed=np.ones((rows, cols), np.bool_), downsampling=1, pixel_mm=source.pixel_mm, smoothing_px=0.0,
+        unmarked_share=np.ones((rows, cols, 3), np.float32),
+    )  # fmt: skip
+    light, mesh = field_light.make_field_light(field, patch, source), shapes.make_shape("sphere").mesh
+    frames = []
+    for index, (x, y) in enumerate(PLACES_MM):
+        press = simulate_press(mesh, translation(x, y, -0.8 - mesh.vertices_mm[:, 2].min()), source, seed=2)
+        surface = np.array(press.truth.indentation_mm)
+        change = light.render(surface, *compute_slopes(surface, source.pixel_mm)).change
+        image = reference + simulate_recorded_change(change, patch, light.blur_px)
+        image = np.clip(np.rint(image + rng.normal(0.0, 1.0, image.shape)), 0, 255).astype(np.uint8)
+        frames.append(TactileFrame(sensor="gelsight_mini", image=image, reference=reference, index=index))
+    return source, frames
+
+
+def find_touches(source, frames):
+    table = make_built_in(source)
+    return [frame_illumination.find_touch(f.image, f.reference, source, table, SILENT) for f in frames]
+
+
+def test_a_recording_is_read_in_one_kind_of_light_and_each_touch_in_a_field_of_its_own(monkeypatch):
+    source, frames = draw_touches()
+    context = tuple(frame.image for frame in frames[:2])
+    _, first = estimate_gel_depth(replace(frames[0], context_frames=context), source, None, DepthParams())
+    monkeypatch.setattr(selection, "fit_leds", None)  # the choice stands for all frames
+    monkeypatch.setattr(selection, "choose_illumination", None)
+    _, third = estimate_gel_depth(replace(frames[2], context_frames=context), source, None, DepthParams())
+    assert first.illumination.model == third.illumination.model == "field"
+    assert first.illumination.is_complete
+    assert first.illumination.parameters != third.illumination.parameters
+
+
+def test_a_field_is_the_same_alone_and_in_its_recording():
+    source, frames = draw_touches()
+    context = tuple(frame.image for frame in frames[:2])
+    _, alone = estimate_gel_depth(frames[2], source, None, DepthParams())
+    _, among = estimate_gel_depth(replace(frames[2], context_frames=context), source, None, DepthParams())
+    assert alone.illumination == among.illumination
+
+
+def test_several_touches_leave_the_field_of_each_open():
+    source, frames = draw_touches()
+    touches = find_touches(source, frames)
+    assert not selection.choose_illumination(touches).is_complete
+    assert selection.choose_illumination(touches[:1]) == selection.fit_touch("field", touches[0])
+
+
+def read_image(path):
+    return np.ascontiguousarray(cv2.imread(str(path))[..., ::-1])
+
+
+def test_a_real_digit_fits_low_leds_to_each_touch_of_a_recording(real_data):
+    source, folder = load_sensor("digit"), real_data / "digit_balls"
+    reference = read_image(folder / "background.png")
+    images = [read_image(folder / f"{index:04d}.png") for index in DIGIT_PRESSES]
+    frame = TactileFrame(sensor="digit", image=images[2], reference=reference)
+    _, alone = estimate_gel_depth(frame, source, None, DepthParams())
+    _, among = estimate_gel_depth(replace(frame, context_frames=tuple(images[:2])), source, None, DepthParams())
+    assert alone.illumination.model == "shadow_leds"
+    assert alone.illumination == among.illumination
+
+
+def test_a_real_gelslim_is_read_by_near_leds_that_its_recording_chose(real_data):
+    plain, folder = load_sensor("gelslim"), real_data / "gelslim3_balls"
+    camera = plain.camera
+    focal_px = float(np.median(plain.rest_depth_mm)) / GELSLIM_3_PX_MM
+    source = plain.with_camera(
+        Camera(
+            rows=camera.rows, cols=camera.cols, fx_px=focal_px, fy_px=focal_px, cx_px=camera.cx_px, cy_px=camera.cy_px
+        )
+    )
+    reference = read_image(folder / "ref.jpg")
+    images = tuple(read_image(folder / f"sample_{index}.jpg") for index in (3, 10, 20))
+    frame = TactileFrame(sensor="gelslim", image=images[2], reference=reference, context_frames=images[:2])
+    depth, measured = estimate_gel_depth(frame, source, None, DepthParams())
+    assert measured.illumination.model == "near"
+    assert measured.illumination.from_context
+    assert depth.contact.any()
