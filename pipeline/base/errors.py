@@ -140,15 +140,24 @@ class OutsideViewWarning(UnseenObjectWarning):
     """A warning that a method leaves out what lies outside the source's view: one that generates it is better."""
 
 
-class UncertainContact(str):
-    """A note that a change of the image is taken for light and not for touch: neither "no contact" nor "exact"."""
+class UncertainContact(StageWarning):
+    """A warning that a frame without a measured contact may have one: neither "no contact" nor "exact"."""
 
 
 class ChangeNote(str):
     """A note of how far a network's result is from physics; the window shows it as a badge."""
 
 
+UNCERTAIN_CONTACT = UncertainContact(
+    "contact uncertain: the image has changed; a light, large touch would look the same: add an untouched frame as the "
+    "reference"
+)
 AT_BORDER = StageWarning("the contact reaches the image border: the part beyond is missing")
+
+
+def find_uncertain_contact(notes: Iterable[str]) -> UncertainContact | None:
+    """The note that no contact was measured where there may be one; None without it."""
+    return next((note for note in notes if isinstance(note, UncertainContact)), None)
 
 
 def describe_no_contact(result: str, notes: Iterable[str], certainty: str = "") -> str:
@@ -156,7 +165,7 @@ def describe_no_contact(result: str, notes: Iterable[str], certainty: str = "") 
 
     `result` says what the value is, `certainty` what holds of it only where there is certainly no contact.
     """
-    if any(isinstance(note, UncertainContact) for note in notes):
+    if find_uncertain_contact(notes) is not None:
         return UncertainContact(f"contact uncertain: {result}")
     return f"no contact: {result}{certainty}"
 

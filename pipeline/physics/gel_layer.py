@@ -52,7 +52,7 @@ def make_elastic_layer(gel: Gel, pixel_mm: float, shape: tuple[int, int]) -> Ela
     around = np.zeros(padded)
     around[np.ix_(rows, cols)] = _compute_kernel(gel, pixel_mm, span)
     repeated = find_fast_length(shape[0]), find_fast_length(shape[1])
-    inverse = 1.0 / _compute_symbol(gel, pixel_mm, repeated)
+    inverse = 1.0 / compute_symbol(gel, pixel_mm, repeated)
     return ElasticLayer(
         padded_shape=padded,
         periodic_shape=repeated,
@@ -101,11 +101,12 @@ def _compute_kernel(gel: Gel, pixel_mm: float, span: tuple[int, ...]) -> Doubles
 @memoise(8)
 def _compute_layer_kernel(gel: Gel, pixel_mm: float) -> Doubles:
     n = 2 * _compute_reach_px(gel, pixel_mm) + 2
-    symbol = _compute_symbol(gel, pixel_mm, (n, n))
+    symbol = compute_symbol(gel, pixel_mm, (n, n))
     return freeze(np.fft.fftshift(np.fft.irfft2(symbol, s=(n, n))))
 
 
-def _compute_symbol(gel: Gel, pixel_mm: float, padded: tuple[int, int]) -> Doubles:
+def compute_symbol(gel: Gel, pixel_mm: float, padded: tuple[int, int]) -> Doubles:
+    """Displacement in mm by 1 kPa of each wave of a periodic grid, as `np.fft.rfft2` orders them."""
     v, t = gel.poisson, gel.thickness_mm
     qy = 2 * np.pi * np.fft.fftfreq(padded[0], pixel_mm)[:, None]
     qx = 2 * np.pi * np.fft.rfftfreq(padded[1], pixel_mm)[None, :]

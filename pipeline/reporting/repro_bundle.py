@@ -236,7 +236,9 @@ def _record(translation: Translation, index: int, path: Path) -> None:
     with RecordingWriter(
         path, object_mesh=recording.object_mesh, symmetry=recording.symmetry, pairings=pairings, notes=recording.notes
     ) as writer:
-        context, is_observed = select_context_frames(stream) if translation.load_context_images() else (), False
+        reference = stream.frame(index).reference
+        context = select_context_frames(stream) if translation.load_context_images(reference) else ()
+        is_observed = False
         for place, k in enumerate(dict.fromkeys((index, *(frame.index for frame in context)))):
             source_frame = replace(stream.frame(k), sensor=translation.source.name, index=place)
             writer.append(stream.name, source_frame, stream.truth(k))

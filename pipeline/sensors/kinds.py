@@ -39,7 +39,7 @@ class SensorKind:
     membrane_parser: str  # (GetSection, Camera, parsed parts) -> Membrane, where [rest] gives no mesh
     reference_renderer: str  # (SensorSpec) -> image without contact and noise
     image_checker: str  # (image) -> what is wrong with it as a clause, "" = nothing
-    contact_checker: str  # (image, reference, limit) -> notes of a frame without contact, None = there may be contact
+    contact_checker: str  # (frame, sensor, calibration, limit) -> notes without contact, None = maybe contact
     depth_estimator: str  # (frame, SensorSpec, Calibration | None, DepthParams, Progress) -> DepthMap
     depth_task: str = ""  # of the weights of depth by network; "" = no network estimates it
     depth_network: str = ""  # (frame, SensorSpec, Calibration | None, network, NetworkParams, Progress) -> DepthMap

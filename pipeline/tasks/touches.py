@@ -25,7 +25,7 @@ from pipeline.simulation.datasets import BUBBLE_DEEPER_MM
 from pipeline.simulation.press import move_bubble_closer, render_sensor_image, simulate_press
 from pipeline.simulation.variation import vary_sensor
 from pipeline.translation.catalogue import BUILT_IN
-from pipeline.translation.translate import Request, Translation
+from pipeline.translation.translate import Request, Translation, load_nothing
 from pipeline.values.frames import Pairing, Recording, Stream, TactileFrame, Truth
 from pipeline.values.results import DepthMap, GeneratedTouch
 
@@ -133,7 +133,7 @@ class Moment:
             request=make_touch_request(touch, self._recording.path, source.name, self._target.name),
             recording=self._recording, stream=self._recording.stream(source.name), source=source, target=self._target,
             alignment=resolve_alignment(source, self._target), calibration=None, mesh=self._mesh,
-            load_context_images=tuple if touch == TRUE else lambda: self._context_images,
+            load_context_images=load_nothing if touch == TRUE else lambda _reference: self._context_images,
         )  # fmt: skip
 
     def evaluate(

@@ -30,14 +30,14 @@ def estimate_force(depth: DepthMap, frame: TactileFrame, translation: Translatio
 def measure_force(
     results: Mapping[str, StageResult], index: int, translation: Translation, graph: Graph
 ) -> dict[str, float]:
-    """The force of a frame's depth as metrics, and the true one where known; {} on a route without depth.
+    """The force of a frame's depth as metrics, and the true one where known; {} without depth or certain contact.
 
     Without a force scale the metrics are others, whose titles say that their scale is not known. Shear takes the scale
     of the normal force, since both are proportional to the gel's stiffness.
     """
     depth = results["depth"].output if "depth" in results else None
     names = list_force_metrics(translation)
-    if not isinstance(depth, DepthMap) or not names:
+    if not isinstance(depth, DepthMap) or not names or depth.is_uncertain:
         return {}
     found = estimate_force(depth, translation.stream.frame(index), translation, graph)
     normal_n, scale = found.normal_n, translation.force_scale

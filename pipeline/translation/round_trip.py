@@ -26,7 +26,7 @@ from pipeline.metrics.stage_metrics import ROUND_TRIP, TRAINING_DISTANCE, comput
 from pipeline.networks.weights_registry import WEIGHTS_FOLDER
 from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import SensorSpec
-from pipeline.translation.translate import Translation
+from pipeline.translation.translate import Translation, load_nothing
 from pipeline.values.frames import TactileFrame
 from pipeline.values.results import DepthMap, GeneratedTouch, TargetDepth
 
@@ -81,7 +81,7 @@ def reverse_translation(translation: Translation, depth: DepthMap) -> Translatio
     )
     return replace(
         translation, source=translation.target, target=translation.source.with_camera(depth.camera),
-        alignment=alignment, calibration=None, mesh=None, symmetry=None, load_context_images=tuple,
+        alignment=alignment, calibration=None, mesh=None, symmetry=None, load_context_images=load_nothing,
         request=replace(translation.request, calibration=None, mesh=None, weights=()),
     )  # fmt: skip
 

@@ -6,17 +6,18 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from pipeline.base.arrays import Image
+from pipeline.base.arrays import Floats, Image
 from pipeline.base.errors import CalibrationError, SettingProblem, ShapeError, UnknownSensor
 from pipeline.base.frame_lists import check_frame_index
 from pipeline.base.progress import SILENT, Progress, reading_reported_to
 from pipeline.calibration.calibration_file import load_if_present
 from pipeline.calibration.calibration_table import Calibration
 from pipeline.calibration.force_scale import ForceScale, load_force_scale
+from pipeline.engine.digests import compute_cached_digest
 from pipeline.engine.graph import Graph, Method, StageResult
 from pipeline.geometry.meshes import Mesh, load_mesh
 from pipeline.networks.weights import NoWeights
@@ -31,7 +32,7 @@ from pipeline.sensors.spec import SensorSpec, load_sensor
 from pipeline.stages.stage import GroundTruth, PreviewContext, SensorRole, Stage
 from pipeline.stages.truth_method import TRUTH, get_input_name
 from pipeline.translation.catalogue import BUILT_IN, Catalogue
-from pipeline.translation.frame_selection import select_context_images
+from pipeline.translation.frame_selection import select_context_frames
 from pipeline.values.frames import Recording, Stream, TactileFrame, Truth
 from pipeline.values.pairing import follow, pair_frames
 from pipeline.values.results import ObjectPose
@@ -61,6 +62,14 @@ class Request:
     offsets: Offsets = field(default_factory=Offsets)  # offsets from that alignment
 
 
+ContextLoader = Callable[[Image | Floats | None], tuple[Image, ...]]
+
+
+def load_nothing(_reference: Image | Floats | None) -> tuple[Image, ...]:
+    """Return no context images."""
+    return ()
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Translation:
     """Everything that the methods read, for every frame of one stream."""
@@ -77,7 +86,7 @@ class Translation:
     symmetry: Symmetry | None = None  # of `mesh`; None = not known
     force_scale: ForceScale | None = None  # of the source; None = not weighed
     catalogue: Catalogue = BUILT_IN
-    load_context_images: Callable[[], tuple[Image, ...]] = tuple  # of the source's sensor instance
+    load_context_images: ContextLoader = load_nothing  # of the source's sensor instance, by a frame's reference
 
     @property
     def n_frames(self) -> int:
@@ -151,7 +160,7 @@ class Translation:
         with reading_reported_to(progress):
             weights = self.weights
         return {
-            "frame": replace(frame, context_frames=self.load_context_images()),
+            "frame": replace(frame, context_frames=self.load_context_images(frame.reference)),
             "source": self.source,
             "target": self.target,
             "calibration": self.calibration,
@@ -325,14 +334,22 @@ def _open_with(
 
 def _context_image_loader(
     calibration: Calibration | None, recording: Recording, stream: Stream, source: SensorSpec
-) -> Callable[[], tuple[Image, ...]]:
+) -> ContextLoader:
     """Return a loader of the context images that determine the illumination, chosen when a frame is first read.
 
-    A calibration table contains the illumination. A growing recording has no fixed context.
+    They are of the frame's own reference, and so of its sensor instance. A calibration table contains the illumination.
+    A growing recording has no fixed context.
     """
     if source.optics is None or calibration is not None or recording.refresh is not None:
-        return tuple
-    return cache(lambda: select_context_images(stream))
+        return load_nothing
+    select = cache(lambda: select_context_frames(stream))
+
+    @cache
+    def load(reference_digest: str) -> tuple[Image, ...]:
+        same = [one for one in select() if compute_cached_digest(one.reference) == reference_digest]
+        return tuple(cast("Image", one.image) for one in same)
+
+    return lambda reference: load(compute_cached_digest(reference))
 
 
 def _load_force_scale(path: Path | None, source: SensorSpec) -> ForceScale | None:

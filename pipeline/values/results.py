@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.arrays import Doubles, Floats, Image, Indices, Mask, freeze
+from pipeline.base.errors import find_uncertain_contact
 from pipeline.base.memo import memoise
 from pipeline.engine.digests import UNDIGESTED
 from pipeline.geometry.camera import Camera
@@ -41,6 +42,11 @@ class DepthMap:
     object_depth_mm: Floats | None = None
     # (rows, cols) z as a depth camera measured it, with its noise; NaN = no value, None = not measured directly
     measured_depth_mm: Floats | None = None
+
+    @property
+    def is_uncertain(self) -> bool:
+        """Whether there may be a contact that was not measured."""
+        return find_uncertain_contact(self.notes) is not None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

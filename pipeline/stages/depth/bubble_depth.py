@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,9 +28,12 @@ _BULGE_MM, _BULGE_SHARE = (
 _BLOCK_QUANTILE = 0.99  # quantile of the blocks that stands for the largest: a few are outliers
 
 
-def describe_if_no_contact(image: NDArray[Any], reference: NDArray[Any], limit_mm: float) -> tuple[str, ...] | None:
+def describe_if_no_contact(
+    frame: TactileFrame, _source: SensorSpec, _calibration: object, limit_mm: float
+) -> tuple[str, ...] | None:
     """The notes of a frame without contact; None where there may be contact."""
-    return ("nothing touches the sensor",) if compute_largest_change(image, reference) < limit_mm else None
+    change_mm = compute_largest_change(frame.image, cast("Floats", frame.reference))
+    return ("nothing touches the sensor",) if change_mm < limit_mm else None
 
 
 def compute_largest_change(image: NDArray[Any], reference: NDArray[Any]) -> float:

@@ -1,12 +1,11 @@
 """Where a gel's image differs from its reference, and the window in which the surface is estimated."""
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from pipeline.base.arrays import Floats, Image, Mask, freeze
-from pipeline.stages.depth.drift import compute_block_means
+from pipeline.stages.depth.gel.coarse_light import compute_block_means
 from pipeline.stages.depth.regions import fill_holes
 
 _BLOCK_PX = 8  # width of the blocks that changes are averaged over
@@ -17,6 +16,7 @@ _SMOOTHING_BLOCKS = 1.2  # standard deviation in blocks: a touch is smooth over 
 _NOISE_FACTOR = 16.0  # times the noise: untouched frames of a dithered film reach 15, its touches 16 to 100
 _BLOCKS_MIN = 40  # along the longer side, for the estimate of noise
 _MARGIN_MM = 2.0  # around the visible change: the gel relaxes to rest within about this distance
+_DENT_SHARE = 0.25  # of the deepest point: the part of a coarse dent that is surely indented
 _BLEND_SHARE = 0.5  # share of the margin over which the surface is blended to rest
 
 
@@ -30,17 +30,11 @@ class ImageWindow:
     blend_weight: Floats  # (rows, cols) weight of the surface: 1, falling to 0 at the end of `changed`
 
 
-def compute_largest_change(image: Image, reference: Image) -> float:
-    """Largest mean absolute change of a block of 8 x 8 pixels, in grey levels; infinite if the image is black."""
-    blocks = _compute_blocks(image, reference)
-    return float(blocks.max()) if int(image.max()) > 2 else math.inf
-
-
-def _compute_blocks(image: Image, reference: Image) -> Image:
+def compute_block_change(image: Image, reference: Image) -> Image:
     """Mean absolute change of every whole block (rows // 8, cols // 8, 3), rounded; the last few pixels are dropped."""
     import cv2
 
-    from pipeline.stages.depth.change_detection_kernels import compute_block_change
+    from pipeline.stages.depth import change_detection_kernels
 
     rows, cols = (n // _BLOCK_PX for n in image.shape[:2])
     if not (rows and cols):  # smaller than a block
@@ -48,7 +42,9 @@ def _compute_blocks(image: Image, reference: Image) -> Image:
         return np.asarray(cv2.resize(change, (max(1, cols), max(1, rows)), interpolation=cv2.INTER_AREA), np.uint8)
     out = np.empty((rows, cols, 3), np.uint8)
     of_rows = np.empty(3 * image.shape[1], np.uint16)
-    compute_block_change(_flatten_rows(image), _flatten_rows(reference), _BLOCK_PX, of_rows, out)
+    change_detection_kernels.compute_block_change(
+        _flatten_rows(image), _flatten_rows(reference), _BLOCK_PX, of_rows, out
+    )
     return out
 
 
@@ -64,7 +60,7 @@ def detect_change(image: Image, reference: Image, no_touch_grey: float, pixel_mm
     """
     import cv2
 
-    blocks = _compute_blocks(image, reference).max(axis=2).astype(np.float32)
+    blocks = compute_block_change(image, reference).max(axis=2).astype(np.float32)
     # A touched region does not extend into changes that the whole image has (drift of the light).
     low = max(_LOW_SHARE * no_touch_grey, _DRIFT_FACTOR * float(np.quantile(blocks, _TYPICAL_QUANTILE)))
     if float(blocks.max()) < low:  # all of it has changed equally: a touch larger than the image
@@ -79,6 +75,18 @@ def detect_change(image: Image, reference: Image, no_touch_grey: float, pixel_mm
     # A flat face changes no colours, but is indented: what a touch encloses belongs to it.
     touched = fill_holes(strong[regions])
     return grow_to_window(touched, image.shape[:2], pixel_mm)
+
+
+def detect_press(image: Image, reference: Image, no_touch_grey: float, pixel_mm: float, dent_mm: Floats) -> ImageWindow:
+    """The window of a press: around its changes, or, where none stands out, around its coarse dent (rows, cols)."""
+    import cv2
+
+    window = detect_change(image, reference, no_touch_grey, pixel_mm)
+    if window is not None:
+        return window
+    blocks = tuple(max(1, n // _BLOCK_PX) for n in image.shape[1::-1])
+    dent = np.asarray(cv2.resize(dent_mm, blocks, interpolation=cv2.INTER_LINEAR))
+    return grow_to_window(dent >= _DENT_SHARE * dent.max(), image.shape[:2], pixel_mm)
 
 
 def _compare_with_noise(image: Image, reference: Image, shape: tuple[int, ...]) -> Floats:

@@ -3,10 +3,12 @@
 Not a column: a quantity of the stage *depth*, computed where a report, a table or the timeline asks for it.
 """
 
+import math
+
 import numpy as np
 
 from pipeline.base.entry_points import load_reference
-from pipeline.base.errors import SettingProblem
+from pipeline.base.errors import SettingProblem, find_uncertain_contact
 from pipeline.base.params import NoParams
 from pipeline.base.progress import SILENT, Progress
 from pipeline.engine.graph import Method, skip_if_exact
@@ -19,9 +21,12 @@ from pipeline.values.results import DepthMap
 def skip_without_contact(
     depth: DepthMap, source: SensorSpec, _frame: TactileFrame, _params: NoParams
 ) -> ContactForce | None:
-    """No force where nothing is in contact, else None."""
+    """No force where nothing is in contact, an unknown one where that is uncertain, else None."""
     if depth.contact.any():
         return None
+    uncertain = find_uncertain_contact(depth.notes)
+    if uncertain is not None:
+        return ContactForce(normal_n=math.nan, notes=(uncertain,))
     shear_n = None if source.markers is None else (0.0, 0.0)
     return ContactForce(normal_n=0.0, shear_n=shear_n, notes=("no contact: no force",))
 

@@ -28,7 +28,6 @@ from pipeline.networks.gel_depth_prediction import PHYSICS_CONTACT_LOGIT, GelDep
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import (
     draft_resolution,
-    drift,
     gel_depth,
     gel_network_input,
     illumination_channels,
@@ -36,6 +35,7 @@ from pipeline.stages.depth import (
     regions,
 )
 from pipeline.stages.depth.gel_depth import MeasuredContact
+from pipeline.stages.depth.illumination import gel_surface
 from pipeline.stages.depth.illumination.light import Illumination
 from pipeline.values.frames import TactileFrame
 from pipeline.values.results import DepthErrorModel, DepthMap
@@ -189,7 +189,7 @@ def estimate_physical_depth(
 def prepare_input(frame: TactileFrame, source: SensorSpec, physical: DepthMap) -> gel_network_input.NetworkInput:
     """The network's input from a frame and its photometric depth; `source` with the frame's own camera."""
     image, reference = cast("Image", frame.image), cast("Image", frame.reference)
-    reference = drift.apply_estimated_drift(image, reference).image
+    reference = gel_surface.observe(image, reference, source, source.pixel_mm, frame.context_frames).rest.image
     described = _described_lights.get_or_make(
         compute_cached_digest(source), lambda: gel_network_input.describe_light(source)
     )

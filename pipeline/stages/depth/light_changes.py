@@ -27,7 +27,7 @@ _EXPLAINED_MIN_WEAK, _EXPLAINED_MIN = 0.36, 0.0
 def remove_light_changes(
     touched: Mask, surface_mm: Floats, changed: ChangedImage, illumination: Illumination | None
 ) -> Mask:
-    """The contact `touched` (rows, cols) of the window without regions that are changes of the light.
+    """The contact `touched` (rows, cols) of the window without those of its regions that are changes of the light.
 
     Glints, spots of stray light, dithering: a touch is a dent, and a dent explains what is visible of it in two ways.
     Its flanks face opposite LEDs, so each colour rises on one flank and falls on the other; a spot of light changes the
@@ -35,11 +35,12 @@ def remove_light_changes(
     change; what no surface looks like (a reflection, grains of a dithered film) leaves most of it unexplained.
 
     `illumination` None: the calibration contains its own light, and only the direction of the change is compared.
+    A single region is a touch, as that of the whole change has been decided, and so are all where none looks like one.
     """
     import cv2
 
     n, found = cv2.connectedComponents(touched.astype(np.uint8), connectivity=8)
-    if n < 2:
+    if n < 3:  # the background and one region
         return touched
     labels = np.asarray(found, np.int32)
     _, cells = changed.patches
@@ -56,7 +57,7 @@ def remove_light_changes(
         weak = total_energy < 3.0 * limit_grey**2 * np.bincount(around.ravel(), minlength=n)
         keep &= unexplained < (1.0 - np.where(weak, _EXPLAINED_MIN_WEAK, _EXPLAINED_MIN)) * total_energy
     keep[0] = False
-    return keep[labels]
+    return keep[labels] if keep.any() else touched
 
 
 def _spread_labels(labels: Indices, cells: ImagePatch) -> Indices:

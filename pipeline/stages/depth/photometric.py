@@ -234,7 +234,7 @@ def describe_mismatch(frame: TactileFrame, source: SensorSpec) -> str:
 def skip_without_contact(
     frame: TactileFrame,
     source: SensorSpec,
-    calibration: Calibration | None,  # noqa: ARG001 - every stage's short cut reads what the stage reads
+    calibration: Calibration | None,
     params: DepthParams,
 ) -> DepthMap | None:
     """The exact result for a frame without contact; None where there may be contact."""
@@ -245,11 +245,12 @@ def skip_without_contact(
     if frame.is_depth != kind.is_depth or not np.issubdtype(image.dtype, number):  # `check_frame` refuses it
         return None
     limit = source.limits.no_contact_change / params.sensitivity
-    notes = load_reference(kind.contact_checker)(image, reference, limit)
-    if notes is None:
-        return None
     seen_by = see_by_frame(source, frame)
-    if frame.image.shape[:2] != seen_by.camera.shape:
+    is_readable = not any(load_reference(kind.image_checker)(array) for array in (image, reference))
+    if frame.image.shape[:2] != seen_by.camera.shape or not is_readable:
+        return None
+    notes = load_reference(kind.contact_checker)(frame, seen_by, calibration, limit)
+    if notes is None:
         return None
     at_rest = _at_rest(frame, seen_by)
     return at_rest if notes == at_rest.notes else replace(at_rest, notes=notes)

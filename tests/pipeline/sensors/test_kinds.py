@@ -70,8 +70,8 @@ def find_image_problem(image):
     return "has negative taxels" if (image < -1.0).any() else ""
 
 
-def describe_if_no_contact(image, reference, limit):
-    return ("no taxel is pressed",) if float(np.abs(image - reference).max()) < limit else None
+def describe_if_no_contact(frame, _sensor, _calibration, limit):
+    return ("no taxel is pressed",) if float(np.abs(frame.image - frame.reference).max()) < limit else None
 
 
 def estimate_depth(frame, sensor, _calibration, params, _progress):

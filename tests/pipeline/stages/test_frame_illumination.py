@@ -86,7 +86,7 @@ def test_all_frames_of_a_recording_share_its_leds():
     assert all("fitted to 2 touches of the recording" in " ".join(depth.notes) for depth, _ in results)
     first, second = (measured.illumination for _, measured in results)
     table = make_built_in(source)
-    touches = [frame_illumination.find_touch(f.image, f.reference, source, table, SILENT) for f in frames]
+    touches = [frame_illumination.find_touch(f.image, f.reference, source, table, context, SILENT) for f in frames]
     assert first == second
     assert first.parameters == tuple(fit_leds(source, [touch.observe(touch.described[0]) for touch in touches]))
     for frame, truth, (depth, _) in zip(frames, truths, results, strict=True):

@@ -50,8 +50,8 @@ def still():
 
 @pytest.fixture(scope="module")
 def lit_frame(still):
-    """The reference image with a spot of light."""
-    image = add_spot(still, grey=40.0, place=(0.5, 0.4), width=0.1)
+    """The reference image with a wide spot of light, which a large touch might make as well."""
+    image = add_spot(still, grey=40.0, place=(0.5, 0.4), width=0.2)
     return TactileFrame(sensor="gelslim", image=image, reference=still)
 
 

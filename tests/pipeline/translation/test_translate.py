@@ -92,10 +92,11 @@ def test_what_the_target_recorded_is_read_in_the_light_of_its_own_touches():
     with closing(open_translation(Request(recording=SAMPLE, source="gelslim", target="soft_bubble"))) as it:
         own = it.with_target_as_source()
         assert own.source.name == "soft_bubble"
-        assert own.load_context_images() == ()
+        assert own.load_context_images(own.stream.frame(0).reference) == ()
         again = own.with_target_as_source()
         assert again.stream.name == it.stream.name
-        assert [picture.shape for picture in again.load_context_images()] == [
-            picture.shape for picture in it.load_context_images()
+        assert [picture.shape for picture in again.load_context_images(it.stream.frame(0).reference)] == [
+            picture.shape for picture in it.load_context_images(it.stream.frame(0).reference)
         ]
-        assert it.load_context_images()
+        assert it.load_context_images(it.stream.frame(0).reference)
+        assert it.load_context_images(own.stream.frame(0).reference) == ()  # another sensor instance

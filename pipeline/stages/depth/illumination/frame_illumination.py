@@ -23,8 +23,8 @@ from pipeline.values.frames import TactileFrame
 
 _MIN_CONTEXT_TOUCHES = 2  # one tells no more than the frame itself
 _CODE = (
-    "pipeline.stages.depth", "pipeline.stages.depth.illumination", "pipeline.calibration", "pipeline.physics",
-    "pipeline.sensors",
+    "pipeline.stages.depth", "pipeline.stages.depth.gel", "pipeline.stages.depth.illumination", "pipeline.calibration",
+    "pipeline.physics", "pipeline.sensors",
 )  # fmt: skip
 _cache: Memo[tuple[str, ...], Illumination] = Memo(1024)  # illuminations of frames, up to a few kilobytes each
 _recordings: Memo[tuple[str, ...], Illumination] = Memo(8)
@@ -52,7 +52,7 @@ def estimate_illumination(
         model = choose_for_recording(frame.context_frames, reference, source, calibration, progress)
         if model is not None and model.is_complete:
             return model
-        touch = find_touch(image, reference, source, calibration, progress)
+        touch = find_touch(image, reference, source, calibration, frame.context_frames, progress)
         if touch is None:
             return selection.DESCRIBED
         return selection.choose_illumination([touch]) if model is None else selection.fit_touch(model.model, touch)
@@ -74,7 +74,7 @@ def choose_for_recording(
     )
 
     def choose() -> Illumination:
-        touches = [find_touch(image, reference, source, calibration, progress) for image in images]
+        touches = [find_touch(image, reference, source, calibration, images, progress) for image in images]
         found = [touch for touch in touches if touch is not None]
         if len(found) < _MIN_CONTEXT_TOUCHES:
             return selection.DESCRIBED
@@ -87,10 +87,11 @@ def choose_for_recording(
 
 
 def find_touch(
-    image: Image, reference: Image, source: SensorSpec, calibration: Calibration, progress: Progress
-) -> selection.Touch | None:
-    """The touch of an image (rows, cols, 3) on the refinement grid; None where nothing has changed."""
-    changed = detect_changed_image(image, reference, source, calibration)
+    image: Image, reference: Image, source: SensorSpec, calibration: Calibration, touches: tuple[Image, ...],
+    progress: Progress,
+) -> selection.Touch | None:  # fmt: skip
+    """The touch of an image (rows, cols, 3) on the refinement grid; None where its light is not needed."""
+    changed = detect_changed_image(image, reference, source, calibration, touches)
     if changed is None:
         return None
     _, cells = changed.patches

@@ -8,12 +8,16 @@ import numpy as np
 
 from pipeline.base.arrays import Floats, Image, median
 from pipeline.base.errors import CalibrationError
+from pipeline.base.memo import Memo
 from pipeline.base.progress import Progress
 from pipeline.calibration.calibration_table import Calibration, compute_slopes
+from pipeline.engine.digests import compute_cached_digest
 from pipeline.sensors.spec import SensorSpec
-from pipeline.stages.depth import change_detection, drift
+from pipeline.stages.depth import change_detection
 from pipeline.stages.depth.change_detection import ImageWindow
-from pipeline.stages.depth.drift import DriftedReference
+from pipeline.stages.depth.gel import coarse_light
+from pipeline.stages.depth.gel.change import Change, explain_change, make_unexplained_change
+from pipeline.stages.depth.gel.rest import Rest, estimate_exposure, estimate_rest, remove_exposure
 from pipeline.stages.depth.illumination import selection
 from pipeline.stages.depth.illumination.light import (
     Illumination,
@@ -33,7 +37,7 @@ class ChangedImage:
     """An image with a change, and the settings it is measured by."""
 
     image: Image
-    reference: DriftedReference
+    reference: Rest
     window: ImageWindow
     source: SensorSpec
     calibration: Calibration
@@ -64,16 +68,55 @@ class ChangedImage:
         return integrate(*_check_slopes(*look_up_slopes(patch, self.calibration), self.source))
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Observation:
+    """What a frame shows before any surface is measured."""
+
+    change: Change
+    rest: Rest
+
+
+def observe(
+    image: Image, reference: Image, source: SensorSpec, pixel_mm: float, touches: tuple[Image, ...] = ()
+) -> Observation:
+    """Press or drift, and the rest image (rows, cols, 3); `touches` are others of the same instance."""
+    arrays = (compute_cached_digest(a) for a in (image, reference, source, touches))
+
+    def make() -> Observation:
+        if source.optics is None:  # no light to explain a change by: what drift leaves is a press
+            change = make_unexplained_change("none")
+            rest = estimate_rest(image, reference, change)
+            limit_grey = source.limits.no_contact_change
+            if change_detection.detect_change(image, rest.image_8bit, limit_grey, pixel_mm) is not None:
+                change = make_unexplained_change("press")
+            return Observation(change=change, rest=rest)
+        light = coarse_light.estimate_light(touches, reference, source, pixel_mm)
+        exposed = remove_exposure(image, estimate_exposure(image, reference))
+        change = explain_change(exposed, reference, source, light, pixel_mm)
+        return Observation(change=change, rest=estimate_rest(image, reference, change))
+
+    return _observations.get_or_make((*arrays, str(pixel_mm)), make)
+
+
+_observations: Memo[tuple[str, ...], Observation] = Memo(
+    8
+)  # the check for contact, the light and the stage need the same
+
+
 def detect_changed_image(
-    image: Image, reference: Image, source: SensorSpec, calibration: Calibration
+    image: Image, reference: Image, source: SensorSpec, calibration: Calibration, touches: tuple[Image, ...] = ()
 ) -> ChangedImage | None:
-    """The change of an image against its reference (rows, cols, 3), by default settings; None without a change."""
-    drifted = drift.apply_estimated_drift(image, reference)
-    limit_grey, pixel_mm = source.limits.no_contact_change, calibration.pixel_mm
-    window = change_detection.detect_change(image, drifted.image_8bit, limit_grey, pixel_mm)
-    if window is None:
+    """The press of an image against its reference (rows, cols, 3), by default settings.
+
+    None without a press, or for one that is measured without its light.
+    """
+    seen = observe(image, reference, source, calibration.pixel_mm, touches)
+    if seen.change.verdict != "press" or (seen.change.is_smooth and uses_illumination(source, calibration)):
         return None
-    return ChangedImage(image=image, reference=drifted, window=window, source=source, calibration=calibration)
+    window = change_detection.detect_press(
+        image, seen.rest.image_8bit, source.limits.no_contact_change, calibration.pixel_mm, seen.change.dent_mm
+    )
+    return ChangedImage(image=image, reference=seen.rest, window=window, source=source, calibration=calibration)
 
 
 def uses_illumination(source: SensorSpec, calibration: Calibration) -> bool:

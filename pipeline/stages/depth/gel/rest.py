@@ -7,7 +7,9 @@ LEDs warm up and fade, daylight leaks in, a camera sits loosely in its housing. 
 with R the reference. A gain that all colours and most blocks share and that is more than a tenth is the camera's
 exposure: one number, taken out of R before the fit. A touch fits none of this: its blocks are outliers, which a
 redescending weight removes from the fit (Geman and McClure 1985), from a wide scale to a narrow one, so no initial
-guess is needed. If too few blocks agree, the drift is unknown.
+guess is needed. If too few blocks agree, the drift is unknown. What a wide, smooth dent explains (`change`) is taken
+from the image first, so that drift does not take it for its own; a small one is an outlier, and what the coarse light
+gets wrong of it would be taken for drift.
 
 A touch changes light far from it as well: by light that its flanks scatter, and by gel that bulges. That looks like a
 small drift. So a small one is left alone, a large one removed, and one in between in part: noise moves the result
@@ -20,32 +22,52 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.base.arrays import Doubles, Floats, Image, freeze
-from pipeline.base.errors import StageWarning, UncertainContact
+from pipeline.base.errors import StageWarning
 from pipeline.base.memo import Memo
 from pipeline.engine.digests import compute_cached_digest
+from pipeline.stages.depth.gel.change import Change
+from pipeline.stages.depth.gel.coarse_light import compute_block_means
 
-_BLOCKS_ALONG = 54  # blocks along the longer side: more do not improve the fit of smooth changes
-_BLOCK_MIN_PX = 8
-_SCALES_GREY = (24.0, 12.0, 6.0, 3.0)  # of the weights in successive fits, before that of the noise
-_AGREEMENT_GREY = 1.5  # residual up to which a block agrees, where noise is low
-_AGREEMENT_SIGMAS = 3.0  # the same in standard deviations of a block's noise, where that is more
-_AGREEMENT_MIN = 0.3  # share of the blocks; fewer may be part of a touch
-# Share by which more blocks agree than without drift: up to the first it is left alone, from the second removed whole.
-_AGREEMENT_GAIN = (0.25, 0.35)
-_PRIOR_STD = (0.05, 8.0, 10.0, 1.5)  # prior of gain, offset (grey), ramp (grey to the border), shift (px)
-_BLOCK_NOISE_GREY = 0.5
-_GAIN_MAX, _GREY_MAX, _SHIFT_MAX_PX = 0.2, 30.0, 8.0  # more is no drift: another sensor instance, or a failed LED
-_EXPOSURE_MIN, _EXPOSURE_MAX = 0.1, 3.0  # deviation from 1 of a common gain, and the gain (or its inverse)
-_EXPOSURE_GREY = (16.0, 250.0)  # grey levels between which a block's ratio to the reference is a gain
-_EXPOSURE_TOLERANCE, _EXPOSURE_SHARE = 0.04, 0.5  # relative deviation from the common gain; share of blocks that agree
-_ITERATIONS = 4
-_SHIFT_TOLERANCE_PX = 0.05
-_SHIFT_MIN_PX = 0.1  # smaller shifts are ignored: interpolation would blur more
-_NOTE_GAIN, _NOTE_GREY, _NOTE_PX = 0.012, 2.5, 0.4  # changes that get a note
-_INSTANCE_DRIFT_GREY = (
-    18.0  # all drift together: two simulated instances that a drift explains 23 to 49; gain 3 %, ramp 12, 2 px: 11
-)
-_FOREIGN_GREY = 7.0  # change of three quarters of an image whose reference is of another instance
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RestSettings:
+    """Constants of the drift that is removed."""
+
+    blocks_along: int = 54  # along the longer side: more do not improve the fit of smooth changes
+    block_min_px: int = 8
+    scales_grey: tuple[float, ...] = (24.0, 12.0, 6.0, 3.0)  # of the weights in successive fits, before the noise's
+    agreement_grey: float = 1.5  # residual up to which a block agrees, where noise is low
+    agreement_sigmas: float = 3.0  # the same in standard deviations of a block's noise, where that is more
+    agreement_min: float = 0.3  # share of the blocks; fewer may be part of a touch
+    # Share by which more blocks agree than without drift: up to the first it is left alone, from the second removed.
+    agreement_gain: tuple[float, float] = (0.25, 0.35)
+    prior_std: tuple[float, ...] = (
+        0.05,
+        8.0,
+        10.0,
+        1.5,
+    )  # of gain, offset (grey), ramp (grey to the border), shift (px)
+    block_noise_grey: float = 0.5
+    gain_max: float = 0.2  # more is no drift: another sensor instance, or a failed LED
+    grey_max: float = 30.0
+    shift_max_px: float = 8.0
+    exposure_min: float = 0.1  # deviation from 1 of a common gain
+    exposure_max: float = 3.0  # the gain, or its inverse
+    exposure_grey: tuple[float, float] = (16.0, 250.0)  # between which a block's ratio to the reference is a gain
+    exposure_tolerance: float = 0.04  # relative deviation from the common gain
+    exposure_share: float = 0.5  # of the blocks that agree
+    iterations: int = 4
+    shift_tolerance_px: float = 0.05
+    shift_min_px: float = 0.1  # smaller shifts are ignored: interpolation would blur more
+    note_gain: float = 0.012  # changes that get a note
+    note_grey: float = 2.5
+    note_px: float = 0.4
+    # All drift together: two simulated instances that a drift explains 23 to 49; gain 3 %, ramp 12, 2 px: 11.
+    instance_drift_grey: float = 18.0
+    foreign_grey: float = 7.0  # change of three quarters of an image whose reference is of another instance
+
+
+REST = RestSettings()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,10 +85,10 @@ class Drift:
         notes: list[str] = []
         change = float(self.gain.mean()) - 1.0
         grey = float(np.abs(self.offset_grey).max() + np.abs(self.ramp_grey).max())
-        if max(float(np.abs(self.gain - 1.0).max()) / _NOTE_GAIN, grey / _NOTE_GREY) > 1.0:
+        if max(float(np.abs(self.gain - 1.0).max()) / REST.note_gain, grey / REST.note_grey) > 1.0:
             notes.append(f"the light has drifted since the reference ({100 * change:+.1f} %, up to {grey:.0f} grey "
                         "levels across the image); it is removed")  # fmt: skip
-        if math.hypot(*self.shift_px) > _NOTE_PX:
+        if math.hypot(*self.shift_px) > REST.note_px:
             notes.append(
                 f"the image has moved by {math.hypot(*self.shift_px):.1f} px against the reference; it is removed"
             )
@@ -78,11 +100,11 @@ class Drift:
         Stray light of a touch reaches as much with a DIGIT's balls.
         """
         grey = float(np.abs(self.gain - 1.0).max()) * bright_grey
-        return grey + float(np.abs(self.offset_grey).max() + np.abs(self.ramp_grey).max()) > _INSTANCE_DRIFT_GREY
+        return grey + float(np.abs(self.offset_grey).max() + np.abs(self.ramp_grey).max()) > REST.instance_drift_grey
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class DriftedReference:
+class Rest:
     """A reference with the drift of a later image applied."""
 
     image: Floats  # (rows, cols, 3) grey levels
@@ -100,70 +122,62 @@ class _Blocks:
     by_y: Floats
 
 
-def apply_estimated_drift(image: Image, reference: Image) -> DriftedReference:
-    """The reference (rows, cols, 3) with the light and position of `image`, as far as its untouched parts show them."""
-    return _drifted_references.get_or_make(
-        (compute_cached_digest(image), compute_cached_digest(reference)), lambda: _estimate(image, reference)
-    )
-
-
-_drifted_references: Memo[tuple[str, str], DriftedReference] = Memo(
-    2
-)  # the check for contact and the stage need the same
-
-
-def _estimate(image: Image, reference: Image) -> DriftedReference:
-    drift, foreign = fit_drift(image, reference)
+def estimate_rest(image: Image, reference: Image, change: Change) -> Rest:
+    """The reference (rows, cols, 3) in the light and place of `image`, as far as what no dent explains shows them."""
+    drift, foreign = fit_drift(image, reference, change.dent_grey if change.is_smooth else None)
     warning = StageWarning(
         "most of the image differs from the reference, so depth may be wrong: record a new reference of this sensor"
     )
     notes: tuple[str, ...] = (warning,) if foreign else ()
     if drift is None:
-        return DriftedReference(
-            image=freeze(reference.astype(np.float32)), image_8bit=reference, drift=None, notes=notes
-        )
+        return Rest(image=freeze(reference.astype(np.float32)), image_8bit=reference, drift=None, notes=notes)
     picture = apply_drift(reference, drift)
     grey = np.clip(np.rint(picture), 0, 255).astype(np.uint8)
-    return DriftedReference(image=freeze(picture), image_8bit=freeze(grey), drift=drift, notes=notes + drift.notes)
+    return Rest(image=freeze(picture), image_8bit=freeze(grey), drift=drift, notes=notes + drift.notes)
 
 
-def describe_no_contact(still: DriftedReference) -> str:
-    """The note for a frame without change after the drift is removed; uncertain where a level face may be the drift."""
+def describe_no_contact(still: Rest) -> str:
+    """The note for a frame without change after the drift is removed."""
     if still.drift is not None and still.drift.notes:
-        return UncertainContact("contact uncertain: nothing touches the sensor, or a level face larger than the view")
+        return "nothing touches the sensor, or a level face larger than the view"
     return "nothing touches the sensor"
 
 
-def fit_drift(image: Image, reference: Image) -> tuple[Drift | None, bool]:
-    """(drift from `reference` to `image` to remove, None if unknown; whether they may be of two sensor instances)."""
-    block = max(_BLOCK_MIN_PX, round(max(image.shape) / _BLOCKS_ALONG))
+def fit_drift(image: Image, reference: Image, dent_grey: Floats | None = None) -> tuple[Drift | None, bool]:
+    """(drift from `reference` to `image` to remove, None if unknown; whether they may be of two sensor instances).
+
+    `dent_grey` (rows, cols, 3) of any blocks is the change by a dent, which is no drift.
+    """
+    import cv2
+
+    block = _compute_block_px(image)
     if min(image.shape[:2]) < 4 * block:
         return None, False
-    now, still = compute_block_means(image, block), _references.get_or_make(
-        (compute_cached_digest(reference), block), lambda: _make_blocks(reference.astype(np.float32), block)
-    )  # fmt: skip
+    now, still = _compute_blocks(image, reference)
+    exposure = _compare_exposure(now, still)
+    if dent_grey is not None and dent_grey.any():
+        now = now - exposure * cv2.resize(dent_grey, now.shape[1::-1], interpolation=cv2.INTER_LINEAR)
     change = np.abs(now - still.mean.reshape(now.shape)).max(axis=2)
-    exposure = _estimate_exposure(now.reshape(-1, 3), still.mean)
     still = still if exposure == 1.0 else _make_blocks(reference.astype(np.float32) * np.float32(exposure), block)
     residual = now - still.mean.reshape(now.shape)
     agrees = _compute_agreement_grey(residual)
-    foreign = float(np.percentile(np.abs(residual).max(axis=2), 25)) > _FOREIGN_GREY
-    if agrees <= _AGREEMENT_GREY and float((change < agrees).mean()) > 1.0 - _AGREEMENT_GAIN[0]:
+    foreign = float(np.percentile(np.abs(residual).max(axis=2), 25)) > REST.foreign_grey
+    if agrees <= REST.agreement_grey and float((change < agrees).mean()) > 1.0 - REST.agreement_gain[0]:
         return None, foreign
     place, shift, solution = _make_positions(*now.shape[:2]), np.zeros(2), np.zeros(14)
-    for _ in range(_ITERATIONS):
+    for _ in range(REST.iterations):
         solution, left = _solve(now.reshape(-1, 3), still, place, shift, agrees)
         residual = left.reshape(now.shape)
         shift = shift + solution[12:]
-        if float(np.abs(solution[12:]).max()) < _SHIFT_TOLERANCE_PX or math.hypot(*shift) > _SHIFT_MAX_PX:
+        if float(np.abs(solution[12:]).max()) < REST.shift_tolerance_px or math.hypot(*shift) > REST.shift_max_px:
             break
         still = _make_blocks(_shift_image(reference, shift) * np.float32(exposure), block)
     agrees = _compute_agreement_grey(residual)  # texture that has moved looks like noise before
     alike, agree = (float((a < agrees).mean()) for a in (change, np.abs(residual).max(axis=2)))
     own = solution[:12].reshape(3, 4)
-    small = float(np.abs(own[:, 0]).max()) < _GAIN_MAX and float(np.abs(own[:, 1:]).max()) < _GREY_MAX
-    share = _step(agree - alike, _AGREEMENT_GAIN)
-    if not small or math.hypot(*shift) > _SHIFT_MAX_PX or agree < _AGREEMENT_MIN or share == 0.0:
+    small = float(np.abs(own[:, 0]).max()) < REST.gain_max and float(np.abs(own[:, 1:]).max()) < REST.grey_max
+    share = _step(agree - alike, REST.agreement_gain)
+    if not small or math.hypot(*shift) > REST.shift_max_px or agree < REST.agreement_min or share == 0.0:
         return None, foreign
     gain = 1.0 + share * (exposure * (1.0 + own[:, 0]) - 1.0)
     own, shift = share * own, share * shift
@@ -171,17 +185,40 @@ def fit_drift(image: Image, reference: Image) -> tuple[Drift | None, bool]:
                  shift_px=(float(shift[0]), float(shift[1]))), False  # fmt: skip
 
 
-def _estimate_exposure(now: Floats, still: Floats) -> float:
-    """The gain that all colours of most blocks (n, 3) share, where it is larger than a drift; else 1."""
-    low, high = _EXPOSURE_GREY
+def estimate_exposure(image: Image, reference: Image) -> float:
+    """The gain of the camera between two images (rows, cols, 3), where it is larger than a drift; else 1."""
+    return _compare_exposure(*_compute_blocks(image, reference))
+
+
+def remove_exposure(image: Image, exposure: float) -> Image:
+    """The image (rows, cols, 3) as with the exposure of its reference."""
+    return image if exposure == 1.0 else np.clip(np.rint(image * np.float32(1.0 / exposure)), 0, 255).astype(np.uint8)
+
+
+def _compute_block_px(image: Image) -> int:
+    return max(REST.block_min_px, round(max(image.shape) / REST.blocks_along))
+
+
+def _compute_blocks(image: Image, reference: Image) -> tuple[Floats, _Blocks]:
+    """Block means (rows, cols, 3) of an image, and the blocks of its reference."""
+    block = _compute_block_px(image)
+    return compute_block_means(image, block), _references.get_or_make(
+        (compute_cached_digest(reference), block), lambda: _make_blocks(reference.astype(np.float32), block)
+    )
+
+
+def _compare_exposure(means: Floats, reference: _Blocks) -> float:
+    """The gain that all colours of most blocks (rows, cols, 3) share."""
+    now, still = means.reshape(-1, 3), reference.mean
+    low, high = REST.exposure_grey
     usable = (still > low) & (now < high)
     if not usable.any():
         return 1.0
     ratio = now[usable] / still[usable]
     gain = float(np.median(ratio))
-    if abs(gain - 1.0) < _EXPOSURE_MIN or not 1.0 / _EXPOSURE_MAX < gain < _EXPOSURE_MAX:
+    if abs(gain - 1.0) < REST.exposure_min or not 1.0 / REST.exposure_max < gain < REST.exposure_max:
         return 1.0
-    return gain if float((np.abs(ratio / gain - 1.0) < _EXPOSURE_TOLERANCE).mean()) >= _EXPOSURE_SHARE else 1.0
+    return gain if float((np.abs(ratio / gain - 1.0) < REST.exposure_tolerance).mean()) >= REST.exposure_share else 1.0
 
 
 def _step(value: float, limits: tuple[float, float]) -> float:
@@ -192,7 +229,7 @@ def _step(value: float, limits: tuple[float, float]) -> float:
 
 def _compute_agreement_grey(residual: Floats | Doubles) -> float:
     """The residual (grey) up to which a block (rows, cols, 3) agrees."""
-    return max(_AGREEMENT_GREY, _AGREEMENT_SIGMAS * _estimate_noise(residual))
+    return max(REST.agreement_grey, REST.agreement_sigmas * _estimate_noise(residual))
 
 
 def _estimate_noise(change: Floats | Doubles) -> float:
@@ -210,27 +247,14 @@ def apply_drift(reference: Image, drift: Drift) -> Floats:
     Where a longer exposure than the reference's has clipped the image, the reference is clipped as well.
     """
     rows, cols = reference.shape[:2]
-    small = math.hypot(*drift.shift_px) < _SHIFT_MIN_PX
+    small = math.hypot(*drift.shift_px) < REST.shift_min_px
     moved = reference.astype(np.float32) if small else _shift_image(reference, np.array(drift.shift_px))
     along_x, along_y = (_make_axis(n, max(rows, cols)).astype(np.float32) for n in (cols, rows))
     gain, offset, ramp = (a.astype(np.float32) for a in (drift.gain, drift.offset_grey, drift.ramp_grey))
     moved *= gain
     moved += (offset + along_x[:, None] * ramp[:, 0])[None]
     moved += (along_y[:, None] * ramp[:, 1])[:, None]
-    return np.minimum(moved, np.float32(255.0)) if float(drift.gain.min()) > 1.0 + _EXPOSURE_MIN else moved
-
-
-def compute_block_means(picture: Image | Floats, block: int) -> Floats:
-    """Mean of every whole block (rows // block, cols // block, 3); the last few pixels are dropped."""
-    import cv2
-
-    rows, cols = (n // block for n in picture.shape[:2])
-    whole = picture[: rows * block, : cols * block]
-    # Integer sums over the rows of a block first take half the time.
-    kind = np.uint16 if picture.dtype == np.uint8 and block <= 256 else np.float32
-    tall = np.add.reduce(whole.reshape(rows, block, -1), axis=1, dtype=kind).astype(np.float32)
-    wide = cv2.resize(tall.reshape(rows, -1, 3), (cols, rows), interpolation=cv2.INTER_AREA)
-    return np.asarray(wide, np.float32) / np.float32(block)
+    return np.minimum(moved, np.float32(255.0)) if float(drift.gain.min()) > 1.0 + REST.exposure_min else moved
 
 
 _references: Memo[tuple[str, int], _Blocks] = Memo(4)
@@ -276,12 +300,14 @@ def _solve(now: Floats, still: _Blocks, place: Floats, shift: Doubles, agrees: f
         [np.stack([still.mean[:, c], ones, *place.T, -still.by_x[:, c], -still.by_y[:, c]]) for c in range(3)]
     )
     numbers = [np.r_[4 * c : 4 * c + 4, 12, 13] for c in range(3)]  # unknowns of each colour
-    own_prior = np.array([_PRIOR_STD[0], _PRIOR_STD[1], _PRIOR_STD[2], _PRIOR_STD[2]]) / _BLOCK_NOISE_GREY
-    prior = np.concatenate([np.tile(own_prior, 3), np.full(2, _PRIOR_STD[3] / _BLOCK_NOISE_GREY)]) ** -2.0
+    own_prior = (
+        np.array([REST.prior_std[0], REST.prior_std[1], REST.prior_std[2], REST.prior_std[2]]) / REST.block_noise_grey
+    )
+    prior = np.concatenate([np.tile(own_prior, 3), np.full(2, REST.prior_std[3] / REST.block_noise_grey)]) ** -2.0
     weight = ones
     solution: Doubles = np.zeros(14)
     left = target.T
-    for scale in (*_SCALES_GREY, agrees, agrees):
+    for scale in (*REST.scales_grey, agrees, agrees):
         normal, right = np.diag(prior), np.zeros(14)
         right[12:] = -prior[12:] * shift
         weighted = columns * weight

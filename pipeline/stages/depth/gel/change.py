@@ -1,0 +1,258 @@
+"""Press or drift? Two explanations of the same coarse colour change, compared by their likelihood.
+
+    drift   dI_c = g_c R_c + b_c + r_c . (u, v) - s . grad R_c      gain, offset and ramp of each colour c, shift s
+    light   drift, and a smooth field of light, nearly of one colour (a spot, daylight)
+    dent    drift, and a_c . grad h, where h is what pressures >= 0 do to the gel (`coarse_light`)
+
+All unknowns have Gaussian priors, so the evidence of each explanation is a closed form in the eigenvectors of its
+curvature, which are the same for every frame. The noise is the mean squared residual: by what the light of an instance
+differs from the described one counts as noise of either explanation (MacKay, Information Theory, 2003, chapter 28).
+
+A dent that fills the view looks like drift in each channel, but as drift it is unlikely: ramps of opposite directions
+in channels whose LEDs face each other. Beside a dent, drift costs as much as a coarse light's errors make plausible
+(`stiffness`), so that it does not take the dent's share.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from pipeline.base.arrays import Doubles, Floats, Image, freeze
+from pipeline.base.memo import Memo
+from pipeline.engine.digests import compute_cached_digest
+from pipeline.sensors.spec import SensorSpec
+from pipeline.stages.depth.gel import coarse_light
+from pipeline.stages.depth.gel.coarse_light import COARSE, DentBasis, DriftPrior
+
+Verdict = Literal["press", "none", "uncertain"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ChangeSettings:
+    """Constants of the comparison; evidence is in nats."""
+
+    light_std: float = 4.0  # grey of the longest wave of a field of light, falling by its number
+    light_common_share: float = 0.9
+    light_waves: int = 7  # along each axis
+    floor_grey: float = 0.15  # least noise of a block
+    pressure_stds: tuple[float, ...] = (0.003, 0.01, 0.03, 0.1, 0.3)  # mm, of a knot; the likeliest counts
+    light_scales: tuple[float, ...] = (0.3, 1.0, 3.0, 10.0)  # times `light_std`; the likeliest counts
+    # 96 soft balls and 40 tools of each gel, 200 drifted references, real balls, objects and clips. Untouched: up to 40
+    # (a dithered film; simulated -500 to 10, by JPEG up to 60); weakest touches 85 (a rug), 150 (a film).
+    press_evidence: float = 75.0
+    none_evidence: float = 30.0
+    # Evidence of light over that of the dent: spots from 10 on, glints 5 and more, dents by the described light of
+    # another instance up to 4.
+    light_ratio_press: float = 4.0
+    light_ratio_none: float = 5.0
+    light_ratio_certain: float = 15.0  # no dent, however unlikely the drift is: spots of a fifth of the view from 30 on
+    # Nats by which drift is likelier beside a dent: drifted references up to 5, the largest balls 25 to 50.
+    unlikely_drift: float = 12.0
+    # A wide, smooth dent: share of the view above half its depth, and its steepest slope times the radius of that part
+    # over the depth. A paraboloid has 1.4; balls of 30 to 120 mm up to 1.9, faces and tools of every gel 2.0 to 7.4.
+    smooth_share: float = 0.15
+    smooth_steepness: float = 1.95
+    smooth_residual: float = 0.15  # share of the squared change that is left: soft balls up to .1
+    # Beside a smooth dent, drift as costly as this is nearly none. It is held back where the residual grows by less
+    # than the first factor, not at all from the second: most without drift grow by up to 1.4, with drift by 1.3 to 60.
+    still_stiffness: float = 200.0
+    still_residuals: tuple[float, float] = (1.25, 1.6)
+
+
+CHANGE = ChangeSettings()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Waves:
+    """One kind of change, beside drift, by the eigenvectors of its curvature."""
+
+    columns: Floats  # (n, m) grey
+    by_drift: Floats  # (14, m) drift^T columns
+    vectors: Floats  # (m, m)
+    values: Doubles  # (m,)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ChangeModel:
+    """All that is the same for every frame of a reference image in one light."""
+
+    drift: DriftPrior
+    light: Waves
+    dent: Waves
+    dent_curvature: Floats  # (m, m) columns^T columns
+    basis: DentBasis
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Change:
+    """What explains the change of an image."""
+
+    verdict: Verdict
+    dent_evidence: float  # nats over drift alone
+    light_evidence: float
+    dent_mm: Floats  # (rows, cols) of the blocks: indentation, coarse; 0 without a press
+    dent_grey: Floats  # (rows, cols, 3) the change that it explains
+    load: Floats  # (rows, cols) relative pressure
+    is_smooth: bool = False  # the coarse dent is wide and explains nearly all: no finer surface is better known
+
+
+def make_unexplained_change(verdict: Verdict, shape: tuple[int, ...] = (1, 1)) -> Change:
+    """A verdict without a dent on blocks of this shape (rows, cols)."""
+    nothing = freeze(np.zeros(shape, np.float32))
+    return Change(
+        verdict=verdict, dent_evidence=0.0, light_evidence=0.0, dent_mm=nothing,
+        dent_grey=freeze(np.zeros((*shape, 3), np.float32)), load=nothing,
+    )  # fmt: skip
+
+
+def explain_change(image: Image, reference: Image, source: SensorSpec, light: Floats, pixel_mm: float) -> Change:
+    """Whether the change between two images (rows, cols, 3) is a press, in this coarse light (rows, cols, 3, 2)."""
+    model = make_model(reference, source, light, pixel_mm)
+    change = coarse_light.compute_block_change(image, reference, source.markers, pixel_mm).ravel()
+    return compare_explanations(change, model)
+
+
+def compare_explanations(change: Floats, model: ChangeModel) -> Change:
+    """The explanation of a change (n,) of the blocks in grey levels."""
+    prior = model.drift
+    pull = prior.columns.T @ change
+    energy = float(change @ change)
+    drift = prior.projection @ pull
+    misfit = energy - float(pull @ drift)
+    evidence = _compute_evidence(change, model.dent, drift, misfit, CHANGE.pressure_stds)
+    light = _compute_evidence(change, model.light, drift, misfit, CHANGE.light_scales)
+    shape = model.basis.heights.shape[:2]
+    alone = replace(make_unexplained_change("none", shape), dent_evidence=evidence, light_evidence=light)
+    cost = float(drift @ prior.precision @ drift) / 2
+    if evidence + cost < CHANGE.none_evidence:
+        return alone
+    fit = _fit_dent(change, pull, model, COARSE.stiffness)
+    unlikely = max(0.0, cost - float(fit.drift @ prior.precision @ fit.drift) / 2)
+    evidence += unlikely
+    verdict = decide(evidence, light)
+    if verdict == "none" and unlikely > CHANGE.unlikely_drift and light < CHANGE.light_ratio_certain * evidence:
+        verdict = "uncertain"
+    if verdict != "press":
+        return replace(alone, verdict=verdict, dent_evidence=evidence)
+    is_smooth = _is_smooth(fit, model)
+    if is_smooth:
+        fit = _hold_drift(fit, _fit_dent(change, pull, model, CHANGE.still_stiffness))
+    return Change(
+        verdict=verdict, dent_evidence=evidence, light_evidence=light,
+        dent_mm=freeze(model.basis.heights @ fit.pressures),
+        dent_grey=freeze((model.dent.columns @ fit.pressures).reshape(*shape, 3)),
+        load=freeze(model.basis.loads @ fit.pressures), is_smooth=is_smooth,
+    )  # fmt: skip
+
+
+class _DentFit(NamedTuple):
+    pressures: Floats  # (m,)
+    drift: Doubles  # (14,)
+    mean_square: float  # grey^2 of the change without the drift
+    residual: float  # the same without the dent as well
+
+
+def _fit_dent(change: Floats, pull: Floats, model: ChangeModel, stiffness: float) -> _DentFit:
+    cost = stiffness * float(change @ change) / change.size
+    of_dent = model.dent.columns.T @ change
+    pressures, drift = coarse_light.fit_dent(
+        of_dent, pull, cost, model.drift, model.dent.by_drift, model.dent_curvature
+    )
+    left = change - model.drift.columns @ drift
+    residual = left - model.dent.columns @ pressures
+    n = change.size
+    return _DentFit(pressures, drift, float(left @ left) / n, float(residual @ residual) / n)
+
+
+def _is_smooth(fit: _DentFit, model: ChangeModel) -> bool:
+    dent_mm = model.basis.heights @ fit.pressures
+    slopes = model.basis.slopes @ fit.pressures
+    deepest_mm = float(dent_mm.max())
+    share = float((dent_mm > 0.5 * deepest_mm).mean())
+    radius_mm = math.sqrt(share * dent_mm.size / math.pi) * model.basis.block_mm
+    steepness = float(np.hypot(slopes[..., 0], slopes[..., 1]).max()) * radius_mm / deepest_mm
+    is_wide = share > CHANGE.smooth_share and steepness < CHANGE.smooth_steepness
+    return is_wide and fit.residual < CHANGE.smooth_residual * fit.mean_square
+
+
+def _hold_drift(fit: _DentFit, still: _DentFit) -> _DentFit:
+    """The fit with drift held back, as far as that explains the change as well; gradually."""
+    floor, (low, high) = CHANGE.floor_grey**2, CHANGE.still_residuals
+    ratio = (still.residual + floor) / (fit.residual + floor)
+    share = min(max((high - ratio) / (high - low), 0.0), 1.0)
+    pressures = share * still.pressures + (1 - share) * fit.pressures
+    return fit._replace(pressures=np.asarray(pressures, np.float32))
+
+
+def decide(dent_evidence: float, light_evidence: float) -> Verdict:
+    """The verdict by the evidence of both explanations over drift alone."""
+    if dent_evidence < CHANGE.none_evidence or light_evidence > CHANGE.light_ratio_none * dent_evidence:
+        return "none"
+    if dent_evidence < CHANGE.press_evidence or light_evidence > CHANGE.light_ratio_press * dent_evidence:
+        return "uncertain"
+    return "press"
+
+
+def _compute_evidence(
+    change: Floats, waves: Waves, drift: Doubles, misfit: float, scales: tuple[float, ...]
+) -> float:  # fmt: skip
+    """How much more likely a change (n,) is by waves of the likeliest scale than by drift alone, with noise it leaves.
+
+    `misfit` is the squared change that the `drift` (14,) alone leaves.
+    """
+    n = change.size
+    own = waves.vectors.T @ (waves.columns.T @ change - (waves.by_drift.T @ drift).astype(np.float32))
+    power, floor = own.astype(np.float64) ** 2, CHANGE.floor_grey**2
+    scale2 = np.square(scales)[:, None]
+    noise = np.full(len(scales), misfit / n + floor)
+    for _ in range(6):
+        explained = (power * scale2 / (noise[:, None] + scale2 * waves.values)).sum(axis=1)
+        noise = np.maximum(misfit - explained, 0.0) / n + floor
+    occam = np.log1p(scale2 * waves.values / noise[:, None]).sum(axis=1)
+    return float((-0.5 * n * np.log(noise / (misfit / n + floor)) - 0.5 * occam).max())
+
+
+_models: Memo[tuple[str, ...], ChangeModel] = Memo(4)
+
+
+def make_model(reference: Image, source: SensorSpec, light: Floats, pixel_mm: float) -> ChangeModel:
+    """The model of all changes of a reference image (rows, cols, 3), cached."""
+    key = (compute_cached_digest(reference), compute_cached_digest(source), compute_cached_digest(light), str(pixel_mm))
+    return _models.get_or_make(key, lambda: _make_model(reference, source, light, pixel_mm))
+
+
+def _make_model(reference: Image, source: SensorSpec, light: Floats, pixel_mm: float) -> ChangeModel:
+    basis = coarse_light.make_dent_basis(source, pixel_mm)
+    drift = coarse_light.make_drift_prior(reference, source, pixel_mm)
+    columns = coarse_light.make_dent_columns(light, basis)
+    curvature = columns.T @ columns
+    return ChangeModel(
+        drift=drift, light=_make_light_waves(light.shape[0], light.shape[1], drift),
+        dent=_diagonalise(columns, curvature, drift), dent_curvature=freeze(curvature), basis=basis,
+    )  # fmt: skip
+
+
+def _diagonalise(columns: Floats, curvature: Floats, drift: DriftPrior) -> Waves:
+    by_drift = drift.columns.T @ columns
+    values, vectors = np.linalg.eigh(curvature - by_drift.T @ (drift.projection @ by_drift).astype(np.float32))
+    return Waves(
+        columns=columns, by_drift=freeze(by_drift), vectors=freeze(vectors),
+        values=freeze(np.maximum(values, 0.0).astype(np.float64)),
+    )  # fmt: skip
+
+
+def _make_light_waves(rows: int, cols: int, drift: DriftPrior) -> Waves:
+    """Smooth fields of light, each wave in three orthogonal colours, in units of their prior."""
+    y, x = (np.pi * (np.arange(n) + 0.5) / n for n in (rows, cols))
+    mixture = np.linalg.cholesky(coarse_light.correlate_colours(CHANGE.light_common_share))
+    n = CHANGE.light_waves
+    fields = [
+        np.outer(np.cos(i * y), np.cos(j * x))[..., None, None] * (CHANGE.light_std / np.hypot(i, j) * mixture)
+        for i in range(n)
+        for j in range(n - i)
+        if i or j
+    ]
+    columns = np.concatenate(fields, -1).reshape(-1, 3 * len(fields)).astype(np.float32)
+    return _diagonalise(freeze(columns), columns.T @ columns, drift)
