@@ -61,7 +61,7 @@ def test_a_ball_press_is_found_with_its_depth_and_contact(name):
 
 
 def test_far_from_the_contact_the_gel_is_at_rest():
-    source, frame, truth = press("gelsight_mini")
+    source, frame, _ = press("gelsight_mini")
     found = estimate_depth(frame, source, None, PARAMS)
     rows, cols = np.mgrid[: source.camera.rows, : source.camera.cols]
     far = np.hypot(cols - 0.55 * 320, rows - 0.45 * 240) * source.pixel_mm > 8.0
