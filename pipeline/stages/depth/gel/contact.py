@@ -66,7 +66,7 @@ class GelContact:
         by = max(1, round(self.cell_mm / self.pixel_mm / 2))  # distances are smooth
         size = tuple(-(-n // by) for n in touched.shape[::-1])
         share = np.asarray(cv2.resize(touched.astype(np.float32), size, interpolation=cv2.INTER_AREA), np.float32)
-        away = cv2.distanceTransform((share < 0.5).astype(np.uint8), cv2.DIST_L2, 5)  # noqa: PLR2004 - half a cell
+        away = cv2.distanceTransform((share < 0.5).astype(np.uint8), cv2.DIST_L2, 5)
         away = _resize(np.asarray(away, np.float32) * np.float32(by * self.pixel_mm), touched.shape)
         start, end = (np.float32(distance) for distance in self.fade_mm)
         keep = np.maximum(np.clip((end - away) / (end - start), np.float32(0.0), np.float32(1.0)), touched)
