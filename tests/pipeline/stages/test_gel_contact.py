@@ -76,7 +76,7 @@ def test_contact_and_surface_are_those_that_mechanics_made(height_mm, least):
     assert iou(found.contact, contact) > least
     away = np.abs(found.compute_indentation(found.contact) - surface)
     assert away[contact].mean() < 0.15 * surface.max()
-    assert away[~contact].mean() < 0.13 * surface.max()
+    assert away[~contact].mean() < 0.15 * surface.max()
 
 
 @pytest.mark.parametrize("radius_mm", [3.0, 10.0])

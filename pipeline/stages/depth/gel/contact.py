@@ -131,25 +131,30 @@ def _downsample(measured: MeasuredSurface, settings: ContactSettings) -> CellSur
 
 
 def _compute_excess(load: Floats, cell_mm: float, contact_share: float, settings: ContactSettings) -> Floats:
-    """Pressure above that of the contact's edge (rows, cols), negative outside; specks and faint parts are outside."""
+    """Pressure above that of the contact's edge (rows, cols), negative outside; specks and faint parts are outside.
+
+    The mean nearby is weighted by the root of pressure: the tip of a cone, where pressure is infinite, counts less.
+    """
     import cv2
 
+    typical = pressure.weigh_by_itself(load)
+    root = np.sqrt(np.where(load > np.float32(settings.mean_share * typical), load, np.float32(0.0)))
     by = max(1, int(settings.mean_mm / (settings.mean_cells * cell_mm)))  # smooth over many cells
     coarse_mm, shape = by * cell_mm, load.shape
     size = (-(-shape[1] // by), -(-shape[0] // by))
-    means = (cv2.resize(a, size, interpolation=cv2.INTER_AREA) for a in (load * load, load))
-    squares, loads = (np.asarray(cv2.GaussianBlur(a, (0, 0), settings.mean_mm / coarse_mm), np.float32) for a in means)
+    means = (cv2.resize(a, size, interpolation=cv2.INTER_AREA) for a in (root * root, root, load))
+    squares, roots, loads = (
+        np.asarray(cv2.GaussianBlur(a, (0, 0), settings.mean_mm / coarse_mm), np.float32) for a in means
+    )
     reach = max(1, round(settings.reach_mm / coarse_mm))
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
-    nearby = np.asarray(cv2.dilate(squares / np.maximum(loads, np.float32(1e-9)), disc), np.float32)
-    typical = pressure.weigh_by_itself(load)
+    nearby = np.asarray(cv2.dilate(np.square(squares / np.maximum(roots, np.float32(1e-9))), disc), np.float32)
     least = np.float32(max(settings.pressure_min, settings.total_share * typical))
     excess = load - np.maximum(np.float32(contact_share) * _resize(nearby, shape), least)
     n, found = cv2.connectedComponents((excess > 0).astype(np.uint8), connectivity=8)
     parts, peaks = np.asarray(found, np.int32), np.zeros(n, np.float32)
-    np.maximum.at(
-        peaks, parts, load - _resize(loads, shape)
-    )  # slopes that are slightly wrong make broad pressure without an edge
+    # Slopes that are slightly wrong make broad pressure without an edge.
+    np.maximum.at(peaks, parts, load - _resize(loads, shape))
     peaks[0] = 0.0
     keep = np.bincount(parts.ravel(), minlength=n) * cell_mm**2 >= settings.part_mm2
     keep &= peaks >= np.float32(settings.part_share * typical)

@@ -7,10 +7,12 @@ from dataclasses import dataclass
 class ContactSettings:
     """All constants of the contact by load; pressures are in mm/mm, see `pressure`.
 
-    Without another source: chosen on every second simulated press, face and light touch of three sensors.
+    Without another source: of the solver and the norm, chosen on every second simulated touch of three sensors; of the
+    contact's edge and parts, on all of them and on real balls, objects and film (`docs/experiments.md`).
     """
 
     cells_max: int = 160  # along the longer side of the image
+    # Of the solver: five times as many change the contact's IoU by .005 at most.
     steps_coarse: tuple[int, ...] = (8, 8, 8)  # of descent on cells of twice the width; each updates the price of load
     steps: int = 8  # on the cells
     steps_warm: int = 6  # from the pressure of a similar surface
@@ -23,8 +25,9 @@ class ContactSettings:
     price_min: float = 0.001  # mm/mm: what noise of a camera makes
     blob_mm: float = 0.08  # standard deviation: about what lens and smoothing blur an edge by
     edge_blob_mm: float = 0.06  # the same of the pressure whose edge is the contact's
-    contact_share: float = 0.43  # of the mean pressure nearby: contact
+    contact_share: float = 0.44  # of the mean pressure nearby: contact
     mean_mm: float = 1.0  # standard deviation of that mean's weights
+    mean_share: float = 0.08  # of the mean pressure of the whole image, from which on pressure counts in that mean
     mean_cells: int = 2  # along that standard deviation
     reach_mm: float = 2.0  # of that mean: pressure by errors of slopes lies within about a gel's thickness of a contact
     total_share: float = 0.25  # of the mean pressure of the whole image: contact anywhere
@@ -37,9 +40,9 @@ class ContactSettings:
     around_share: float = 1.0  # of the gel's thickness around a contact, where the level of the surface is compared
     crumb_px: int = 4  # of the image: what is left of a part where it is that shallow
     grain_mm: float = 0.3  # standard deviation of the blur that removes noise from slopes before they are compared
-    # Of the squared slopes, that pressure explains. Simulated touches .96 and more, things on a real Mini .87, balls
-    # .78, objects on a GelSlim .75, a dithered film .60; changes of light on that film .46 to .73, on the
-    # GelSlim up to .47.
+    # Of the squared slopes, that pressure explains. Least of touches: simulated .90, objects on a real Mini .87, balls
+    # .78, objects on a GelSlim .76, a dithered film .65. Changes of light: .36 to .48 on that GelSlim, .51 to .76
+    # on the film, .08 to .88 on a Mini.
     explained_min: float = 0.6
     cell_share: float = 0.99  # of a cell that must have been measured
     fade_shares: tuple[float, float] = (

@@ -156,7 +156,7 @@ def fit_drift(image: Image, reference: Image, dent_grey: Floats | None = None) -
     now, still = _compute_blocks(image, reference)
     exposure = _compare_exposure(now, still)
     if dent_grey is not None and dent_grey.any():
-        now = now - exposure * cv2.resize(dent_grey, now.shape[1::-1], interpolation=cv2.INTER_LINEAR)
+        now = now - np.float32(exposure) * cv2.resize(dent_grey, now.shape[1::-1], interpolation=cv2.INTER_LINEAR)
     change = np.abs(now - still.mean.reshape(now.shape)).max(axis=2)
     still = still if exposure == 1.0 else _make_blocks(reference.astype(np.float32) * np.float32(exposure), block)
     residual = now - still.mean.reshape(now.shape)
