@@ -47,9 +47,6 @@ _WEAK_SHADING = StageWarning(
 )
 _SMOOTH_DENT = "the touch is wide and smooth: measured on blocks of the image, by the pressure that explains it"
 _NOT_COVERED = StageWarning("no indentation of the calibration covers this touch: it is measured without calibration")
-_LIGHT_CHANGE = UncertainContact(
-    "contact uncertain: the image has changed, but no dent explains it; it is taken for light, not for touch"
-)
 NOT_SCALED = "the light is fitted to this touch: the depth scale of the calibration does not apply to it"
 _SHADOW_LEDS = "no usual LEDs explain the image: measured with low LEDs that cast shadows, fitted to this touch"
 
@@ -120,13 +117,8 @@ def measure_gel_depth(
     pressed = region.contact.copy()
     pressed[here] = light_changes.remove_light_changes(pressed[here], surface, changed, used)
     gel = contact.press_surface(found, region, pressed, CONTACT, least_mm)
-    indentation, touched = np.zeros(shape, np.float32), np.zeros(shape, np.bool_)
-    measured = None
-    if pressed.any() and gel.explained_share < CONTACT.explained_min:
-        notes.append(_LIGHT_CHANGE)
-    else:
-        touched, indentation = gel.contact.copy(), gel.compute_indentation(gel.contact).copy()
-        measured = MeasuredContact(gel=gel, illumination=used)
+    touched, indentation = gel.contact.copy(), gel.compute_indentation(gel.contact).copy()
+    measured = MeasuredContact(gel=gel, illumination=used)
     by_near_leds = used is not None and used.model in {"field", "near"}
     if by_near_leds and near_led_prior.has_weak_shading(touched, seen.rest.image, source):
         notes.append(_WEAK_SHADING)

@@ -53,7 +53,6 @@ class GelContact:
     pressure_kpa: Floats  # (rows, cols) of cells
     cell_mm: float
     force_n: float
-    explained_share: float  # of the squared slopes: low where the light has changed instead
     pixel_mm: float
     fade_mm: tuple[float, float]  # distances from a contact, over which the measured surface becomes the mechanical one
 
@@ -110,7 +109,6 @@ def press_surface(
         contact=freeze(touched), measured_mm=freeze(surface), mechanical_mm=freeze(mechanical),
         pressure_kpa=freeze(kpa), cell_mm=cells.cell_mm,
         force_n=float(kpa.sum(dtype=np.float64)) * cells.cell_mm**2 * _KPA_TO_N_MM2,
-        explained_share=pressure.compute_explained_share(cells, blobs, gel, settings),
         pixel_mm=measured.pixel_mm, fade_mm=(start * gel.thickness_mm, end * gel.thickness_mm),
     )  # fmt: skip
 

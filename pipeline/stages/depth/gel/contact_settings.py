@@ -39,11 +39,6 @@ class ContactSettings:
     least_share: float = 0.5  # of a sensor's smallest indentation, which counts from the bulge around a contact
     around_share: float = 1.0  # of the gel's thickness around a contact, where the level of the surface is compared
     crumb_px: int = 4  # of the image: what is left of a part where it is that shallow
-    grain_mm: float = 0.3  # standard deviation of the blur that removes noise from slopes before they are compared
-    # Of the squared slopes, that pressure explains. Least of touches: simulated .90, objects on a real Mini .87, balls
-    # .78, objects on a GelSlim .76, a dithered film .65. Changes of light: .36 to .48 on that GelSlim, .51 to .76
-    # on the film, .08 to .88 on a Mini.
-    explained_min: float = 0.6
     cell_share: float = 0.99  # of a cell that must have been measured
     fade_shares: tuple[float, float] = (
         0.2,

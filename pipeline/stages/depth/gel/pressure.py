@@ -45,8 +45,6 @@ class _Waves:
     curvature: Floats  # second derivative of the misfit and the ridge
     blob: Floats  # pressure of a blob
     displacement: Floats  # mm of a blob
-    smooth_slope: Floats  # from the wave of the slopes' divergence to that of slopes without grain
-    smooth_response: Floats  # slopes without grain of a blob
 
     def transform(self, field: Floats) -> Floats:
         return np.asarray(self.down @ (field @ self.across), np.float32)
@@ -90,17 +88,6 @@ def compute_displacement(blobs: Floats, cell_mm: float, gel: Gel, settings: Cont
     waves = _make_waves(gel, cell_mm, padded.shape, settings)
     moved = waves.invert(waves.displacement * waves.transform(padded))
     return np.ascontiguousarray(moved[margin : margin + blobs.shape[0], margin : margin + blobs.shape[1]])
-
-
-def compute_explained_share(on: CellSurface, blobs: Floats, gel: Gel, settings: ContactSettings) -> float:
-    """Share of the surface's squared slopes that its pressure explains, without the grain of noise; 1 is all.
-
-    Pressure can only push: it explains dents, and little of what a change of the light looks like.
-    """
-    waves = _make_waves(gel, on.cell_mm, on.surface_mm.shape, settings)
-    seen = waves.smooth_slope * waves.transform(_compute_divergence(on))
-    left = seen - waves.smooth_response * waves.transform(blobs)
-    return 1.0 - float(np.square(left).sum(dtype=np.float64) / max(float(np.square(seen).sum(dtype=np.float64)), 1e-30))
 
 
 def weigh_by_itself(pressure: Floats) -> float:
@@ -160,16 +147,12 @@ def _make_waves(gel: Gel, cell_mm: float, shape: tuple[int, int], settings: Cont
     moved = layer * blob
     norm = slope**2 + settings.level_mm**-2
     norm[0, 0], slope_sq = 0.0, np.maximum(slope**2, 1e-12)  # the level of the surface is not known
-    smooth = np.exp(-0.5 * np.square(settings.grain_mm * q))
-    smooth[0, 0] = 0.0
     down, across = (freeze(_make_cosines(n)) for n in shape)
     return _Waves(
         down=down, across=freeze(np.ascontiguousarray(across.T)),
         to_gradient=freeze((moved * norm / slope_sq).astype(np.float32)),
         curvature=freeze((moved**2 * norm + settings.ridge * moved * slope).astype(np.float32)),
         blob=freeze(blob.astype(np.float32)), displacement=freeze(moved.astype(np.float32)),
-        smooth_slope=freeze((smooth / np.sqrt(slope_sq)).astype(np.float32)),
-        smooth_response=freeze((smooth * slope * moved).astype(np.float32)),
     )  # fmt: skip
 
 
