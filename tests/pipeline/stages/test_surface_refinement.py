@@ -257,8 +257,10 @@ def test_wider_pixels_give_the_same_shape_in_other_units():
     source = load_sensor("gelsight_mini")
     frame, _ = press_mini(near=False)
     wide = replace(make_built_in(source), pixel_mm=1.5 * source.pixel_mm)
+    gel = replace(source.gel, thickness_mm=1.5 * source.gel.thickness_mm)
     plain, wider = (
-        estimate_depth(frame, source, table, PARAMS).indentation_mm for table in (make_built_in(source), wide)
+        estimate_depth(frame, sensor, table, PARAMS).indentation_mm
+        for sensor, table in ((source, make_built_in(source)), (replace(source, gel=gel), wide))
     )
     assert float(wider.max() / plain.max()) == pytest.approx(1.5, rel=0.1)
 
