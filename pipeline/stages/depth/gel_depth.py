@@ -45,7 +45,7 @@ _USUAL_GEL = Gel(thickness_mm=2.0, youngs_kpa=120.0, poisson=0.48)  # of a senso
 _WEAK_SHADING = StageWarning(
     "the LEDs hardly shade slopes where the sensor is touched: sizes and depths may be wrong by half; calibrate"
 )
-_SMOOTH_DENT = "the touch is wide and smooth: measured on blocks of the image, by the pressure that explains it"
+_SMOOTH_DENT = "the touch is wide or faint: measured on blocks of the image, by the pressure that explains it"
 _NOT_COVERED = StageWarning("no indentation of the calibration covers this touch: it is measured without calibration")
 NOT_SCALED = "the light is fitted to this touch: the depth scale of the calibration does not apply to it"
 _SHADOW_LEDS = "no usual LEDs explain the image: measured with low LEDs that cast shadows, fitted to this touch"
@@ -75,7 +75,7 @@ def measure_gel_depth(
 ) -> tuple[DepthMap, MeasuredContact | None]:
     """The depth of one gel image in its illumination, and the surface it rests on; the frame has been checked.
 
-    See `photometric.estimate_depth`. The surface is None where nothing has changed. A draft takes fewer iterations.
+    See `photometric.estimate_depth`. The surface is None where nothing has changed, and for a coarse dent. A draft takes fewer iterations.
     """
     image, reference = cast("Image", frame.image), cast("Image", frame.reference)
     check_calibration(calibration, source.name, image)
@@ -114,11 +114,15 @@ def measure_gel_depth(
     )  # fmt: skip
     region = contact.detect_contact(found, CONTACT, calibration.median_pressure_share or pressure_share)
     progress.step(0.8, "relaxing the gel around the contact")
-    pressed = region.contact.copy()
-    pressed[here] = light_changes.remove_light_changes(pressed[here], surface, changed, used)
+    pressed = np.zeros(shape, np.bool_)
+    pressed[here] = light_changes.remove_light_changes(region.contact[here], surface, changed, used)
     gel = contact.press_surface(found, region, pressed, CONTACT, least_mm)
     touched, indentation = gel.contact.copy(), gel.compute_indentation(gel.contact).copy()
-    measured = MeasuredContact(gel=gel, illumination=used)
+    measured: MeasuredContact | None = MeasuredContact(gel=gel, illumination=used)
+    if used is not None and not touched.any() and seen.change.load.any():  # a press whose own surface tells no load
+        indentation, touched = _upsample_dent(seen.change, shape, least_mm)
+        measured = None
+        notes.append(_SMOOTH_DENT)
     by_near_leds = used is not None and used.model in {"field", "near"}
     if by_near_leds and near_led_prior.has_weak_shading(touched, seen.rest.image, source):
         notes.append(_WEAK_SHADING)
