@@ -75,8 +75,8 @@ def measure_gel_depth(
 ) -> tuple[DepthMap, MeasuredContact | None]:
     """The depth of one gel image in its illumination, and the surface it rests on; the frame has been checked.
 
-    See `photometric.estimate_depth`. The surface is None where nothing has changed, and for a coarse dent. A draft takes
-    fewer iterations.
+    See `photometric.estimate_depth`. The surface is None where nothing has changed, and for a coarse dent. A draft
+    takes fewer iterations.
     """
     image, reference = cast("Image", frame.image), cast("Image", frame.reference)
     check_calibration(calibration, source.name, image)
