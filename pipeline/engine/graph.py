@@ -67,10 +67,15 @@ class Method(Generic[Params, Output, *Reads]):
     reads: tuple[str, ...]  # stages above it or inputs, in the order of `run`'s arguments
     version: int = 1  # raised when equal inputs give another output
     help: str = ""  # what it does, in half a sentence
+    kinds: tuple[str, ...] = ()  # of the sensors that it is for; () = all
     weights: Callable[..., object] | None = None  # (source, target, file) -> input `weights_name`; None = no weights
     nodes: tuple[Method, ...] = ()  # of a chain, whose `run` is `chain_nodes(nodes, reads)`; the last makes the value
     select_params: Callable[[Any], Params] | None = None  # of a node: its own of the chain's parameters
     draft: Callable[[Params], Params] | None = None  # parameters -> cheaper ones for dragging; None = no draft
+
+    def fits(self, kind: str) -> bool:
+        """Return whether it is for sensors of this kind; "" = not known yet."""
+        return not (self.kinds and kind) or kind in self.kinds
 
     @property
     def weights_name(self) -> str:

@@ -12,7 +12,7 @@ from hypothesis import given
 from pipeline.engine.graph import Graph
 from pipeline.geometry import rigid
 from pipeline.sensors.alignment import Alignment
-from pipeline.stages.depth import network as depth_network
+from pipeline.stages.depth import bubble_network
 from pipeline.stages.touch import t2d2
 from pipeline.translation.catalogue import BUILT_IN, default_params, with_setting
 from pipeline.values.frames import TactileFrame
@@ -70,7 +70,7 @@ def random_inputs(rng: np.random.Generator) -> dict[str, object]:
         "alignment": way,
         "mesh": mesh("ball"),
         "previous": None,
-        "depth_weights": depth_network.select_weights(source, target, None),
+        "depth_weights": bubble_network.select_weights(source, target, None),
         "touch_weights": t2d2.select_weights(source, target, None),
     }
 

@@ -25,9 +25,8 @@ from pipeline.networks.weights import NoWeights, Weights
 from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.cloud import back_projection as adaptation
-from pipeline.stages.depth import network as depth_network
+from pipeline.stages.depth import bubble_network
 from pipeline.stages.depth import photometric as depth
-from pipeline.stages.depth.gel_network import NetworkParams
 from pipeline.stages.target_depth import surface_projection as projection
 from pipeline.stages.touch import physical_render, t2d2
 from pipeline.stages.touch.confidence_weighting import (
@@ -171,11 +170,11 @@ def render_from_frame(
 def _estimate_depth(
     frame: TactileFrame, source: SensorSpec, calibration: Calibration | None, progress: Progress
 ) -> DepthMap:
-    reads = depth_network.select_weights(source, source, None)
-    if isinstance(reads, NoWeights):
+    weights = bubble_network.select_weights(source, source, None) if source.kind == "bubble" else NoWeights(why="")
+    if isinstance(weights, NoWeights):
         return depth.estimate_depth_with_notes(frame, source, calibration, depth.DepthParams(), progress)
-    return depth_network.estimate_depth(
-        frame, source, calibration, network_factory.load_predictor(reads), NetworkParams(), progress
+    return bubble_network.estimate_frame(
+        frame, source, calibration, network_factory.load_predictor(weights), bubble_network.NetworkParams(), progress
     )
 
 

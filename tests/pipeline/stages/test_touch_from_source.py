@@ -17,7 +17,6 @@ from pipeline.physics import optics
 from pipeline.sensors import alignment
 from pipeline.sensors.spec import load_sensor
 from pipeline.simulation.shapes import list_labelled_shapes, make_shape
-from pipeline.stages.depth import network as depth_network
 from pipeline.stages.pose import network as pose_network
 from pipeline.stages.touch import vqvae
 from pipeline.stages.touch.image_condition import reproject_square
@@ -52,7 +51,7 @@ def contact_frame():
 def inputs(frame, **more):
     return {
         "frame": frame, "source": GEL, "target": BUBBLE, "calibration": None, "mesh": None, "previous": None,
-        "alignment": alignment.resolve_alignment(GEL, BUBBLE), "depth_weights": depth_network.select_weights(GEL, BUBBLE, None), **more,
+        "alignment": alignment.resolve_alignment(GEL, BUBBLE), **more,
     }  # fmt: skip
 
 
