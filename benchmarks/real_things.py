@@ -2,7 +2,7 @@
 
     python -m benchmarks.real_things [METHOD [DATA_FOLDER]]
 
-METHOD is a method of the stage *depth* (default: the sensor's own) and knows nothing of the sensor instance but its reference
+METHOD is a method of the stage *depth* (default by sensor) and knows nothing of the sensor instance but its reference
 image. There is no truth: counted is what the eye would complain of. A *crumb* is a part of the contact smaller than a
 thousandth of the image; a *corner blob* a part that lies whole in a corner of an eighth of the image's sides; a *stair*
 a run of 8 straight pixels or more in the contact's outline, along a row or a column and inside the image: the share of

@@ -2,7 +2,7 @@
 
     python -m benchmarks.tracking [depth method]
 
-Simulated slides over 10 mm and turns by 30 degrees of six objects on three sensors, depth by the default method unless another
+Simulated slides over 10 mm and turns by 30 degrees of six objects on three sensors, depth by default unless another
 method is named. ICP (Open3D) registers each frame's contact to the first one's from the pose of the frame before.
 """
 
