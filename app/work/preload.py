@@ -25,7 +25,7 @@ def preload_depth(report: Progress) -> None:
     from pipeline.engine.graph import Graph
     from pipeline.physics import optics
     from pipeline.sensors.spec import load_sensor
-    from pipeline.stages.depth.stage import NETWORK
+    from pipeline.stages.depth.stage import PHYSICS
     from pipeline.values.frames import TactileFrame
 
     source = load_sensor("gelslim")
@@ -34,6 +34,4 @@ def preload_depth(report: Progress) -> None:
     rows, cols = (n // 3 for n in image.shape[:2])
     image[rows : 2 * rows, cols : 2 * cols] = 255 - image[rows : 2 * rows, cols : 2 * cols]
     frame = TactileFrame(sensor=source.name, image=freeze(image.astype(np.uint8)), reference=reference)
-    weights = None if NETWORK.weights is None else NETWORK.weights(source, source, None)
-    inputs = {"frame": frame, "source": source, "calibration": None, NETWORK.weights_name: weights}
-    Graph((NETWORK,)).evaluate((NETWORK.stage,), inputs, {}, report)
+    Graph((PHYSICS,)).evaluate((PHYSICS.stage,), {"frame": frame, "source": source, "calibration": None}, {}, report)

@@ -14,7 +14,7 @@ from pipeline.stages.depth.gel import rest
 from pipeline.stages.depth.illumination import gel_surface
 from pipeline.stages.depth.photometric import DepthParams, estimate_depth, skip_without_contact
 from pipeline.values.frames import TactileFrame
-from tests.pipeline.stages.test_depth import press
+from tests.pipeline.stages.test_depth import contact_of, press
 
 PARAMS = DepthParams()
 
@@ -82,7 +82,7 @@ def test_a_touch_is_no_drift_and_is_found_through_one(name):
     source, touch, truth = press(name, depth_mm=0.4)
     assert gel_surface.observe(touch.image, touch.reference, source, source.pixel_mm).rest.drift is None
     image = drifted(touch.image, gain=1.03, ramp_grey=12.0, shift_px=(0.0, 1.0))
-    found, wanted = estimate_depth(replace(touch, image=image), source, None, PARAMS), truth.contact
+    found, wanted = estimate_depth(replace(touch, image=image), source, None, PARAMS), contact_of(truth)
     assert (found.contact & wanted).sum() / (found.contact | wanted).sum() > 0.75
 
 
@@ -148,7 +148,7 @@ def test_the_prior_pulls_the_whole_shift_to_none_and_not_its_last_step():
 @pytest.mark.parametrize("exposure", [0.5, 0.8, 1.25])
 def test_another_exposure_is_taken_out_and_hides_no_touch(name, exposure):
     source, touch, truth = press(name, depth_mm=0.4)
-    wanted = truth.contact
+    wanted = contact_of(truth)
     found = estimate_depth(replace(touch, image=drifted(touch.image, gain=exposure)), source, None, PARAMS)
     assert (found.contact & wanted).sum() / (found.contact | wanted).sum() > 0.6
     still = frame(source, drifted(touch.reference, gain=exposure), touch.reference)
