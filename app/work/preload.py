@@ -29,9 +29,10 @@ def preload_depth(report: Progress) -> None:
     from pipeline.values.frames import TactileFrame
 
     source = load_sensor("gelslim")
-    reference = optics.render_reference(source)
-    image = reference.copy()
-    rows, cols = (n // 3 for n in image.shape[:2])
-    image[rows : 2 * rows, cols : 2 * cols] = 255 - image[rows : 2 * rows, cols : 2 * cols]
-    frame = TactileFrame(sensor=source.name, image=freeze(image.astype(np.uint8)), reference=reference)
+    reference, (rows, cols) = optics.render_reference(source), source.camera.shape
+    y, x = np.mgrid[:rows, :cols].astype(np.float32) * source.pixel_mm
+    centre_mm = 0.5 * source.pixel_mm * np.array((rows, cols), np.float32)
+    dent = np.maximum(0.6 - ((y - centre_mm[0]) ** 2 + (x - centre_mm[1]) ** 2) / 12.0, 0.0)
+    image = optics.render(source, dent.astype(np.float32), seed=1)
+    frame = TactileFrame(sensor=source.name, image=freeze(image), reference=reference)
     Graph((PHYSICS,)).evaluate((PHYSICS.stage,), {"frame": frame, "source": source, "calibration": None}, {}, report)

@@ -23,6 +23,7 @@ from pipeline.stages.depth import (
     contact,
     false_contacts,
     instance_check,
+    light_changes,
     rest_level,
 )
 from pipeline.stages.depth.change_detection import ImageWindow
@@ -139,6 +140,7 @@ def measure_gel_depth(
         median_pressure_share=calibration.median_pressure_share or contact.MEDIAN_PRESSURE_SHARE,
     )  # fmt: skip
     pressed = contact.remove_specks(pressed & (window.changed | inside), max(4, round(_SPECK_MM2 / pixel_mm**2)))
+    pressed = light_changes.remove_light_changes(pressed, surface, changed, used)
     border = np.pad(np.zeros((shape[0] - 2, shape[1] - 2), np.bool_), 1, constant_values=True)[here]
     pressed = false_contacts.remove_false_contacts(pressed, surface, pixel_mm, border, window.changed)
     pressed = contact.fill_small_holes(pressed, round(_HOLE_MM2 / pixel_mm**2))

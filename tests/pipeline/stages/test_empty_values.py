@@ -106,7 +106,7 @@ def membrane_of(name: str, kind: str, place: Any) -> Any:
 def bubble(kind: str, place: Any) -> Any:
     frame, sensor = make_frame("soft_bubble", kind, place), small("soft_bubble")
     bubble_depth.compute_largest_change(frame.image, frame.reference)
-    bubble_depth.describe_if_no_contact(frame.image, frame.reference, 0.5)
+    bubble_depth.describe_if_no_contact(frame, sensor, None, 0.5)
     return bubble_depth.estimate_depth(frame, sensor, smoothing_px=1.0, least_mm=0.3)
 
 

@@ -65,7 +65,7 @@ def draw_touches(seed=3):
 
 def find_touches(source, frames):
     table = make_built_in(source)
-    return [frame_illumination.find_touch(f.image, f.reference, source, table, SILENT) for f in frames]
+    return [frame_illumination.find_touch(f.image, f.reference, source, table, (), SILENT) for f in frames]
 
 
 def test_a_recording_is_read_in_one_kind_of_light_and_each_touch_in_a_field_of_its_own(monkeypatch):

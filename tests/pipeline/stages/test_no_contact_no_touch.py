@@ -31,7 +31,7 @@ SAMPLERS = (
 
 def evaluate(name, frame, *, target=BUBBLE, target_too_far_mm=0.0):
     """All results up to the depth of the touch by a method with its shipped weights."""
-    methods = BUILT_IN.methods("t2d2", {"touch": name})
+    methods = BUILT_IN.methods("t2d2", {"touch": name}, {"source": GEL.kind, "target": target.kind})
     moved = alignment.correct_alignment(
         alignment.resolve_alignment(GEL, target), rigid.translation(0.0, 0.0, target_too_far_mm)
     )
@@ -50,8 +50,8 @@ def still():
 
 @pytest.fixture(scope="module")
 def lit_frame(still):
-    """The reference image with a spot of light."""
-    image = add_spot(still, grey=40.0, place=(0.5, 0.4), width=0.1)
+    """The reference image with a wide spot of light, which a large touch might make as well."""
+    image = add_spot(still, grey=40.0, place=(0.5, 0.4), width=0.2)
     return TactileFrame(sensor="gelslim", image=image, reference=still)
 
 

@@ -87,7 +87,7 @@ def _try_fitted_leds(touches: Sequence[Touch]) -> Illumination | None:
 
 def _try_field(touches: Sequence[Touch]) -> Illumination | None:
     """A shading field for each touch, if it explains far more than the described light: a real GelSight Mini."""
-    if _casts_shadows(touches[0].source):
+    if casts_shadows(touches[0].source):
         return None
     decisive = touches[: CONSTANTS.field_touches]
     described = sum(touch.described[1] for touch in decisive)
@@ -106,7 +106,7 @@ def _fit_field(touch: Touch, described_misfit: float = math.inf) -> tuple[Double
 
 def _try_near_leds(touches: Sequence[Touch]) -> Illumination | None:
     """The described LEDs, close to the gel, where they leave much as described: a real GelSlim."""
-    if _casts_shadows(touches[0].source) or _is_explained(touches, sum(touch.described[1] for touch in touches)):
+    if casts_shadows(touches[0].source) or _is_explained(touches, sum(touch.described[1] for touch in touches)):
         return None
     return Illumination(model="near")
 
@@ -120,7 +120,7 @@ def _try_trusted_light(touches: Sequence[Touch]) -> Illumination | None:
 def _try_shadow_leds(touches: Sequence[Touch]) -> Illumination | None:
     """Low LEDs that cast shadows, if the described light leaves most of the change: a real DIGIT."""
     described = sum(touch.described[1] for touch in touches)
-    if not _casts_shadows(touches[0].source) or _is_explained(touches, described):
+    if not casts_shadows(touches[0].source) or _is_explained(touches, described):
         return None
     if len(touches) == 1:
         return pack_leds("shadow_leds", _fit_shadow_leds(touches[0]))
@@ -192,6 +192,6 @@ def add_detail(
     return refine_surface(surface_mm, patch, light, integrate, 1, CONSTANTS.fine_cg_steps)[0]
 
 
-def _casts_shadows(source: SensorSpec) -> bool:
+def casts_shadows(source: SensorSpec) -> bool:
     """Whether dents cast shadows: LEDs that stand low and away, whose light is even."""
     return optics.require_optics(source).shadow > 0
