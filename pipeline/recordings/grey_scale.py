@@ -45,7 +45,11 @@ class GreyScale:
         """The stored image in grey levels, which may be signed; raises FileProblem for values that are not finite."""
         grey = np.asarray(raw, np.float32) * np.float32(self.factor) + np.float32(self.offset)
         if not np.isfinite(grey).all():
-            raise FileProblem(f"{where} has values that are not finite", path, field=where)
+            raise FileProblem(
+                f"{where} has values that are not finite (NaN or infinite); repair it, or leave it out",
+                path,
+                field=where,
+            )
         return freeze(grey)
 
 
@@ -69,7 +73,11 @@ def infer_grey_scale(
         return GreyScale()
     numbers = np.asarray(values, np.float32)
     if not np.isfinite(numbers).all():
-        raise FileProblem(f"{key} has values that are not finite", path, field=key)
+        raise FileProblem(
+            f"the array {key!r} has values that are not finite (NaN or infinite); leave those frames out",
+            path,
+            field=key,
+        )
     is_whole, shown = values.dtype.kind in "iu", escape_text(key)
     low_peak, low, high, high_peak = (
         float(q) for q in np.quantile(numbers, (_PEAK_QUANTILE, _QUANTILE, 1 - _QUANTILE, 1 - _PEAK_QUANTILE))
