@@ -2,7 +2,7 @@
 
     python -m benchmarks.drift [METHOD]
 
-METHOD is a method of the stage *depth* (default "network"). Alone: 3 % more light and less; light that rises by 12 grey
+METHOD is a method of the stage *depth* (default by sensor). Alone: 3 % more light and less; light that rises by 12 grey
 levels from one border to the other, along x and along y; the camera 2 pixels aside, along each axis and both, and 5
 pixels aside; a spot of light 10 grey levels bright or dark, small and large, white and tinted; JPEG of quality 70. Then
 random mixtures of them: every colour's gain within 3 %, a ramp of up to 12 grey levels in any direction, of any
@@ -166,7 +166,7 @@ def through_drift(read, rng):
         )
 
 
-def measure(method: str = "network") -> BenchmarkResult:
+def measure(method: str = "") -> BenchmarkResult:
     read, rng = build_reader(method), np.random.default_rng(0)
     every = list(render_reference_images())
     found = [false_contacts(read, f"each drift, {label}", source, still, table()) for label, source, still in every]

@@ -25,7 +25,7 @@ from pipeline.translation.translate import Request, open_translation
 
 _SAMPLE = Path(__file__).resolve().parents[1] / "sample_data" / "recordings" / "first_touch.h5"
 _PEER = "all stages of a touched frame"
-_METHODS = BUILT_IN.methods("t2d2")
+_METHODS = BUILT_IN.methods("t2d2", kinds={"source": "gel", "target": "bubble"})
 _PARAMS = default_params(_METHODS)
 _STAGES = tuple(method.stage for method in _METHODS)
 _RUNS = 41

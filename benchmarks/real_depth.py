@@ -2,7 +2,7 @@
 
     python -m benchmarks.real_depth [METHOD [DATA_FOLDER]]
 
-METHOD is a method of the stage *depth* (default "network") and knows nothing of the sensor instance but its reference
+METHOD is a method of the stage *depth* (default by sensor) and knows nothing of the sensor instance but its reference
 image. A sphere is fitted to the surface inside the largest part of the contact: the error of its diameter is the median
 over all presses of |diameter / true - 1|, a press without a contact of 20 pixels counting as 100 %; the residual is the
 median of the fits' rms. A patch is stray when it is any part of the contact but the largest. GelSlim 3.0's width of a
@@ -220,7 +220,7 @@ def compare_registered_depth(looked, edges):
     return float(ours), float(itself), notes
 
 
-def measure(method: str = "network", data: str = "") -> BenchmarkResult:
+def measure(method: str = "", data: str = "") -> BenchmarkResult:
     folder, read = recorded_data(data), build_reader(method)
     found = [*minis(read, folder), *gelslims(read, folder), *digits(read, folder), *clips(read, folder)]
     return BenchmarkResult(

@@ -2,7 +2,7 @@
 
     python -m benchmarks.real_things [METHOD [DATA_FOLDER]]
 
-METHOD is a method of the stage *depth* (default "network") and knows nothing of the sensor instance but its reference
+METHOD is a method of the stage *depth* (default by sensor) and knows nothing of the sensor instance but its reference
 image. There is no truth: counted is what the eye would complain of. A *crumb* is a part of the contact smaller than a
 thousandth of the image; a *corner blob* a part that lies whole in a corner of an eighth of the image's sides; a *stair*
 a run of 8 straight pixels or more in the contact's outline, along a row or a column and inside the image: the share of
@@ -61,7 +61,7 @@ def circle_of(n_px: int) -> float:
     return straight(x**2 + y**2 <= r**2)
 
 
-def measure(method: str = "network", data: str = "") -> BenchmarkResult:
+def measure(method: str = "", data: str = "") -> BenchmarkResult:
     folder, read, mini = recorded_data(data) / "mini_things", build_reader(method), load_sensor("gelsight_mini")
     rows = []
     for thing in sorted(path for path in folder.iterdir() if path.is_dir()):

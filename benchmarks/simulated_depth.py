@@ -2,7 +2,7 @@
 
     python -m benchmarks.simulated_depth [METHOD]
 
-METHOD is a method of the stage *depth* (default "network"). Tools that no number was chosen by are pressed by 0.15, 0.4
+METHOD is a method of the stage *depth* (default by sensor). Tools that no number was chosen by are pressed by 0.15, 0.4
 and 0.8 mm at random places and turns, each on another sensor instance (`varied`, strength 1) than the one that depth is
 reported of. The error of contact is 1 - intersection over union with the pixels under pressure; that of depth the mean
 absolute difference in the true contact. Boxes with a level face, 0.2 to 1.2 of the view's shorter side wide, are
@@ -213,7 +213,7 @@ def _listed(values) -> str:
     return " ".join(f"{v:.2f}" for v in values)
 
 
-def measure(method: str = "network") -> BenchmarkResult:
+def measure(method: str = "") -> BenchmarkResult:
     read = build_reader(method)
     found = [
         part

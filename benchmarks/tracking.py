@@ -2,7 +2,7 @@
 
     python -m benchmarks.tracking [depth method]
 
-Simulated slides over 10 mm and turns by 30 degrees of six objects on three sensors, depth by `network` unless another
+Simulated slides over 10 mm and turns by 30 degrees of six objects on three sensors, depth by default unless another
 method is named. ICP (Open3D) registers each frame's contact to the first one's from the pose of the frame before.
 """
 
@@ -31,7 +31,7 @@ _N_FRAMES = 31
 _ICP_DISTANCE_MM = 1.0
 
 
-def measure(method: str = "network") -> BenchmarkResult:
+def measure(method: str = "") -> BenchmarkResult:
     rows = []
     for sensor, depth_mm in _SENSORS.items():
         figures = [_measure_motion(sensor, depth_mm, name, kind, method)

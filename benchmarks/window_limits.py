@@ -89,14 +89,14 @@ def _new_frames(instrument: Any, application: Any) -> list[tuple[float, float]]:
 
 def _drafts(instrument: Any, application: Any) -> list[tuple[float, float]]:
     from pipeline.base.params import replace_value
-    from pipeline.stages.depth.stage import NETWORK
+    from pipeline.stages.depth.stage import PHYSICS
 
     waits, panel = [], instrument.window.parameters
-    panel.slider_held.emit(NETWORK.key)
+    panel.slider_held.emit(PHYSICS.key)
     for n in range(DRAGS):
         depth = instrument.views.get_shown_stage("depth")
-        params = replace_value(instrument.session.get_params(NETWORK), "sensitivity", 1.0 + 0.02 * (n + 1))
-        instrument.choose_params(NETWORK.key, params)
+        params = replace_value(instrument.session.get_params(PHYSICS), "sensitivity", 1.0 + 0.02 * (n + 1))
+        instrument.choose_params(PHYSICS.key, params)
         waits.append(_wait(application, lambda old=depth: instrument.views.get_shown_stage("depth") is not old))
         spin(instrument, application)
     panel.slider_held.emit("")

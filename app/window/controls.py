@@ -30,6 +30,10 @@ def show_controls(
     window.frames.show_frame(session.frame)
     for stage in catalogue.stages:
         for method in catalogue.list_choices(stage.name):
+            if method.kinds and opened is not None:
+                window.columns[stage.name].enable_method(
+                    method.name, method.fits(opened.sensor_kinds[stage.sensor_role])
+                )
             window.parameters.show_params(method.key, session.get_params(method))
     window.parameters.show_params(DISPLAY_KEY, session.display)
     window.parameters.show_groups({**{m.key: kinds.get(m.key, "") for m in methods}, DISPLAY_KEY: ""})

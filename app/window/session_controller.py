@@ -322,7 +322,9 @@ class SessionController(SessionDocument):
     @property
     def methods(self) -> tuple[Method, ...]:
         """Methods of the session's route, one per stage."""
-        return self.catalogue.methods(self.session.route, self.session.methods)
+        opened = self.views.translation
+        kinds = None if opened is None else opened.sensor_kinds
+        return self.catalogue.methods(self.session.route, self.session.methods, kinds)
 
     @property
     def sensor_kinds(self) -> Mapping[str, str]:

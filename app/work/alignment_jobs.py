@@ -130,7 +130,9 @@ def propose_refinement(session: Session, report: JobReporter) -> RefinementPropo
 
     with closing(open_translation(make_request(session))) as translation:
         frames = range(translation.n_frames)
-        touches = load_paired_touches(translation, frames, get_depth_params(session), progress=report)
+        touches = load_paired_touches(
+            translation, frames, get_depth_params(session, translation.methods), progress=report
+        )
         if not touches:
             pair = f"{translation.source.name} and {translation.target.name}"
             raise SettingProblem(f"no frame has contact on both {pair}; refinement needs frames with contact on both")

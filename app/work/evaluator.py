@@ -175,7 +175,7 @@ class Evaluator:
         """
         opened = self._open(session, report)
         index = self._resolve_index(session, opened)
-        cached = self._comparisons.get((index, get_depth_params(session)))
+        cached = self._comparisons.get((index, get_depth_params(session, opened.methods)))
         if cached is not None:
             return opened, cached
         if "depth" not in opened.stages:
@@ -260,7 +260,7 @@ class Evaluator:
         self, translation: Translation, index: int, depth: object, session: Session
     ) -> TargetComparison:
         assert isinstance(depth, DepthMap)
-        key = (index, get_depth_params(session))
+        key = (index, get_depth_params(session, translation.methods))
         comparison = self._comparisons.get(key)
         if comparison is None:
             comparison = build_target_comparison(translation, *key, depth)

@@ -25,7 +25,7 @@ def preload_depth(report: Progress) -> None:
     from pipeline.engine.graph import Graph
     from pipeline.physics import optics
     from pipeline.sensors.spec import load_sensor
-    from pipeline.stages.depth.stage import NETWORK
+    from pipeline.stages.depth.stage import PHYSICS
     from pipeline.values.frames import TactileFrame
 
     source = load_sensor("gelslim")
@@ -35,6 +35,4 @@ def preload_depth(report: Progress) -> None:
     dent = np.maximum(0.6 - ((y - centre_mm[0]) ** 2 + (x - centre_mm[1]) ** 2) / 12.0, 0.0)
     image = optics.render(source, dent.astype(np.float32), seed=1)
     frame = TactileFrame(sensor=source.name, image=freeze(image), reference=reference)
-    weights = None if NETWORK.weights is None else NETWORK.weights(source, source, None)
-    inputs = {"frame": frame, "source": source, "calibration": None, NETWORK.weights_name: weights}
-    Graph((NETWORK,)).evaluate((NETWORK.stage,), inputs, {}, report)
+    Graph((PHYSICS,)).evaluate((PHYSICS.stage,), {"frame": frame, "source": source, "calibration": None}, {}, report)

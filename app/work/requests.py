@@ -15,7 +15,7 @@ from pipeline.recordings import open_recording
 from pipeline.sensors.alignment_files import read_alignment
 from pipeline.sensors.spec import load_sensor
 from pipeline.stages.depth.photometric import DepthParams
-from pipeline.stages.depth.stage import NETWORK, PHYSICS
+from pipeline.stages.depth.stage import PHYSICS
 from pipeline.translation.catalogue import Catalogue
 from pipeline.translation.translate import Request, Translation, open_translation
 
@@ -47,9 +47,10 @@ def find_undo_target(
     return next((i for i in earlier if (req := make_request_if_open(sessions[i])) and req not in failing), None)
 
 
-def get_depth_params(session: Session) -> DepthParams:
-    """Return the depth parameters of a session, used for both sensors of a comparison."""
-    params = session.get_params(PHYSICS if session.methods.get(PHYSICS.stage) == PHYSICS.name else NETWORK)
+def get_depth_params(session: Session, methods: Sequence[Method]) -> DepthParams:
+    """Return the parameters of a session's depth by one of these methods, used for both sensors of a comparison."""
+    depth = next((method for method in methods if issubclass(method.params, DepthParams)), PHYSICS)
+    params = session.get_params(depth)
     assert isinstance(params, DepthParams)
     return params
 

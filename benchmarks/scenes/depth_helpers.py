@@ -27,17 +27,17 @@ _BESIDE = Path(__file__).resolve().parents[3] / "shared" / "data"
 DepthReader = Callable[[TactileFrame, SensorSpec], DepthMap]
 
 
-def build_reader(method: str = "network") -> DepthReader:
-    """Return the stage *depth* by this method, uncalibrated: only the sensor's description is known.
+def build_reader(method: str = "") -> DepthReader:
+    """Return the stage *depth* by this method, "" = the sensor's default; uncalibrated: only the description is known.
 
     "network=FILE" gives weights in place of those that come along.
     """
     method, _, file = method.partition("=")
-    found = next((m for m in STAGE.methods if m.name == method), None)
-    if found is None:
+    if method and method not in {m.name for m in STAGE.methods}:
         raise SettingProblem(f"no depth method {method!r}; there are {', '.join(m.name for m in STAGE.methods)}")
 
     def read(frame: TactileFrame, source: SensorSpec) -> DepthMap:
+        found = next(m for m in STAGE.methods if m.name == method or (not method and m.fits(source.kind)))
         given: dict[str, object] = {"frame": frame, "source": source}
         if found.weights is not None:
             given[found.weights_name] = found.weights(source, source, Path(file) if file else None)

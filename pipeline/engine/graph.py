@@ -4,6 +4,9 @@ A stage produces a value that people look at (a depth map, a touch, a pose); a m
 method runs only if its stage is requested, not cached, and needed by the scene. Its key is a digest of stage, method,
 version, parameters and the *contents* of its inputs, so an equal output after a change stops the recomputation below it
 (early cutoff, Salsa's backdating), whichever method produced it.
+
+A method may be a chain of nodes: methods that no column shows, each with a key of its own, so that a change repeats
+only what reads it.
 """
 
 from __future__ import annotations
@@ -64,10 +67,18 @@ class Method(Generic[Params, Output, *Reads]):
     reads: tuple[str, ...]  # stages above it or inputs, in the order of `run`'s arguments
     version: int = 1  # raised when equal inputs give another output
     help: str = ""  # what it does, in half a sentence
+    kinds: tuple[str, ...] = ()  # of the sensors that it is for; () = all
     weights: Callable[..., object] | None = None  # (source, target, file) -> input `weights_name`; None = no weights
+    nodes: tuple[Method, ...] = ()  # of a chain, whose `run` is `chain_nodes(nodes, reads)`; the last makes the value
+    select_params: Callable[[Any], Params] | None = None  # of a node: its own of the chain's parameters
     draft: Callable[[Params], Params] | None = None  # parameters -> cheaper ones for dragging; None = no draft
-    # Stage -> method of those that it runs again inside, with default parameters: others do not reach it.
-    inner_methods: Mapping[str, str] = field(default_factory=dict[str, str])
+    # Kind of the source -> stage -> method of those that it runs again inside, with default parameters: others do not
+    # reach it.
+    list_inner_methods: Callable[[str], Mapping[str, str]] | None = None
+
+    def fits(self, kind: str) -> bool:
+        """Return whether it is for sensors of this kind; "" = not known yet."""
+        return not (self.kinds and kind) or kind in self.kinds
 
     @property
     def weights_name(self) -> str:
@@ -93,6 +104,7 @@ class StageResult:
     digest: str
     fallback: str = ""  # why another method gave the result; "" = it did not
     draft: bool = False  # whether it or one of its inputs was computed with draft parameters
+    nodes: tuple[StageResult, ...] = ()  # of a chain, as far as it had to be evaluated
 
     @property
     def answered_by(self) -> str:
@@ -128,6 +140,28 @@ def skip_if_exact(
         return Skipped(output=output, reason=(*notes, "nothing to do")[0])
 
     return run_if_needed
+
+
+def chain_nodes(nodes: Sequence[Method], reads: Sequence[str]) -> Callable[..., Any]:
+    """Return the function (*reads, params, progress) of a chain: its nodes in order, without a cache.
+
+    A node reads what the chain reads, under the names `reads`, and the outputs of earlier nodes. One that returns
+    Skipped or Fallback gives the value of the whole chain, and later nodes do not run.
+    """
+
+    def run_chain(*args: Any) -> Any:
+        *given, params, progress = args
+        values, answer = dict(zip(reads, given, strict=True)), None
+        for node in nodes:
+            run: Callable[..., Any] = node.run
+            own = params if node.select_params is None else node.select_params(params)
+            answer = run(*(values[name] for name in node.reads), own, progress)
+            if isinstance(answer, Skipped | Fallback):
+                break
+            values[node.stage] = answer
+        return answer
+
+    return run_chain
 
 
 @dataclass(slots=True)
@@ -169,11 +203,12 @@ class Graph:
                 result = _make_given_result(method.stage, values[method.stage], digests[method.stage])
             else:
                 own = _select_params(params, method)
-                result = self._evaluate_method(method, values, digests, own, fresh, part)
+                evaluate = self._evaluate_chain if method.nodes else self._evaluate_method
+                result = evaluate(method, values, digests, own, fresh, part)
                 if is_draft(own) or drafts.intersection(method.reads):
                     drafts.add(method.stage)
                     result = replace(result, draft=True)
-                result = replace(result, notes=(*self._warn_of_unused_settings(method, params), *result.notes))
+                result = replace(result, notes=(*self._warn_of_unused_settings(method, params, inputs), *result.notes))
             values[method.stage], digests[method.stage] = result.output, result.digest
             results[method.stage] = result
             if result.state not in ("cached", "given"):
@@ -195,15 +230,20 @@ class Graph:
                 names.update(method.reads)
         return tuple(m for m in self.methods if m.stage in names)
 
-    def _warn_of_unused_settings(self, method: Method, params: Mapping[str, object]) -> tuple[StageWarning, ...]:
+    def _warn_of_unused_settings(
+        self, method: Method, params: Mapping[str, object], inputs: Mapping[str, object]
+    ) -> tuple[StageWarning, ...]:
         """Return a warning of each method or parameter that a method leaves out by running that stage again inside."""
+        if method.list_inner_methods is None:
+            return ()
         chosen = {other.stage: other for other in self.methods}
+        inner = method.list_inner_methods(getattr(inputs.get("source"), "kind", ""))
         return tuple(
             StageWarning(
                 f"the {what} of {stage.replace('_', ' ')} {'are' if what == 'parameters' else 'is'} not used: "
                 f"{method.title} runs that stage again with default settings; T2D2 uses yours"
             )
-            for stage, name in method.inner_methods.items()
+            for stage, name in inner.items()
             if (other := chosen.get(stage)) is not None
             for what in [f"method {other.title!r}" if other.name != name else "parameters"]
             if other.name != name or _select_params(params, other) != other.params()
@@ -240,6 +280,30 @@ class Graph:
             name=method.stage, method=method, output=entry.output, state=state, ms=ms, notes=notes, digest=entry.digest,
             fallback=entry.fallback,
         )  # fmt: skip
+
+    def _evaluate_chain(
+        self,
+        method: Method,
+        values: Mapping[str, object],
+        digests: Mapping[str, str],
+        params: object,
+        fresh: set[str],
+        progress: Progress,
+    ) -> StageResult:
+        values, digests, results = dict(values), dict(digests), list[StageResult]()
+        for index, node in enumerate(method.nodes):
+            own = params if node.select_params is None else node.select_params(params)
+            part = SubProgress(progress, index / len(method.nodes), 1.0 / len(method.nodes), node.title)
+            result = self._evaluate_method(node, values, digests, own, fresh, part)
+            results.append(result)
+            if result.state == "skipped" or result.fallback:
+                break
+            values[node.stage], digests[node.stage] = result.output, result.digest
+            if result.state != "cached":
+                fresh.add(node.stage)
+        return replace(
+            results[-1], name=method.stage, method=method, ms=sum(r.ms for r in results), nodes=tuple(results)
+        )
 
     def _run_method(self, method: Method, reads: Sequence[object], params: object, progress: Progress) -> CacheEntry:
         run: Callable[..., Any] = method.run  # values by name have no static type here

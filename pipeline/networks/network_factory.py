@@ -31,16 +31,13 @@ NETWORK_CLASSES: dict[str, str] = {  # kind -> module:class; importing a module 
     "compact_unet": "pipeline.networks.compact_unet:CompactUnet",
     "depth_anything": "pipeline.networks.depth_anything:DepthAnything",
     "residual_denoiser": "pipeline.networks.residual_denoiser:ResidualDenoiser",
-    "gel_depth": "pipeline.networks.gel_depth:GelDepthNetwork",
     "latent": "pipeline.networks.latent_diffusion:LatentDiffusion",
     "unet": "pipeline.networks.unet:UNet",
     "touch_policy": "pipeline.networks.touch_policy:TouchPolicy",
     "touch_pose": "pipeline.networks.touch_pose:TouchPose",
     "vqvae": "pipeline.networks.vqvae:VqVae",
 }
-ONNX_KINDS = frozenset(
-    {"compact_unet", "gel_depth", "residual_denoiser", "touch_policy"}
-)  # answered by OpenCV, without torch
+ONNX_KINDS = frozenset({"compact_unet", "residual_denoiser", "touch_policy"})  # answered by OpenCV, without torch
 _MAX_BYTES = 2 << 30  # of cached networks; the largest takes 1.3 GB
 _MOST_COUNT = 1024  # of channels, levels, steps or pixels that a small network may state
 _loaded_networks: Memo[str, nn.Module] = Memo(

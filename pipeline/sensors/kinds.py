@@ -41,8 +41,6 @@ class SensorKind:
     image_checker: str  # (image) -> what is wrong with it as a clause, "" = nothing
     contact_checker: str  # (frame, sensor, calibration, limit) -> notes without contact, None = maybe contact
     depth_estimator: str  # (frame, SensorSpec, Calibration | None, DepthParams, Progress) -> DepthMap
-    depth_task: str = ""  # of the weights of depth by network; "" = no network estimates it
-    depth_network: str = ""  # (frame, SensorSpec, Calibration | None, network, NetworkParams, Progress) -> DepthMap
     touch_renderer: str = ""  # of the physical render; "" = the kind cannot be a target of it
     press_simulator: str = ""  # of the simulator; "" = the kind is not simulated
     image_simulator: str = ""

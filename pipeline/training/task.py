@@ -82,7 +82,6 @@ class TaskEntry:
 
 
 TASKS: dict[str, TaskEntry] = {
-    "gel_instances": TaskEntry(subcommand="depth", import_path="pipeline.training.gel_instances:GelInstancesTask"),
     "depth_anything": TaskEntry(subcommand="depth", import_path="pipeline.training.depth_anything:DepthAnythingTask"),
     "vqvae": TaskEntry(subcommand="vqvae", import_path="pipeline.training.vqvae:VqVaeTask"),
     "latent": TaskEntry(subcommand="latent", import_path="pipeline.training.latent:LatentTask"),

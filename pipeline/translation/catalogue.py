@@ -19,7 +19,7 @@ from pipeline.engine.graph import Method
 from pipeline.stages.cloud.stage import STAGE as CLOUD
 from pipeline.stages.depth.stage import STAGE as DEPTH
 from pipeline.stages.pose.stage import STAGE as POSE
-from pipeline.stages.stage import Stage
+from pipeline.stages.stage import SensorRole, Stage
 from pipeline.stages.target_depth.stage import STAGE as TARGET_DEPTH
 from pipeline.stages.touch.stage import STAGE as TOUCH
 from pipeline.stages.touch_depth.stage import STAGE as TOUCH_DEPTH
@@ -69,15 +69,26 @@ class Catalogue:
         entry = self.stage(stage)
         return (*entry.methods, make_truth_method(entry)) if entry.has_ground_truth else entry.methods
 
-    def methods(self, route: str, chosen: Mapping[str, str] | None = None) -> tuple[Method, ...]:
+    def methods(
+        self, route: str, chosen: Mapping[str, str] | None = None, kinds: Mapping[SensorRole, str] | None = None
+    ) -> tuple[Method, ...]:
         """The methods of a route in running order, with those in `chosen` (stage -> method) in place of its own.
 
-        A choice for a stage that the route leaves out is ignored. Raises SettingProblem for an unknown name.
+        One that does not fit the kind of its stage's sensor (`kinds`, where known) makes way for the stage's first that
+        does. A choice for a stage that the route leaves out is ignored. Raises SettingProblem for an unknown name.
         """
         names = dict(chosen or {})
         for stage, name in names.items():
             self.method(stage, name)
-        return tuple(self.method(stage, names.get(stage, name)) for stage, name in self.route(route).methods.items())
+        return tuple(
+            self._find_fitting(stage, names.get(stage, name), kinds or {})
+            for stage, name in self.route(route).methods.items()
+        )
+
+    def _find_fitting(self, stage: str, name: str, kinds: Mapping[SensorRole, str]) -> Method:
+        method, entry = self.method(stage, name), self.stage(stage)
+        kind = kinds.get(entry.sensor_role, "")
+        return method if method.fits(kind) else next(other for other in entry.methods if other.fits(kind))
 
     def add_methods(self, methods: Iterable[object]) -> Catalogue:
         """Return the catalogue with more methods, after the stages' own; unusable ones are left out with a warning."""

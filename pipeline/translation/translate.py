@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from pipeline.base.arrays import Floats, Image
-from pipeline.base.errors import CalibrationError, SettingProblem, ShapeError, UnknownSensor
+from pipeline.base.errors import CalibrationError, SettingProblem, ShapeError, StageWarning, UnknownSensor
 from pipeline.base.frame_lists import check_frame_index
 from pipeline.base.progress import SILENT, Progress, reading_reported_to
 from pipeline.calibration.calibration_file import load_if_present
@@ -97,7 +97,12 @@ class Translation:
     @property
     def methods(self) -> tuple[Method, ...]:
         """The methods of the route, one per stage, in running order."""
-        return self.catalogue.methods(self.request.route, dict(self.request.methods))
+        return self.catalogue.methods(self.request.route, dict(self.request.methods), self.sensor_kinds)
+
+    @property
+    def sensor_kinds(self) -> dict[SensorRole, str]:
+        """The kinds of the two sensors."""
+        return {"source": self.source.kind, "target": self.target.kind}
 
     @property
     def stages(self) -> tuple[str, ...]:
@@ -322,6 +327,7 @@ def _open_with(
             *_about_symmetry(recording, stream, mesh),
             *_about_weights(request, methods, catalogue),
             *_about_methods(request, methods),
+            *_about_kinds(request, source, target, catalogue),
         ),
         symmetry=recording.symmetry if mesh is recording.object_mesh else None,
         force_scale=_load_force_scale(request.calibration, source),
@@ -406,6 +412,24 @@ def _about_methods(request: Request, methods: tuple[Method, ...]) -> tuple[str, 
         for stage, name in request.methods
         if stage not in stages
     )
+
+
+def _about_kinds(request: Request, source: SensorSpec, target: SensorSpec, catalogue: Catalogue) -> tuple[str, ...]:
+    """Return a warning about each chosen method that is for another kind of sensor, and names the one that answers."""
+    notes: list[str] = []
+    kinds: dict[SensorRole, str] = {"source": source.kind, "target": target.kind}
+    answering = {m.stage: m for m in catalogue.methods(request.route, dict(request.methods), kinds)}
+    for stage, name in request.methods:
+        chosen, answer = catalogue.method(stage, name), answering.get(stage)
+        if answer is not None and answer is not chosen:
+            sensor = source if catalogue.stage(stage).sensor_role == "source" else target
+            notes.append(
+                StageWarning(
+                    f"{stage}: {chosen.title!r} is for sensors of kind {' or '.join(chosen.kinds)}, and {sensor.title} "
+                    f"is a {sensor.kind}; {answer.title!r} answers instead ({stage}={answer.name})"
+                )
+            )
+    return tuple(notes)
 
 
 def _suggest_methods(stage: str, catalogue: Catalogue) -> str:

@@ -17,8 +17,8 @@ from pipeline.networks.guidance import MAX_WEIGHT
 from pipeline.networks.samplers import MAX_STEPS
 from pipeline.physics import optics
 from pipeline.simulation import shapes, variation
-from pipeline.stages.depth import network as depth_network
-from pipeline.stages.depth.gel_network import NetworkParams
+from pipeline.stages.depth import bubble_network
+from pipeline.stages.depth.bubble_network import NetworkParams
 from pipeline.stages.pose import network as pose_network
 from pipeline.stages.pose.signed_distances import PoseParams, estimate_pose_icp, estimate_pose_planar
 from pipeline.stages.touch import latent_diffusion, t2d2, t2t, vqvae
@@ -157,14 +157,13 @@ def test_latent(picture, steps, guidance, sampler, twice, raw, seed):
 
 @row("12,5", "depth by network: any picture of units that differ, at any certainty", share=0.13, refused=0.25)
 @given(
-    st.sampled_from([(GEL, "gel_instances"), ("digit", "gel_instances"), (BUBBLE, "bubble_depth")]), st.sampled_from(PICTURES),
-    st.floats(0.05, 0.95), seeds, st.floats(0.0, variation.MAX_STRENGTH),
+    st.sampled_from(PICTURES), st.floats(0.05, 0.95), seeds, st.floats(0.0, variation.MAX_STRENGTH),
 )  # fmt: skip
-def test_depth(which, picture, certainty, seed, strength):
-    spec = variation.vary_sensor(small(which[0]), seed % 2**31, strength)
-    ready = network_factory.load_predictor(weights_registry.load_shipped(which[1]))
+def test_depth(picture, certainty, seed, strength):
+    spec = variation.vary_sensor(small(BUBBLE), seed % 2**31, strength)
+    ready = network_factory.load_predictor(weights_registry.load_shipped("bubble_depth"))
     result, _ = outcome(
-        depth_network.estimate_depth,
+        bubble_network.estimate_frame,
         reading(spec, picture, seed),
         spec,
         None,

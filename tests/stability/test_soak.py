@@ -12,7 +12,7 @@ from hypothesis import given
 from pipeline.engine.graph import Graph
 from pipeline.geometry import rigid
 from pipeline.sensors.alignment import Alignment
-from pipeline.stages.depth import network as depth_network
+from pipeline.stages.depth import bubble_network
 from pipeline.stages.touch import t2d2
 from pipeline.translation.catalogue import BUILT_IN, default_params, with_setting
 from pipeline.values.frames import TactileFrame
@@ -24,8 +24,7 @@ GROWTH_MB = 200.0  # the cache of results has its own bound; in addition there a
 CACHE_BYTES = 32 * 2**20
 SENSORS = ("digit", "gelslim", "soft_bubble")
 STAGES = ("depth", "cloud", "target_depth", "touch")
-_METHODS, _PAPER = BUILT_IN.methods("t2d2"), BUILT_IN.methods("t2d2", {"target_depth": "paper"})
-_GRAPH = Graph(_METHODS)
+_GRAPH = Graph(BUILT_IN.methods("t2d2"))
 _GRAPH.cache.most_bytes = CACHE_BYTES
 
 
@@ -70,7 +69,7 @@ def random_inputs(rng: np.random.Generator) -> dict[str, object]:
         "alignment": way,
         "mesh": mesh("ball"),
         "previous": None,
-        "depth_weights": depth_network.select_weights(source, target, None),
+        "depth_weights": bubble_network.select_weights(source, target, None),
         "touch_weights": t2d2.select_weights(source, target, None),
     }
 
@@ -95,14 +94,16 @@ def test_chain_with_pose(seed):
 
 
 def run(stages, rng):
-    params = default_params(_METHODS)
+    inputs, chosen = random_inputs(rng), {"target_depth": "paper"} if rng.random() < 0.5 else {}
+    kinds = {"source": inputs["source"].kind, "target": inputs["target"].kind}
+    methods = BUILT_IN.methods("t2d2", chosen, kinds)
+    params = default_params(methods)
     for setting in (
         f"cloud.stride={rng.integers(1, 4)}",
         "pose.n_starts=6",
     ):
         params = with_setting(params, setting)
-    graph = _GRAPH.with_methods(_PAPER if rng.random() < 0.5 else _METHODS)
-    results, _ = outcome(graph.evaluate, stages, random_inputs(rng), params)
+    results, _ = outcome(_GRAPH.with_methods(methods).evaluate, stages, inputs, params)
     for result in (results or {}).values():
         sound(result.output)
 

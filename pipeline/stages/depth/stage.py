@@ -2,7 +2,7 @@
 
 from pipeline.base.params import NoParams
 from pipeline.engine.graph import Method, skip_if_exact
-from pipeline.stages.depth import depth_anything, network, photometric, unet
+from pipeline.stages.depth import bubble_network, depth_anything, photometric, unet
 from pipeline.stages.depth_map_stage import make_depth_stage
 from pipeline.stages.network_fallback import fall_back_without_weights
 
@@ -22,15 +22,17 @@ NETWORK = Method(
     stage="depth",
     name="network",
     title="Network",
-    help="a compact network trained on simulated touches; for a gel it corrects physics",
+    help="a compact network of a bubble's membrane and contact, trained on simulated touches",
+    kinds=bubble_network.KINDS,
     run=skip_if_exact(
-        network.skip_without_contact, fall_back_without_weights(network.estimate_depth, PHYSICS, _NO_NETWORK)
+        bubble_network.skip_without_contact,
+        fall_back_without_weights(bubble_network.estimate_frame, PHYSICS, _NO_NETWORK),
     ),
-    params=network.NetworkParams,
+    params=bubble_network.NetworkParams,
     reads=(*PHYSICS.reads, "depth_weights"),
     version=11,
     draft=photometric.make_draft_params,
-    weights=network.select_weights,
+    weights=bubble_network.select_weights,
 )
 DEPTH_ANYTHING = Method(
     stage="depth",
@@ -54,7 +56,7 @@ UNET = Method(
     weights=unet.select_weights,
 )
 
-# The network comes first: its error is smaller (`benchmarks/simulated_depth.py`, `benchmarks/bubble_network.py`).
+# The first that fits the sensor is the default: a bubble's network errs less (`benchmarks/bubble_network.py`).
 STAGE = make_depth_stage(
     name="depth",
     title="Depth",

@@ -21,19 +21,22 @@ from pipeline.networks.weights import NoWeights, Weights
 from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.cloud import back_projection
-from pipeline.stages.depth import network as depth_network
-from pipeline.stages.depth import photometric
-from pipeline.stages.depth.gel_network import NetworkParams
+from pipeline.stages.depth import bubble_network, photometric
 from pipeline.stages.target_depth import surface_projection
 from pipeline.stages.touch import physical_render
 from pipeline.values.frames import TactileFrame
 from pipeline.values.results import DepthMap, GeneratedTouch, TargetDepth
 
-INNER_METHODS = {"depth": "network", "cloud": "back_projection", "target_depth": "surface"}  # of `project_frame`
 READS = ("frame", "source", "calibration", "alignment", "target")
 _Answer = GeneratedTouch | Skipped[GeneratedTouch] | Fallback[GeneratedTouch]
 Params = TypeVar("Params")
 Reads = TypeVarTuple("Reads")
+
+
+def list_inner_methods(kind: str) -> dict[str, str]:
+    """Return stage -> method of `project_frame` for a source of this kind."""
+    depth = "network" if kind in bubble_network.KINDS else "physics"
+    return {"depth": depth, "cloud": "back_projection", "target_depth": "surface"}
 
 
 def project_frame(
@@ -45,7 +48,8 @@ def project_frame(
     progress: Progress = SILENT,
 ) -> tuple[DepthMap, TargetDepth]:
     """Depth of a frame and its target depth, cached; the notes of the second begin with the warnings of the first."""
-    weights = depth_network.select_weights(source, source, None)
+    is_network = list_inner_methods(source.kind)["depth"] == "network"
+    weights = bubble_network.select_weights(source, source, None) if is_network else NoWeights(why="")
 
     def project() -> tuple[DepthMap, TargetDepth]:
         at_rest = photometric.skip_without_contact(frame, source, calibration, photometric.DepthParams())
@@ -131,8 +135,8 @@ def _estimate_depth(
 ) -> DepthMap:
     if isinstance(weights, NoWeights):
         return photometric.estimate_depth_with_notes(frame, source, calibration, photometric.DepthParams(), progress)
-    return depth_network.estimate_depth(
-        frame, source, calibration, network_factory.load_predictor(weights), NetworkParams(), progress
+    return bubble_network.estimate_frame(
+        frame, source, calibration, network_factory.load_predictor(weights), bubble_network.NetworkParams(), progress
     )
 
 

@@ -26,7 +26,7 @@ from pipeline.stages.stage import (
     look_up_element,
 )
 from pipeline.stages.touch import latent_diffusion, physical_render, t2d2, t2t, vqvae
-from pipeline.stages.touch.frame_chain import INNER_METHODS, PHYSICS_FROM_FRAME, READS, guard_contact
+from pipeline.stages.touch.frame_chain import PHYSICS_FROM_FRAME, READS, guard_contact, list_inner_methods
 from pipeline.stages.touch.latent_diffusion import LatentParams
 from pipeline.stages.touch.residual_diffusion import DiffusionParams, make_draft_params
 from pipeline.values.results import GeneratedTouch
@@ -64,7 +64,7 @@ T2T = Method(
     params=DiffusionParams,
     reads=(*READS, "touch_weights"),
     weights=t2t.select_weights,
-    inner_methods=INNER_METHODS,
+    list_inner_methods=list_inner_methods,
     draft=make_draft_params,
     version=10,
 )
@@ -91,7 +91,7 @@ LATENT = Method(
     params=LatentParams,
     reads=(*READS, "touch_weights"),
     weights=latent_diffusion.select_weights,
-    inner_methods=INNER_METHODS,
+    list_inner_methods=list_inner_methods,
     draft=latent_diffusion.make_draft_params,
     version=2,
 )
@@ -104,7 +104,7 @@ VQVAE = Method(
     params=NoParams,
     reads=(*READS, "touch_weights"),
     weights=vqvae.select_weights,
-    inner_methods=INNER_METHODS,
+    list_inner_methods=list_inner_methods,
     version=2,
 )
 

@@ -6,14 +6,16 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from pipeline.base.arrays import freeze
 from pipeline.base.errors import SettingProblem
 from pipeline.base.params import setting
-from pipeline.base.progress import Cancelled
+from pipeline.base.progress import SILENT, Cancelled
 from pipeline.engine.cache import Cache, CacheEntry
 from pipeline.engine.digests import DigestCache, compute_digest
-from pipeline.engine.graph import Graph, Method, skip_if_exact
+from pipeline.engine.graph import Fallback, Graph, Method, Skipped, chain_nodes, skip_if_exact
 from pipeline.geometry.meshes import Mesh
 
 
@@ -269,3 +271,92 @@ def test_another_version_or_method_runs_again_on_what_is_cached(ran, change):
     for known in (method, method, replace(method, **change)):
         Graph((known,), cache=cache).evaluate(("double",), {"x": X}, {})
     assert ran.names == ["double", "double"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ChainParams:
+    scale: float = setting(2.0, "Scale")
+    shift: float = setting(0.5, "Shift")
+
+
+@pytest.fixture
+def chain(ran):
+    """scale x, take the sign, shift: a chain of three nodes, of which the first reads one parameter alone."""
+
+    def make(scaled=lambda x, p: Number(value=x.value * p.scale)):
+        nodes = (
+            replace(
+                ran.stage("c.scaled", ("x",), scaled), params=ChainParams, select_params=lambda p: replace(p, shift=0.0)
+            ),
+            replace(
+                ran.stage("c.sign", ("c.scaled",), lambda s, _p: Number(value=float(np.sign(s.value)))),
+                select_params=lambda _p: Add(),
+            ),
+            replace(
+                ran.stage(
+                    "c.shifted",
+                    ("c.sign", "y"),
+                    lambda s, y, p: Number(value=s.value + y.value + p.shift, notes=("end",)),
+                ),
+                select_params=lambda p: replace(p, scale=0.0),
+                params=ChainParams,
+            ),
+        )
+        reads = ("x", "y")
+        return Method(
+            stage="c",
+            name="chain",
+            title="Chain",
+            run=chain_nodes(nodes, reads),
+            params=ChainParams,
+            reads=reads,
+            nodes=nodes,
+        )
+
+    return make
+
+
+def test_a_chain_repeats_only_the_nodes_that_read_a_changed_parameter(chain, ran):
+    graph, inputs = Graph((chain(),)), {"x": X, "y": Y}
+    first = graph.evaluate(["c"], inputs, {})["c"]
+    assert (first.output.value, first.notes, first.state, first.name) == (11.5, ("end",), "computed", "c")
+    assert [n.name for n in first.nodes] == ["c.scaled", "c.sign", "c.shifted"]
+    ran.names.clear()
+    shifted = graph.evaluate(["c"], inputs, {"c": ChainParams(shift=1.0)})["c"]
+    assert (shifted.output.value, ran.names) == (12.0, ["c.shifted"])
+    ran.names.clear()
+    scaled = graph.evaluate(["c"], inputs, {"c": ChainParams(scale=3.0)})["c"]
+    assert (scaled.state, ran.names) == ("unchanged", ["c.scaled", "c.sign"])
+    assert graph.evaluate(["c"], inputs, {})["c"].state == "cached"
+
+
+@pytest.mark.parametrize("kind", [Skipped, Fallback])
+def test_a_node_that_answers_for_the_chain_ends_it(chain, ran, kind):
+    def answer(x, _p):
+        value = Number(value=-x.value)
+        return (
+            Skipped(output=value, reason="nothing here")
+            if kind is Skipped
+            else Fallback(result=value, reason="another")
+        )
+
+    method, inputs = chain(answer), {"x": X, "y": Y}
+    found = Graph((method,)).evaluate(["c"], inputs, {})["c"]
+    assert (found.output.value, ran.names) == (-3.0, ["c.scaled"])
+    assert (found.state == "skipped", found.fallback) == (kind is Skipped, "" if kind is Skipped else "another")
+    assert method.run(X, Y, ChainParams(), SILENT) == answer(X, None)
+
+
+@given(x=st.floats(-1e3, 1e3), scale=st.floats(-10, 10), shift=st.floats(-10, 10))
+def test_a_chain_run_by_itself_equals_its_nodes_in_the_graph(x, scale, shift):
+    nodes = (
+        Method(stage="c.a", name="a", title="a", run=lambda x, p, _: Number(value=x.value * p.scale), params=ChainParams, reads=("x",)),
+        Method(stage="c.b", name="b", title="b", run=lambda a, p, _: Number(value=a.value + p.shift), params=ChainParams, reads=("c.a",)),
+    )  # fmt: skip
+    method = Method(
+        stage="c", name="c", title="c", run=chain_nodes(nodes, ("x",)), params=ChainParams, reads=("x",), nodes=nodes
+    )
+    params = ChainParams(scale=scale, shift=shift)
+    assert Graph((method,)).evaluate(["c"], {"x": Number(value=x)}, {"c": params})["c"].output == method.run(
+        Number(value=x), params, SILENT
+    )

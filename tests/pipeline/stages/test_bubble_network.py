@@ -17,9 +17,9 @@ from pipeline.sensors.spec import load_sensor
 from pipeline.simulation import shapes
 from pipeline.simulation.press import simulate_press
 from pipeline.simulation.variation import vary_sensor
-from pipeline.stages.depth import bubble_network, network
+from pipeline.stages.depth import bubble_network
+from pipeline.stages.depth.bubble_network import NetworkParams
 from pipeline.stages.depth.bubble_network_input import N_CHANNELS, estimate_rest_surface, make_network_input
-from pipeline.stages.depth.network import NetworkParams
 from pipeline.stages.depth.photometric import DepthParams, estimate_depth
 from pipeline.values.frames import TactileFrame
 
@@ -133,7 +133,7 @@ def test_physics_removes_the_noise_of_the_reference_as_well():
 
 @pytest.fixture(scope="module")
 def shipped():
-    weights = network.select_weights(SPEC, load_sensor("gelslim"), None)
+    weights = bubble_network.select_weights(SPEC, load_sensor("gelslim"), None)
     assert weights.card["task"] == "bubble_depth"
     return network_factory.load_predictor(weights)
 
@@ -147,7 +147,7 @@ def test_shipped_weights_are_nearer_than_physics_on_an_unseen_object(shipped):
     exact = SPEC.rest_depth_mm - truth.indentation_mm
     seen = frame(np.array(bubble_camera.simulate_depth_frame(unit, SPEC.rest_depth_mm, 7)), 0.0)
     seen = replace(seen, image=bubble_camera.simulate_depth_frame(unit, exact, 8))
-    found = network.estimate_depth(seen, SPEC, None, shipped, NetworkParams())
+    found = bubble_network.estimate_frame(seen, SPEC, None, shipped, NetworkParams())
     physics = estimate_depth(seen, SPEC, None, DepthParams())
     off, theirs = (np.abs(d.depth_mm - exact)[truth.contact].mean() for d in (found, physics))
     assert off < 0.15
@@ -163,7 +163,9 @@ def test_shipped_weights_find_no_contact_in_drift_and_noise(shipped):
     for k in range(4):
         hump = rng.uniform(-0.6, 0.6) * np.exp(-((np.hypot(*np.mgrid[-70:70, -87:88]) / rng.uniform(20, 60)) ** 2))
         image = np.array(bubble_camera.simulate_depth_frame(SPEC, SPEC.rest_depth_mm, 10 + k)) - hump.astype(np.float32)
-        found = network.estimate_depth(replace(frame(noisy, 0.0), image=image), SPEC, None, shipped, NetworkParams())
+        found = bubble_network.estimate_frame(
+            replace(frame(noisy, 0.0), image=image), SPEC, None, shipped, NetworkParams()
+        )
         assert not found.contact.any()
 
 
@@ -173,7 +175,9 @@ def estimate_real_contacts(shipped, frames):
         pytest.skip(f"no {path}")
     stereo = load_sensor("soft_bubble_stereo")
     stream = open_recording(path, sensor=stereo.name).stream()
-    return [network.estimate_depth(stream.frame(k), stereo, None, shipped, NetworkParams()).contact for k in frames]
+    return [
+        bubble_network.estimate_frame(stream.frame(k), stereo, None, shipped, NetworkParams()).contact for k in frames
+    ]
 
 
 @pytest.mark.real_data

@@ -15,9 +15,8 @@ from pipeline.metrics.stage_metrics import iou
 from pipeline.recordings import open_recording
 from pipeline.sensors.spec import load_sensor
 from pipeline.stages.depth import draft_resolution, gel_depth, photometric
-from pipeline.stages.depth.gel_network import NetworkParams
 from pipeline.stages.depth.illumination.constants import CONSTANTS
-from pipeline.stages.depth.stage import NETWORK, PHYSICS
+from pipeline.stages.depth.stage import PHYSICS
 
 TOUCHED = 5
 
@@ -27,16 +26,11 @@ def frame():
     return open_recording(SAMPLE_RECORDING, sensor="gelslim").stream("gelslim").frame(TOUCHED)
 
 
-def read(method, frame, params, name="gelslim"):
-    gel = load_sensor(name)
-    weights = () if method.weights is None else (method.weights(gel, gel, None),)
-    return method.run(frame, gel, None, *weights, params, SILENT)
-
-
-@pytest.mark.parametrize("method", [NETWORK, PHYSICS], ids=lambda method: method.name)
-def test_a_draft_of_a_gel_is_close_to_the_full_result_on_the_same_pixels(frame, method):
+def test_a_draft_of_a_gel_is_close_to_the_full_result_on_the_same_pixels(frame):
     gel = load_sensor("gelslim")
-    whole, draft = (read(method, frame, params) for params in (method.params(), method.draft(method.params())))
+    whole, draft = (
+        PHYSICS.run(frame, gel, None, params, SILENT) for params in (PHYSICS.params(), PHYSICS.draft(PHYSICS.params()))
+    )
     assert draft.indentation_mm.shape == whole.indentation_mm.shape == draft.contact.shape
     assert draft.camera == whole.camera
     assert iou(draft.contact, whole.contact) > 0.85
@@ -45,8 +39,6 @@ def test_a_draft_of_a_gel_is_close_to_the_full_result_on_the_same_pixels(frame, 
     np.testing.assert_allclose(draft.depth_mm, gel.rest_depth_mm - draft.indentation_mm, atol=1e-4)
     assert any("draft at 1/2 of the resolution" in note for note in draft.notes)
     assert not any("draft" in note for note in whole.notes)
-    if method is NETWORK:
-        assert draft.expected_error_mm.shape == whole.expected_error_mm.shape == gel.camera.shape
 
 
 @pytest.mark.parametrize("index", [3, 8, 9, 13])
@@ -61,11 +53,6 @@ def test_a_draft_keeps_touches_that_fill_the_view(index):
         assert not photometric.estimate_depth(
             stream.frame(untouched), spec, None, photometric.make_draft_params(photometric.DepthParams())
         ).contact.any()
-
-
-def test_settings_of_physics_affect_the_network_method(frame):
-    whole, faint = (read(NETWORK, frame, NetworkParams(contact_limit=limit)) for limit in (1.0, 8.0))
-    assert 0 < faint.contact.sum() < whole.contact.sum()
 
 
 def test_a_draft_takes_the_illumination_of_the_full_frame(frame, monkeypatch):

@@ -15,9 +15,9 @@ from pipeline.networks.weights import NoWeights
 from pipeline.physics import optics
 from pipeline.sensors import alignment
 from pipeline.sensors.spec import load_sensor
-from pipeline.stages.depth.gel_network import NetworkParams
+from pipeline.stages.depth.photometric import DepthParams
 from pipeline.stages.touch import latent_diffusion, physical_render, t2d2, t2t, vqvae
-from pipeline.stages.touch.frame_chain import INNER_METHODS, guard_contact
+from pipeline.stages.touch.frame_chain import guard_contact, list_inner_methods
 from pipeline.translation.catalogue import BUILT_IN
 from pipeline.values.frames import TactileFrame
 from tests.pipeline.stages.test_light_changes import add_spot
@@ -31,7 +31,7 @@ SAMPLERS = (
 
 def evaluate(name, frame, *, target=BUBBLE, target_too_far_mm=0.0):
     """All results up to the depth of the touch by a method with its shipped weights."""
-    methods = BUILT_IN.methods("t2d2", {"touch": name})
+    methods = BUILT_IN.methods("t2d2", {"touch": name}, {"source": GEL.kind, "target": target.kind})
     moved = alignment.correct_alignment(
         alignment.resolve_alignment(GEL, target), rigid.translation(0.0, 0.0, target_too_far_mm)
     )
@@ -147,7 +147,7 @@ def test_weights_of_recorded_pairs_are_asked_wherever_the_source_is_touched(touc
 @pytest.mark.parametrize("name", ["t2t", "latent", "vqvae"])
 def test_settings_that_do_not_reach_a_method_are_named(name, lit_frame):
     def warn(params, **others):
-        graph = Graph(BUILT_IN.methods("t2d2", {"touch": name, **others}))
+        graph = Graph(BUILT_IN.methods("t2d2", {"touch": name, **others}, {"source": GEL.kind, "target": BUBBLE.kind}))
         methods = {method.stage: method for method in graph.methods}
         inputs = {
             "frame": lit_frame, "source": GEL, "target": BUBBLE, "calibration": None, "mesh": None, "previous": None,
@@ -158,14 +158,16 @@ def test_settings_that_do_not_reach_a_method_are_named(name, lit_frame):
         return [note for note in notes if "not used" in note]
 
     assert not warn({})
-    assert not warn({"depth": NetworkParams()})
-    (of_parameters,) = warn({"depth": NetworkParams(contact_limit=3.0)})
+    assert not warn({"depth": DepthParams()})
+    (of_parameters,) = warn({"depth": DepthParams(contact_limit=3.0)})
     assert of_parameters.startswith("the parameters of depth are not used")
-    (of_method,) = warn({}, depth="physics")
-    assert of_method.startswith("the method 'Physics' of depth is not used")
+    (of_method,) = warn({}, target_depth="paper")
+    assert of_method.startswith("the method 'Point splat (paper)' of target depth is not used")
     assert len(warn({}, depth="unet", target_depth="paper")) == 2
 
 
 def test_the_inner_methods_are_those_of_the_default_route():
-    route = BUILT_IN.route("t2d2").methods
-    assert {stage: route[stage] for stage in INNER_METHODS} == INNER_METHODS
+    for kind in ("gel", "bubble"):
+        methods = {m.stage: m.name for m in BUILT_IN.methods("t2d2", kinds={"source": kind, "target": kind})}
+        inner = list_inner_methods(kind)
+        assert {stage: methods[stage] for stage in inner} == inner

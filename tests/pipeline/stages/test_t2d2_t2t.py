@@ -19,9 +19,9 @@ from pipeline.sensors.spec import load_sensor
 from pipeline.simulation import poses, shapes
 from pipeline.simulation.press import simulate_press
 from pipeline.stages.cloud.back_projection import BackProjectionParams, back_project_depth
-from pipeline.stages.depth import network as depth_network
+from pipeline.stages.depth import bubble_network
 from pipeline.stages.depth import photometric as depth
-from pipeline.stages.depth.gel_network import NetworkParams
+from pipeline.stages.depth.bubble_network import NetworkParams
 from pipeline.stages.target_depth.surface_projection import SurfaceProjectionParams, project_cloud
 from pipeline.stages.touch import frame_chain, physical_render, t2d2, t2t
 from pipeline.stages.touch.depth_condition import CONDITION_CHANNELS, make_working_sensor
@@ -322,11 +322,11 @@ def test_the_fallback_of_t2t_uses_the_default_depth_method(ball_frames, monkeypa
     """The bubble network, so that T2T and T2D2 are compared with the same physics; physics without its weights."""
     frame, between = ball_frames[2], alignment.resolve_alignment(BUBBLE, GEL)
     reads = frame, BUBBLE, None, between, GEL, physical_render.PhysicalRenderParams()
-    by_network = depth_network.estimate_depth(
-        frame, BUBBLE, None, load_predictor(depth_network.select_weights(BUBBLE, BUBBLE, None)), NetworkParams()
+    by_network = bubble_network.estimate_frame(
+        frame, BUBBLE, None, load_predictor(bubble_network.select_weights(BUBBLE, BUBBLE, None)), NetworkParams()
     )
     for seen in (by_network, depth.estimate_depth_with_notes(frame, BUBBLE, None, depth.DepthParams())):
         view = project_cloud(back_project_depth(seen, between, BackProjectionParams()), GEL, SurfaceProjectionParams())
         expected = physical_render.render_touch(view, GEL, physical_render.PhysicalRenderParams()).membrane
         assert np.array_equal(frame_chain.render_from_frame(*reads).membrane.contact, expected.contact)
-        monkeypatch.setattr(depth_network, "select_weights", lambda *_: NoWeights(why="none are there"))
+        monkeypatch.setattr(bubble_network, "select_weights", lambda *_: NoWeights(why="none are there"))

@@ -17,7 +17,6 @@ from pipeline.physics import optics
 from pipeline.sensors import alignment
 from pipeline.sensors.spec import load_sensor
 from pipeline.simulation.shapes import list_labelled_shapes, make_shape
-from pipeline.stages.depth import network as depth_network
 from pipeline.stages.pose import network as pose_network
 from pipeline.stages.touch import vqvae
 from pipeline.stages.touch.image_condition import reproject_square
@@ -28,6 +27,7 @@ from pipeline.translation.catalogue import BUILT_IN
 from pipeline.values.frames import TactileFrame
 
 GEL, BUBBLE = load_sensor("gelslim"), load_sensor("soft_bubble")
+KINDS = {"source": "gel", "target": "bubble"}
 
 
 def weights_of(kind, task, **config):
@@ -52,12 +52,12 @@ def contact_frame():
 def inputs(frame, **more):
     return {
         "frame": frame, "source": GEL, "target": BUBBLE, "calibration": None, "mesh": None, "previous": None,
-        "alignment": alignment.resolve_alignment(GEL, BUBBLE), "depth_weights": depth_network.select_weights(GEL, BUBBLE, None), **more,
+        "alignment": alignment.resolve_alignment(GEL, BUBBLE), **more,
     }  # fmt: skip
 
 
 def run(frame, weights, stage="touch"):
-    graph = Graph(BUILT_IN.methods("t2d2", {"touch": "vqvae"}))
+    graph = Graph(BUILT_IN.methods("t2d2", {"touch": "vqvae"}, KINDS))
     return graph.evaluate([stage], inputs(frame, touch_weights=weights), {})
 
 
@@ -76,7 +76,7 @@ def test_missing_weights_fall_back_to_the_physical_chain(contact_frame):
     assert "none are shipped" in found.fallback
     assert found.output.membrane.contact.any()
     direct = (
-        Graph(BUILT_IN.methods("t2d2", {"touch": "physics"}))
+        Graph(BUILT_IN.methods("t2d2", {"touch": "physics"}, KINDS))
         .evaluate(["touch"], inputs(contact_frame), {})["touch"]
         .output
     )
@@ -173,7 +173,7 @@ def test_a_network_pose_stands_on_the_measured_surface(contact_frame):
 
     mesh = shapes.make_shape("star").mesh
     weights = weights_of("touch_pose", "touch_pose", inputs=1, n_objects=2, base_channels=4)
-    graph = Graph(BUILT_IN.methods("t2d2", {"touch": "physics", "pose": "network"}))
+    graph = Graph(BUILT_IN.methods("t2d2", {"touch": "physics", "pose": "network"}, KINDS))
     found = graph.evaluate(["pose"], inputs(contact_frame, mesh=mesh, pose_weights=weights), {})
     pose, touch_depth = found["pose"].output, found["touch_depth"].output
     placed = BUBBLE.alignment_from_sensor @ pose.sensor_from_object
@@ -207,6 +207,6 @@ def test_a_network_pose_uses_the_symmetry_of_the_object(name, rotation_deg):
 
 
 def test_missing_pose_weights_fall_back_to_registration(contact_frame):
-    graph = Graph(BUILT_IN.methods("t2d2", {"touch": "physics", "pose": "network"}))
+    graph = Graph(BUILT_IN.methods("t2d2", {"touch": "physics", "pose": "network"}, KINDS))
     given = inputs(contact_frame, mesh=None, pose_weights=NoWeights(why="none are shipped"))
     assert graph.evaluate(["pose"], given, {})["pose"].badge.startswith("signed distances:")

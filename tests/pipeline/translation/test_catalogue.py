@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.base.errors import SettingProblem
+from pipeline.base.errors import SettingProblem, select_warnings
 from pipeline.base.params import list_settings
 from pipeline.reporting.frame_report import FrameReport
 from pipeline.reporting.report import collect_stage_arrays, write_frame, write_report
@@ -98,12 +98,24 @@ def test_the_truth_may_stand_for_a_slot(toy):
     assert len(given["cloud"].output.points_mm) == np.count_nonzero(truth.contact)
 
 
-def test_sensors_are_read_by_the_network_unless_somebody_says_otherwise():
+def test_a_bubble_is_read_by_the_network_unless_somebody_says_otherwise():
     assert BUILT_IN.methods("t2d2", {"depth": "physics"})[0].name == "physics"
-    for source, target in (("soft_bubble", "gelslim"), ("digit", "soft_bubble")):
-        with closing(open_translation(Request(recording=SAMPLE, source=source, target=target))) as opened:
-            assert opened.methods[0].name == "network"
-            assert opened.methods[0].weights_name in opened.read_inputs(TOUCHED)
+    with closing(open_translation(Request(recording=SAMPLE, source="soft_bubble", target="gelslim"))) as opened:
+        assert opened.methods[0].name == "network"
+        assert opened.methods[0].weights_name in opened.read_inputs(TOUCHED)
+
+
+def test_a_method_for_another_kind_of_sensor_makes_way_and_a_note_says_so():
+    """A network of bubbles is no choice for a gel."""
+    plain = Request(recording=SAMPLE, source="digit", target="soft_bubble")
+    with closing(open_translation(plain)) as opened:
+        assert opened.methods[0].name == "physics"
+        assert not any("is for sensors" in note for note in opened.notes)
+    with closing(open_translation(replace(plain, methods=(("depth", "network"),)))) as opened:
+        assert opened.methods[0].name == "physics"
+        (note,) = select_warnings(opened.notes)
+        assert "'Network' is for sensors of kind bubble, and DIGIT is a gel" in note
+        assert "(depth=physics)" in note
 
 
 def test_a_gels_depth_loads_no_torch():
