@@ -20,7 +20,7 @@ from widgets.trials_panel import ERROR_MM
 
 pytestmark = pytest.mark.timeout(600)  # the first grasp compiles kernels where `tactoscope prepare` has not
 LIMIT_MS = 120_000
-FAILS = "hex_key_t2t_0.5mm_002.h5"
+FAILS = "hex_key_t2t_0.1mm_000.h5"
 
 
 def get_part(controller, kind):
@@ -50,7 +50,7 @@ def test_a_folder_opens_as_rows_at_its_first_failure(open_window, rollout_folder
     assert rollouts.shown.rollout.path == trials.model.trials[0].path == controller.session.recording
     trials.table.sortByColumn(ERROR_MM, Qt.SortOrder.DescendingOrder)
     assert [trial.touch for trial in trials.listed_trials] == ["none", "none", "t2t", "t2t"]
-    trials.filter_line.setText("t2t fails >0.5")
+    trials.filter_line.setText("t2t fails >0.3")
     assert [trial.path.name for trial in trials.listed_trials] == [FAILS]
     trials.copy_rows()
     titles, row = QGuiApplication.clipboard().text().splitlines()
@@ -119,7 +119,7 @@ def test_a_session_keeps_trial_and_tick(opened, open_window, tmp_path, qtbot):
 def test_attribution_runs_when_asked_adds_up_and_is_kept(opened, qtbot):
     controller, rollouts = opened
     panel, attribution = controller.window.task.decision, get_part(controller, RolloutAttributionController)
-    assert panel.sentence.text().startswith("fails by 1.0 mm off the hole's axis")
+    assert panel.sentence.text().startswith("fails by 0.3 mm off the hole's axis")
     assert panel.waterfall.bars == ()
     panel.run_bar.start_button.click()
     assert attribution.is_busy
@@ -168,7 +168,7 @@ def test_nothing_is_read_while_another_layout_is_shown(opened, rollout_folder, q
     controller, rollouts = opened
     controller.window.actions_by_name["layout_stages"].trigger()
     monkeypatch.setattr("app.window.rollouts.open_rollout", lambda *_: pytest.fail("read while hidden"))
-    controller.change("open recording", recording=rollout_folder / FAILS.replace("0.5mm", "2mm"))
+    controller.change("open recording", recording=rollout_folder / FAILS.replace("0.1mm", "2mm"))
     qtbot.waitUntil(lambda: controller.is_idle and not rollouts.is_busy, timeout=LIMIT_MS)
     assert not controller.window.task.isVisible()
     assert controller.window.timeline.isVisible()

@@ -20,7 +20,7 @@ from pipeline.tasks.task import load_task
 from pipeline.tasks.trial_rows import compute_error_deg, is_rollout_folder, list_trials
 
 pytestmark = pytest.mark.timeout(600)  # the first grasp compiles kernels where `tactoscope prepare` has not
-FAILS = "hex_key_t2t_0.5mm_002.h5"
+FAILS = "hex_key_t2t_0.1mm_000.h5"
 
 
 @pytest.fixture(scope="module")
@@ -31,11 +31,11 @@ def failed(rollout_folder):
 def test_rows_of_a_folder_hold_outcome_and_errors(rollout_folder):
     rows = {row.path.name: row for row in list_trials(rollout_folder)}
     assert [row.outcome for row in rows.values()] == ["fails", "fails", "fails", "succeeds"]
-    assert {(row.task, row.case, row.trial) for row in rows.values()} == {("insertion", "hex_key", 2)}
+    assert {(row.task, row.case, row.trial) for row in rows.values()} == {("insertion", "hex_key", 0)}
     row = rows[FAILS]
-    assert (row.touch, row.tolerance_mm) == ("t2t", 0.5)
-    assert row.error_mm == pytest.approx(1.0157, abs=0.01)
-    assert row.error_deg == pytest.approx(4.343, abs=0.05)
+    assert (row.touch, row.tolerance_mm) == ("t2t", 0.1)
+    assert row.error_mm == pytest.approx(0.3277, abs=0.01)
+    assert row.error_deg == pytest.approx(1.810, abs=0.05)
     assert row.cause.startswith("jams")
     assert list_trials(rollout_folder / FAILS) == tuple(rows.values())
 
@@ -70,9 +70,9 @@ def test_run_again_it_is_the_recorded_one_and_its_shares_add_up_and_flip(failed)
     assert max(shares, key=lambda part: part.share_mm).stage == "touch"
     assert next(part for part in shares if part.succeeds).stage == "touch"
     sentence = describe_error(decisions[0], "off the hole's axis", succeeds=True)
-    assert sentence.startswith("1.0 mm off the hole's axis; it succeeds")
+    assert sentence.startswith("0.3 mm off the hole's axis; it succeeds")
     sentence = describe_error(decisions[0], "off the hole's axis", succeeds=False)
-    assert sentence.startswith("fails by 1.0 mm off the hole's axis; of it 0.9 the generated touch")
+    assert sentence.startswith("fails by 0.3 mm off the hole's axis; of it 0.3 the generated touch")
     assert sentence.endswith("with the true touch it succeeds")
     fractions = [fraction for fraction, _ in steps]
     assert fractions == sorted(fractions)
