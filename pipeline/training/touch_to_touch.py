@@ -9,7 +9,6 @@ import numpy as np
 
 from pipeline.sensors import alignment
 from pipeline.stages.touch.image_condition import build_image_condition
-from pipeline.training.condition_squares import sample_depth_noise
 from pipeline.training.conditioned_touch import ConditionedTouch, condition_recorded_pair, jitter_touch
 from pipeline.training.denoising import DenoisingTask
 from pipeline.training.object_sampling import DataSplit, find_next_contact
@@ -23,8 +22,7 @@ from pipeline.training.touch_pairs import (
     place_nominal_sensors,
     simulate_touch_pair,
 )
-from pipeline.training.touch_residual import flip_example, make_residual_example
-from pipeline.training.touch_squares import list_pair_sensors
+from pipeline.training.touch_residual import make_residual_example
 
 if TYPE_CHECKING:
     from pipeline.training.task import Example, Split
@@ -32,17 +30,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TouchToTouchTask(DenoisingTask):
-    """Settings of the examples and weights of the loss; the sensor that is not the target is the source."""
+    """Settings of the examples and weights of the loss; from a gel to a bubble."""
 
     augmentation_share: float = augmentation_setting(
-        help="rotated or mirrored examples; three in four of them, for a gel source, with a new image"
+        help="mirrored examples, three in four of them with a new image"
     )
+
+    @property
+    def kind(self) -> str:
+        """Kind of the target."""
+        return "bubble"
 
     def sample(self, rng: np.random.Generator) -> Example:
         """A pair, augmented in a share of the examples; a gel's image is rendered anew, as its LEDs are asymmetric."""
         pair = self._get_pair("training", self.press_seed, int(rng.integers(self.n_presses)))
-        if self.target == GEL:
-            return flip_example(self._make_example(pair, rng), rng, self.augmentation_share)
         return self._make_example(mirror_pair(pair, rng) if rng.random() < self.augmentation_share else pair, rng)
 
     def make_validation_example(self, split: Split, index: int) -> Example:
@@ -52,7 +53,7 @@ class TouchToTouchTask(DenoisingTask):
     @property
     def pair_sensors(self) -> tuple[str, str]:
         """Names of source and target."""
-        return list_pair_sensors(self.target)
+        return GEL, BUBBLE
 
     def prepare_pair(self, pair: RecordedPair) -> ConditionedTouch | None:
         """Condition and true touch of a recorded pair."""
@@ -74,13 +75,8 @@ class TouchToTouchTask(DenoisingTask):
 
     def _make_example(self, pair: TouchPair, rng: np.random.Generator) -> Example:
         gel, bubble = place_nominal_sensors(float(pair.deeper_mm[0]))
-        if self.target == BUBBLE:
-            change = pair.change_grey + rng.normal(0.0, 1.0, pair.change_grey.shape).astype(np.float32)
-            source, target, truth, contact = gel, bubble, pair.bubble_mm, pair.bubble_contact
-        else:
-            change = pair.bubble_mm + sample_depth_noise(rng, pair.bubble_mm.shape)
-            source, target, truth, contact = bubble, gel, pair.gel_mm, pair.gel_contact
-        condition = build_image_condition(
-            change, source.camera, source, target, alignment.resolve_alignment(source, target)
-        )
-        return make_residual_example(condition, truth, contact, np.zeros(contact.shape, np.bool_), self.kind)
+        change = pair.change_grey + rng.normal(0.0, 1.0, pair.change_grey.shape).astype(np.float32)
+        between = alignment.resolve_alignment(gel, bubble)
+        condition = build_image_condition(change, gel.camera, gel, bubble, between)
+        no_contact = np.zeros(pair.bubble_contact.shape, np.bool_)
+        return make_residual_example(condition, pair.bubble_mm, pair.bubble_contact, no_contact, self.kind)
