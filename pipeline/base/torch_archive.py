@@ -39,7 +39,7 @@ def load_torch_file(path: Path, *, only_tensors: bool = False) -> Any:
     except OSError as error:
         raise FileProblem(f"cannot read the tensors ({describe_os_error(error)})", path) from error
     if head != SIGNATURE and head[:1] != PICKLE_SIGNATURE:
-        raise FileProblem("this is no PyTorch file, or it is truncated or damaged", path)
+        raise FileProblem("this is not a PyTorch file, or it is cut short or damaged", path)
     is_mapped = head == SIGNATURE and is_utf8_encodable(str(path)) and path.suffix != ".safetensors"  # by its name
     if not is_mapped:
         require_budget(path.stat().st_size, "the tensors", path)
@@ -65,7 +65,7 @@ def load_torch_file(path: Path, *, only_tensors: bool = False) -> Any:
                 "the file holds more than tensors and loading it could run code; save the tensors alone, such as a "
                 "network's state_dict", path,
             ) from error  # fmt: skip
-        raise FileProblem("this is no PyTorch file, or it is truncated or damaged", path) from error
+        raise FileProblem("this is not a PyTorch file, or it is cut short or damaged", path) from error
 
 
 class Inert:
@@ -87,11 +87,9 @@ class _InertDict:
 
 def require_checksums(path: Path) -> None:
     """Raise FileProblem where the checksum of a member of an archive does not fit; torch does not compare them."""
-    with contextlib.suppress(zipfile.BadZipFile):
-        with zipfile.ZipFile(path) as archive:
-            if archive.testzip() is None:
-                return
-        raise FileProblem("a tensor is damaged: copy or download the file again", path)
+    with contextlib.suppress(*ZIP_ERRORS), zipfile.ZipFile(path) as archive:  # torch says what is no archive
+        if archive.testzip() is not None:
+            raise FileProblem("a tensor is damaged: copy or download the file again", path)
 
 
 def _require_short_description(path: Path) -> None:

@@ -55,12 +55,17 @@ def generate_touch(
 ) -> GeneratedTouch | Fallback[GeneratedTouch]:
     """Generate what `target` would record of the touch in `frame`; raises ShapeError for an invalid frame.
 
-    The frame is in contact (`frame_chain.guard_contact`). No denoising step gives the physical render.
+    The frame is in contact (`frame_chain.guard_contact`). No denoising step gives the physical render, and so does a
+    touch deeper than the source can be pressed.
     """
-    if not params.steps:
+
+    def answer_by_physics(reason: str) -> Fallback[GeneratedTouch]:
         render_params = physical_render.PhysicalRenderParams(add_noise=params.add_noise, seed=params.seed)
-        touch = frame_chain.render_from_frame(frame, source, calibration, alignment, target, render_params, progress)
-        return Fallback(result=touch, reason=NO_STEPS)
+        reads = frame, source, calibration, alignment, target
+        return Fallback(result=frame_chain.render_from_frame(*reads, render_params, progress), reason=reason)
+
+    if not params.steps:
+        return answer_by_physics(NO_STEPS)
     condition = build_condition(frame, source, alignment, target)
     sample = sample_residual(network, condition, params, progress, draw_last_noise=target.sensor_kind.is_depth)
     at_rest = replace(physical_render.make_reference_touch(target), notes=())
@@ -68,7 +73,9 @@ def generate_touch(
     is_recorded = bool(getattr(network, "trained_on_recordings", False))
     warnings = depth.warn_of_mismatch(frame, source, calibration)
     limits = () if is_recorded else check_depth_limit(touch, source, target, alignment)
-    return replace(touch, notes=(*warnings, *limits, *touch.notes))
+    if limits:
+        return answer_by_physics(f"physics: {limits[0].partition(';')[0]}")
+    return replace(touch, notes=(*warnings, *touch.notes))
 
 
 def build_condition(frame: TactileFrame, source: SensorSpec, alignment: Alignment, target: SensorSpec) -> Floats:

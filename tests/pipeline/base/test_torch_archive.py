@@ -142,7 +142,7 @@ def test_the_made_description_is_one(tmp_path):
 
 @pytest.mark.parametrize("figures", [
     {"offset": 1}, {"offset": -1}, {"shape": (5,)}, {"strides": (2,)}, {"strides": (-1,)}, {"shape": (2, 2), "strides": (4, 1)},
-    {"count": 5}, {"count": 1 << 50},
+    {"count": 1 << 50, "shape": (1 << 50,)},
 ])  # fmt: skip
 def test_a_tensor_beyond_its_storage_is_refused(tmp_path, figures):
     with pytest.raises(FileProblem, match="damaged"):
@@ -172,5 +172,5 @@ def test_a_changed_byte_of_a_tensor_is_noticed(tmp_path):
 def test_a_zip_file_without_a_description_is_refused(tmp_path):
     with zipfile.ZipFile(tmp_path / "other.pt", "w") as archive:
         archive.writestr("a.txt", "a")
-    with pytest.raises(FileProblem, match="no PyTorch file"):
+    with pytest.raises(FileProblem, match="not a PyTorch file"):
         read(tmp_path / "other.pt")

@@ -16,7 +16,6 @@ from pipeline.recordings.hdf5_writer import RecordingWriter
 from pipeline.sensors.spec import load_sensor
 from pipeline.stages.touch.depth_condition import make_working_sensor
 from pipeline.stages.touch.residual_render import resample_to_grid
-from pipeline.training.conditioned_touch import ConditionedTouch, jitter_touch
 from pipeline.training.depth_anything import DepthAnythingTask
 from pipeline.training.latent import LatentTask
 from pipeline.training.loop import TrainingRun, train
@@ -27,10 +26,9 @@ from pipeline.training.recipe import (
     override_pairs,
     override_training,
 )
-from pipeline.training.recorded_pairs import PairFolder, PairTask, open_pairs, use_pairs
-from pipeline.training.recorded_touches import derive_contact
+from pipeline.training.recorded_pairs import PairFolder, PairTask, derive_contact, open_pairs, use_pairs
 from pipeline.training.touch_pose import TouchPoseTask
-from pipeline.training.touch_to_touch import TouchToTouchTask
+from pipeline.training.touch_to_touch import ConditionedTouch, TouchToTouchTask, jitter_touch
 from pipeline.training.vqvae import VqVaeTask
 from pipeline.values.frames import Truth
 from tests.pipeline.recordings.test_tensors import depth_dictionary, saved
