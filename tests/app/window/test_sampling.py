@@ -105,7 +105,7 @@ def test_what_cannot_act_is_grey_with_the_reason(sampling):
     assert (column.findChild(QLabel, "note_touch").text(), column.state) == (
         "physics: no network for this pair", "warning",
     )  # fmt: skip
-    assert "0.106 mm" in pinned.get_control("steps").toolTip()
+    assert "from a bubble to a gel" in pinned.get_control("steps").toolTip()
 
 
 def test_a_parameter_is_found_by_its_name(sampling, qtbot):
