@@ -20,6 +20,7 @@ from pipeline.training.task import VALIDATION_SEED, augmentation_setting
 if TYPE_CHECKING:
     from pipeline.training.task import Example, Split
 
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TouchResidualTask(DenoisingTask):
     """Settings of the examples and weights of the loss."""

@@ -95,9 +95,7 @@ def jitter_touch(touch: ConditionedTouch, rng: np.random.Generator) -> Condition
 class TouchToTouchTask(DenoisingTask):
     """Settings of the examples and weights of the loss; from a gel to a bubble."""
 
-    augmentation_share: float = augmentation_setting(
-        help="mirrored examples, three in four of them with a new image"
-    )
+    augmentation_share: float = augmentation_setting(help="mirrored examples, three in four of them with a new image")
 
     @property
     def kind(self) -> str:

@@ -49,7 +49,9 @@ def test_guidance_costs_two_passes_per_step():
 
 def test_one_step_is_the_posterior_mean_and_many_steps_a_sample():
     expected = 2.0 * np.clip(CONDITION[0], -1, 1)
-    first = [sample_residual(CountingDenoiser(), CONDITION, DiffusionParams(seed=seed)).final.residual_mm for seed in (0, 1)]
+    first = [
+        sample_residual(CountingDenoiser(), CONDITION, DiffusionParams(seed=seed)).final.residual_mm for seed in (0, 1)
+    ]
     assert np.abs(first[0] - first[1]).max() < 0.02
     assert np.abs(first[0] - expected).max() < 0.02
     many = sample_residual(CountingDenoiser(), CONDITION, DiffusionParams(steps=30, seed=3)).final.residual_mm
@@ -89,7 +91,8 @@ def test_kept_states_are_limited_and_end_with_the_sample(steps):
 
 def test_too_few_steps_for_guidance_are_noted():
     assert (
-        "without guidance" in sample_residual(CountingDenoiser(), CONDITION, DiffusionParams(steps=2, guidance=7.0)).notes[0]
+        "without guidance"
+        in sample_residual(CountingDenoiser(), CONDITION, DiffusionParams(steps=2, guidance=7.0)).notes[0]
     )
 
 
