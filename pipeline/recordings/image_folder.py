@@ -4,7 +4,6 @@ import math
 import os
 import re
 from collections.abc import Callable, Mapping, Sequence
-from collections.abc import Set as AbstractSet
 from dataclasses import replace
 from pathlib import Path
 
@@ -233,7 +232,7 @@ def select_colour_series(images: Sequence[Path]) -> tuple[list[Path], tuple[str,
     return [image for image in images if image not in left_out], (note,)
 
 
-def _find_partners(images: Sequence[Path], grey: AbstractSet[Path]) -> list[Stream]:
+def _find_partners(images: Sequence[Path], grey: set[Path]) -> list[Stream]:
     """Grey images whose names end in another sensor's, one for every image: its partners, without millimetres."""
     touches = [image.stem.removesuffix(_find_ending(images[0])) for image in images]
     partners: list[Stream] = []
