@@ -18,7 +18,6 @@ from PyQt6.QtCore import QCoreApplication, QSettings
 
 from app.main import close_window, make_application, show_window
 from app.session.state import Session
-from app.window.basin_map import BasinMapController
 from app.window.comparison import ComparisonController
 from app.window.live import LiveController
 from app.window.session_controller import SessionController
@@ -43,14 +42,6 @@ def drawers(instrument: SessionController) -> None:
     """All drawers open."""
     for drawer in instrument.window.drawers.all_drawers:
         drawer.show()
-    tour.wait_for_idle(instrument)
-
-
-def basins(instrument: SessionController) -> None:
-    """The basin map, with the drawers that it opens."""
-    tour.command(instrument, "map_basins")
-    tab = next(child for child in instrument.children() if isinstance(child, BasinMapController))
-    tour.until(lambda: tab.result is not None)
     tour.wait_for_idle(instrument)
 
 
@@ -136,7 +127,7 @@ def live(instrument: SessionController) -> None:
 
 
 SCREENS: dict[str, Callable[[SessionController], None]] = {
-    "welcome": welcome, "stages": stages, "drawers": drawers, "basins": basins, "steps": steps, "inspect": inspect,
+    "welcome": welcome, "stages": stages, "drawers": drawers, "steps": steps, "inspect": inspect,
     "section": section, "align": align,
     "demo": demo, "sweep": sweep, "compare": compare, "two": two, "live": live,
 }  # fmt: skip

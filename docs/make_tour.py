@@ -25,7 +25,6 @@ prepare_environment()
 from PyQt6.QtCore import QCoreApplication, QSettings
 
 from app.session.state import Session
-from app.window.basin_map import BasinMapController
 from app.window.comparison import ComparisonController
 from app.window.live import LiveController
 from app.window.rollout_attribution import RolloutAttributionController
@@ -159,17 +158,6 @@ def seeds(instrument: SessionController, path: Path) -> None:
     save_window_screenshot(instrument, path)
 
 
-def basins(instrument: SessionController, path: Path) -> None:
-    """Where the registration of one touch ends, from all around."""
-    open_sample(instrument, frame=8)
-    wait_for_idle(instrument)
-    command(instrument, "map_basins")
-    tab = next(child for child in instrument.children() if isinstance(child, BasinMapController))
-    until(lambda: tab.result is not None)
-    wait_for_idle(instrument)
-    save_window_screenshot(instrument, path)
-
-
 def _compared(instrument: SessionController) -> ComparisonController:
     """*Compare* on a touched frame."""
     open_sample(instrument, frame=5)
@@ -270,7 +258,7 @@ def record_trials() -> Path:
 
 PICTURES = {
     "welcome": welcome, "stages": stages, "filmstrip": filmstrip, "inspect": inspect, "compare": compare, "two": two,
-    "seeds": seeds, "basins": basins, "demo": demo, "align": align, "track": track, "live": live, "trial": trial,
+    "seeds": seeds, "demo": demo, "align": align, "track": track, "live": live, "trial": trial,
     "trial_error": trial_error,
 }  # fmt: skip
 

@@ -121,7 +121,6 @@ REGISTRATION_COMMANDS = (
     Command("edit_alignment", "Edit alignment", "Open the alignment dock and focus its first number", icon="axes",
             key="A"),
     Command("step_through", "Step through", "Keep the iterations of the pose and show them"),
-    Command("map_basins", "Map basins", "Register this frame from a grid of start poses"),
     Command("open_track", "Open track…", "Open a folder that `tactoscope track` wrote"),
     Command("export_track", "Export track…", "Write table, summary and surface of the track to a folder"),
 )

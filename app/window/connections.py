@@ -14,7 +14,6 @@ from app.window.alignment_gizmo import AlignmentGizmoController
 from app.window.arrangements import ArrangementController
 from app.window.autosave import AutosaveController
 from app.window.ball_calibration import BallCalibrationController
-from app.window.basin_map import BasinMapController
 from app.window.comparison import ComparisonController
 from app.window.error_attribution import ErrorAttributionController
 from app.window.export import ExportController
@@ -82,8 +81,7 @@ def connect(controller: SessionController, theme: Theme = "light") -> AutosaveCo
         SectionLineController, PresentationController, PanZoomController, ColourLimitController,
     ):  # fmt: skip
         add_feature(controller)
-    basin_map, step_scrubber = BasinMapController(controller), StepScrubberController(controller)
-    frame_ranking = FrameRankingController(controller)
+    step_scrubber, frame_ranking = StepScrubberController(controller), FrameRankingController(controller)
     sweep, comparison = SweepController(controller), ComparisonController(controller)
     autosave = AutosaveController(controller)
     welcome = WelcomeController(controller, autosave)
@@ -104,7 +102,6 @@ def connect(controller: SessionController, theme: Theme = "light") -> AutosaveCo
     # `SessionController.show_session`, then every feature follows in this order. The layout comes last, as it may
     # request the stages again in another comparison mode.
     for follow in (
-        basin_map.show_session,  # drops a map of another frame or other settings
         step_scrubber.show_session,  # iterations of the chosen stage
         frame_ranking.show_session,  # notes
         sweep.show_session,  # drops a sweep of another frame or recording

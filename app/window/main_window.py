@@ -24,7 +24,6 @@ from app.window.menus import REFERENCE, Drawers, add_layout_tabs, build_menus, b
 from widgets.alignment_panel import AlignmentPanel
 from widgets.banner import Banner
 from widgets.base import ChoiceBox, FixedSizeLabel
-from widgets.basin_map import BasinPanel
 from widgets.comparison_page import ComparisonPage
 from widgets.error_attribution_panel import ErrorAttributionPanel
 from widgets.frames_panel import FramesPanel
@@ -81,7 +80,7 @@ class MainWindow(QMainWindow):
         self.frames, self.parameters, self.alignment = FramesPanel(), ParametersPanel(), AlignmentPanel()
         self.trace, self.log, self.timings, self.probes = TracePanel(), LogPanel(), TimingsPanel(), ProbesPanel()
         self.error_attribution = ErrorAttributionPanel()
-        self.basins, self.steps_panel, self.section_panel = BasinPanel(), StepsPanel(), SectionPanel()
+        self.steps_panel, self.section_panel = StepsPanel(), SectionPanel()
         self.presented_columns: tuple[str, ...] = ()  # those of a presentation, while there is one
         self._only_stage, self._hidden_stages, self.current_layout = "", frozenset[str](), Layout()
         self.view_panels = {name: View3DPanel(self.steps.get(name)) for name, _ in columns}
@@ -166,7 +165,6 @@ class MainWindow(QMainWindow):
             (self.probes, "Probes"),
             (self.section_panel, "Section"),
             (self.steps_panel, "Steps"),
-            (self.basins, "Basins"),
             (self.log, "Log"),
             (self.timings, "Timings"),
         )

@@ -299,12 +299,6 @@ class StageViews:
         if part.step_layers[at]:
             self.scene.show_layers(self._order.index(stage), part.step_layers[at])
 
-    def show_pose(self, sensor_from_object: Doubles, preview: Preview | None) -> None:
-        """Show another object pose, until the stage is computed again."""
-        self.scene.move_layer(self._order.index("pose"), "object", sensor_from_object)
-        if preview is not None:
-            self._window.columns["pose"].view.show_preview(preview)
-
     def _find_dependent_stages(self, name: str) -> set[str]:
         """Return the stages that depend on an input."""
         changed = {name}
