@@ -138,13 +138,7 @@ LAYOUT_COMMANDS = (
     Command("layout_track", "Track", "Show the motion of the touched object and its fused surface", key="Ctrl+8",
             checkable=True),
     Command("layout_task", "Task", "Show the rollouts of a task: why a trial fails", key="Ctrl+7", checkable=True),
-)
-ARRANGEMENT_COMMANDS = (
     Command("toggle_inspect", "Toggle Inspect", "Switch between Inspect and Stages", icon="panes", key="I"),
-    Command("save_arrangement", "Save arrangement…", "Save panes, docks and splitters under a name",
-            key="Ctrl+Shift+A"),
-    Command("rename_arrangement", "Rename arrangement…", "Rename the current arrangement"),
-    Command("delete_arrangement", "Delete arrangement", "Delete the current arrangement; the window stays as it is"),
 )
 TASK_COMMANDS = (
     Command("open_rollouts", "Open rollouts…", "Open a folder that `tactoscope task --record` wrote"),
@@ -174,7 +168,7 @@ MENUS: Mapping[str, tuple[Command, ...]] = {  # title -> commands; every command
     "&Capture": CAPTURE_COMMANDS,
     "&Play": PLAYBACK_COMMANDS,
     "&View": VIEW_COMMANDS,
-    "&Layout": LAYOUT_COMMANDS + ARRANGEMENT_COMMANDS,
+    "&Layout": LAYOUT_COMMANDS,
     "Co&mpare": COMPARISON_MODE_COMMANDS + VARIANT_COMMANDS,
     "&Registration": REGISTRATION_COMMANDS,
     "&Task": TASK_COMMANDS,

@@ -11,7 +11,6 @@ from app.session.state import DISPLAY_KEY
 from app.window import dialogs
 from app.window.alignment import AlignmentController
 from app.window.alignment_gizmo import AlignmentGizmoController
-from app.window.arrangements import ArrangementController
 from app.window.autosave import AutosaveController
 from app.window.ball_calibration import BallCalibrationController
 from app.window.comparison import ComparisonController
@@ -37,7 +36,6 @@ from app.window.shortcuts import KeyboardController, make_parameter_actions
 from app.window.step_scrubber import StepScrubberController
 from app.window.sweep import SweepController
 from app.window.themes import ThemeController
-from app.window.time_budget import TimeBudgetController
 from app.window.track import TrackController
 from app.window.welcome import WelcomeController
 from pipeline.previews.display_params import DisplayParams
@@ -77,7 +75,7 @@ def connect(controller: SessionController, theme: Theme = "light") -> AutosaveCo
     window.route.chosen.connect(partial(_choose, controller, "route", {}))
 
     for add_feature in (
-        ErrorAttributionController, TimeBudgetController, PinnedProbesController, Probe3DController, KeyboardController,
+        ErrorAttributionController, PinnedProbesController, Probe3DController, KeyboardController,
         SectionLineController, PresentationController, PanZoomController, ColourLimitController,
     ):  # fmt: skip
         add_feature(controller)
@@ -86,7 +84,6 @@ def connect(controller: SessionController, theme: Theme = "light") -> AutosaveCo
     autosave = AutosaveController(controller)
     welcome = WelcomeController(controller, autosave)
     ThemeController(controller, autosave, theme)
-    arrangements = ArrangementController(controller, autosave)
     export = ExportController(controller, autosave, sweep)
     PresentationVideoController(controller, export)
     rollouts = RolloutController(controller)
@@ -110,7 +107,6 @@ def connect(controller: SessionController, theme: Theme = "light") -> AutosaveCo
         mending.show_session,  # drops the offers for another recording
         reference.show_session,  # which one is chosen
         welcome.show_session,  # hides the page once something is open
-        arrangements.show_session,  # check marks
         alignment.show_session,  # offsets; drops a proposal for another alignment
         gizmo.show_session,  # its place
         track.show_session,  # drops a track of another recording

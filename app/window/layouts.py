@@ -39,7 +39,7 @@ class LayoutController(QObject):
 
     def choose_layout(self, name: LayoutName) -> None:
         """Change to a layout."""
-        layout = replace(self._controller.session.layout, name=name, arrangement=None)
+        layout = replace(self._controller.session.layout, name=name)
         self._controller.change(f"show {name}", layout=layout)
         self._window.show_layout(self._controller.session.layout)  # resets the command's check mark
 

@@ -17,9 +17,8 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
-from app.session.layout import LAYOUT_NAMES, Arrangement, Layout
+from app.session.layout import LAYOUT_NAMES, Layout
 from app.window.actions import MENUS, REFERENCE_COMMANDS, THEME_COMMANDS, make_actions, make_stage_commands
-from app.window.dock_state import capture_arrangement, restore_arrangement
 from app.window.menus import REFERENCE, Drawers, add_layout_tabs, build_menus, build_tool_bar
 from widgets.alignment_panel import AlignmentPanel
 from widgets.banner import Banner
@@ -227,19 +226,10 @@ class MainWindow(QMainWindow):
         self._only_stage = "" if self._only_stage in names else self._only_stage
         self.show_layout(self.current_layout)
 
-    def capture_arrangement(self, name: str) -> Arrangement:
-        """Return the current arrangement of the window under a name."""
-        return capture_arrangement(self, name, self._only_stage)
-
-    def show_layout(self, layout: Layout, *, force: bool = False) -> None:
-        """Arrange the columns; a user's arrangement is restored if it is another one or if `force`."""
-        restores = layout.arrangement is not None and (force or layout.arrangement != self.current_layout.arrangement)
+    def show_layout(self, layout: Layout) -> None:
+        """Arrange the columns."""
         self.current_layout = layout
-        self.panes.filmstrip.hide_stages(self._hidden_stages | layout.skips)
-        if restores and layout.arrangement is not None:
-            self._only_stage = (
-                layout.arrangement.only_stage if layout.arrangement.only_stage in self.route_columns else ""
-            )
+        self.panes.filmstrip.hide_stages(self._hidden_stages)
         pairs = {name: (column, self.view_panels[name]) for name, column in self.columns.items()}
         if layout.name == "inspect":
             panes = layout.resolve_panes(self.route_columns)
@@ -272,16 +262,11 @@ class MainWindow(QMainWindow):
             action.setEnabled(key in self.route_columns)
         for name in LAYOUT_NAMES:
             self.actions_by_name[f"layout_{name}"].setChecked(name == layout.name)
-        if restores and layout.arrangement is not None and not restore_arrangement(self, layout.arrangement):
-            self.banner.show_problem(
-                f"the drawers of {layout.arrangement.name!r} are of another version and stay closed"
-            )
 
     @property
     def route_columns(self) -> list[str]:
-        """The columns that the route computes, without those that the layout skips."""
-        hidden = self._hidden_stages | self.current_layout.skips
-        return [name for name in self.columns if name not in hidden]
+        """The columns that the route computes."""
+        return [name for name in self.columns if name not in self._hidden_stages]
 
     def visible_columns(self) -> tuple[str, ...]:
         """The stages that are visible, large or as thumbnails, or in a presentation."""

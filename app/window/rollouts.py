@@ -82,7 +82,7 @@ class RolloutController(BackgroundController):
 
     @property
     def _layout(self) -> Layout:
-        return replace(self._controller.session.layout, name="task", arrangement=None)
+        return replace(self._controller.session.layout, name="task")
 
     @property
     def _tick(self) -> int:

@@ -69,7 +69,7 @@ class TrackController(BackgroundController):
 
             return read_track(folder)
 
-        layout = replace(self._controller.session.layout, name="track", arrangement=None)
+        layout = replace(self._controller.session.layout, name="track")
         self._controller.change("open track", layout=layout)
         self._tracked, self._of, self._beside = None, folder, self._controller.session.recording
         self._show_none(f"reading {folder.name}")

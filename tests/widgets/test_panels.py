@@ -6,7 +6,6 @@ import logging
 
 import numpy as np
 import pytest
-from PyQt6.QtCore import Qt
 from PyQt6.QtWidgets import QApplication, QComboBox, QLabel, QPushButton
 
 from pipeline.values.results import PoseStep, TouchStep
@@ -67,30 +66,14 @@ def test_timings_show_every_stage_and_their_sum(qtbot):
     qtbot.addWidget(panel)
     panel.show_rows(
         (
-            TimingRow(
-                name="depth", title="Depth", state="computed", time_ms=10.0, median_ms=8.0, share=0.8, notes=("a", "b")
-            ),
-            TimingRow(name="pose", title="Pose", state="skipped", time_ms=0.5, notes=("no mesh",)),
-        ),
-        can_skip=True,
+            TimingRow(title="Depth", state="computed", time_ms=9.5, notes=("a", "b")),
+            TimingRow(title="Pose", state="skipped", time_ms=0.5, notes=("no mesh",)),
+        )
     )
-    table = panel.table
-    assert [table.item(r, 0).text() for r in range(3)] == ["Depth", "Pose", "all stages"]
-    assert [table.item(r, 2).text() for r in range(3)] == ["10.00", "0.50", "10.50"]
-    assert [table.item(0, c).text() for c in (3, 4, 5)] == ["8.00", "80 %", "a · b"]
-    with qtbot.waitSignal(panel.stage_toggled) as unticked:
-        table.item(1, 0).setCheckState(Qt.CheckState.Unchecked)
-    assert unticked.args == ["pose", False]
-
-
-def test_a_long_sentence_of_the_budget_does_not_widen_the_window(qtbot):
-    panel = TimingsPanel()
-    qtbot.addWidget(panel)
-    panel.show_budget("depth 60 %: 5 frames/s", (), "Skip pose")
-    before_px = panel.minimumSizeHint().width()
-    panel.show_budget("depth 60 %, " * 20, (), "Skip pose")
-    assert panel.minimumSizeHint().width() == before_px
-    assert panel.sentence.text().startswith("depth 60 %, ")
+    rows = [[panel.table.item(r, c).text() for c in range(5)] for r in range(3)]
+    assert rows[0] == ["Depth", "computed", "9.50", "95 %", "a · b"]
+    assert rows[1] == ["Pose", "skipped", "0.50", "5 %", "no mesh"]
+    assert rows[2] == ["all stages", "", "10.00", "100 %", ""]
 
 
 def test_the_trace_reads_like_a_sentence(qtbot):
