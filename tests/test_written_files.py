@@ -268,7 +268,7 @@ def sessions(draw: Any, folder: str = "files", variant: bool = True) -> Session:
         weights={} if (file := draw(paths)) is None else {"touch": file},
         params=draw(st.sampled_from(({}, {"display": DisplayParams()}))),
         notes=draw(st.dictionaries(st.integers(0, 99), WORDS, max_size=3)),
-        comparison=ComparisonSettings(stage=draw(NAMES), seeds=draw(st.integers(2, 64))),
+        comparison=ComparisonSettings(stage=draw(NAMES)),
         cameras=draw(st.dictionaries(NAMES, st.tuples(*[NUMBERS] * 10), max_size=2)),
         section=draw(optional(st.builds(SectionLine, begin_mm=st.tuples(*[st.floats(-90.0, 90.0)] * 2),
                                         end_mm=st.tuples(*[st.floats(-90.0, 90.0)] * 2)))),

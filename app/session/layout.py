@@ -10,17 +10,17 @@ from msgspec import Meta
 
 from pipeline.base.typed_data import Name
 
-LayoutName = Literal["stages", "inspect", "align", "sweep", "demo", "compare", "track", "task"]
+LayoutName = Literal["stages", "inspect", "align", "demo", "compare", "track", "task"]
 Dims = Literal["2D", "3D", "both"]
 DIMS: tuple[Dims, ...] = get_args(Dims)
 LAYOUT_NAMES: tuple[LayoutName, ...] = get_args(LayoutName)
 # Columns that a layout shows large; all columns of the route where a layout is not listed.
 _LARGE_COLUMNS: Mapping[str, tuple[str, ...]] = {
-    "align": ("target_depth",), "demo": ("source", "touch"), "sweep": (), "compare": (), "track": (),
+    "align": ("target_depth",), "demo": ("source", "touch"), "compare": (), "track": (),
     "task": ("source", "touch"),
 }  # fmt: skip
 _Panes = Annotated[tuple[tuple[Name, Dims], ...], Meta(min_length=1, max_length=3)]  # stage and views of each
-ComparisonTabName = Literal["methods", "two", "seeds"]
+ComparisonTabName = Literal["methods", "two", "grid"]
 LAST_STAGE = "last"
 DEFAULT_STAGE = "touch_depth"  # of two settings: what both methods of touch have, and can be subtracted
 
@@ -80,4 +80,3 @@ class ComparisonSettings:
     tab: ComparisonTabName = "methods"
     order: Name = "worst first"
     stage: Name = DEFAULT_STAGE  # of two settings, or all stages
-    seeds: int = 8

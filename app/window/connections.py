@@ -34,7 +34,6 @@ from app.window.section_line import SectionLineController
 from app.window.session_controller import SessionController
 from app.window.shortcuts import KeyboardController, make_parameter_actions
 from app.window.step_scrubber import StepScrubberController
-from app.window.sweep import SweepController
 from app.window.themes import ThemeController
 from app.window.track import TrackController
 from app.window.welcome import WelcomeController
@@ -80,11 +79,11 @@ def connect(controller: SessionController, theme: Theme = "light") -> AutosaveCo
     ):  # fmt: skip
         add_feature(controller)
     step_scrubber, frame_ranking = StepScrubberController(controller), FrameRankingController(controller)
-    sweep, comparison = SweepController(controller), ComparisonController(controller)
+    comparison = ComparisonController(controller)
     autosave = AutosaveController(controller)
     welcome = WelcomeController(controller, autosave)
     ThemeController(controller, autosave, theme)
-    export = ExportController(controller, autosave, sweep)
+    export = ExportController(controller, autosave, comparison)
     PresentationVideoController(controller, export)
     rollouts = RolloutController(controller)
     RolloutAttributionController(controller, rollouts)
@@ -101,7 +100,6 @@ def connect(controller: SessionController, theme: Theme = "light") -> AutosaveCo
     for follow in (
         step_scrubber.show_session,  # iterations of the chosen stage
         frame_ranking.show_session,  # notes
-        sweep.show_session,  # drops a sweep of another frame or recording
         comparison.show_session,  # computes the visible tab
         autosave.show_session,  # schedules the recovery file
         mending.show_session,  # drops the offers for another recording

@@ -248,8 +248,7 @@ class MainWindow(QMainWindow):
             widget.setVisible(layout.name == "demo")
         self.rows.lower_row.setVisible(layout.name != "align")
         pages = {
-            "inspect": self.panes, "sweep": self.comparison, "compare": self.comparison, "track": self.track,
-            "task": self.task,
+            "inspect": self.panes, "compare": self.comparison, "track": self.track, "task": self.task,
         }  # fmt: skip
         self.pages.setCurrentWidget(pages.get(layout.name, self.rows))
         self.timeline.setVisible(layout.name != "task")  # which steps through ticks

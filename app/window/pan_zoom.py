@@ -120,7 +120,7 @@ class ColourLimitController(QObject):
         self._controller = controller
         window = controller.window
         bars = [column.view.colour_bar for column in (*window.columns.values(), window.truth_column)]
-        for source in (*bars, *(tab.grid for tab in window.comparison.tabs.values())):
+        for source in (*bars, *(tab.grid for tab in window.comparison.tile_tabs)):
             source.limit_dragged.connect(self.set_limit)
             source.limits_fitted.connect(self.set_limits)
 

@@ -77,7 +77,7 @@ def rich_session(folder: Path) -> Session:
         recording=recording, source="digit", target="gelslim", reference=recording, alignment=ALIGNMENT,
         methods={"target_depth": "paper"}, weights={"touch": folder / "w.safetensors"}, params={"display": DisplayParams()},
         layout=Layout(name="inspect", panes=(("depth", "2D"),)),
-        notes={1: "slipped"}, comparison=ComparisonSettings(seeds=4), cameras={"depth": (1.0,) * 10},
+        notes={1: "slipped"}, comparison=ComparisonSettings(tab="grid"), cameras={"depth": (1.0,) * 10},
         section=SectionLine(begin_mm=(0.0, 0.0), end_mm=(1.0, 1.0)),
     )  # fmt: skip
     return dataclasses.replace(one, variant=dataclasses.replace(one, frame=2))

@@ -10,7 +10,7 @@ from PyQt6.QtWidgets import QApplication, QComboBox, QLabel, QPushButton
 
 from pipeline.values.results import PoseStep, TouchStep
 from widgets.banner import Banner
-from widgets.comparison_tab import SweepTab
+from widgets.comparison_tab import GridTab
 from widgets.frame_summary import FrameSummary
 from widgets.frames_model import CONTACT, DEPTH, FRAME, METRIC
 from widgets.frames_panel import FramesPanel
@@ -126,10 +126,18 @@ def test_states_of_a_sample_tell_their_noise(qtbot):
     assert not slider.slider.isEnabled()
 
 
-def test_a_sweep_offers_metrics_by_their_titles(qtbot):
-    tab, metrics = SweepTab(), {"touch_depth.contact_mae_mm": "touch depth: error in contact, mm", "": "time only"}
+def test_a_grid_offers_axes_with_values_and_keeps_what_is_chosen(qtbot):
+    tab, metrics = GridTab(), {"touch_depth.contact_mae_mm": "touch depth: error in contact, mm", "": "time only"}
     qtbot.addWidget(tab)
-    tab.offer_parameters(["touch.steps", "touch.guidance"], (1, 0), metrics, "")
+    axes = {"touch.guidance": "1, 4", "touch.steps": "4, 8", "touch.seed": "0, 1"}
+    tab.offer_axes(axes, metrics, "")
     assert [tab.metric_box.itemText(i) for i in range(2)] == list(metrics.values())
     assert (tab.metric_box.currentText(), tab.metric_box.currentData()) == ("time only", "")
-    assert [box.currentText() for box in tab.axes] == ["touch.guidance", "touch.steps"]
+    assert tab.axis_texts == ("touch.guidance=1, 4", "touch.steps=4, 8")
+    tab.values[0].setText("2")
+    tab.axes[1].setCurrentIndex(0)
+    tab.axes[1].chosen.emit("")
+    tab.offer_axes({**axes, "depth.method": "physics, network"}, metrics, "")
+    assert tab.axis_texts == ("touch.guidance=2", "")
+    tab.offer_axes({"depth.method": "physics, network"}, metrics, "")
+    assert tab.axis_texts == ("depth.method=physics, network", "")

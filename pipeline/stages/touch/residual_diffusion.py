@@ -57,7 +57,7 @@ class DiffusionParams:
     )
     seed: int = setting(
         0, "Seed", low=0, high=2**31 - 1, step=1, help="random seed of the sample and the sensor noise", pinned="Seed",
-        source="torch.Generator and numpy PCG64",
+        source="torch.Generator and numpy PCG64", sweep=tuple(range(8)),
     )  # fmt: skip
     confidence_weighting: float = setting(
         1.0, "Confidence weighting", unit="share", low=0.0, high=1.0, step=0.1,
