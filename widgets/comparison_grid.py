@@ -194,17 +194,19 @@ class CellPlot(Plot):
     cell_hovered = pyqtSignal(int, int)  # (-1, -1) = nothing
 
     def __init__(self) -> None:
-        super().__init__("comparison_plot", "error against time", "time of the frame without cache, ms", "error")
+        super().__init__("comparison_plot", "error against time")
         self.cells: Mapping[CellIndex, GridCell] = {}
+        self._unit = ""
 
     def show_cells(self, cells: Mapping[CellIndex, GridCell], unit: str) -> None:
         """Show these cells, with errors in `unit`."""
-        self.cells = cells
-        self.labels["left"] = f"error, {unit}" if unit else "error"
+        self.cells, self._unit = cells, unit
         self.redraw()
 
-    def draw(self, pyqtgraph: Any, axes: Any, ink: ThemeColours) -> None:
+    def draw(self, pyqtgraph: Any, ink: ThemeColours) -> None:
         """Draw the points and the Pareto front."""
+        error = f"error, {self._unit}" if self._unit else "error"
+        axes = self.prepare_axes(0, "time of the frame without cache, ms", error)
         front, measured = find_pareto_front(self.cells.values()), _list_measured(self.cells.values())
         axes.plot(
             [c.ms for c in front], [c.error for c in front], pen=pyqtgraph.mkPen(to_qcolor(ink.accent), width=1.5)

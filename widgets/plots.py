@@ -1,28 +1,37 @@
 """Plots in the theme's colours, with pan, zoom and export; pyqtgraph is imported when the first one is shown."""
 
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
 from typing import Any
 
-from PyQt6.QtCore import QEvent, QSize
+import numpy as np
+from PyQt6.QtCore import QEvent, QSize, Qt, pyqtSignal
 from PyQt6.QtGui import QPalette
 from PyQt6.QtWidgets import QVBoxLayout, QWidget
 
 from widgets.base import EventListener
 from widgets.styling import fill, set_spacing
-from widgets.theme import ThemeColours, get_theme_colours
+from widgets.theme import ThemeColours, get_theme_colours, to_hex, to_qcolor
+
+_LABEL_PX = 52  # width of the numbers at the left: axes above each other begin at the same place
+_N_LABELS, _BAND_ALPHA, _COVER_ALPHA = 8, 60, 200  # most names of steps; opacity of bands, and behind titles
+_STYLES = Qt.PenStyle.SolidLine, Qt.PenStyle.DashLine, Qt.PenStyle.DotLine  # of the curves of a strip
 
 
 class Plot(QWidget):
-    """Axes with labels; subclasses override `draw`, and call `redraw` when their data change."""
+    """Axes above each other; subclasses override `draw`, and call `redraw` when their data change."""
 
     preferred_px = 320, 320  # width, height
 
-    def __init__(self, name: str, description: str, across: str = "", up: str = "") -> None:
-        """`name` finds the widget, `description` is what a screen reader says, the others are the axes' labels."""
+    def __init__(self, name: str, description: str) -> None:
+        """`name` finds the widget, `description` is what a screen reader says."""
         super().__init__()
         self.setObjectName(name)
         self.setAccessibleName(description)
-        self.labels = {"bottom": across, "left": up}
         self._view: Any = None
+        self._axes: list[Any] = []
         self._layout = set_spacing(QVBoxLayout(self), 0)
         EventListener(self, self.redraw, QEvent.Type.Show, QEvent.Type.PaletteChange)
 
@@ -36,20 +45,157 @@ class Plot(QWidget):
             return
         import pyqtgraph
 
-        palette = self.palette()
         if self._view is None:
-            self._view = pyqtgraph.PlotWidget()
+            self._view = pyqtgraph.GraphicsLayoutWidget()
+            self._view.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+            self._view.ci.layout.setSpacing(2)
+            self._view.scene().sigMouseClicked.connect(self.handle_click)
             fill(self._layout, (self._view, 1))
-        self._view.setBackground(palette.color(QPalette.ColorRole.Base))
-        axes = self._view.getPlotItem()
-        axes.clear()
-        for side, label in self.labels.items():
+        self._view.setBackground(self.palette().color(QPalette.ColorRole.Base))
+        for axes in self._axes:
+            axes.clear()
+        self.draw(pyqtgraph, get_theme_colours(self.palette()))
+
+    def draw(self, pyqtgraph: Any, ink: ThemeColours) -> None:
+        """Draw the data on axes from `prepare_axes`."""
+        raise NotImplementedError
+
+    def handle_click(self, event: Any) -> None:
+        """Handle a click (a `pyqtgraph` event of the scene)."""
+
+    def prepare_axes(self, row: int, across: str = "", up: str = "") -> Any:
+        """Return the empty axes of a row (a `pyqtgraph.PlotItem`), with these labels; pan and zoom stay."""
+        while len(self._axes) <= row:
+            self._axes.append(self._view.addPlot(row=len(self._axes), col=0))
+            if len(self._axes) > 1:
+                self._axes[-1].setXLink(self._axes[0])
+        palette, axes = self.palette(), self._axes[row]
+        for side, label in (("bottom", across), ("left", up)):
             axis = axes.getAxis(side)
             axis.setPen(palette.color(QPalette.ColorRole.Mid))
             axis.setTextPen(palette.color(QPalette.ColorRole.WindowText))
             axis.setLabel(label, siPrefixEnableRanges=())  # values as they are, in the unit of the label
-        self.draw(pyqtgraph, axes, get_theme_colours(palette))
+        axes.getAxis("left").setWidth(_LABEL_PX)
+        axes.showGrid(y=True, alpha=0.2)
+        return axes
 
-    def draw(self, pyqtgraph: Any, axes: Any, ink: ThemeColours) -> None:
-        """Draw the data on empty axes (a `pyqtgraph.PlotItem`)."""
-        raise NotImplementedError
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Strip:
+    """Curves over the same steps, on axes of their own."""
+
+    title: str  # with the unit
+    curves: Sequence[tuple[str, Sequence[float]]]  # name, and a value per step; NaN = none
+    has_axis_colours: bool = False  # curves are x, y and z
+    least_span: float = 0.0  # noise does not fill the axes
+
+
+class StripPlot(Plot):
+    """Strips over the same steps with a cursor; a click, a drag of the cursor or an arrow key chooses a step."""
+
+    step_chosen = pyqtSignal(int)
+    preferred_px, across = (400, 130), "step"
+
+    def __init__(self, name: str, description: str) -> None:
+        super().__init__(name, description)
+        self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+        self.strips: Sequence[Strip] = ()
+        self.marks: Sequence[int] = ()
+        self._labels: Sequence[str] = ()
+        self._bands: Sequence[tuple[int, int, bool]] = ()
+        self._turns: Sequence[int] = ()
+        self._cursors: list[Any] = []
+        self.current_step = -1
+
+    def show_strips(
+        self, strips: Sequence[Strip], labels: Sequence[str] = (), *, marks: Sequence[int] = (),
+        bands: Sequence[tuple[int, int, bool]] = (), turns: Sequence[int] = (),
+    ) -> None:  # fmt: skip
+        """Show strips over steps that `labels` name, by default by their numbers.
+
+        `marks` are steps with a triangle at the top, `bands` (first, last, is bad) are steps with a background, and a
+        line stands before each of the `turns`.
+        """
+        self.strips, self._labels, self.marks, self._bands, self._turns = strips, labels, marks, bands, turns
+        self.redraw()
+
+    def show_step(self, at: int) -> None:
+        """Mark a step."""
+        self.current_step = at
+        for cursor in self._cursors:
+            cursor.setValue(at)
+
+    @property
+    def n_steps(self) -> int:
+        """Number of steps."""
+        return len(self.strips[0].curves[0][1]) if self.strips else 0
+
+    def draw(self, pyqtgraph: Any, ink: ThemeColours) -> None:
+        """Draw the strips."""
+        for axes in self._axes[len(self.strips) :]:
+            self._view.removeItem(axes)
+        del self._axes[len(self.strips) :]
+        self._cursors = [self._draw_strip(pyqtgraph, ink, row, strip) for row, strip in enumerate(self.strips)]
+
+    def _draw_strip(self, pyqtgraph: Any, ink: ThemeColours, row: int, strip: Strip) -> Any:
+        """Draw a strip; returns its cursor."""
+        is_last, palette = row == len(self.strips) - 1, self.palette()
+        axes = self.prepare_axes(row, self.across if is_last else "")
+        axes.showAxis("bottom", show=is_last)
+        every = max(1, len(self._labels) // _N_LABELS)
+        ticks = [(k, label) for k, label in enumerate(self._labels) if k % every == 0]
+        axes.getAxis("bottom").setTicks([ticks] if ticks else None)
+        for first, last, is_bad in self._bands:
+            colour = to_qcolor(ink.worse, _BAND_ALPHA) if is_bad else palette.color(QPalette.ColorRole.Midlight)
+            limits = first - 0.5, last + 0.5
+            axes.addItem(pyqtgraph.LinearRegionItem(limits, movable=False, brush=colour, pen=pyqtgraph.mkPen(None)))
+        for turn in self._turns:
+            pen = pyqtgraph.mkPen(palette.color(QPalette.ColorRole.Mid), style=Qt.PenStyle.DashLine)
+            axes.addItem(pyqtgraph.InfiniteLine(turn - 0.5, pen=pen))
+        colours = ink.axes if strip.has_axis_colours else (ink.accent, ink.worse)
+        words = [
+            f"<span style='color: {palette.color(QPalette.ColorRole.WindowText).name()}'>{escape(strip.title)}</span>"
+        ]
+        for (name, values), colour, style in zip(strip.curves, colours, _STYLES, strict=False):
+            pen = pyqtgraph.mkPen(to_qcolor(colour), width=1.5, style=style)
+            axes.plot(np.arange(len(values)), np.asarray(values, np.float64), pen=pen, connect="finite", antialias=True)
+            words.append(f"<span style='color: {to_hex(colour)}'>{escape(name)}</span>")
+        known = [value for _, values in strip.curves for value in values if math.isfinite(value)]
+        low, high = min((0.0, *known)), max((0.0, *known))
+        high = max(high, low + strip.least_span)
+        axes.setYRange(low, high)
+        if row == 0 and self.marks:
+            brush = to_qcolor(ink.worse)
+            axes.plot(self.marks, [high] * len(self.marks), pen=None, symbol="t", symbolBrush=brush, symbolPen=None)
+        cover = to_qcolor(palette.color(QPalette.ColorRole.Base).getRgb()[:3], _COVER_ALPHA)
+        title = pyqtgraph.TextItem(html=" &nbsp; ".join(words), anchor=(0, 0), fill=cover)
+        axes.addItem(title, ignoreBounds=True)
+        title.setPos(0, high)
+        cursor = pyqtgraph.InfiniteLine(
+            self.current_step, movable=True, pen=pyqtgraph.mkPen(to_qcolor(ink.accent), width=2)
+        )
+        cursor.sigPositionChanged.connect(self._follow_cursor)
+        axes.addItem(cursor)
+        return cursor
+
+    def _follow_cursor(self, cursor: Any) -> None:
+        self._choose(round(cursor.value()))
+
+    def handle_click(self, event: Any) -> None:
+        """Choose the step at this position."""
+        if self._axes:
+            self._choose(round(self._axes[0].vb.mapSceneToView(event.scenePos()).x()))
+
+    def _choose(self, at: int) -> None:
+        at = min(max(at, 0), self.n_steps - 1)
+        if self.n_steps and at != self.current_step:
+            self.step_chosen.emit(at)
+
+    def keyPressEvent(self, a0: Any) -> None:  # noqa: N802
+        """Choose the next, previous, first or last step."""
+        ways = {Qt.Key.Key_Left: self.current_step - 1, Qt.Key.Key_Right: self.current_step + 1, Qt.Key.Key_Home: 0,
+                Qt.Key.Key_End: self.n_steps - 1}  # fmt: skip
+        if a0.key() in ways:
+            self._choose(ways[a0.key()])
+        else:
+            super().keyPressEvent(a0)

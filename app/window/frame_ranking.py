@@ -134,8 +134,9 @@ class FrameRankingController(QObject):
         if frame < 0 or controller.window.timeline.is_playing or not controller.is_idle:
             return
         session, evaluator = controller.session, controller.evaluator
-        self._ticket = controller.submit_background(
-            lambda report: evaluator.evaluate_in_background(session, frame, report, completely=completely)
+        self._ticket = controller.submit_priority(
+            lambda report: evaluator.evaluate_in_background(session, frame, report, completely=completely),
+            background=True,
         )
 
     def _measure_force(self) -> bool:
@@ -146,8 +147,8 @@ class FrameRankingController(QObject):
         session, evaluator = controller.session, controller.evaluator
         frame = self._panel.model.find_unknown_frame(session.frame, quantity=metric)
         if frame >= 0 and not controller.window.timeline.is_playing and controller.is_idle:
-            self._ticket = controller.submit_background(
-                lambda report: evaluator.measure_force_in_background(session, frame, metric, report)
+            self._ticket = controller.submit_priority(
+                lambda report: evaluator.measure_force_in_background(session, frame, metric, report), background=True
             )
         return frame >= 0
 

@@ -153,7 +153,7 @@ class RolloutController(BackgroundController):
         decisions = [decision.tick for decision in run.summary.decisions]
         page.show_message(opened.unavailable)
         page.trials.show_trial(run.path)
-        page.plot.show_rollout(opened.curves, run.time_s.tolist(), decisions)
+        page.show_curves(opened.curves, run.time_s.tolist(), decisions)
         page.ticks.show_frames(run.n_ticks)
         page.offer_places(opened.places, session.stream)
         page.views["touch"].show_message(_NOT_READ.get(run.summary.touch, ""))

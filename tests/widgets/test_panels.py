@@ -6,6 +6,7 @@ import logging
 
 import numpy as np
 import pytest
+from PyQt6.QtCore import Qt
 from PyQt6.QtWidgets import QApplication, QComboBox, QLabel, QPushButton
 
 from pipeline.values.results import PoseStep, TouchStep
@@ -15,6 +16,7 @@ from widgets.frame_summary import FrameSummary
 from widgets.frames_model import CONTACT, DEPTH, FRAME, METRIC
 from widgets.frames_panel import FramesPanel
 from widgets.log_panel import LogPanel
+from widgets.plots import Strip, StripPlot
 from widgets.probes_panel import TracePanel
 from widgets.theme import get_theme_colours, to_hex
 from widgets.timings_panel import TimingRow, TimingsPanel
@@ -141,3 +143,23 @@ def test_a_grid_offers_axes_with_values_and_keeps_what_is_chosen(qtbot):
     assert tab.axis_texts == ("touch.guidance=2", "")
     tab.offer_axes({"depth.method": "physics, network"}, metrics, "")
     assert tab.axis_texts == ("depth.method=physics, network", "")
+
+
+def test_a_plot_of_steps_chooses_by_cursor_and_keys_and_marks_what_others_choose(qtbot):
+    plot = StripPlot("steps", "metrics of every step")
+    qtbot.addWidget(plot)
+    plot.resize(400, 200)
+    plot.show()
+    values = [(1.0, 0.5, float("nan"), 0.1), (4.0, 3.0, 2.0, 1.0)]
+    plot.show_strips([Strip(title=f"strip {k}, mm", curves=(("", v),)) for k, v in enumerate(values)], marks=(1,))
+    plot.show_step(2)
+    assert [cursor.value() for cursor in plot._cursors] == [2, 2]
+    with qtbot.waitSignal(plot.step_chosen) as chosen:
+        plot._cursors[1].setValue(0.8)
+    assert chosen.args == [1]
+    with qtbot.waitSignal(plot.step_chosen) as chosen:
+        qtbot.keyClick(plot, Qt.Key.Key_End)
+    assert chosen.args == [3]
+    plot.show_strips(())
+    assert (plot.n_steps, len(plot._axes)) == (0, 0)
+    qtbot.keyClick(plot, Qt.Key.Key_Home)
