@@ -1,24 +1,27 @@
-"""Cells of a grid of variants, and their error against time; hovering a cell marks it in both, a click chooses it."""
+"""Cells of a grid of variants, and their error against time; a click on a cell, here or there, chooses it."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from functools import partial
 from typing import Any
 
-from PyQt6.QtCore import QEvent, QPointF, QRectF, Qt, pyqtSignal
-from PyQt6.QtGui import QFontMetrics, QPainter, QPalette, QPen, QPixmap
-from PyQt6.QtWidgets import QToolTip
+from PyQt6.QtCore import QEvent, QSize, Qt, pyqtSignal
+from PyQt6.QtGui import QIcon, QPixmap
+from PyQt6.QtWidgets import (
+    QAbstractItemView,
+    QHeaderView,
+    QStyleOptionViewItem,
+    QTableWidget,
+    QTableWidgetItem,
+)
 
 from pipeline.evaluation.grid_comparison import GridCell
-from pipeline.previews.preview import Preview
-from widgets.base import EventListener, PaintedWidget
+from widgets.base import EventListener
 from widgets.plots import Plot
 from widgets.preview_renderer import make_themed_qimage
 from widgets.theme import ThemeColours, to_qcolor
 
 CellIndex = tuple[int, int]  # row, col
-NO_CELL: CellIndex = (-1, -1)
-_NAME_GAP_PX, _GAP_PX = 6.0, 3.0  # between the values of the rows and the cells; between cells
+_GAP_PX = 4  # around the image of a cell
 
 
 def describe_cell(cell: GridCell, unit: str) -> str:
@@ -48,150 +51,80 @@ def _list_measured(cells: Iterable[GridCell]) -> list[GridCell]:
     return [cell for cell in cells if math.isfinite(cell.error) and math.isfinite(cell.ms)]
 
 
-class CellGrid(PaintedWidget):
-    """Cells in rows and columns with preview, error and time; a cell is empty until it is computed.
+class CellGrid(QTableWidget):
+    """Table of the cells with preview, error and time; a cell is empty until it is computed.
 
-    The values of rows and columns stand at the left and at the top, under the name of the columns.
+    The values of rows and columns are the headers. A click, or Enter, chooses a cell with a result.
     """
 
-    preferred_px = 560, 420
     cell_chosen = pyqtSignal(int, int)
-    cell_hovered = pyqtSignal(int, int)  # (-1, -1) = nothing
 
     def __init__(self) -> None:
-        super().__init__("comparison_grid", "results of the grid")
-        self.setMouseTracking(True)
+        super().__init__()
+        self.setObjectName("comparison_grid")
+        self.setAccessibleName("results of the grid")
+        self.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
+        self.setSelectionMode(QAbstractItemView.SelectionMode.SingleSelection)
         self.cells: dict[CellIndex, GridCell] = {}
         self.unit = ""
-        self.hovered_cell = self.used_cell = NO_CELL  # under the mouse, here or in the plot; chosen
-        self._thumbnails: dict[CellIndex, QPixmap] = {}
-        self._columns: tuple[str, Sequence[str]] = "", ()  # name, values
-        self._rows: tuple[str, Sequence[str]] = "", ()
-        EventListener(self, self._drop_thumbnails, QEvent.Type.Resize, QEvent.Type.PaletteChange)
+        for header in (self.horizontalHeader(), self.verticalHeader()):
+            assert header is not None
+            header.setSectionResizeMode(QHeaderView.ResizeMode.Stretch)
+        for chosen in (self.cellClicked, self.cellActivated):
+            chosen.connect(self._choose)
+        EventListener(self, self._fit_images, QEvent.Type.Resize)
+        EventListener(self, self._draw_cells, QEvent.Type.PaletteChange)
 
-    def show_axes(self, across: tuple[str, Sequence[str]], down: tuple[str, Sequence[str]], unit: str) -> None:
-        """Show empty cells for (name, values) of columns and rows; errors are in `unit`."""
-        self._columns, self._rows, self.unit = across, down, unit
-        self.cells, self._thumbnails = {}, {}
-        self.hovered_cell = self.used_cell = NO_CELL
-        self.update()
+    def initViewItemOption(self, option: QStyleOptionViewItem | None) -> None:  # noqa: N802
+        """Put the text of a cell under its image."""
+        super().initViewItemOption(option)
+        if option is not None:
+            option.decorationPosition = QStyleOptionViewItem.Position.Top
+            option.decorationAlignment = Qt.AlignmentFlag.AlignCenter
+            option.displayAlignment = Qt.AlignmentFlag.AlignHCenter | Qt.AlignmentFlag.AlignTop
+
+    def show_axes(self, across: Sequence[str], down: Sequence[str], unit: str) -> None:
+        """Show empty cells for these values of columns and rows; errors are in `unit`."""
+        self.cells, self.unit = {}, unit
+        self.clear()
+        self.setRowCount(len(down))
+        self.setColumnCount(len(across))
+        self.setVerticalHeaderLabels(down)
+        self.setHorizontalHeaderLabels(across)
+        self._fit_images()
 
     def show_cell(self, cell: GridCell) -> None:
         """Show one result."""
         self.cells[cell.row, cell.col] = cell
-        self._thumbnails.pop((cell.row, cell.col), None)
-        self.update()
-
-    def mark_cell(self, row: int, col: int) -> None:
-        """Mark a hovered cell."""
-        if (row, col) != self.hovered_cell:
-            self.hovered_cell = (row, col)
-            self.update()
-
-    def mark_used_cell(self, row: int, col: int) -> None:
-        """Mark the cell that is in use."""
-        self.used_cell = (row, col)
-        self.update()
-
-    def _drop_thumbnails(self) -> None:
-        self._thumbnails = {}
-
-    def get_room(self, row: int, col: int) -> QRectF:
-        """Return the place of a cell."""
-        metrics, (name, values) = self.fontMetrics(), self._rows
-        left = max(metrics.horizontalAdvance(text) for text in (name, *values)) + 2 * _NAME_GAP_PX
-        top = metrics.height() * 2.0 + _NAME_GAP_PX
-        wide = (self.width() - left) / max(1, len(self._columns[1]))
-        high = (self.height() - top) / max(1, len(values))
-        return QRectF(left + col * wide, top + row * high, wide - _GAP_PX, high - _GAP_PX)
-
-    def cell_at(self, at: QPointF) -> CellIndex:
-        """Return the cell at a widget position; (-1, -1) = none."""
-        return next((index for index in self._list_places() if self.get_room(*index).contains(at)), NO_CELL)
-
-    def _list_places(self) -> list[CellIndex]:
-        return [(row, col) for row in range(len(self._rows[1])) for col in range(len(self._columns[1]))]
-
-    def mouseMoveEvent(self, a0: Any) -> None:  # noqa: N802
-        """Emit the hovered cell and show its result."""
-        index = self.cell_at(a0.position())
-        self.cell_hovered.emit(*index)
-        text = describe_cell(self.cells[index], self.unit) if index in self.cells else ""
-        QToolTip.showText(a0.globalPosition().toPoint(), text, self)
-
-    def leaveEvent(self, a0: Any) -> None:  # noqa: N802
-        """Emit that no cell is hovered."""
-        super().leaveEvent(a0)
-        self.cell_hovered.emit(*NO_CELL)
-
-    def mousePressEvent(self, a0: Any) -> None:  # noqa: N802
-        """Choose the cell under the mouse, if it has a result."""
-        cell = self.cells.get(self.cell_at(a0.position()))
-        if cell is not None and not cell.problem:
-            self.cell_chosen.emit(cell.row, cell.col)
-
-    def paint(self, painter: QPainter, ink: ThemeColours) -> None:
-        """Paint cells, and names and values around them."""
-        del ink
-        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
-        if self._columns[1]:
-            self._draw_names(painter)
-        for row, col in self._list_places():
-            self._draw_cell(painter, row, col)
-
-    def _draw_names(self, painter: QPainter) -> None:
-        painter.setPen(self.palette().color(QPalette.ColorRole.WindowText))
-        line, first = self.fontMetrics().height(), self.get_room(0, 0)
-        top, left_px = first.top() - line - _NAME_GAP_PX, first.left() - _NAME_GAP_PX
-        middle, right = Qt.AlignmentFlag.AlignCenter, Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter
-        painter.drawText(QRectF(first.left(), 0, self.width() - first.left(), line), middle, self._columns[0])
-        painter.drawText(QRectF(0, top, left_px, line), right, self._rows[0])
-        for col, value in enumerate(self._columns[1]):
-            room = self.get_room(0, col)
-            text = self.fontMetrics().elidedText(value, Qt.TextElideMode.ElideLeft, int(room.width()))
-            painter.drawText(QRectF(room.left(), top, room.width(), line), middle, text)
-        for row, value in enumerate(self._rows[1]):
-            room = self.get_room(row, 0)
-            painter.drawText(QRectF(0, room.top(), left_px, room.height()), right, value)
-
-    def _draw_cell(self, painter: QPainter, row: int, col: int) -> None:
-        room, cell, palette = self.get_room(row, col), self.cells.get((row, col)), self.palette()
-        rim, wide = QPalette.ColorRole.Mid, 1.0
-        if (row, col) == self.used_cell:
-            rim, wide = QPalette.ColorRole.Highlight, 3.0
-        elif (row, col) == self.hovered_cell:
-            rim, wide = QPalette.ColorRole.WindowText, 2.0
-        painter.setPen(QPen(palette.color(rim), wide))
-        painter.setBrush(palette.color(QPalette.ColorRole.Base))
-        painter.drawRoundedRect(room, 3, 3)
-        if cell is None:
-            return
-        line = QFontMetrics(self.font()).height()
+        text = describe_cell(cell, self.unit)
+        item = QTableWidgetItem("failed" if cell.problem else text)
+        item.setToolTip(text)
         if cell.preview is not None:
-            self._draw_preview(painter, (row, col), cell.preview, room.adjusted(3, 3, -3, -line - 4))
-        painter.setPen(palette.color(QPalette.ColorRole.WindowText))
-        words = "failed" if cell.problem else describe_cell(cell, self.unit)
-        under = QRectF(room.left() + 3, room.bottom() - line - 2, room.width() - 6, line)
-        text = QFontMetrics(self.font()).elidedText(words, Qt.TextElideMode.ElideRight, int(under.width()))
-        painter.drawText(under, Qt.AlignmentFlag.AlignCenter, text)
+            image = make_themed_qimage(self.palette(), cell.preview)
+            item.setIcon(QIcon(QPixmap.fromImage(image)))
+        self.setItem(cell.row, cell.col, item)
 
-    def _draw_preview(self, painter: QPainter, index: CellIndex, preview: Preview, room: QRectF) -> None:
-        if room.width() < 8 or room.height() < 8:
-            return
-        small = self._thumbnails.get(index)
-        if small is None:
-            fit, smooth = Qt.AspectRatioMode.KeepAspectRatio, Qt.TransformationMode.SmoothTransformation
-            image = make_themed_qimage(self.palette(), preview)
-            small = self._thumbnails[index] = QPixmap.fromImage(image.scaled(room.size().toSize(), fit, smooth))
-        left = room.left() + 0.5 * (room.width() - small.width())
-        painter.drawPixmap(QPointF(left, room.top() + 0.5 * (room.height() - small.height())), small)
+    def _draw_cells(self) -> None:
+        for cell in self.cells.values():
+            self.show_cell(cell)
+
+    def _fit_images(self) -> None:
+        """Make images as large as the cells, above their text."""
+        room, rows, columns = self.viewport(), max(1, self.rowCount()), max(1, self.columnCount())
+        if room is not None:
+            high = room.height() // rows - self.fontMetrics().height() - 2 * _GAP_PX
+            self.setIconSize(QSize(room.width() // columns - 2 * _GAP_PX, max(high, 0)))
+
+    def _choose(self, row: int, col: int) -> None:
+        cell = self.cells.get((row, col))
+        if cell is not None and not cell.problem:
+            self.cell_chosen.emit(row, col)
 
 
 class CellPlot(Plot):
     """Error against time of the cells; the Pareto front is joined by a line."""
 
     cell_chosen = pyqtSignal(int, int)
-    cell_hovered = pyqtSignal(int, int)  # (-1, -1) = nothing
 
     def __init__(self) -> None:
         super().__init__("comparison_plot", "error against time")
@@ -214,12 +147,15 @@ class CellPlot(Plot):
         points = pyqtgraph.ScatterPlotItem(
             [c.ms for c in measured], [c.error for c in measured], data=[(c.row, c.col) for c in measured], size=10,
             brush=[to_qcolor(ink.accent if c in front else ink.worse) for c in measured], hoverable=True, hoverSize=15,
+            tip=self._describe_point,
         )  # fmt: skip
-        points.sigClicked.connect(partial(self._emit_cell, self.cell_chosen))
-        points.sigHovered.connect(partial(self._emit_cell, self.cell_hovered))
+        points.sigClicked.connect(self._choose)
         axes.addItem(points)
         axes.setLimits(xMin=0.0, yMin=0.0)
 
-    def _emit_cell(self, signal: Any, _: object, points: Sequence[Any], *__: object) -> None:
-        """Emit the cell of the first of these points, or none."""
-        signal.emit(*(points[0].data() if len(points) else NO_CELL))
+    def _describe_point(self, x: float, y: float, data: CellIndex) -> str:
+        del x, y
+        return f"row {data[0] + 1}, column {data[1] + 1}: {describe_cell(self.cells[data], self._unit)}"
+
+    def _choose(self, _: object, points: Sequence[Any], *__: object) -> None:
+        self.cell_chosen.emit(*points[0].data())

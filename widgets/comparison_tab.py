@@ -59,6 +59,7 @@ class TileTab(ComparisonTab):
 
 
 _AXES = "columns", "rows"
+_GRID_SIZE = 720  # of 1000: the grid next to the plot
 GRID_HINT = "choose what columns and rows try, then press Start; a click on a cell uses its values"
 
 
@@ -72,7 +73,9 @@ class GridTab(ComparisonTab):
         self.grid, self.plot = CellGrid(), CellPlot()
         self._offers: Mapping[str, str] = {}
         controls = set_spacing(QGridLayout(), 6)
-        super().__init__(controls, make_splitter(Qt.Orientation.Horizontal, (self.grid, 3), (self.plot, 2)))
+        results = make_splitter(Qt.Orientation.Horizontal, (self.grid, 3), (self.plot, 2))
+        results.setSizes([_GRID_SIZE, 1000 - _GRID_SIZE])
+        super().__init__(controls, results)
         for which, (word, box, line) in enumerate(zip(_AXES, self.axes, self.values, strict=True)):
             line.setObjectName(f"grid_{word}_values")
             line.setAccessibleName(f"values of the {word}")
@@ -87,8 +90,6 @@ class GridTab(ComparisonTab):
         controls.addWidget(self.start_button, 1, 4)
         controls.setColumnStretch(2, 1)
         self.message.setText(GRID_HINT)
-        for view in (self.grid, self.plot):
-            view.cell_hovered.connect(self.grid.mark_cell)
 
     def _suggest_values(self, line: QLineEdit, title: str) -> None:
         line.setText(self._offers.get(title, ""))
@@ -116,8 +117,8 @@ class GridTab(ComparisonTab):
 
     def show_plan(self, plan: GridPlan | None, unit: str = "") -> None:
         """Show an empty grid, or none."""
-        axes = [] if plan is None else [(axis.title, [format_value(v) for v in axis.values]) for axis in plan.axes]
-        across, down = (*axes, ("", [""] if axes else []), ("", list[str]()))[:2]
+        values = [] if plan is None else [[format_value(value) for value in axis.values] for axis in plan.axes]
+        across, down = (*values, [""] if values else [], list[str]())[:2]
         self.grid.show_axes(across, down, unit)
         self.plot.show_cells({}, unit)
 

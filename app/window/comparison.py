@@ -206,7 +206,7 @@ class ComparisonController(BackgroundController):
             methods=dict(request.methods),
             weights=dict(request.weights),
         )
-        self._page.grid.grid.mark_used_cell(row, col)
+        self._page.grid.grid.setCurrentCell(row, col)
 
     def format_command(self, opened: Translation, out: Path) -> str:
         """Return the command that writes what the page shows; raises SettingProblem."""

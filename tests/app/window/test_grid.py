@@ -66,7 +66,7 @@ def test_all_pairs_are_computed_and_a_click_uses_one(gridded, qtbot):
     assert params["target_depth/surface"].jump_mm == 2.0
     assert instrument.undo_stack.count() == steps + 1
     assert wait_until_shown(instrument, 240)
-    assert tab.grid.used_cell == (1, 1)
+    assert (tab.grid.currentRow(), tab.grid.currentColumn()) == (1, 1)
     assert len(tab.grid.cells) == 4, "it stays while its cells are tried"
     instrument.choose_frame(1)
     assert wait_until_shown(instrument, 240)
