@@ -245,7 +245,7 @@ class ComparisonController(BackgroundController):
     def _show_choices(self, session: Session) -> None:
         settings = session.comparison
         self._page.show_choices(settings.tab, settings.order, settings.stage)
-        self._controller.window.actions_by_name["clear_variant"].setEnabled(session.variant is not None)
+        self._window.actions_by_name["clear_variant"].setEnabled(session.variant is not None)
 
     def _update(self, *_: object) -> None:
         """Compute the current tab, unless it shows that already."""

@@ -35,7 +35,7 @@ class ExportController(BackgroundController):
     ) -> None:
         self.notification = NotificationBar("export_notification")
         super().__init__("export", controller, self.notification.run_bar)
-        self._autosave, self._comparison, self._window = autosave, comparison, controller.window
+        self._autosave, self._comparison = autosave, comparison
         self.dialog = ExportDialog(self._window)
         self._window.notifications.add_bar(self.notification)
         self._written: tuple[Path, str, Callable[[object], str] | None] = Path(), "", None  # see `start_writing`

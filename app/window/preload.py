@@ -1,8 +1,7 @@
 """Preloads what the first depth needs while no recording is open, and what sampling needs once a frame is shown."""
 
-from PyQt6.QtCore import QObject
-
 from app.session.state import Session
+from app.window.feature import Feature
 from app.window.session_controller import SessionController
 from app.work.jobs import LatestJob
 from app.work.preload import preload_depth, preload_samplers
@@ -12,14 +11,13 @@ _DELAY_MS = 700  # the window and its 3D views come first
 _SAMPLER_DELAY_MS = 1500  # after a frame; browsing comes first
 
 
-class PreloadController(QObject):
+class PreloadController(Feature):
     """Loads packages and kernels on a thread of its own; stops when a recording opens, which loads the same."""
 
     def __init__(self, controller: SessionController) -> None:
         super().__init__(controller)
         self.job = LatestJob("preload", self)
         self.start_timer = make_single_shot_timer(self, _DELAY_MS, lambda: self.job.submit(preload_depth))
-        self._controller = controller
         self.sampler_timer = make_single_shot_timer(self, _SAMPLER_DELAY_MS, self._preload_samplers)
         controller.frame_shown.connect(self._preload_samplers_soon)
         controller.session_shown.connect(self._stop)
@@ -37,5 +35,5 @@ class PreloadController(QObject):
 
     def _preload_samplers(self) -> None:
         opened = self._controller.views.translation
-        if opened is not None and self._controller.is_idle and not self._controller.window.timeline.is_playing:
+        if opened is not None and self._controller.is_idle and not self._window.timeline.is_playing:
             self.job.submit(lambda _: preload_samplers(opened.weights.values()))

@@ -34,7 +34,7 @@ class RolloutController(BackgroundController):
 
     def __init__(self, controller: SessionController) -> None:
         super().__init__("rollouts", controller)
-        self._window, self._page = controller.window, controller.window.task
+        self._page = self._window.task
         self.folder: TrialFolder | None = None
         self.shown: OpenRollout | None = None
         self._requested: Path | None = None  # rollout that is read or shown

@@ -32,7 +32,7 @@ class TrackController(BackgroundController):
 
     def __init__(self, controller: SessionController, export: ExportController, autosave: AutosaveController) -> None:
         super().__init__("track", controller, controller.window.track.run_bar)
-        self._window, self._page, self._export = controller.window, controller.window.track, export
+        self._page, self._export = self._window.track, export
         self.view: TrackView | None = None
         self._tracked: Session | None = None  # what the track on screen was computed from; None = read from a folder
         self._of: Path | None = None  # recording, or the folder that is read
