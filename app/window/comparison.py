@@ -5,7 +5,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import cast
 
-from app.session.differences import describe_differences
 from app.session.layout import LAST_STAGE, ComparisonSettings, ComparisonTabName, Layout
 from app.session.state import Session
 from app.window.background_controller import BackgroundController
@@ -13,7 +12,7 @@ from app.window.session_controller import SessionController
 from app.work.evaluator import Evaluator
 from app.work.jobs import JobReporter
 from app.work.requests import make_request
-from app.work.variants import format_compare_command, list_axes, open_variant
+from app.work.variants import describe_differences, format_compare_command, list_axes, open_variant
 from pipeline.base.errors import SettingProblem, TouchError
 from pipeline.base.processes import release_free_memory
 from pipeline.evaluation.comparison_tiles import Comparison

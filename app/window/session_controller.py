@@ -19,8 +19,7 @@ from app.window.session_document import SessionDocument
 from app.window.stage_views import StageViews
 from app.work.evaluator import EvaluatedFrame, Evaluator, InitialFrame
 from app.work.jobs import JobFunction, LatestJob
-from app.work.request_state import Requests
-from app.work.requests import find_undo_target, make_request, make_request_if_open
+from app.work.requests import Requests, find_undo_target, make_request, make_request_if_open
 from app.work.stage_previews import SourcePreview, StagePreview
 from pipeline.base.params import list_settings
 from pipeline.engine.graph import Method

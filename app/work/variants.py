@@ -1,4 +1,4 @@
-"""Variants of a session: their parameters, and the commands that make the same comparisons."""
+"""Variants of a session: their parameters, their differences, and the commands that make the same comparisons."""
 
 import os
 import shlex
@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from app.session.layout import LAST_STAGE
-from app.session.state import Session
+from app.session.state import REQUEST_FIELDS, Session
 from app.work.evaluator import Evaluator
 from app.work.jobs import JobReporter
 from app.work.requests import make_request
@@ -100,3 +100,39 @@ def _list_options(session: Session, target: str) -> list[str]:
     request = replace(make_request(session), offsets=session.offsets, target=session.target or target)
     params = {key: value for key, value in session.params.items() if key != "display" and list_settings(value)}
     return [*format_options(request), *(word for line in format_settings(params) for word in ("--set", line))]
+
+
+def describe_differences(one: Session, other: Session, catalogue: Catalogue) -> tuple[str, ...]:
+    """List as `name: one | other` everything that the results of a frame depend on and that differs."""
+    texts = [
+        _format_pair(name.replace("_", " "), getattr(one, name), getattr(other, name))
+        for name in REQUEST_FIELDS
+        if getattr(one, name) != getattr(other, name)
+    ]
+    if one.offsets != other.offsets:
+        texts.append("alignment offsets differ")
+    methods = tuple({m.stage: m for m in catalogue.methods(session.route, session.methods)} for session in (one, other))
+    for stage in dict.fromkeys((*methods[0], *methods[1])):
+        a, b = (by_stage.get(stage) for by_stage in methods)
+        if a is None or b is None or a.key != b.key:
+            texts.append(_format_pair(stage, "nothing" if a is None else a.title, "nothing" if b is None else b.title))
+        else:
+            texts += _compare_params(a, one, other)
+    if one.weights != other.weights:
+        texts.append("weights differ")
+    return tuple(texts)
+
+
+def _compare_params(method: Method, one: Session, other: Session) -> list[str]:
+    a, b = (list_settings(session.get_params(method)) for session in (one, other))
+    return [_format_pair(f"{method.stage}.{name}", a[name][0], b[name][0]) for name in a if a[name][0] != b[name][0]]
+
+
+def _format_pair(name: str, one: object, other: object) -> str:
+    return f"{name}: {_format_value(one)} | {_format_value(other)}"
+
+
+def _format_value(value: object) -> str:
+    if isinstance(value, Path):
+        return value.name
+    return f"{value:g}" if isinstance(value, float) else "as recorded" if value in ("", None) else str(value)
