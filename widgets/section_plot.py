@@ -4,7 +4,7 @@ from typing import Any, Literal
 
 import numpy as np
 from PyQt6.QtCore import Qt
-from PyQt6.QtGui import QPalette
+from PyQt6.QtGui import QBrush, QPalette
 
 from pipeline.previews.colours import Rgb
 from pipeline.translation.cross_section import CrossSection, HeightProfile
@@ -37,6 +37,8 @@ class SectionPlot(Plot):
         self.section: CrossSection | None = None
         self.sensor_role = ""  # sensor whose curves are drawn, "" = both
         self._legend: Any = None
+        self._curves: dict[str, Any] = {}  # by the names of their profiles
+        self._edges: Any = None  # of contact
         self.setMinimumSize(280, 110)
         self.setToolTip(
             "Indentation of every stage along the line, + toward the camera; marks at the bottom: start and "
@@ -45,8 +47,12 @@ class SectionPlot(Plot):
 
     def show_section(self, section: CrossSection | None) -> None:
         """Draw this section."""
-        if section is not self.section:
-            self.section = section
+        if section is self.section:
+            return
+        self.section = section
+        if self._curves.keys() == {profile.name for profile in self.visible_profiles}:
+            self._show_profiles()  # a drag of the line: new items would cost as much as ten updates
+        else:
             self.redraw()
 
     def show_sensor_role(self, place: str) -> None:
@@ -69,17 +75,29 @@ class SectionPlot(Plot):
             self._view.addItem(self._legend, row=0, col=1)
         self._legend.clear()
         self._legend.setLabelTextColor(text)
-        profiles, section = self.visible_profiles, self.section
-        if section is None or not profiles:
-            return
-        low = min(0.0, *(float(np.nanmin(profile.heights_mm)) for profile in profiles))
         own = {"neutral": to_qcolor(ink.neutral), "accent": to_qcolor(ink.accent), "text": text}
-        for profile in profiles:
+        self._curves = {}
+        for profile in self.visible_profiles:
             colour, style, width = _STROKES.get(profile.name, _OTHER)
             shade = own[colour] if isinstance(colour, str) else to_qcolor(colour)
-            pen = pyqtgraph.mkPen(shade, width=width, style=style)
-            curve = axes.plot(section.along_mm, profile.heights_mm, pen=pen, connect="finite")
+            curve = self._curves[profile.name] = axes.plot(
+                pen=pyqtgraph.mkPen(shade, width=width, style=style), connect="finite"
+            )
+            curve.curve.setSegmentedLineMode("on")  # dashes are painted in half the time
             curve.setZValue(-width)  # wide ones below, so that none is hidden
             self._legend.addItem(curve, profile.title)
-            edges = profile.contact_edges_mm
-            axes.plot(edges, [low] * len(edges), pen=None, symbol="t1", symbolSize=7, symbolBrush=shade, symbolPen=None)
+        self._edges = axes.plot(pen=None, symbol="t1", symbolSize=7, symbolPen=None)
+        self._show_profiles()
+
+    def _show_profiles(self) -> None:
+        profiles, section = self.visible_profiles, self.section
+        if section is None or not profiles or not self.isVisible():
+            return
+        low = min(0.0, *(float(np.nanmin(profile.heights_mm)) for profile in profiles))
+        marks: list[tuple[float, QBrush]] = []
+        for profile in profiles:
+            curve = self._curves[profile.name]
+            curve.setData(section.along_mm, profile.heights_mm)
+            marks += [(edge, QBrush(curve.opts["pen"].color())) for edge in profile.contact_edges_mm]
+        places, brushes = [place for place, _ in marks], [brush for _, brush in marks]
+        self._edges.setData(places, [low] * len(marks), symbolBrush=brushes)

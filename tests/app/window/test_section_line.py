@@ -46,7 +46,7 @@ def counted(monkeypatch):
 
     count(cross_section, "sample_bilinear", "cut")
     count(Canvas, "_draw_line", "line")
-    count(SectionPlot, "draw", "plot")
+    count(SectionPlot, "_show_profiles", "plot")
     return counts
 
 
