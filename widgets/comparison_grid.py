@@ -139,7 +139,7 @@ class CellPlot(Plot):
     def draw(self, pyqtgraph: Any, ink: ThemeColours) -> None:
         """Draw the points and the Pareto front."""
         error = f"error, {self._unit}" if self._unit else "error"
-        axes = self.prepare_axes(0, "time of the frame without cache, ms", error)
+        axes = self.prepare_axes(pyqtgraph, 0, "time of the frame without cache, ms", error)
         front, measured = find_pareto_front(self.cells.values()), _list_measured(self.cells.values())
         axes.plot(
             [c.ms for c in front], [c.error for c in front], pen=pyqtgraph.mkPen(to_qcolor(ink.accent), width=1.5)
@@ -150,8 +150,8 @@ class CellPlot(Plot):
             tip=self._describe_point,
         )  # fmt: skip
         points.sigClicked.connect(self._choose)
-        axes.addItem(points)
-        axes.setLimits(xMin=0.0, yMin=0.0)
+        axes.view.addItem(points)
+        axes.view.setLimits(xMin=0.0, yMin=0.0)
 
     def _describe_point(self, x: float, y: float, data: CellIndex) -> str:
         del x, y

@@ -68,11 +68,11 @@ class SectionPlot(Plot):
 
     def draw(self, pyqtgraph: Any, ink: ThemeColours) -> None:
         """Draw curves, contact edges and legend."""
-        axes = self.prepare_axes(0, "along the line A to B, mm", "indentation, mm")
+        axes = self.prepare_axes(pyqtgraph, 0, "along the line A to B, mm", "indentation, mm")
         text = self.palette().color(QPalette.ColorRole.WindowText)
         if self._legend is None:
             self._legend = pyqtgraph.LegendItem(verSpacing=-8)
-            self._view.addItem(self._legend, row=0, col=1)
+            self._view.addItem(self._legend, row=0, col=2)
         self._legend.clear()
         self._legend.setLabelTextColor(text)
         own = {"neutral": to_qcolor(ink.neutral), "accent": to_qcolor(ink.accent), "text": text}
@@ -83,7 +83,6 @@ class SectionPlot(Plot):
             curve = self._curves[profile.name] = axes.plot(
                 pen=pyqtgraph.mkPen(shade, width=width, style=style), connect="finite"
             )
-            curve.curve.setSegmentedLineMode("on")  # dashes are painted in half the time
             curve.setZValue(-width)  # wide ones below, so that none is hidden
             self._legend.addItem(curve, profile.title)
         self._edges = axes.plot(pen=None, symbol="t1", symbolSize=7, symbolPen=None)

@@ -211,6 +211,6 @@ def test_the_curves_of_one_sensor_are_drawn_with_gaps_when_the_plot_is_shown(qtb
     assert not plot._axes, "nothing is drawn that nobody sees"
     plot.show()
     plot.show_sensor_role("target")
-    (curve,) = (item for item in plot._axes[0].listDataItems() if item.yData is not None and len(item.yData) == 50)
+    (curve,) = plot._curves.values()
     np.testing.assert_array_equal(curve.yData, known)
     assert [label.text for _, label in plot._legend.items] == ["touch_depth"]
