@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 from PyQt6 import sip
 from PyQt6.QtCore import QObject, QSocketNotifier
-from PyQt6.QtWidgets import QApplication
+from PyQt6.QtWidgets import QApplication, QMainWindow
 
 if TYPE_CHECKING:
     from app.window.session_controller import SessionController
@@ -37,7 +37,8 @@ def destroy_windows_at_exit() -> None:
 def _destroy_windows() -> None:
     if QApplication.instance() is None:
         return
-    for widget in QApplication.topLevelWidgets():
+    # Plots share their menus with widgets of their own: what they are in is destroyed first, and takes them with it.
+    for widget in sorted(QApplication.topLevelWidgets(), key=lambda widget: not isinstance(widget, QMainWindow)):
         if not sip.isdeleted(widget):  # destroyed with its parent
             sip.delete(widget)
 

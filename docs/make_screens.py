@@ -18,11 +18,9 @@ from PyQt6.QtCore import QCoreApplication, QSettings
 
 from app.main import close_window, make_application, show_window
 from app.session.state import Session
-from app.window.basin_map import BasinMapController
 from app.window.comparison import ComparisonController
 from app.window.live import LiveController
 from app.window.session_controller import SessionController
-from app.window.sweep import SweepController
 from app.window.tour import pin_deepest_pixel, save_window_screenshot
 from pipeline.live.source_parsing import SimulatedSource
 from pipeline.sensors.alignment import Offsets
@@ -43,14 +41,6 @@ def drawers(instrument: SessionController) -> None:
     """All drawers open."""
     for drawer in instrument.window.drawers.all_drawers:
         drawer.show()
-    tour.wait_for_idle(instrument)
-
-
-def basins(instrument: SessionController) -> None:
-    """The basin map, with the drawers that it opens."""
-    tour.command(instrument, "map_basins")
-    tab = next(child for child in instrument.children() if isinstance(child, BasinMapController))
-    tour.until(lambda: tab.result is not None)
     tour.wait_for_idle(instrument)
 
 
@@ -93,13 +83,16 @@ def demo(instrument: SessionController) -> None:
     _layout(instrument, "demo")
 
 
-def sweep(instrument: SessionController) -> None:
+def grid(instrument: SessionController) -> None:
     """The two parameters that it opens on, all cells filled."""
     tour.open_sample(instrument, frame=5)
-    _layout(instrument, "sweep")
-    sweeping = next(child for child in instrument.children() if isinstance(child, SweepController))
-    instrument.window.comparison.sweep.start_button.click()
-    tour.until(lambda: not sweeping.is_busy)
+    _layout(instrument, "compare")
+    instrument.window.comparison.show_tab("grid")
+    tour.wait_for_views(instrument)
+    tab = instrument.window.comparison.grid
+    tour.until(lambda: tab.axes[0].count() > 0)
+    tab.start_button.click()
+    tour.until(lambda: "click" not in tab.message.text() and tab.run_bar.bar.isHidden())
     tour.wait_for_idle(instrument)
 
 
@@ -136,9 +129,9 @@ def live(instrument: SessionController) -> None:
 
 
 SCREENS: dict[str, Callable[[SessionController], None]] = {
-    "welcome": welcome, "stages": stages, "drawers": drawers, "basins": basins, "steps": steps, "inspect": inspect,
+    "welcome": welcome, "stages": stages, "drawers": drawers, "steps": steps, "inspect": inspect,
     "section": section, "align": align,
-    "demo": demo, "sweep": sweep, "compare": compare, "two": two, "live": live,
+    "demo": demo, "grid": grid, "compare": compare, "two": two, "live": live,
 }  # fmt: skip
 
 

@@ -11,7 +11,6 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -25,7 +24,6 @@ prepare_environment()
 from PyQt6.QtCore import QCoreApplication, QSettings
 
 from app.session.state import Session
-from app.window.basin_map import BasinMapController
 from app.window.comparison import ComparisonController
 from app.window.live import LiveController
 from app.window.rollout_attribution import RolloutAttributionController
@@ -145,27 +143,21 @@ def two(instrument: SessionController, path: Path) -> None:
     save_window_screenshot(instrument, path)
 
 
-def seeds(instrument: SessionController, path: Path) -> None:
-    """Eight samples of one touch."""
+def grid(instrument: SessionController, path: Path) -> None:
+    """Eight seeds of one touch against two numbers of denoising steps."""
     comparing = _compared(instrument)
-    instrument.window.comparison.show_tab("seeds")
-    method = instrument.catalogue.method("touch", "t2d2")
     instrument.choose_method("touch", "t2d2")
-    instrument.choose_params(method.key, replace(method.params(), steps=4))
+    instrument.window.comparison.show_tab("grid")
     wait_for_views(instrument)
-    instrument.window.comparison.sample_button.click()
-    until(lambda: not comparing.is_busy and len(instrument.window.comparison.current_tab.grid.tiles) == 5)
-    wait_for_idle(instrument)
-    save_window_screenshot(instrument, path)
-
-
-def basins(instrument: SessionController, path: Path) -> None:
-    """Where the registration of one touch ends, from all around."""
-    open_sample(instrument, frame=8)
-    wait_for_idle(instrument)
-    command(instrument, "map_basins")
-    tab = next(child for child in instrument.children() if isinstance(child, BasinMapController))
-    until(lambda: tab.result is not None)
+    tab = instrument.window.comparison.grid
+    until(lambda: tab.axes[0].findData("touch.seed") >= 0)
+    for box, line, title, values in zip(
+        tab.axes, tab.values, ("touch.seed", "touch.steps"), ("0, 1, 2, 3", "1, 4, 8"), strict=True
+    ):
+        box.setCurrentIndex(box.findData(title))
+        line.setText(values)
+    tab.start_button.click()
+    until(lambda: not comparing.is_busy and len(tab.grid.cells) == 12)
     wait_for_idle(instrument)
     save_window_screenshot(instrument, path)
 
@@ -270,7 +262,7 @@ def record_trials() -> Path:
 
 PICTURES = {
     "welcome": welcome, "stages": stages, "filmstrip": filmstrip, "inspect": inspect, "compare": compare, "two": two,
-    "seeds": seeds, "basins": basins, "demo": demo, "align": align, "track": track, "live": live, "trial": trial,
+    "grid": grid, "demo": demo, "align": align, "track": track, "live": live, "trial": trial,
     "trial_error": trial_error,
 }  # fmt: skip
 

@@ -17,7 +17,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
-from app.session.layout import Arrangement, ComparisonSettings, Layout, load_arrangements, save_arrangements
+from app.session.layout import ComparisonSettings, Layout
 from app.session.state import Session, load_session, save_session
 from pipeline.base.files import read_arrays, read_json, write_arrays, write_json
 from pipeline.calibration import calibration_file, slope_model
@@ -238,7 +238,7 @@ FORCE_SCALES = st.tuples(
 )  # fmt: skip
 
 
-# Alignments, sessions, arrangements
+# Alignments, sessions
 
 
 def check_alignment(written: Any, folder: Path) -> None:
@@ -254,11 +254,6 @@ TRIPLES = st.tuples(*[st.floats(-300.0, 300.0)] * 3)
 LAYOUTS = st.builds(
     Layout, name=st.sampled_from(("stages", "inspect", "align")),
     panes=st.lists(st.tuples(NAMES, st.sampled_from(("2D", "3D", "both"))), min_size=1, max_size=3).map(tuple),
-    arrangement=optional(st.builds(
-        Arrangement, NAMES, only_stage=WORDS, dock_state=NAMES,
-        splitter_sizes_px=st.dictionaries(NAMES, st.tuples(st.integers(0, 9999), st.integers(0, 9999)), max_size=2),
-    )),
-    skipped_stages=st.lists(NAMES, max_size=2).map(tuple),
 )  # fmt: skip
 
 
@@ -273,7 +268,7 @@ def sessions(draw: Any, folder: str = "files", variant: bool = True) -> Session:
         weights={} if (file := draw(paths)) is None else {"touch": file},
         params=draw(st.sampled_from(({}, {"display": DisplayParams()}))),
         notes=draw(st.dictionaries(st.integers(0, 99), WORDS, max_size=3)),
-        comparison=ComparisonSettings(stage=draw(NAMES), seeds=draw(st.integers(2, 64))),
+        comparison=ComparisonSettings(stage=draw(NAMES)),
         cameras=draw(st.dictionaries(NAMES, st.tuples(*[NUMBERS] * 10), max_size=2)),
         section=draw(optional(st.builds(SectionLine, begin_mm=st.tuples(*[st.floats(-90.0, 90.0)] * 2),
                                         end_mm=st.tuples(*[st.floats(-90.0, 90.0)] * 2)))),
@@ -297,12 +292,6 @@ def check_session(session: Session, folder: Path) -> None:
     back = load_session(path)
     assert back == written
     assert (dict(back.cameras), back.section, back.tick) == (dict(written.cameras), written.section, written.tick)
-
-
-def check_arrangements(layouts: Any, folder: Path) -> None:
-    named = tuple(layout for layout in layouts if layout.arrangement is not None)
-    save_arrangements(folder / "arrangements.json", named)
-    assert load_arrangements(folder / "arrangements.json") == named
 
 
 # Tracks and rollouts
@@ -547,7 +536,6 @@ CASES = {
     "force scale": Case(FORCE_SCALES, check_force_scale),
     "alignment": Case(st.tuples(POSES, POSES, NAMES, NAMES, WORDS), check_alignment),
     "session": Case(sessions(), check_session),
-    "arrangements": Case(st.lists(LAYOUTS, max_size=3), check_arrangements),
     "track": Case(tracks(), check_track),
     "rollout": Case(rollouts(), check_rollout),
     "weights": Case(networks(), check_weights),
@@ -566,7 +554,6 @@ CASES = {
 
 # Module that writes files -> the case above, or why it has none.
 WRITERS = {
-    "app/session/layout.py": "arrangements",
     "app/session/state.py": "session",
     "app/window/screenshots.py": "no reader: an image for people",
     "pipeline/base/figures.py": "no reader: an image for people",

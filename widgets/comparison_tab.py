@@ -1,6 +1,7 @@
-"""Tabs of the comparison page: controls, a message with progress, and results; one sweeps two parameters."""
+"""Tabs of the comparison page: controls, a message with progress, and results as tiles or as a grid."""
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 
 from PyQt6.QtCore import Qt
 from PyQt6.QtWidgets import (
@@ -15,11 +16,13 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
-from pipeline.evaluation.parameter_sweep import SweepCell, format_value
+from pipeline.evaluation.comparison_tiles import Comparison
+from pipeline.evaluation.grid_comparison import GridComparison, GridPlan, format_value
 from widgets.base import ChoiceBox
+from widgets.comparison_grid import CellGrid, CellPlot
 from widgets.run_bar import RunBar
 from widgets.styling import fill, make_splitter, set_spacing
-from widgets.sweep_grid import SweepGrid, SweepPlot
+from widgets.tile_grid import TileGrid
 
 
 class ComparisonTab(QWidget):
@@ -32,73 +35,96 @@ class ComparisonTab(QWidget):
         self.message.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Minimum)
         self.head = set_spacing(QHBoxLayout(), 6)
         fill(self.head, *([(controls, 1)] if isinstance(controls, QLayout) else [*controls, 1]))
-        self.body = fill(set_spacing(QHBoxLayout(), 6), (results, 1))
         self.stack = fill(
             set_spacing(QVBoxLayout(self), 4, (4, 4, 4, 2)), self.head,
-            fill(set_spacing(QHBoxLayout(), 6), (self.message, 1), self.run_bar), (self.body, 3),
+            fill(set_spacing(QHBoxLayout(), 6), (self.message, 1), self.run_bar), (results, 3),
         )  # fmt: skip
+
+    def show_comparison(self, comparison: Comparison) -> None:
+        """Show what is computed so far."""
+        self.message.setText(comparison.summary)
+
+
+class TileTab(ComparisonTab):
+    """A tab whose results are tiles."""
+
+    def __init__(self, controls: Sequence[QWidget]) -> None:
+        self.grid = TileGrid()
+        super().__init__(controls, self.grid)
+
+    def show_comparison(self, comparison: Comparison) -> None:
+        """Show the tiles."""
+        super().show_comparison(comparison)
+        self.grid.show_tiles(comparison.tiles)
 
 
 _AXES = "columns", "rows"
-_HINT = "choose two parameters and their values, then press Sweep; click a cell to use its values"
+_GRID_SIZE = 720  # of 1000: the grid next to the plot
+GRID_HINT = "choose what columns and rows try, then press Start; a click on a cell uses its values"
 
 
-class SweepTab(ComparisonTab):
-    """Parameters, values and metric of a sweep, and its cells."""
+class GridTab(ComparisonTab):
+    """Axes, values and metric of a grid, and its cells."""
 
     def __init__(self) -> None:
-        self.axes = tuple(ChoiceBox(f"sweep_{word}", f"parameter of the {word}") for word in _AXES)  # across, down
+        self.axes = tuple(ChoiceBox(f"grid_{word}", f"what the {word} try") for word in _AXES)  # across, down
         self.values = QLineEdit(), QLineEdit()
-        self.metric_box, self.start_button = ChoiceBox("sweep_metric", "metric"), QPushButton("Sweep")
-        self.grid, self.plot = SweepGrid(), SweepPlot()
+        self.metric_box, self.start_button = ChoiceBox("grid_metric", "metric"), QPushButton("Start")
+        self.grid, self.plot = CellGrid(), CellPlot()
+        self._offers: Mapping[str, str] = {}
         controls = set_spacing(QGridLayout(), 6)
         results = make_splitter(Qt.Orientation.Horizontal, (self.grid, 3), (self.plot, 2))
+        results.setSizes([_GRID_SIZE, 1000 - _GRID_SIZE])
         super().__init__(controls, results)
         for which, (word, box, line) in enumerate(zip(_AXES, self.axes, self.values, strict=True)):
-            line.setObjectName(f"sweep_{word}_values")
+            line.setObjectName(f"grid_{word}_values")
             line.setAccessibleName(f"values of the {word}")
             line.setToolTip("Comma-separated values")
             line.returnPressed.connect(self.start_button.click)
+            box.chosen.connect(partial(self._suggest_values, line))
             for col, widget in enumerate((QLabel(word), box, line)):
                 controls.addWidget(widget, which, col)
-        self.start_button.setObjectName("sweep_start")
+        self.start_button.setObjectName("grid_start")
         controls.addWidget(QLabel("metric"), 0, 3)
         controls.addWidget(self.metric_box, 0, 4)
         controls.addWidget(self.start_button, 1, 4)
         controls.setColumnStretch(2, 1)
-        self.message.setText(_HINT)
-        for view, other in ((self.grid, self.plot), (self.plot, self.grid)):
-            view.cell_hovered.connect(view.mark_cell)
-            view.cell_hovered.connect(other.mark_cell)
+        self.message.setText(GRID_HINT)
 
-    def offer_parameters(
-        self, names: Sequence[str], chosen: tuple[int, int], metrics: Mapping[str, str], metric: str
-    ) -> None:
-        """Offer parameters and metrics (name -> title) and show the chosen ones; emits no signal."""
-        for box, index in zip(self.axes, chosen, strict=True):
-            box.offer({name: name for name in names}, names[index] if names else "")
+    def _suggest_values(self, line: QLineEdit, title: str) -> None:
+        line.setText(self._offers.get(title, ""))
+
+    def offer_axes(self, offers: Mapping[str, str], metrics: Mapping[str, str], metric: str) -> None:
+        """Offer axes (title -> suggested values) and metrics (name -> title); emits no signal.
+
+        The chosen axes and their values stay while they are offered, else the first ones are chosen.
+        """
+        first = (*offers, "", "")[:2]
+        self._offers = offers
+        for box, line, default, none in zip(self.axes, self.values, first, ({}, {"": "one row"}), strict=True):
+            titles = {**none, **{title: title for title in offers}}
+            keeps = box.count() > 0 and box.choice in titles
+            box.offer(titles, box.choice if keeps else default)
+            if not keeps:
+                line.setText(offers.get(default, ""))
         self.metric_box.offer(metrics, metric)
 
-    def show_values(self, which: int, values: Sequence[object]) -> None:
-        """Show the values of an axis."""
-        self.values[which].setText(", ".join(format_value(value) for value in values))
+    @property
+    def axis_texts(self) -> tuple[str, str]:
+        """Columns and rows as `stage.name=value,value`; "" for one row."""
+        across, down = (f"{box.choice}={line.text()}" for box, line in zip(self.axes, self.values, strict=True))
+        return across, down if self.axes[1].choice else ""
 
-    def start_sweep(self, across: tuple[str, Sequence[str]], down: tuple[str, Sequence[str]], unit: str) -> None:
-        """Show an empty grid with (name, values) of columns and rows."""
-        self.grid.start_sweep(across, down, unit)
-        self.plot.show_unit(unit)
+    def show_plan(self, plan: GridPlan | None, unit: str = "") -> None:
+        """Show an empty grid, or none."""
+        values = [] if plan is None else [[format_value(value) for value in axis.values] for axis in plan.axes]
+        across, down = (*values, [""] if values else [], list[str]())[:2]
+        self.grid.show_axes(across, down, unit)
+        self.plot.show_cells({}, unit)
 
-    def show_cell(self, cell: SweepCell) -> None:
-        """Add one result."""
-        for view in (self.grid, self.plot):
-            view.show_cell(cell)
-
-    def mark_used_cell(self, row: int, col: int) -> None:
-        """Mark the cell whose values are in use."""
-        for view in (self.grid, self.plot):
-            view.mark_used_cell(row, col)
-
-    def show_state(self, message: str, *, runs: bool) -> None:
-        """Show a message, and whether another sweep can start."""
-        self.message.setText(message)
-        self.start_button.setDisabled(runs)
+    def show_comparison(self, comparison: Comparison) -> None:
+        """Show the newest cell."""
+        super().show_comparison(comparison)
+        if isinstance(comparison, GridComparison) and comparison.cells:
+            self.grid.show_cell(comparison.cells[-1])
+            self.plot.show_cells(self.grid.cells, self.grid.unit)

@@ -30,7 +30,6 @@ class StageRows(FittingSplitter):
         self._watched: set[QObject] = set()
         self._told = False, False, True  # compact captions, states next to titles, room for scales
         self.setObjectName("split_rows")
-        self._restored: tuple[int, ...] = ()  # of an arrangement; its docks are laid out later
         self._above, self.lower_row = QWidget(), QWidget()
         self._upper, self._lower = set_spacing(QHBoxLayout(self._above), 2), set_spacing(QHBoxLayout(self.lower_row), 2)
         self.addWidget(self._above)
@@ -72,8 +71,6 @@ class StageRows(FittingSplitter):
             self._told = short, joined, some
             self._soon.start()  # again after the layout
         room = self.height() - self.handleWidth()
-        if self._restored and sum(self._restored) == room and self.sizes() != list(self._restored):
-            self.setSizes(self._restored)
         if self.is_user_sized or not shown or self.lower_row.isHidden():
             return
         wanted = max(column.compute_preferred_height_px() for column in shown)
@@ -82,13 +79,3 @@ class StageRows(FittingSplitter):
             self.setSizes([above, room - above])
         below = [cell.compute_height_px(_TALL_BELOW) for cell in self._cells if cell.isVisibleTo(self)]
         self.spare_height_changed.emit(room - wanted - max(below, default=0))
-
-    def restore_sizes(self, sizes: Sequence[int]) -> None:
-        """Restore user sizes; without sizes, fit the previews again."""
-        super().restore_sizes(sizes)
-        self._restored = tuple(sizes) if self.is_user_sized else ()
-
-    def keep_sizes(self) -> None:
-        """Keep the sizes that the user chose."""
-        super().keep_sizes()
-        self._restored = ()

@@ -1,6 +1,6 @@
 """Shared styling: fonts, layout spacing, and buttons for commands."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import TypeVar
 
 from PyQt6.QtCore import QEvent, QObject, Qt, QTimer
@@ -142,10 +142,3 @@ class FittingSplitter(QSplitter):
     def keep_sizes(self) -> None:
         """Keep the sizes that the user chose."""
         self.is_user_sized = True
-
-    def restore_sizes(self, sizes: Sequence[int]) -> None:
-        """Restore user sizes; without sizes, fit the contents again."""
-        self.is_user_sized = len(sizes) == self.count()
-        if self.is_user_sized:
-            self.setSizes(list(sizes))
-        self._soon.start()

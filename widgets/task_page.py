@@ -2,61 +2,24 @@
 
 from collections.abc import Mapping, Sequence
 
-from PyQt6.QtCore import QPointF, QRectF, Qt
-from PyQt6.QtGui import QPainter, QPalette, QPolygonF
+from PyQt6.QtCore import Qt
 from PyQt6.QtWidgets import QHBoxLayout, QLabel, QVBoxLayout, QWidget
 
 from pipeline.previews.colours import Rgb
 from pipeline.stages.stage import StepCurve
 from widgets.base import ChoiceBox
 from widgets.error_attribution_panel import DecisionPanel
+from widgets.plots import StripPlot
 from widgets.preview_view import PreviewView
-from widgets.steps_panel import StepsPlot
+from widgets.steps_panel import make_curve_strips
 from widgets.styling import fill, make_bold, make_splitter, set_spacing
-from widgets.theme import ThemeColours, to_hex, to_qcolor
+from widgets.theme import to_hex
 from widgets.timeline import Timeline
 from widgets.trials_panel import TrialsPanel
 from widgets.view_3d_panel import View3DPanel
 
 _TABLE_SIZE, _SCENE_SIZE = 310, 400  # of 1000: the table in the page, the scene next to the touches
 TOUCHES = {"source": "Source", "touch": "Generated touch", "truth": "True touch"}
-_MARK_PX = 4.0
-_LAST_TIMES = 3  # times written under the plot: first, middle and last
-
-
-class RolloutPlot(StepsPlot):
-    """Click, drag or arrow keys choose a tick; triangles at the top mark decisions, times stand at the bottom."""
-
-    def __init__(self) -> None:
-        super().__init__("rollout_plot", "force and motion against time")
-        self._times_s: Sequence[float] = ()
-        self.decision_ticks: tuple[int, ...] = ()
-        self.setMinimumHeight(90)
-
-    def show_rollout(self, curves: Sequence[StepCurve], times_s: Sequence[float], decisions: Sequence[int]) -> None:
-        """Show these curves over the times, with marks at the ticks of decisions."""
-        self._times_s, self.decision_ticks = times_s, tuple(decisions)
-        self.show_curves(curves, ())
-
-    def paint(self, painter: QPainter, ink: ThemeColours) -> None:
-        """Paint strips, marks of decisions, and times."""
-        super().paint(painter, ink)
-        if not self.n_steps:
-            return
-        painter.setPen(Qt.PenStyle.NoPen)
-        painter.setBrush(to_qcolor(ink.worse))
-        for tick in self.decision_ticks:
-            x = self.compute_step_x_px(tick)
-            corners = (QPointF(x - _MARK_PX, 0), QPointF(x + _MARK_PX, 0), QPointF(x, 1.7 * _MARK_PX))
-            painter.drawPolygon(QPolygonF(corners))
-        painter.setPen(self.palette().color(QPalette.ColorRole.PlaceholderText))
-        height = self.fontMetrics().height()
-        for k in range(_LAST_TIMES):
-            tick = round(k * (self.n_steps - 1) / (_LAST_TIMES - 1))
-            x = self.compute_step_x_px(tick)
-            room = QRectF(x - (90 if k == _LAST_TIMES - 1 else 0 if k == 0 else 45), self.height() - height, 90, height)
-            align = (Qt.AlignmentFlag.AlignLeft, Qt.AlignmentFlag.AlignHCenter, Qt.AlignmentFlag.AlignRight)[k]
-            painter.drawText(room, align, f"{self._times_s[tick]:.2f} s")
 
 
 class TaskPage(QWidget):
@@ -64,8 +27,14 @@ class TaskPage(QWidget):
 
     def __init__(self) -> None:
         super().__init__()
-        self.trials, self.scene, self.plot = TrialsPanel(), View3DPanel(), RolloutPlot()
+        self.trials, self.scene, self.plot = (
+            TrialsPanel(),
+            View3DPanel(),
+            StripPlot("rollout_plot", "force and motion against time"),
+        )
         self.decision, self.ticks, self.message = DecisionPanel(), Timeline(unit="tick"), QLabel()
+        self.plot.setMinimumHeight(90)
+        self.plot.setToolTip("Triangles mark decisions")
         self.scene.view.setAccessibleName("scene of the rollout")
         self.scene.view.setMinimumSize(220, 160)
         self.message.setWordWrap(True)
@@ -100,6 +69,10 @@ class TaskPage(QWidget):
         fill(set_spacing(QVBoxLayout(panel), 0), (self.plot, 1), self.ticks)
         return panel
 
+    def show_curves(self, curves: Sequence[StepCurve], times_s: Sequence[float], decisions: Sequence[int]) -> None:
+        """Show these curves over the times, with marks at the ticks of decisions."""
+        self.plot.show_strips(make_curve_strips(curves), [f"{time_s:.2f} s" for time_s in times_s], marks=decisions)
+
     def show_message(self, text: str) -> None:
         """Show why there is nothing to see; "" hides it."""
         self.message.setText(text)
@@ -122,7 +95,7 @@ class TaskPage(QWidget):
     def clear(self) -> None:
         """Show no rollout, and no empty scene."""
         self.scene.hide()
-        self.plot.show_rollout((), (), ())
+        self.plot.show_strips(())
         self.ticks.show_frames(0)
         self.scene.legend.setText("")
         self.decision.show_decision("", None, can_attribute=False)

@@ -1,6 +1,5 @@
 """Preferences of the program between two starts: recent files, last folder, theme, window geometry."""
 
-import secrets
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal, cast, get_args
@@ -18,16 +17,6 @@ class Preferences:
     def __init__(self) -> None:
         kind, scope = QSettings.Format.IniFormat, QSettings.Scope.UserScope
         self._settings = QSettings(kind, scope, "Tactoscope", "Tactoscope")
-
-    @property
-    def signing_key(self) -> bytes:
-        """Secret of this user, made on first use: what it signs was written by the user's own program."""
-        value: object = self._settings.value("signing_key", "")
-        key = value if isinstance(value, str) else ""
-        if not key:
-            key = secrets.token_hex(32)
-            self._settings.setValue("signing_key", key)
-        return key.encode()
 
     @property
     def recent_files(self) -> tuple[Path, ...]:
@@ -68,11 +57,6 @@ class Preferences:
     def window_geometry(self, pair: tuple[QByteArray, QByteArray]) -> None:
         for key, value in zip(("geometry", "state"), pair, strict=True):
             self._settings.setValue(f"window{_STATE_VERSION}/{key}", value)
-
-    @property
-    def settings_folder(self) -> Path:
-        """Folder of the settings file, for data too large to be a setting."""
-        return Path(self._settings.fileName()).parent
 
     @property
     def theme(self) -> Theme:

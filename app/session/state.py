@@ -183,7 +183,7 @@ def _parse_session(data: object, path: Path, catalogue: Catalogue) -> Session:
     if version != _VERSION:
         advice = "open its recording and choose the files again, or use the program that saved it"
         raise FileProblem(f"the session has version {version!r}, this program reads {_VERSION}; {advice}", path)
-    said = convert(cast("object", data), _SessionFile, "the session", path)
+    said = convert(_rename_pages(cast("dict[str, object]", data)), _SessionFile, "the session", path)
     try:
         catalogue.methods(said.route, said.methods)
     except SettingProblem as error:
@@ -198,6 +198,16 @@ def _parse_session(data: object, path: Path, catalogue: Catalogue) -> Session:
         variant=None if said.variant is None else _parse_session({**said.variant, "variant": None}, path, catalogue),
         section=None if said.section is None else SectionLine(begin_mm=said.section[:2], end_mm=said.section[2:]),
     )
+
+
+def _rename_pages(data: Mapping[str, object]) -> dict[str, object]:
+    """Replace pages of older sessions by the grid of *Compare*, which does what they did."""
+    renamed = dict(data)
+    for field_name, key, old, new in (("layout", "name", "sweep", "compare"), ("comparison", "tab", "seeds", "grid")):
+        part = data.get(field_name)
+        if isinstance(part, dict) and cast("dict[str, object]", part).get(key) == old:
+            renamed[field_name] = {**part, key: new}
+    return renamed
 
 
 def _relative(value: Path, folder: Path) -> str:

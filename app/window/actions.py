@@ -121,7 +121,6 @@ REGISTRATION_COMMANDS = (
     Command("edit_alignment", "Edit alignment", "Open the alignment dock and focus its first number", icon="axes",
             key="A"),
     Command("step_through", "Step through", "Keep the iterations of the pose and show them"),
-    Command("map_basins", "Map basins", "Register this frame from a grid of start poses"),
     Command("open_track", "Open track…", "Open a folder that `tactoscope track` wrote"),
     Command("export_track", "Export track…", "Write table, summary and surface of the track to a folder"),
 )
@@ -132,20 +131,13 @@ LAYOUT_COMMANDS = (
             checkable=True),
     Command("layout_align", "Align", "Show the target depth against the recorded touch, with the alignment handles",
             key="Ctrl+3", checkable=True),
-    Command("layout_sweep", "Sweep", "Sweep two parameters against error and time", key="Ctrl+4", checkable=True),
-    Command("layout_demo", "Demo", "Show source, generated touch and truth, large", key="Ctrl+5", checkable=True),
-    Command("layout_compare", "Compare", "Compare methods, settings or seeds on one frame", key="Ctrl+6",
+    Command("layout_demo", "Demo", "Show source, generated touch and truth, large", key="Ctrl+4", checkable=True),
+    Command("layout_compare", "Compare", "Compare methods, settings, or values on a grid, on one frame", key="Ctrl+5",
             checkable=True),
-    Command("layout_track", "Track", "Show the motion of the touched object and its fused surface", key="Ctrl+8",
+    Command("layout_track", "Track", "Show the motion of the touched object and its fused surface", key="Ctrl+6",
             checkable=True),
     Command("layout_task", "Task", "Show the rollouts of a task: why a trial fails", key="Ctrl+7", checkable=True),
-)
-ARRANGEMENT_COMMANDS = (
     Command("toggle_inspect", "Toggle Inspect", "Switch between Inspect and Stages", icon="panes", key="I"),
-    Command("save_arrangement", "Save arrangement…", "Save panes, docks and splitters under a name",
-            key="Ctrl+Shift+A"),
-    Command("rename_arrangement", "Rename arrangement…", "Rename the current arrangement"),
-    Command("delete_arrangement", "Delete arrangement", "Delete the current arrangement; the window stays as it is"),
 )
 TASK_COMMANDS = (
     Command("open_rollouts", "Open rollouts…", "Open a folder that `tactoscope task --record` wrote"),
@@ -175,7 +167,7 @@ MENUS: Mapping[str, tuple[Command, ...]] = {  # title -> commands; every command
     "&Capture": CAPTURE_COMMANDS,
     "&Play": PLAYBACK_COMMANDS,
     "&View": VIEW_COMMANDS,
-    "&Layout": LAYOUT_COMMANDS + ARRANGEMENT_COMMANDS,
+    "&Layout": LAYOUT_COMMANDS,
     "Co&mpare": COMPARISON_MODE_COMMANDS + VARIANT_COMMANDS,
     "&Registration": REGISTRATION_COMMANDS,
     "&Task": TASK_COMMANDS,

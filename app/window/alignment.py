@@ -3,10 +3,11 @@
 from dataclasses import replace
 from pathlib import Path
 
-from PyQt6.QtCore import QObject, pyqtSignal
+from PyQt6.QtCore import pyqtSignal
 
 from app.session.state import Session
 from app.window.alignment_refinement import RefinementController
+from app.window.feature import Feature
 from app.window.logs import log
 from app.window.session_controller import SessionController
 from app.work import alignment_jobs
@@ -26,14 +27,14 @@ _DEPTH_GAUGE_MM = {"gel": 0.5, "bubble": 2.0}  # full scale of the depth gauge, 
 _SAME_PIVOT_MM = 1e-6
 
 
-class AlignmentController(QObject):
+class AlignmentController(Feature):
     """Connects the dock with the session; nothing is computed while the dock is hidden."""
 
     contact_moved = pyqtSignal()
 
     def __init__(self, controller: SessionController) -> None:
         super().__init__(controller)
-        self._controller, self._panel = controller, controller.window.alignment
+        self._panel = self._window.alignment
         self.refinement = RefinementController(controller)
         self.offsets = Offsets()  # of the handles, also during a drag
         self._axis = ""
@@ -140,7 +141,7 @@ class AlignmentController(QObject):
 
     def _begin_drag(self) -> None:
         self._assess_timer.stop()
-        self._controller.window.timeline.play(on=False)
+        self._window.timeline.play(on=False)
         self._panel.mark_ghosts(self._score)
         offsets = self._controller.session.offsets
         if self._assessment is not None and not any(offsets.rotation_deg):

@@ -1,8 +1,9 @@
 """The gizmo on the large pane of Align: drags the same six offsets as the handles of the dock."""
 
-from PyQt6.QtCore import QObject, QPointF
+from PyQt6.QtCore import QPointF
 
 from app.window.alignment import AlignmentController
+from app.window.feature import Feature
 from app.window.session_controller import SessionController
 from pipeline.sensors.alignment import Axis
 from widgets.gizmo import Gizmo
@@ -10,12 +11,12 @@ from widgets.gizmo import Gizmo
 _STAGE = "target_depth"  # that the alignment is judged by
 
 
-class AlignmentGizmoController(QObject):
+class AlignmentGizmoController(Feature):
     """Places the gizmo on the centre of contact."""
 
     def __init__(self, controller: SessionController, alignment: AlignmentController) -> None:
         super().__init__(controller)
-        self._controller, self._alignment, self._panel = controller, alignment, controller.window.alignment
+        self._alignment, self._panel = alignment, self._window.alignment
         self._view = controller.window.columns[_STAGE].view
         self.gizmo = Gizmo(self._view.canvas)
         self._start_offsets, self._mm_of_px = alignment.offsets, 0.0

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import TypeVar
 
-from PyQt6.QtCore import QByteArray, QObject
+from PyQt6.QtCore import QByteArray
 from PyQt6.QtGui import QAction
 from PyQt6.QtWidgets import QMenu, QMessageBox, QWidget
 
@@ -14,6 +14,7 @@ from app.session.preferences import Preferences
 from app.session.recovery import RecoverableSession, RecoveryFile
 from app.session.state import DISPLAY_KEY, Session
 from app.window import dialogs
+from app.window.feature import Feature
 from app.window.logs import log
 from app.window.session_controller import SessionController
 from app.work.jobs import LatestJob
@@ -29,24 +30,23 @@ _MINUTE_S = 60.0
 T = TypeVar("T")
 
 
-class AutosaveController(QObject):
+class AutosaveController(Feature):
     """Connects the session with everything that outlives the window."""
 
     def __init__(self, controller: SessionController) -> None:
         super().__init__(controller)
-        self._controller, self.window = controller, controller.window
         self.preferences = Preferences()
         self.recovery_file = RecoveryFile(recovery.get_recovery_folder())
         self._job = LatestJob("autosave", self)
         self._timer = make_single_shot_timer(self, AUTOSAVE_DELAY_MS, self.autosave_now)
         self._to_recover: Session | None = None  # that the next window offers
         self.notification = NotificationBar("recovery_notification")
-        self.window.notifications.add_bar(self.notification)
-        self.recent_menu = QMenu("Open recent", self.window)
+        self._window.notifications.add_bar(self.notification)
+        self.recent_menu = QMenu("Open recent", self._window)
         self.recent_menu.aboutToShow.connect(self._fill_recent_menu)
-        self.window.menus["File"].insertMenu(self.window.actions_by_name["open_mesh"], self.recent_menu)
+        self._window.menus["File"].insertMenu(self._window.actions_by_name["open_mesh"], self.recent_menu)
         self._saves_geometry = False
-        self.window.may_close = self.may_close
+        self._window.may_close = self.may_close
         controller.job.delivered.connect(self._add_recent)
         controller.closing.connect(self._close)
         controller.termination_requested.connect(self._prepare_recovery)
@@ -63,11 +63,11 @@ class AutosaveController(QObject):
         """Let a command ask for a file or folder, and call `then` with the answer, if any."""
 
         def ask_and_apply() -> None:
-            answer = ask(self.window, command, self.dialog_folder)
+            answer = ask(self._window, command, self.dialog_folder)
             if answer is not None:
                 then(answer)
 
-        self.window.connect_command(command, ask_and_apply)
+        self._window.connect_command(command, ask_and_apply)
 
     @property
     def has_unsaved_changes(self) -> bool:
@@ -94,11 +94,11 @@ class AutosaveController(QObject):
         self._saves_geometry = True
         geometry = self.preferences.window_geometry
         if geometry is None:
-            self.window.maximize_if_tight()
+            self._window.maximize_if_tight()
         else:
-            self.window.restoreGeometry(geometry[0])
-            self.window.restoreState(geometry[1])
-        self.window.stay_on_screen()
+            self._window.restoreGeometry(geometry[0])
+            self._window.restoreState(geometry[1])
+        self._window.stay_on_screen()
 
     def offer_recovery(self) -> None:
         """Offer the newest session of a window that did not close normally, if any."""
@@ -119,13 +119,13 @@ class AutosaveController(QObject):
     def ask_to_save(self) -> QMessageBox.StandardButton:
         """Ask whether to save, discard or cancel."""
         return QMessageBox.question(
-            self.window, "Unsaved changes", "Save the changes of this session?",
+            self._window, "Unsaved changes", "Save the changes of this session?",
             _Answer.Save | _Answer.Discard | _Answer.Cancel, _Answer.Save,
         )  # fmt: skip
 
     def save_session(self) -> None:
         """Save to the session's file; ask for one if it has none."""
-        path = self._controller.session_file or dialogs.ask_save_path(self.window, "save_session", self.dialog_folder)
+        path = self._controller.session_file or dialogs.ask_save_path(self._window, "save_session", self.dialog_folder)
         if path is not None:
             self._controller.save_session(path)
 
@@ -156,7 +156,7 @@ class AutosaveController(QObject):
 
     def show_session(self, session: Session) -> None:
         """Mark unsaved changes in the title, and schedule an autosave."""
-        self.window.setWindowModified(self.has_unsaved_changes)
+        self._window.setWindowModified(self.has_unsaved_changes)
         if session.recording is not None and not self._timer.isActive():
             self._timer.start()
 
@@ -196,8 +196,8 @@ class AutosaveController(QObject):
                 self.recovery_file.write(self._to_recover)
         if self._saves_geometry:
             self.preferences.window_geometry = (
-                QByteArray(self.window.saveGeometry()),
-                QByteArray(self.window.saveState()),
+                QByteArray(self._window.saveGeometry()),
+                QByteArray(self._window.saveState()),
             )
         self.preferences.write()
 

@@ -1,14 +1,13 @@
 """Base of controllers that run one long function in the background: progress, parts, result, failure, cancellation."""
 
-from PyQt6.QtCore import QObject
-
+from app.window.feature import Feature
 from app.window.session_controller import SessionController
 from app.work.jobs import JobFunction, LatestJob
 from pipeline.base.errors import TouchError
 from widgets.run_bar import RunBar
 
 
-class BackgroundController(QObject):
+class BackgroundController(Feature):
     """Runs one function at a time on its own thread; subclasses override the `show_` methods they need.
 
     Only the newest run is shown. A run that was not interrupted by the next one still shows its result. `bar` shows the
@@ -19,7 +18,7 @@ class BackgroundController(QObject):
 
     def __init__(self, name: str, controller: SessionController, *bars: RunBar) -> None:
         super().__init__(controller)
-        self._controller, self._bars = controller, bars
+        self._bars = bars
         self.job = LatestJob(name, self)
         self._ticket = self._oldest_shown = 0  # the newest run, and the oldest whose result is shown; 0 = none
         self.job.progressed.connect(self._handle_progress)

@@ -3,12 +3,12 @@
 from functools import partial
 from pathlib import Path
 
-from PyQt6.QtCore import QObject
 from PyQt6.QtWidgets import QInputDialog
 
 from app.window import dialogs
 from app.window.autosave import AutosaveController
 from app.window.export import ExportController
+from app.window.feature import Feature
 from app.window.session_controller import SessionController
 from app.work.jobs import JobReporter
 from pipeline.base.errors import SettingProblem, escape_text
@@ -21,12 +21,12 @@ _QUESTION = (
 )
 
 
-class BallCalibrationController(QObject):
+class BallCalibrationController(Feature):
     """Asks for the ball and a file, fits the table in the background, and uses it."""
 
     def __init__(self, controller: SessionController, export: ExportController, autosave: AutosaveController) -> None:
         super().__init__(controller)
-        self._controller, self._window, self._export, self._autosave = controller, controller.window, export, autosave
+        self._export, self._autosave = export, autosave
 
     def ask(self) -> None:
         """Ask for the ball's diameter and the file to write, then calibrate."""

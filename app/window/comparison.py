@@ -5,7 +5,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import cast
 
-from app.session.differences import describe_differences
 from app.session.layout import LAST_STAGE, ComparisonSettings, ComparisonTabName, Layout
 from app.session.state import Session
 from app.window.background_controller import BackgroundController
@@ -13,21 +12,24 @@ from app.window.session_controller import SessionController
 from app.work.evaluator import Evaluator
 from app.work.jobs import JobReporter
 from app.work.requests import make_request
-from app.work.variants import open_variant
+from app.work.variants import describe_differences, format_compare_command, list_axes, open_variant
+from pipeline.base.errors import SettingProblem, TouchError
 from pipeline.base.processes import release_free_memory
 from pipeline.evaluation.comparison_tiles import Comparison
+from pipeline.evaluation.grid_comparison import GridPlan, compare_grid, parse_axis
 from pipeline.evaluation.method_comparison import compare_methods
-from pipeline.evaluation.seed_comparison import compare_seeds
 from pipeline.evaluation.variant_comparison import compare_pair
 from pipeline.evaluation.variants import Variant, VariantRunner
+from pipeline.metrics.stage_metrics import METRICS, describe_metric, is_stage_error
 from pipeline.networks import network_factory
+from pipeline.translation.error_attribution import DEFAULT_METRIC
+from pipeline.translation.translate import Translation
 from widgets.comparison_page import ALL_STAGES
+from widgets.comparison_tab import GRID_HINT
 from widgets.styling import make_single_shot_timer
 
 ComparisonSteps = Callable[[JobReporter], Iterator[Comparison]]
-_PAGE_LAYOUTS = ("compare", "sweep")  # layouts that show the comparison page; "sweep" its parameters tab
 _NO_VARIANT = "hold the current settings and change some, or choose another recording, to compare both on one frame"
-_NOT_SAMPLED = "Sample draws this frame's touch with several seeds: their spread separates variance from bias"
 _RELEASE_DELAY_MS = 20_000  # between leaving the page and releasing its memory
 _NO_DIFFERENCE = "no setting differs yet: further changes are those of A (F3 shows the parameters)"
 
@@ -44,17 +46,19 @@ class ComparisonController(BackgroundController):
         self._method_runner = VariantRunner()
         self._shared_runner = VariantRunner(like=self._evaluators[0].graph)  # shares what the columns computed
         self._requested: tuple[object, ...] = ()
-        self._sampling_requested = False
+        self._grid: tuple[Session, GridPlan] | None = None  # that is shown, with the session it was started from
         self._release_timer = make_single_shot_timer(self, _RELEASE_DELAY_MS, self.release_memory)
         self._is_visible, self._summary = False, ""
         self._shown_settings = (ComparisonSettings(), None)  # when the page was last updated
         self._builders: Mapping[str, Callable[[Session], ComparisonSteps | str]] = {
-            "methods": self._build_methods, "two": self._build_pair, "seeds": self._build_seeds,
+            "methods": self._build_methods, "two": self._build_pair,
         }  # fmt: skip
         window = controller.window
         page.choice_changed.connect(self._choose)
-        page.sample_button.clicked.connect(self._sample)
-        for tab in page.tabs.values():
+        page.grid.start_button.clicked.connect(self._start_grid)
+        for view in (page.grid.grid, page.grid.plot):
+            view.cell_chosen.connect(self._use_cell)
+        for tab in page.tile_tabs:
             tab.grid.readout_changed.connect(window.readout.setText)
         controller.frame_shown.connect(self._update)
         controller.closing.connect(self._close)
@@ -100,20 +104,14 @@ class ComparisonController(BackgroundController):
     def _choose(self) -> None:
         """Store the page's choices in the session."""
         page, session = self._page, self._controller.session
-        layout = replace(session.layout, name="sweep" if page.current_name == "sweep" else "compare")
-        if page.current_name == "sweep":
-            self._controller.change("choose in Compare", layout=layout)
-            return
         old = session.comparison
         stage = old.stage if page.stage_box.currentIndex() < 0 else page.stage_box.choice
         if old.stage == LAST_STAGE and page.stage_box.currentIndex() == page.stage_box.count() - 1:
             stage = LAST_STAGE
         new = ComparisonSettings(
-            tab=cast("ComparisonTabName", page.current_name), order=page.order_box.choice, stage=stage,
-            seeds=page.seed_count_box.value(),
-        )  # fmt: skip
-        key = "seeds" if new.seeds != old.seeds else ""
-        self._controller.change("choose in Compare", key=key, comparison=new, layout=layout)
+            tab=cast("ComparisonTabName", page.current_name), order=page.order_box.choice, stage=stage
+        )
+        self._controller.change("choose in Compare", comparison=new)
 
     def _build_methods(self, session: Session) -> ComparisonSteps:
         def run(report: JobReporter) -> Iterator[Comparison]:
@@ -147,23 +145,76 @@ class ComparisonController(BackgroundController):
 
         return run
 
-    def _build_seeds(self, session: Session) -> ComparisonSteps | str:
-        if not self._sampling_requested:
-            return _NOT_SAMPLED
-        self._sampling_requested = False
+    def _parse_plan(self) -> GridPlan:
+        """Return the plan of the grid's controls; raises SettingProblem."""
+        opened, tab = self._controller.views.translation, self._page.grid
+        if opened is None:
+            raise SettingProblem("there is nothing to compare; open a recording first")
+        base = Variant(label="", translation=opened, params=self._controller.session.params)
+        across, down = tab.axis_texts
+        rows = parse_axis(base, down) if down else None
+        return GridPlan(across=parse_axis(base, across), down=rows, metric=tab.metric_box.choice)
+
+    def _start_grid(self) -> None:
+        session, tab = self._controller.session, self._page.grid
+        try:
+            plan = self._parse_plan()
+        except TouchError as error:
+            tab.message.setText(str(error))
+            return
+        self._grid = session, plan
+        tab.show_plan(plan, METRICS[plan.metric.partition(".")[2]].unit if plan.metric else "")
 
         def run(report: JobReporter) -> Iterator[Comparison]:
             variant, frame = open_variant("", self._evaluators[0], session, report)
-            return compare_seeds(
-                self._shared_runner, variant.translation, frame, session.params, session.display,
-                session.comparison.seeds, report,
-            )  # fmt: skip
+            return compare_grid(
+                self._method_runner, variant.translation, frame, session.params, session.display, plan, report
+            )
 
-        return run
+        self.start(lambda report: _deliver_steps(run, report))
 
-    def _sample(self) -> None:
-        self._sampling_requested, self._requested = True, ()
-        self._update()
+    def _follow_grid(self, session: Session) -> None:
+        """Offer what the methods in use can try; drop a grid of another recording or frame."""
+        controller, tab = self._controller, self._page.grid
+        axes = list_axes(session, controller.methods, controller.catalogue, controller.sensor_kinds)
+        known = dict.fromkeys((DEFAULT_METRIC, *controller.window.frames.model.metrics))
+        metrics = {name: describe_metric(name) for name in known if is_stage_error(name)}
+        metric = tab.metric_box.choice if tab.metric_box.count() else DEFAULT_METRIC
+        tab.offer_axes(axes, {**metrics, "": "time only"}, metric)
+        if self._grid is not None and _get_subject(self._grid[0]) != _get_subject(session):
+            self.abandon()
+            self._grid = None
+            tab.show_plan(None)
+            tab.message.setText(GRID_HINT)
+
+    def _use_cell(self, row: int, col: int) -> None:
+        """Use a cell's values in the session, as one change."""
+        opened = self._controller.views.translation
+        if self._grid is None or opened is None:
+            return
+        base = Variant(label="", translation=opened, params=self._controller.session.params)
+        try:
+            variant = self._grid[1].build_variant(base, row, col)
+        except TouchError as error:
+            self._page.grid.message.setText(str(error))
+            return
+        request = variant.translation.request
+        self._controller.change(
+            "use a cell of the grid",
+            params=variant.params,
+            methods=dict(request.methods),
+            weights=dict(request.weights),
+        )
+        self._page.grid.grid.setCurrentCell(row, col)
+
+    def format_command(self, opened: Translation, out: Path) -> str:
+        """Return the command that writes what the page shows; raises SettingProblem."""
+        session, plan = self._controller.session, None
+        if session.comparison.tab == "grid":
+            session, plan = self._grid or (session, self._parse_plan())
+        elif session.comparison.tab == "two" and session.variant is None:
+            raise SettingProblem(_NO_VARIANT)
+        return format_compare_command(session, opened.stages[-1], opened.target.name, out, plan)
 
     def _get_choices(self) -> tuple[object, ...]:
         """The choices of the current tab."""
@@ -173,7 +224,7 @@ class ComparisonController(BackgroundController):
 
     def show_session(self, session: Session) -> None:
         """Cancel what is no longer visible, and update what is."""
-        was_visible, self._is_visible = self._is_visible, session.layout.name in _PAGE_LAYOUTS
+        was_visible, self._is_visible = self._is_visible, session.layout.name == "compare"
         if self._is_visible:
             self._release_timer.stop()
         elif was_visible:
@@ -187,13 +238,13 @@ class ComparisonController(BackgroundController):
             self._update()
 
     def _reset_view(self) -> None:
-        self._page.current_tab.grid.reset_view()
+        for tab in self._page.tile_tabs:
+            tab.grid.reset_view()
 
     def _show_choices(self, session: Session) -> None:
         settings = session.comparison
-        tab = "sweep" if session.layout.name == "sweep" else settings.tab
-        self._page.show_choices(tab, settings.order, settings.stage, settings.seeds)
-        self._controller.window.actions_by_name["clear_variant"].setEnabled(session.variant is not None)
+        self._page.show_choices(settings.tab, settings.order, settings.stage)
+        self._window.actions_by_name["clear_variant"].setEnabled(session.variant is not None)
 
     def _update(self, *_: object) -> None:
         """Compute the current tab, unless it shows that already."""
@@ -204,7 +255,13 @@ class ComparisonController(BackgroundController):
         stages = {name: opened.catalogue.stage(name).title for name in opened.stages}
         page.stage_box.offer({"": ALL_STAGES, **stages})
         self._show_choices(session)
-        for tab in page.tabs.values():
+        if page.current_name == "grid":
+            if self._requested:  # by another tab
+                self.abandon()
+                self._requested = ()
+            self._follow_grid(session)
+            return
+        for tab in page.tile_tabs:
             tab.grid.set_comparison_mode(controller.views.comparison_mode)
         settings = session.with_updates(
             layout=Layout(), cameras_linked=True, comparison=ComparisonSettings(), variant=None
@@ -234,11 +291,8 @@ class ComparisonController(BackgroundController):
 
     def _show(self, comparison: Comparison) -> None:
         page = self._page
-        page.current_tab.grid.show_tiles(comparison.tiles)
+        page.current_tab.show_comparison(comparison)
         self._summary = comparison.summary
-        page.current_tab.message.setText(comparison.summary)
-        if page.current_name == "seeds":
-            page.plot.show_points(comparison.reliability_curve)
         if page.current_name == "two":
             page.row_3d.setVisible(bool(comparison.views_3d))
             for letter, cell in zip("AB", page.views_3d if comparison.views_3d else (), strict=False):
@@ -260,6 +314,11 @@ class ComparisonController(BackgroundController):
     def _close(self) -> None:
         for evaluator in self._evaluators:
             evaluator.close()
+
+
+def _get_subject(session: Session) -> tuple[object, int]:
+    """Return what a grid is of: the recording as it is opened, and the frame, whatever its cells try."""
+    return make_request(replace(session, methods={}, weights={})), session.frame
 
 
 def _deliver_steps(steps: ComparisonSteps, report: JobReporter) -> Comparison:

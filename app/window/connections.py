@@ -11,10 +11,8 @@ from app.session.state import DISPLAY_KEY
 from app.window import dialogs
 from app.window.alignment import AlignmentController
 from app.window.alignment_gizmo import AlignmentGizmoController
-from app.window.arrangements import ArrangementController
 from app.window.autosave import AutosaveController
 from app.window.ball_calibration import BallCalibrationController
-from app.window.basin_map import BasinMapController
 from app.window.comparison import ComparisonController
 from app.window.error_attribution import ErrorAttributionController
 from app.window.export import ExportController
@@ -36,9 +34,7 @@ from app.window.section_line import SectionLineController
 from app.window.session_controller import SessionController
 from app.window.shortcuts import KeyboardController, make_parameter_actions
 from app.window.step_scrubber import StepScrubberController
-from app.window.sweep import SweepController
 from app.window.themes import ThemeController
-from app.window.time_budget import TimeBudgetController
 from app.window.track import TrackController
 from app.window.welcome import WelcomeController
 from pipeline.previews.display_params import DisplayParams
@@ -78,18 +74,16 @@ def connect(controller: SessionController, theme: Theme = "light") -> AutosaveCo
     window.route.chosen.connect(partial(_choose, controller, "route", {}))
 
     for add_feature in (
-        ErrorAttributionController, TimeBudgetController, PinnedProbesController, Probe3DController, KeyboardController,
+        ErrorAttributionController, PinnedProbesController, Probe3DController, KeyboardController,
         SectionLineController, PresentationController, PanZoomController, ColourLimitController,
     ):  # fmt: skip
         add_feature(controller)
-    basin_map, step_scrubber = BasinMapController(controller), StepScrubberController(controller)
-    frame_ranking = FrameRankingController(controller)
-    sweep, comparison = SweepController(controller), ComparisonController(controller)
+    step_scrubber, frame_ranking = StepScrubberController(controller), FrameRankingController(controller)
+    comparison = ComparisonController(controller)
     autosave = AutosaveController(controller)
     welcome = WelcomeController(controller, autosave)
     ThemeController(controller, autosave, theme)
-    arrangements = ArrangementController(controller, autosave)
-    export = ExportController(controller, autosave, sweep)
+    export = ExportController(controller, autosave, comparison)
     PresentationVideoController(controller, export)
     rollouts = RolloutController(controller)
     RolloutAttributionController(controller, rollouts)
@@ -104,16 +98,13 @@ def connect(controller: SessionController, theme: Theme = "light") -> AutosaveCo
     # `SessionController.show_session`, then every feature follows in this order. The layout comes last, as it may
     # request the stages again in another comparison mode.
     for follow in (
-        basin_map.show_session,  # drops a map of another frame or other settings
         step_scrubber.show_session,  # iterations of the chosen stage
         frame_ranking.show_session,  # notes
-        sweep.show_session,  # drops a sweep of another frame or recording
         comparison.show_session,  # computes the visible tab
         autosave.show_session,  # schedules the recovery file
         mending.show_session,  # drops the offers for another recording
         reference.show_session,  # which one is chosen
         welcome.show_session,  # hides the page once something is open
-        arrangements.show_session,  # check marks
         alignment.show_session,  # offsets; drops a proposal for another alignment
         gizmo.show_session,  # its place
         track.show_session,  # drops a track of another recording

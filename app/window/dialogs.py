@@ -4,7 +4,7 @@ import shlex
 from collections.abc import Mapping
 from pathlib import Path
 
-from PyQt6.QtWidgets import QFileDialog, QInputDialog, QWidget
+from PyQt6.QtWidgets import QFileDialog, QWidget
 
 from app.session.state import SESSION_SUFFIX
 from pipeline.geometry.meshes import UnitProblem
@@ -71,12 +71,6 @@ def ask_export_path(parent: QWidget, title: str, suffix: str, folder: str = "") 
         return None
     path = Path(chosen)
     return path if path.suffix.lower() == suffix else path.with_name(path.name + suffix)
-
-
-def ask_name(parent: QWidget, title: str, now: str) -> str:
-    """Ask for a name; "" if cancelled."""
-    name, accepted = QInputDialog.getText(parent, title, "Name", text=now)
-    return name.strip() if accepted else ""
 
 
 def quote_path(path: Path) -> str:

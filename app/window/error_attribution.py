@@ -1,7 +1,8 @@
 """The Attribution tab: the error of a frame at rest is attributed to the stages while the tab is visible."""
 
-from PyQt6.QtCore import QEvent, QObject
+from PyQt6.QtCore import QEvent
 
+from app.window.feature import Feature
 from app.window.session_controller import SessionController
 from pipeline.metrics.stage_metrics import describe_metric, is_stage_error
 from pipeline.stages.truth_method import TRUTH
@@ -15,12 +16,12 @@ _DELAY_MS = 250  # attribution costs several frames of computation: not while pl
 _NO_TRUTH = "This frame has no known error: the recording has no touch of the target."
 
 
-class ErrorAttributionController(QObject):
+class ErrorAttributionController(Feature):
     """Connects the tab with the session."""
 
     def __init__(self, controller: SessionController) -> None:
         super().__init__(controller)
-        self._controller, self._panel = controller, controller.window.error_attribution
+        self._panel = self._window.error_attribution
         self._metric, self._ticket = DEFAULT_METRIC, 0
         self._shares: tuple[ErrorShare, ...] = ()
         self._timer = make_single_shot_timer(self, _DELAY_MS, self._attribute)

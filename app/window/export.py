@@ -13,11 +13,10 @@ from PyQt6.QtWidgets import QInputDialog, QMenu
 from app.window import dialogs
 from app.window.autosave import AutosaveController
 from app.window.background_controller import BackgroundController
+from app.window.comparison import ComparisonController
 from app.window.session_controller import SessionController
-from app.window.sweep import SweepController
 from app.work.jobs import JobFunction, JobReporter
 from app.work.requests import make_request
-from app.work.variants import format_compare_command
 from pipeline.base.errors import TouchError, escape_text
 from pipeline.reporting.export_request import SHEET, SOURCE, ExportRequest, PaneContent, format_command, format_settings
 from widgets.export_dialog import ExportDialog
@@ -25,17 +24,18 @@ from widgets.notification_bar import Choice, NotificationBar
 from widgets.styling import copy_text
 
 _NOT_OPEN = "Nothing to export. Open a recording first."
-_NO_VARIANT = "No session B to compare with. Set B from the current settings or from another recording first."
 _BUSY = "An export is already running. Wait for it, or cancel it."
 
 
 class ExportController(BackgroundController):
     """Connects the export commands with the exports of the pipeline."""
 
-    def __init__(self, controller: SessionController, autosave: AutosaveController, sweep: SweepController) -> None:
+    def __init__(
+        self, controller: SessionController, autosave: AutosaveController, comparison: ComparisonController
+    ) -> None:
         self.notification = NotificationBar("export_notification")
         super().__init__("export", controller, self.notification.run_bar)
-        self._autosave, self._sweep, self._window = autosave, sweep, controller.window
+        self._autosave, self._comparison = autosave, comparison
         self.dialog = ExportDialog(self._window)
         self._window.notifications.add_bar(self.notification)
         self._written: tuple[Path, str, Callable[[object], str] | None] = Path(), "", None  # see `start_writing`
@@ -98,19 +98,15 @@ class ExportController(BackgroundController):
         self._copy(format_command(self.make_export_request(Path(f"{pane}{suffix}"), pane, content, frames)))
 
     def copy_view_command(self) -> None:
-        """Copy the command that reproduces the screen: all tiles of Compare, all cells of Sweep, else the panes."""
+        """Copy the command that reproduces the screen: all tiles or cells of Compare, else the panes."""
         session, opened = self._controller.session, self._controller.views.translation
-        if session.layout.name not in ("compare", "sweep") or opened is None:
+        if session.layout.name != "compare" or opened is None:
             self.copy_export_command(self._pane_on_screen())
-        elif session.layout.name == "sweep":
-            try:
-                self._copy(self._sweep.format_command(opened.target.name, Path("swept")))
-            except TouchError as error:
-                self.notification.show_notification(str(error))
-        elif session.comparison.tab == "two" and session.variant is None:
-            self.notification.show_notification(_NO_VARIANT)
-        else:
-            self._copy(format_compare_command(session, opened.stages[-1], opened.target.name, Path("compared")))
+            return
+        try:
+            self._copy(self._comparison.format_command(opened, Path("compared")))
+        except TouchError as error:
+            self.notification.show_notification(str(error))
 
     def copy_section_command(self) -> None:
         """Copy the command that writes the curves of the section."""

@@ -4,9 +4,10 @@ With truth they are ranked by an error, without it by the round trip to the targ
 a frame alone, so that it comes before all else where it is chosen.
 """
 
-from PyQt6.QtCore import QObject, Qt
+from PyQt6.QtCore import Qt
 
 from app.session.state import Session
+from app.window.feature import Feature
 from app.window.session_controller import SessionController
 from app.work.evaluator import MeasuredQuantities, SummarisedFrame
 from pipeline.metrics.stage_metrics import METRICS, ROUND_TRIP, describe_metric
@@ -20,12 +21,12 @@ _UNCALIBRATED = "uncalibrated_"  # before the name of a force whose scale is not
 _DELAY_MS = 400  # browsing and error attribution come first
 
 
-class FrameRankingController(QObject):
+class FrameRankingController(Feature):
     """Computes the unknown frame nearest to the one on screen, one after the other, at lowest priority."""
 
     def __init__(self, controller: SessionController) -> None:
         super().__init__(controller)
-        self._controller, self._panel = controller, controller.window.frames
+        self._panel = self._window.frames
         self._chosen_metric, self._ticket = "", 0  # "" = as the recording has truth or not
         self._timer = make_single_shot_timer(self, _DELAY_MS, self._rank_next)
         controller.window.drawers.frames.visibilityChanged.connect(self._set_visible)
@@ -69,7 +70,7 @@ class FrameRankingController(QObject):
         return () if opened is None else list_force_metrics(opened)
 
     def _go_to_worst(self) -> None:
-        worst = self._controller.window.timeline.errors.worst_frame
+        worst = self._window.timeline.errors.worst_frame
         if worst >= 0:
             self._controller.choose_frame(worst)
 
@@ -91,22 +92,20 @@ class FrameRankingController(QObject):
         model = self._panel.model
         warnings = {i: texts for i in range(model.rowCount()) if (texts := model.get_specific_warnings(i))}
         values = model.get_values(self._metric) if model.rowCount() > 1 else ()
-        self._controller.window.timeline.show_errors(
+        self._window.timeline.show_errors(
             describe_metric(self._metric), values, warnings, is_quantity=self._is_quantity
         )
 
     @property
     def _needs_completion(self) -> bool:
         """Whether the table is visible, or the timeline shows what takes another translation."""
-        return self._controller.window.drawers.frames.isVisible() or self._metric == ROUND_TRIP
+        return self._window.drawers.frames.isVisible() or self._metric == ROUND_TRIP
 
     @property
     def _is_needed(self) -> bool:
         """Whether the table is visible, or the timeline shows a recording that does not grow."""
         opened = self._controller.views.translation
-        return self._controller.window.drawers.frames.isVisible() or (
-            opened is not None and opened.recording.refresh is None
-        )
+        return self._window.drawers.frames.isVisible() or (opened is not None and opened.recording.refresh is None)
 
     def _step(self, by: int) -> None:
         self._panel.step_by_metric(by, sort_order=_get_sort_order(self._metric))
@@ -134,8 +133,9 @@ class FrameRankingController(QObject):
         if frame < 0 or controller.window.timeline.is_playing or not controller.is_idle:
             return
         session, evaluator = controller.session, controller.evaluator
-        self._ticket = controller.submit_background(
-            lambda report: evaluator.evaluate_in_background(session, frame, report, completely=completely)
+        self._ticket = controller.submit_priority(
+            lambda report: evaluator.evaluate_in_background(session, frame, report, completely=completely),
+            background=True,
         )
 
     def _measure_force(self) -> bool:
@@ -146,8 +146,8 @@ class FrameRankingController(QObject):
         session, evaluator = controller.session, controller.evaluator
         frame = self._panel.model.find_unknown_frame(session.frame, quantity=metric)
         if frame >= 0 and not controller.window.timeline.is_playing and controller.is_idle:
-            self._ticket = controller.submit_background(
-                lambda report: evaluator.measure_force_in_background(session, frame, metric, report)
+            self._ticket = controller.submit_priority(
+                lambda report: evaluator.measure_force_in_background(session, frame, metric, report), background=True
             )
         return frame >= 0
 

@@ -3,22 +3,20 @@
 from dataclasses import replace
 from functools import partial
 
-from PyQt6.QtCore import QObject
-
 from app.session.layout import DIMS, LAYOUT_NAMES, Dims, Layout, LayoutName
 from app.session.state import Session
+from app.window.feature import Feature
 from app.window.session_controller import SessionController
 from pipeline.translation.truth_view import ComparisonMode
 
 _PANES_KEY = "panes"  # consecutive changes of panes are one undo step
 
 
-class LayoutController(QObject):
+class LayoutController(Feature):
     """Connects the layout commands with the session."""
 
     def __init__(self, controller: SessionController) -> None:
         super().__init__(controller)
-        self._controller, self._window = controller, controller.window
         self._mode_before_align: ComparisonMode | None = None  # None outside Align
         self._opened_drawer = False  # whether Align opened the alignment drawer
         self._shown_layout: LayoutName = "stages"
@@ -39,7 +37,7 @@ class LayoutController(QObject):
 
     def choose_layout(self, name: LayoutName) -> None:
         """Change to a layout."""
-        layout = replace(self._controller.session.layout, name=name, arrangement=None)
+        layout = replace(self._controller.session.layout, name=name)
         self._controller.change(f"show {name}", layout=layout)
         self._window.show_layout(self._controller.session.layout)  # resets the command's check mark
 

@@ -2,11 +2,12 @@
 
 from pathlib import Path
 
-from PyQt6.QtCore import QObject, QTimer
+from PyQt6.QtCore import QTimer
 from PyQt6.QtWidgets import QFileDialog
 
 from app.window import dialogs
 from app.window.autosave import AutosaveController
+from app.window.feature import Feature
 from app.window.session_controller import SessionController
 from pipeline.base.errors import TouchError
 from pipeline.live.reader import LiveReader, ReaderStatus
@@ -24,12 +25,12 @@ _STOP_TIMEOUT_S = 1.0  # for the reader's thread on close; a camera that hangs i
 _RECORDER_TIMEOUT_S = 5.0  # for the last frames of a recording to be written on close
 
 
-class LiveController(QObject):
+class LiveController(Feature):
     """Connects a live reader with the session; never waits for a sensor or a disk."""
 
     def __init__(self, controller: SessionController, autosave: AutosaveController) -> None:
         super().__init__(controller)
-        self._controller, self._autosave, self._window = controller, autosave, controller.window
+        self._autosave = autosave
         self.live_bar, self.dialog = LiveBar(), LiveDialog(self._window)
         self._window.strips.addWidget(self.live_bar)
         self.dialog.show_choices(list_sensor_titles(), shapes.list_shapes())

@@ -17,14 +17,12 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
-from app.session.layout import LAYOUT_NAMES, Arrangement, Layout
+from app.session.layout import LAYOUT_NAMES, Layout
 from app.window.actions import MENUS, REFERENCE_COMMANDS, THEME_COMMANDS, make_actions, make_stage_commands
-from app.window.dock_state import capture_arrangement, restore_arrangement
 from app.window.menus import REFERENCE, Drawers, add_layout_tabs, build_menus, build_tool_bar
 from widgets.alignment_panel import AlignmentPanel
 from widgets.banner import Banner
 from widgets.base import ChoiceBox, FixedSizeLabel
-from widgets.basin_map import BasinPanel
 from widgets.comparison_page import ComparisonPage
 from widgets.error_attribution_panel import ErrorAttributionPanel
 from widgets.frames_panel import FramesPanel
@@ -81,7 +79,7 @@ class MainWindow(QMainWindow):
         self.frames, self.parameters, self.alignment = FramesPanel(), ParametersPanel(), AlignmentPanel()
         self.trace, self.log, self.timings, self.probes = TracePanel(), LogPanel(), TimingsPanel(), ProbesPanel()
         self.error_attribution = ErrorAttributionPanel()
-        self.basins, self.steps_panel, self.section_panel = BasinPanel(), StepsPanel(), SectionPanel()
+        self.steps_panel, self.section_panel = StepsPanel(), SectionPanel()
         self.presented_columns: tuple[str, ...] = ()  # those of a presentation, while there is one
         self._only_stage, self._hidden_stages, self.current_layout = "", frozenset[str](), Layout()
         self.view_panels = {name: View3DPanel(self.steps.get(name)) for name, _ in columns}
@@ -166,7 +164,6 @@ class MainWindow(QMainWindow):
             (self.probes, "Probes"),
             (self.section_panel, "Section"),
             (self.steps_panel, "Steps"),
-            (self.basins, "Basins"),
             (self.log, "Log"),
             (self.timings, "Timings"),
         )
@@ -229,19 +226,10 @@ class MainWindow(QMainWindow):
         self._only_stage = "" if self._only_stage in names else self._only_stage
         self.show_layout(self.current_layout)
 
-    def capture_arrangement(self, name: str) -> Arrangement:
-        """Return the current arrangement of the window under a name."""
-        return capture_arrangement(self, name, self._only_stage)
-
-    def show_layout(self, layout: Layout, *, force: bool = False) -> None:
-        """Arrange the columns; a user's arrangement is restored if it is another one or if `force`."""
-        restores = layout.arrangement is not None and (force or layout.arrangement != self.current_layout.arrangement)
+    def show_layout(self, layout: Layout) -> None:
+        """Arrange the columns."""
         self.current_layout = layout
-        self.panes.filmstrip.hide_stages(self._hidden_stages | layout.skips)
-        if restores and layout.arrangement is not None:
-            self._only_stage = (
-                layout.arrangement.only_stage if layout.arrangement.only_stage in self.route_columns else ""
-            )
+        self.panes.filmstrip.hide_stages(self._hidden_stages)
         pairs = {name: (column, self.view_panels[name]) for name, column in self.columns.items()}
         if layout.name == "inspect":
             panes = layout.resolve_panes(self.route_columns)
@@ -260,8 +248,7 @@ class MainWindow(QMainWindow):
             widget.setVisible(layout.name == "demo")
         self.rows.lower_row.setVisible(layout.name != "align")
         pages = {
-            "inspect": self.panes, "sweep": self.comparison, "compare": self.comparison, "track": self.track,
-            "task": self.task,
+            "inspect": self.panes, "compare": self.comparison, "track": self.track, "task": self.task,
         }  # fmt: skip
         self.pages.setCurrentWidget(pages.get(layout.name, self.rows))
         self.timeline.setVisible(layout.name != "task")  # which steps through ticks
@@ -274,16 +261,11 @@ class MainWindow(QMainWindow):
             action.setEnabled(key in self.route_columns)
         for name in LAYOUT_NAMES:
             self.actions_by_name[f"layout_{name}"].setChecked(name == layout.name)
-        if restores and layout.arrangement is not None and not restore_arrangement(self, layout.arrangement):
-            self.banner.show_problem(
-                f"the drawers of {layout.arrangement.name!r} are of another version and stay closed"
-            )
 
     @property
     def route_columns(self) -> list[str]:
-        """The columns that the route computes, without those that the layout skips."""
-        hidden = self._hidden_stages | self.current_layout.skips
-        return [name for name in self.columns if name not in hidden]
+        """The columns that the route computes."""
+        return [name for name in self.columns if name not in self._hidden_stages]
 
     def visible_columns(self) -> tuple[str, ...]:
         """The stages that are visible, large or as thumbnails, or in a presentation."""

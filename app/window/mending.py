@@ -6,13 +6,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from PyQt6.QtCore import QObject
-
 from app.session.state import Session
 from app.session.undo import list_sessions
 from app.window import dialogs
 from app.window.actions import REFERENCE_COMMANDS
 from app.window.ball_calibration import BallCalibrationController
+from app.window.feature import Feature
 from app.window.session_controller import SessionController
 from app.work.evaluator import EvaluatedFrame
 from pipeline.base.errors import (
@@ -32,12 +31,12 @@ from pipeline.values.results import Cloud, DepthMap
 from widgets.notification_bar import Choice, NotificationBar
 
 
-class MendingController(QObject):
+class MendingController(Feature):
     """Finds what mends an error or a warning, and offers what else a recording holds."""
 
     def __init__(self, controller: SessionController, calibration: BallCalibrationController) -> None:
         super().__init__(controller)
-        self._controller, self._window, self._calibration = controller, controller.window, calibration
+        self._calibration = calibration
         self.notification = NotificationBar("mending_notification")
         self._window.notifications.add_bar(self.notification)
         self._offered: Translation | None = None  # whose offers were made

@@ -35,7 +35,7 @@ _TOOLS = (
 _AFTER_SEPARATOR = frozenset(
     (
         "open_mesh", "save_session", "export", "quit", "reset_all", "copy_image", "back_10", "only_1",
-        "toggle_inspect", "save_arrangement", "set_variant_settings", "edit_alignment", "step_through", "open_track",
+        "toggle_inspect", "set_variant_settings", "edit_alignment", "step_through", "open_track",
     )
 )  # fmt: skip
 # Buttons that get their text next to the icon while there is room, the first ones first.

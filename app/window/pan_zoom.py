@@ -3,9 +3,10 @@
 from collections.abc import Mapping
 from functools import partial
 
-from PyQt6.QtCore import QObject, QPointF
+from PyQt6.QtCore import QPointF
 
 from app.session.state import DISPLAY_KEY
+from app.window.feature import Feature
 from app.window.session_controller import SessionController
 from pipeline.base.params import list_settings, replace_value
 from pipeline.geometry import rigid
@@ -23,12 +24,11 @@ _OUTLINE_SOURCES = {
 _DIGITS = 2  # decimals of a limit in mm
 
 
-class PanZoomController(QObject):
+class PanZoomController(Feature):
     """Pans and zooms the images of all columns."""
 
     def __init__(self, controller: SessionController) -> None:
         super().__init__(controller)
-        self._controller, self._window = controller, controller.window
         self._views = {name: column.view for name, column in self._window.columns.items()}
         self._fit, self._link = (self._window.actions_by_name[name] for name in ("fit_contact", "link_previews"))
         for name, view in self._views.items():
@@ -112,15 +112,14 @@ def _transfer_point(opened: Translation, at_mm: tuple[float, float], *, to_targe
     return float(x), float(y)
 
 
-class ColourLimitController(QObject):
+class ColourLimitController(Feature):
     """Connects the colour bars with the session."""
 
     def __init__(self, controller: SessionController) -> None:
         super().__init__(controller)
-        self._controller = controller
         window = controller.window
         bars = [column.view.colour_bar for column in (*window.columns.values(), window.truth_column)]
-        for source in (*bars, *(tab.grid for tab in window.comparison.tabs.values())):
+        for source in (*bars, *(tab.grid for tab in window.comparison.tile_tabs)):
             source.limit_dragged.connect(self.set_limit)
             source.limits_fitted.connect(self.set_limits)
 

@@ -2,8 +2,9 @@
 
 import math
 
-from PyQt6.QtCore import QEvent, QObject
+from PyQt6.QtCore import QEvent
 
+from app.window.feature import Feature
 from app.window.pixel_trace import Places
 from app.window.session_controller import SessionController
 from app.work.stage_previews import StagePreview
@@ -17,12 +18,12 @@ _NONE = "\N{EN DASH}"
 _NOT_THERE = "not there: the trace ends before"
 
 
-class PinnedProbesController(QObject):
+class PinnedProbesController(Feature):
     """Shows the probe's pins; the errors need the truth of every stage, which is read while the tab is visible."""
 
     def __init__(self, controller: SessionController) -> None:
         super().__init__(controller)
-        self._controller, self._window, self._panel = controller, controller.window, controller.window.probes
+        self._panel = self._window.probes
         self._timer = make_single_shot_timer(self, _DELAY_MS, self._show)
         controller.probe.pins_changed.connect(self._update_soon)
         controller.probe.results_changed.connect(self._update_soon)

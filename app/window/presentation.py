@@ -2,11 +2,12 @@
 
 from pathlib import Path
 
-from PyQt6.QtCore import QObject, QSize
+from PyQt6.QtCore import QSize
 from PyQt6.QtGui import QGuiApplication
 from PyQt6.QtWidgets import QWidget
 
 from app.window.export import ExportController
+from app.window.feature import Feature
 from app.window.session_controller import SessionController
 from app.work.evaluator import Evaluator
 from app.work.jobs import JobReporter
@@ -21,12 +22,11 @@ from widgets.presentation_view import PresentationView
 _COMMANDS = ("full_screen", "play", "first", "previous", "next", "last", "back_10", "forward_10", "loop")
 
 
-class PresentationController(QObject):
+class PresentationController(Feature):
     """Connects the commands with the window."""
 
     def __init__(self, controller: SessionController) -> None:
         super().__init__(controller)
-        self._controller, self._window = controller, controller.window
         self._full_screen, self._magnify = (self._window.actions_by_name[name] for name in ("full_screen", "magnify"))
         self.magnifier = Magnifier(self._window)
         self._window.connect_command("full_screen", self._set_full_screen)
@@ -110,12 +110,12 @@ _SIZE = QSize(1920, 1080)
 _NO_H264 = "; H.264 needs an ffmpeg with libx264 on the PATH"
 
 
-class PresentationVideoController(QObject):
+class PresentationVideoController(Feature):
     """Asks for a file, then writes all frames as the presentation shows them."""
 
     def __init__(self, controller: SessionController, export: ExportController) -> None:
         super().__init__(controller)
-        self._controller, self._export = controller, export
+        self._export = export
         controller.window.connect_command("save_video", self.ask)
 
     def ask(self) -> None:

@@ -4,8 +4,9 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from PyQt6.QtCore import QObject, QPointF
+from PyQt6.QtCore import QPointF
 
+from app.window.feature import Feature
 from app.window.scene_geometry import get_depth_stretch
 from app.window.session_controller import SessionController
 from pipeline.base.arrays import Doubles
@@ -28,12 +29,11 @@ class _Surface:
     pixel_row_col: Doubles  # (n, 2) row, col
 
 
-class Probe3DController(QObject):
+class Probe3DController(Feature):
     """Connects the 3D views with the probe: the pixel under the pointer is probed, a click pins it."""
 
     def __init__(self, controller: SessionController) -> None:
         super().__init__(controller)
-        self._controller, self._window = controller, controller.window
         self._pointer: tuple[str, QPointF] | None = None
         self._surfaces: dict[str, _Surface] = {}
         self._timer = make_single_shot_timer(self, _DELAY_MS, self._probe)

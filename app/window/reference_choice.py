@@ -2,19 +2,18 @@
 
 from functools import partial
 
-from PyQt6.QtCore import QObject
-
 from app.session.state import Session
+from app.window.feature import Feature
 from app.window.session_controller import SessionController
 from pipeline.recordings.reference_estimate import MEDIAN, UNTOUCHED
 
 
-class ReferenceController(QObject):
+class ReferenceController(Feature):
     """Chooses the reference, and shows which one is chosen."""
 
     def __init__(self, controller: SessionController) -> None:
         super().__init__(controller)
-        self._controller, self._actions = controller, controller.window.actions_by_name
+        self._actions = self._window.actions_by_name
         choose, connect = controller.choose_reference_frames, controller.window.connect_command
         connect("reference_median", partial(choose, MEDIAN))
         connect("reference_untouched", partial(choose, UNTOUCHED))

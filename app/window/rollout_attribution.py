@@ -60,7 +60,7 @@ class RolloutAttributionController(BackgroundController):
         """Show the decision at the tick on screen, or else the one whose error is attributed."""
         opened, decisions = self._rollouts.shown, self.decisions
         can = self._can_attribute
-        self._controller.window.actions_by_name["attribute_rollout"].setEnabled(can)
+        self._window.actions_by_name["attribute_rollout"].setEnabled(can)
         if self.job.is_busy and self._running is not None:
             return
         if opened is None or not decisions:

@@ -3,11 +3,10 @@
 from functools import partial
 from pathlib import Path
 
-from PyQt6.QtCore import QObject
-
 from app.window import dialogs
 from app.window.autosave import AutosaveController
 from app.window.export import ExportController
+from app.window.feature import Feature
 from app.window.rollouts import RolloutController
 from app.window.session_controller import SessionController
 
@@ -15,7 +14,7 @@ _COMMANDS = ("export_rollout_video", "export_rollout_bundle", "copy_trials", "ne
              "next_decision")  # fmt: skip
 
 
-class RolloutExportController(QObject):
+class RolloutExportController(Feature):
     """Connects the export commands of the *Task* layout."""
 
     def __init__(
@@ -26,7 +25,7 @@ class RolloutExportController(QObject):
         autosave: AutosaveController,
     ) -> None:
         super().__init__(controller)
-        self._window, self._rollouts, self._export = controller.window, rollouts, export
+        self._rollouts, self._export = rollouts, export
         self._window.connect_command("export_rollout_video", self._ask_video)
         autosave.connect_dialog("export_rollout_bundle", dialogs.ask_save_path, self.write_bundle)
         rollouts.rollout_shown.connect(self._enable)

@@ -34,7 +34,7 @@ class RolloutController(BackgroundController):
 
     def __init__(self, controller: SessionController) -> None:
         super().__init__("rollouts", controller)
-        self._window, self._page = controller.window, controller.window.task
+        self._page = self._window.task
         self.folder: TrialFolder | None = None
         self.shown: OpenRollout | None = None
         self._requested: Path | None = None  # rollout that is read or shown
@@ -82,7 +82,7 @@ class RolloutController(BackgroundController):
 
     @property
     def _layout(self) -> Layout:
-        return replace(self._controller.session.layout, name="task", arrangement=None)
+        return replace(self._controller.session.layout, name="task")
 
     @property
     def _tick(self) -> int:
@@ -153,7 +153,7 @@ class RolloutController(BackgroundController):
         decisions = [decision.tick for decision in run.summary.decisions]
         page.show_message(opened.unavailable)
         page.trials.show_trial(run.path)
-        page.plot.show_rollout(opened.curves, run.time_s.tolist(), decisions)
+        page.show_curves(opened.curves, run.time_s.tolist(), decisions)
         page.ticks.show_frames(run.n_ticks)
         page.offer_places(opened.places, session.stream)
         page.views["touch"].show_message(_NOT_READ.get(run.summary.touch, ""))

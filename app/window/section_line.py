@@ -3,8 +3,9 @@
 from functools import partial
 
 import numpy as np
-from PyQt6.QtCore import QEvent, QObject, QPointF
+from PyQt6.QtCore import QEvent, QPointF
 
+from app.window.feature import Feature
 from app.window.session_controller import SessionController
 from app.work.stage_previews import SourcePreview, StagePreview
 from pipeline.translation import cross_section
@@ -22,12 +23,11 @@ _OUTDATED = ("failed", "waiting")  # column states of another frame
 _TRUTH = "truth"  # column of the Demo layout
 
 
-class SectionLineController(QObject):
+class SectionLineController(Feature):
     """Connects the images, the tab, the command and the session's section line."""
 
     def __init__(self, controller: SessionController) -> None:
         super().__init__(controller)
-        self._controller, self._window = controller, controller.window
         self._panel, self._action = self._window.section_panel, self._window.actions_by_name["section_line"]
         self._last_line: SectionLine | None = None  # before it was removed
         self._views = {name: column.view for name, column in self._window.columns.items()}

@@ -1,5 +1,6 @@
 """The session and its background computation: the newest request is the one on screen."""
 
+import time
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
@@ -18,7 +19,7 @@ from app.window.session_document import SessionDocument
 from app.window.stage_views import StageViews
 from app.work.evaluator import EvaluatedFrame, Evaluator, InitialFrame
 from app.work.jobs import JobFunction, LatestJob
-from app.work.requests import find_undo_target, make_request, make_request_if_open
+from app.work.requests import Requests, find_undo_target, make_request, make_request_if_open
 from app.work.stage_previews import SourcePreview, StagePreview
 from pipeline.base.params import list_settings
 from pipeline.engine.graph import Method
@@ -31,8 +32,6 @@ from widgets.styling import make_single_shot_timer
 
 _STALE_DELAY_MS = 150  # columns not replaced within this time are marked stale
 _STEPS_RAISED = "denoising steps raised to 8: guidance acts from 4 steps on"
-# A running request younger than this finishes, so that a drag shows intermediate results; an older one is cancelled.
-_INTERRUPT_DELAY_MS = 500
 
 
 class SessionController(SessionDocument):
@@ -52,20 +51,16 @@ class SessionController(SessionDocument):
         self.job, self.evaluator = LatestJob("stages", self), Evaluator(catalogue)
         self.probe = PixelProbe(window)
         self.views = StageViews(window, self.probe)
-        self._ticket = self._oldest_shown = self._opening_ticket = self._background_ticket = 0
-        self.is_closed = self._is_pending = self._must_refresh = False  # must_refresh: stages were dropped
+        self.is_closed = False
+        self.requests = Requests()
         self._extras: set[str] = set()  # that panels request
         self._open_requests: set[Request | None] = {None}  # that are open: as requested, and with names resolved
         self._failed_requests: set[Request | None] = set()
         self._is_skipping = False  # over undo steps that need no computation
         self._dragged_key = ""  # method whose slider is held
-        self._draft_stage = ""  # whose draft is computed and not yet on screen: the next request waits for it
         self.latest_frame: EvaluatedFrame | None = None  # the frame on screen
         self.failed_session = self.session  # that failed last
-        self._stale_timer, self._interrupt_timer = (
-            make_single_shot_timer(self, _STALE_DELAY_MS, self.views.mark_stale),
-            make_single_shot_timer(self, _INTERRUPT_DELAY_MS, lambda: None),
-        )
+        self._stale_timer = make_single_shot_timer(self, _STALE_DELAY_MS, self.views.mark_stale)
 
     def choose_frame(self, frame: int) -> None:
         """Go to a frame."""
@@ -137,7 +132,7 @@ class SessionController(SessionDocument):
     def set_cameras(self, cameras: Mapping[str, tuple[float, ...]]) -> None:
         """Set the cameras of the 3D views, once the session's recording is open."""
         self.views.cameras.request_cameras(
-            cameras, self.views.scene if self._is_open() and not self._opening_ticket else None
+            cameras, self.views.scene if self._is_open() and not self.requests.opening else None
         )
 
     def request_extra(self, extra: Literal["observation", "truth"], *, wanted: bool) -> None:
@@ -158,26 +153,21 @@ class SessionController(SessionDocument):
         if self.session.recording is not None and not self.is_closed:
             self._request_stages(other_request=False)
 
-    def submit_priority(self, work: JobFunction) -> int:
+    def submit_priority(self, work: JobFunction, *, background: bool = False) -> int:
         """Run a short job on the open recording instead of the stages; returns its ticket, 0 if nothing is open.
 
-        Running stages are dropped; `refresh` requests them again, and until then the controller is not idle.
+        Running stages are dropped; `refresh` requests them again, and until then the controller is not idle. It counts
+        as idle during a job in the `background`, which has the lowest priority.
         """
-        if self._opening_ticket or self.is_closed or self.views.translation is None:
+        if self.requests.opening or self.is_closed or self.views.translation is None:
             return 0
-        dropped = self._is_pending or self._must_refresh
-        interrupt = self._is_pending or self.job.newest_ticket == self._background_ticket
+        interrupt = self.requests.is_running or self.job.newest_ticket == self.requests.background
+        old = self.requests
         self._end_request()
-        self._must_refresh = dropped
         self.views.mark_dropped()
-        self._ticket = 0  # cancellations of older tickets are ignored
-        self._ticket = self.job.submit(work, interrupt=interrupt)
-        return self._ticket
-
-    def submit_background(self, work: JobFunction) -> int:
-        """Run a job as `submit_priority` does, at lowest priority: the controller counts as idle meanwhile."""
-        self._background_ticket = self.submit_priority(work)
-        return self._background_ticket
+        ticket = self.job.submit(work, interrupt=interrupt)
+        self.requests = old.yield_to(ticket, background=background)
+        return ticket
 
     def show_only(self, name: str) -> None:
         """Show one stage alone, or all again; hidden stages are not computed."""
@@ -208,14 +198,15 @@ class SessionController(SessionDocument):
     @property
     def is_idle(self) -> bool:
         """Whether everything requested is on screen or has failed."""
-        is_busy = self.job.is_busy and self.job.newest_ticket != self._background_ticket
-        return not (is_busy or self._stale_timer.isActive() or self._is_pending or self._must_refresh)
+        is_busy = self.job.is_busy and self.job.newest_ticket != self.requests.background
+        return not is_busy and self.requests.state == "idle"
 
     def handle_part(self, ticket: int, part: object) -> None:
         """Show a part of the result; parts of an older recording are dropped."""
-        if ticket < self._oldest_shown or self.is_closed:
+        if self.is_closed or not self.requests.accepts(ticket):
             return
-        self._opening_ticket = 0
+        before = self.requests
+        self.requests = before.show_part(part.result.name if isinstance(part, StagePreview) else "")
         if isinstance(part, InitialFrame):
             self.session = replace(self.session, frame=part.index)
             self._show_controls()
@@ -229,31 +220,30 @@ class SessionController(SessionDocument):
             if not visible.issuperset(self.window.visible_columns()):
                 self.refresh()  # the route has columns that the request did not include
         elif isinstance(part, SourcePreview | StagePreview):
-            self.views.show_stage(part, is_newest=ticket == self._ticket)
-            if isinstance(part, StagePreview) and part.result.name == self._draft_stage:
-                self._draft_stage = ""
+            self.views.show_stage(part, is_newest=ticket == self.requests.ticket)
+            if self.requests.state != before.state:  # the draft is on screen
                 self.job.skip_to_waiting()
             if isinstance(part, SourcePreview):
                 self.window.timeline.show_frame(self.session.frame, part.frame.time_s)
-        if ticket == self._ticket:
+        if ticket == self.requests.ticket:
             self.views.mark_running()
 
     def handle_frame(self, ticket: int, shown: object) -> None:
         """Show the summary of a finished frame."""
-        if ticket < self._oldest_shown or self.is_closed or not isinstance(shown, EvaluatedFrame):
+        if self.is_closed or not self.requests.accepts(ticket) or not isinstance(shown, EvaluatedFrame):
             return
         self.latest_frame = shown
         self.views.show_frame_summary(shown, is_comparable=shown.settings == self.session.settings)
-        if ticket == self._ticket:
+        if ticket == self.requests.ticket:
             self._end_request()
             self.frame_shown.emit(shown.index)
 
     def handle_failure(self, ticket: int, error: object) -> None:
         """Show an error with what mends it; if an open recording does not open with another file, undo that."""
-        if ticket < self._oldest_shown or self.is_closed or not isinstance(error, BaseException):
+        if self.is_closed or not self.requests.accepts(ticket) or not isinstance(error, BaseException):
             return
-        if ticket == self._ticket:
-            cannot_open = self._opening_ticket == ticket and not self._is_open()  # else one frame is damaged
+        if ticket == self.requests.ticket:
+            cannot_open = self.requests.opening == ticket and not self._is_open()  # else one frame is damaged
             self._end_request()
             self.failed_session = self.session
             if cannot_open and isinstance(error, AlignmentMismatch) and self._drop_alignment():
@@ -267,7 +257,8 @@ class SessionController(SessionDocument):
 
     def handle_cancellation(self, ticket: int) -> None:
         """Show that the request was cancelled."""
-        if ticket == self._ticket and not self.is_closed:
+        # A request that a newer one replaces before it runs is cancelled before the newer one is known here.
+        if ticket == self.requests.ticket == self.job.newest_ticket and not self.is_closed:
             self.views.mark_cancelled()
             self._end_request()
             if self.views.translation is None:
@@ -275,7 +266,7 @@ class SessionController(SessionDocument):
 
     def handle_progress(self, ticket: int, fraction: float, text: str) -> None:
         """Show the progress of the newest request."""
-        if ticket == self._ticket and self._is_pending:
+        if ticket == self.requests.ticket and self.requests.is_running:
             self.window.show_progress(fraction, text)
 
     def _close_recording(self, following: Path | None) -> None:
@@ -284,9 +275,8 @@ class SessionController(SessionDocument):
         self.views.clear_recording("" if following is None else following.name)
         if following is None:
             self.job.cancel()
-            self._ticket = self._background_ticket = 0
-            self._oldest_shown = self.job.newest_ticket + 1
             self._end_request()
+            self.requests = self.requests.close_recording(self.job.newest_ticket)
 
     def _undo_opening(self) -> None:
         """Undo to the nearest session that is open, but stay on the frame chosen meanwhile."""
@@ -342,17 +332,12 @@ class SessionController(SessionDocument):
             get_current=lambda: self.views.translation,
             with_truth=bool(self.views.comparison_mode) or self.window.shows_truth_column or "truth" in self._extras,
         )  # fmt: skip
-        interrupt = other_request or not (self._draft_stage or self._interrupt_timer.isActive())
-        self._draft_stage = self._dragged_key.partition("/")[0]
-        self._is_pending, self._must_refresh = True, False
-        self._ticket = 0  # cancellations of older tickets are ignored
-        self._ticket = self.job.submit(lambda report: evaluate(session, stages, report), interrupt=interrupt)
-        if other_request:
-            self._oldest_shown = self._ticket
-        if other_request or self._opening_ticket:
-            self._opening_ticket = self._ticket
-        if interrupt:
-            self._interrupt_timer.start()
+        now_s = time.monotonic()
+        interrupts = self.requests.must_interrupt(now_s, opens=other_request)
+        ticket = self.job.submit(lambda report: evaluate(session, stages, report), interrupt=interrupts)
+        self.requests = self.requests.request(
+            ticket, now_s, opens=other_request, interrupts=interrupts, draft_stage=self._dragged_key.partition("/")[0]
+        )
         self.views.mark_all_pending()
         self.window.timeline.show_ready(ready=False)
         if not self._stale_timer.isActive():
@@ -365,9 +350,7 @@ class SessionController(SessionDocument):
         return self.session.with_draft_params(methods[first:])
 
     def _end_request(self) -> None:
-        self._is_pending = self._must_refresh = False
-        self._opening_ticket = 0
+        self.requests = self.requests.end()
         self._stale_timer.stop()
-        self._interrupt_timer.stop()
         self.window.show_progress(None)
         self.window.timeline.show_ready(ready=True)

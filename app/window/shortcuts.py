@@ -6,6 +6,7 @@ from PyQt6.QtCore import QEvent, QObject, Qt
 from PyQt6.QtGui import QAction
 from PyQt6.QtWidgets import QWidget
 
+from app.window.feature import Feature
 from app.window.main_window import MainWindow
 from app.window.session_controller import SessionController
 from widgets.base import EventListener
@@ -17,12 +18,12 @@ _HINT = (
 )
 
 
-class KeyboardController(QObject):
+class KeyboardController(Feature):
     """Gives the keyboard focus to images and to the alignment's first number."""
 
     def __init__(self, controller: SessionController) -> None:
         super().__init__(controller)
-        self._window, self._probe = controller.window, controller.probe
+        self._probe = controller.probe
         self._is_open = lambda: controller.views.translation is not None
         for name, column in self._window.columns.items():
             keys = PreviewKeyFilter(column.view)

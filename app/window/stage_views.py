@@ -19,6 +19,7 @@ from pipeline.translation.translate import Request, Translation
 from pipeline.translation.truth_view import ComparisonMode, TruthView
 from widgets.preview_view import PreviewView
 from widgets.scene_renderer import SceneRenderer
+from widgets.timings_panel import TimingRow
 from widgets.view_3d_panel import AnyStep
 
 PageScene = Literal["track", "task"]  # pages with a 3D scene of their own
@@ -79,7 +80,6 @@ class StageViews:
         window.frames.model.reset_frames(0)
         window.timeline.show_frames(0)
         window.timings.show_rows(())
-        window.timings.show_budget("", (), "")
         window.source.setItemText(0, "as recorded")
         for column in (*window.columns.values(), window.truth_column):
             column.view.show_preview(None)
@@ -194,6 +194,12 @@ class StageViews:
             self._window.frames.show_frame(shown.index)
         if self.translation is not None:
             stage = self.translation.catalogue.stage
+            self._window.timings.show_rows(
+                tuple(
+                    TimingRow(title=stage(key).title, state=r.state, time_ms=r.ms, notes=r.notes)
+                    for key, r in shown.results.items()
+                )
+            )
             common = self._window.frames.model.common_warnings
             warnings = [(stage(key).title, warning) for key, r in shown.results.items() for warning in r.warnings]
             # Warnings that every frame has come last.
@@ -298,12 +304,6 @@ class StageViews:
         self._window.columns[stage].view.show_preview(part.step_previews[at])
         if part.step_layers[at]:
             self.scene.show_layers(self._order.index(stage), part.step_layers[at])
-
-    def show_pose(self, sensor_from_object: Doubles, preview: Preview | None) -> None:
-        """Show another object pose, until the stage is computed again."""
-        self.scene.move_layer(self._order.index("pose"), "object", sensor_from_object)
-        if preview is not None:
-            self._window.columns["pose"].view.show_preview(preview)
 
     def _find_dependent_stages(self, name: str) -> set[str]:
         """Return the stages that depend on an input."""

@@ -2,9 +2,8 @@
 
 from functools import partial
 
-from PyQt6.QtCore import QObject
-
 from app.session.layout import Layout
+from app.window.feature import Feature
 from app.window.session_controller import SessionController
 from app.work.stage_previews import StagePreview
 from pipeline.base.params import list_settings, replace_value
@@ -16,12 +15,12 @@ _NO_STEPS = "The method of {} keeps no iterations. Choose another method."
 _NOT_YET, _NO_ITERATIONS = "Iterations are kept from the next result on.", "This result took no iterations."
 
 
-class StepScrubberController(QObject):
+class StepScrubberController(Feature):
     """Connects the tab and the sliders under the 3D views with the session; iterations are kept only on request."""
 
     def __init__(self, controller: SessionController) -> None:
         super().__init__(controller)
-        self._controller, self._panel = controller, controller.window.steps_panel
+        self._panel = self._window.steps_panel
         window, panel = controller.window, self._panel
         panel.stage_box.chosen.connect(self.show_session)
         panel.keep_steps_requested.connect(self.set_keep_steps)
@@ -36,7 +35,7 @@ class StepScrubberController(QObject):
 
     def show_steps_of(self, stage: str) -> None:
         """Show the tab, and keep the iterations of a stage from now on."""
-        window, layout = self._controller.window, self._controller.session.layout
+        window, layout = self._window, self._controller.session.layout
         window.show_diagnostics(self._panel)
         self._panel.stage_box.setCurrentIndex(max(0, self._panel.stage_box.findData(stage)))
         if stage in window.route_columns and stage not in window.visible_columns():
@@ -58,7 +57,7 @@ class StepScrubberController(QObject):
 
     def show_session(self, *_: object) -> None:
         """Show the iterations of the chosen stage, and whether they are kept."""
-        controller, window, panel = self._controller, self._controller.window, self._panel
+        controller, window, panel = self._controller, self._window, self._panel
         titles = {
             stage: controller.catalogue.stage(stage).title for stage in window.route_columns if stage in window.steps
         }
@@ -82,7 +81,7 @@ class StepScrubberController(QObject):
             panel.show_step(window.steps[chosen].slider.value())
 
     def _set_step(self, at: int) -> None:
-        self._controller.window.steps[self._panel.stage_box.choice].slider.setValue(at)
+        self._window.steps[self._panel.stage_box.choice].slider.setValue(at)
 
     def _show_step(self, stage: str, at: int) -> None:
         if stage == self._panel.stage_box.choice:

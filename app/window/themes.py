@@ -3,11 +3,12 @@
 from functools import partial
 from typing import get_args
 
-from PyQt6.QtCore import QObject, Qt
+from PyQt6.QtCore import Qt
 from PyQt6.QtGui import QActionGroup, QGuiApplication
 
 from app.session.preferences import Theme
 from app.window.autosave import AutosaveController
+from app.window.feature import Feature
 from app.window.session_controller import SessionController
 from widgets.theme import use_palette
 
@@ -19,12 +20,12 @@ def apply_theme(theme: Theme) -> None:
     use_palette(dark=theme == "dark" or is_system_dark)
 
 
-class ThemeController(QObject):
+class ThemeController(Feature):
     """Connects the theme commands with the palette and the preferences."""
 
     def __init__(self, controller: SessionController, autosave: AutosaveController, theme: Theme) -> None:
         super().__init__(controller)
-        self._controller, self._autosave = controller, autosave
+        self._autosave = autosave
         self.theme: Theme = theme
         group = QActionGroup(self)
         for name in get_args(Theme):

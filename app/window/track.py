@@ -32,7 +32,7 @@ class TrackController(BackgroundController):
 
     def __init__(self, controller: SessionController, export: ExportController, autosave: AutosaveController) -> None:
         super().__init__("track", controller, controller.window.track.run_bar)
-        self._window, self._page, self._export = controller.window, controller.window.track, export
+        self._page, self._export = self._window.track, export
         self.view: TrackView | None = None
         self._tracked: Session | None = None  # what the track on screen was computed from; None = read from a folder
         self._of: Path | None = None  # recording, or the folder that is read
@@ -69,7 +69,7 @@ class TrackController(BackgroundController):
 
             return read_track(folder)
 
-        layout = replace(self._controller.session.layout, name="track", arrangement=None)
+        layout = replace(self._controller.session.layout, name="track")
         self._controller.change("open track", layout=layout)
         self._tracked, self._of, self._beside = None, folder, self._controller.session.recording
         self._show_none(f"reading {folder.name}")

@@ -1,10 +1,9 @@
 """The welcome page, shown while nothing is open."""
 
-from PyQt6.QtCore import QObject
-
 from app.session.sample import SAMPLE_RECORDING
 from app.session.state import Session
 from app.window.autosave import AutosaveController
+from app.window.feature import Feature
 from app.window.session_controller import SessionController
 from pipeline.recordings.formats import list_formats
 from pipeline.sensors.spec import list_sensor_titles
@@ -14,12 +13,12 @@ _MAX_SUFFIXES = 3  # of a format; the file dialog has all
 _COMMANDS = ("open_sample", "open_recording", "open_folder", "live")
 
 
-class WelcomeController(QObject):
+class WelcomeController(Feature):
     """Connects the page with the session."""
 
     def __init__(self, controller: SessionController, autosave: AutosaveController) -> None:
         super().__init__(controller)
-        self._controller, self._autosave, window = controller, autosave, controller.window
+        self._autosave, window = autosave, self._window
         centre = window.centralWidget()
         assert centre is not None
         actions = window.actions_by_name

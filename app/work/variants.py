@@ -1,4 +1,4 @@
-"""Variants of a session: their parameters, and the commands that make the same comparisons."""
+"""Variants of a session: their parameters, their differences, and the commands that make the same comparisons."""
 
 import os
 import shlex
@@ -7,21 +7,20 @@ from dataclasses import replace
 from pathlib import Path
 
 from app.session.layout import LAST_STAGE
-from app.session.state import Session
+from app.session.state import REQUEST_FIELDS, Session
 from app.work.evaluator import Evaluator
 from app.work.jobs import JobReporter
 from app.work.requests import make_request
 from pipeline.base.params import Setting, Value, list_settings
 from pipeline.engine.graph import Method
-from pipeline.evaluation.parameter_sweep import SweepPlan
+from pipeline.evaluation.grid_comparison import METHOD, WEIGHTS, GridPlan, format_value
 from pipeline.evaluation.variants import Variant
 from pipeline.reporting.export_request import format_options, format_settings
+from pipeline.translation.catalogue import Catalogue
 
 _FACTORS = (0.25, 0.5, 1.0, 2.0, 4.0)  # suggested values as multiples of the current one
-# Parameters to sweep by default, the most effective first.
+# Parameters that a grid offers first.
 _EFFECTIVE_PARAMETERS = "guidance", "steps", "certainty", "pressure_share", "smoothing_px", "grazing_deg"
-
-SweepableParameter = tuple[str, str, str, Value, Setting]  # method key, parameter, stage.parameter, value, setting
 
 
 def open_variant(label: str, evaluator: Evaluator, session: Session, report: JobReporter) -> tuple[Variant, int]:
@@ -30,29 +29,32 @@ def open_variant(label: str, evaluator: Evaluator, session: Session, report: Job
     return Variant(label=label, translation=translation, params=session.params), frame
 
 
-def list_sweepable_parameters(
-    session: Session, methods: Sequence[Method], sensor_kinds: Mapping[str, str] | None = None
-) -> list[SweepableParameter]:
-    """Parameters with more than one possible value; `sensor_kinds` is method key -> kind of sensor, where known."""
-    kinds = sensor_kinds or {}
-    return [
-        (method.key, name, f"{method.stage}.{name}", value, setting)
+def list_axes(
+    session: Session, methods: Sequence[Method], catalogue: Catalogue, sensor_kinds: Mapping[str, str]
+) -> dict[str, str]:
+    """What the axes of a grid can try -> suggested values, comma-separated; the most effective parameters first.
+
+    These changed the error in contact most on touches of the sample when swept over their suggested values: guidance
+    and steps if the touch is sampled; the certainty that a network's contact needs; the pressure share that counts as
+    contact on a gel and the smoothing of its slopes; the steepest surface that the target may observe. `sensor_kinds`
+    is method key -> kind of sensor, where known.
+    """
+    parameters = [
+        (name, f"{method.stage}.{name}", ", ".join(map(format_value, suggest_values(value, setting))))
         for method in methods
         for name, (value, setting) in list_settings(session.get_params(method)).items()
-        if (not isinstance(value, str) or setting.choices) and setting.applies_to(kinds.get(method.key, ""))
+        if (not isinstance(value, str) or setting.choices) and setting.applies_to(sensor_kinds.get(method.key, ""))
     ]
-
-
-def choose_default_axes(parameters: Sequence[SweepableParameter]) -> tuple[int, int]:
-    """Indices of the parameters to sweep by default: guidance and steps if the touch is sampled.
-
-    Otherwise those that changed the error in contact most on touches of the sample when swept over their suggested
-    values: the certainty that a network's contact needs; the pressure share that counts as contact on a gel and the
-    smoothing of its slopes; the steepest surface that the target may observe. Otherwise the first numbers.
-    """
-    ranked = [i for name in _EFFECTIVE_PARAMETERS for i, parameter in enumerate(parameters) if parameter[1] == name]
-    ranked += [i for i, p in enumerate(parameters) if isinstance(p[3], (int, float)) and i not in ranked]
-    return (ranked[0], ranked[1]) if len(ranked) > 1 else (0, 0)
+    rank = {name: index for index, name in enumerate(_EFFECTIVE_PARAMETERS)}
+    parameters.sort(key=lambda parameter: rank.get(parameter[0], len(rank)))
+    axes = {title: values for _, title, values in parameters}
+    for method in methods:
+        names = [m.name for m in catalogue.list_choices(method.stage) if m.fits(sensor_kinds.get(method.key, ""))]
+        if len(names) > 1:
+            axes[f"{method.stage}.{METHOD}"] = ", ".join(names)
+        if method.weights is not None:
+            axes[f"{method.stage}.{WEIGHTS}"] = str(session.weights.get(method.stage, ""))
+    return axes
 
 
 def suggest_values(value: Value, setting: Setting) -> tuple[Value, ...]:
@@ -71,19 +73,17 @@ def suggest_values(value: Value, setting: Setting) -> tuple[Value, ...]:
 
 
 def format_compare_command(
-    session: Session, last_stage: str, target: str, out: Path, plan: SweepPlan | None = None
+    session: Session, last_stage: str, target: str, out: Path, plan: GridPlan | None = None
 ) -> str:
-    """`tactoscope compare ...` for the current tab, or for a sweep; `last_stage` and `target` are the opened ones."""
+    """`tactoscope compare ...` for the current tab, or for a grid; `last_stage` and `target` are the opened ones."""
     words = ["tactoscope", "compare", *_list_options(session, target), "--frame", str(session.frame)]
     settings = session.comparison
     if plan is not None:
-        for option, axis in (("--across", plan.across), ("--down", plan.down)):
-            words += [option, f"{axis.qualified_name}={','.join(str(value).lower() for value in axis.values)}"]
+        for option, axis in zip(("--across", "--down"), plan.axes, strict=False):
+            words += [option, f"{axis.title}={','.join(map(_spell, axis.values))}"]
         words += ["--metric", plan.metric]
     elif settings.tab == "methods":
         words += ["--order", settings.order]
-    elif settings.tab == "seeds":
-        words += ["--seeds", str(settings.seeds)]
     elif session.variant is not None:
         words += ["--stage", last_stage if settings.stage == LAST_STAGE else settings.stage or "all"]
         words += ["--variant", shlex.join(_list_options(session.variant, target))]
@@ -91,8 +91,48 @@ def format_compare_command(
     return shlex.join([*words, *display, "--out", os.fspath(out.absolute())])
 
 
+def _spell(value: Value) -> str:
+    return str(value).lower() if isinstance(value, bool) else str(value)  # all digits of a number
+
+
 def _list_options(session: Session, target: str) -> list[str]:
     """What is open, with every changed parameter, also of methods that are not in use."""
     request = replace(make_request(session), offsets=session.offsets, target=session.target or target)
     params = {key: value for key, value in session.params.items() if key != "display" and list_settings(value)}
     return [*format_options(request), *(word for line in format_settings(params) for word in ("--set", line))]
+
+
+def describe_differences(one: Session, other: Session, catalogue: Catalogue) -> tuple[str, ...]:
+    """List as `name: one | other` everything that the results of a frame depend on and that differs."""
+    texts = [
+        _format_pair(name.replace("_", " "), getattr(one, name), getattr(other, name))
+        for name in REQUEST_FIELDS
+        if getattr(one, name) != getattr(other, name)
+    ]
+    if one.offsets != other.offsets:
+        texts.append("alignment offsets differ")
+    methods = tuple({m.stage: m for m in catalogue.methods(session.route, session.methods)} for session in (one, other))
+    for stage in dict.fromkeys((*methods[0], *methods[1])):
+        a, b = (by_stage.get(stage) for by_stage in methods)
+        if a is None or b is None or a.key != b.key:
+            texts.append(_format_pair(stage, "nothing" if a is None else a.title, "nothing" if b is None else b.title))
+        else:
+            texts += _compare_params(a, one, other)
+    if one.weights != other.weights:
+        texts.append("weights differ")
+    return tuple(texts)
+
+
+def _compare_params(method: Method, one: Session, other: Session) -> list[str]:
+    a, b = (list_settings(session.get_params(method)) for session in (one, other))
+    return [_format_pair(f"{method.stage}.{name}", a[name][0], b[name][0]) for name in a if a[name][0] != b[name][0]]
+
+
+def _format_pair(name: str, one: object, other: object) -> str:
+    return f"{name}: {_format_value(one)} | {_format_value(other)}"
+
+
+def _format_value(value: object) -> str:
+    if isinstance(value, Path):
+        return value.name
+    return f"{value:g}" if isinstance(value, float) else "as recorded" if value in ("", None) else str(value)

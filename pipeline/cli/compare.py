@@ -2,7 +2,7 @@
 
 import os
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -17,9 +17,8 @@ from pipeline.base.params import replace_value
 from pipeline.cli.terminal import open_progress_bar, print_line
 from pipeline.cli.translation_options import DEFAULT_OPTIONS, TargetName, TranslationOptions
 from pipeline.evaluation.comparison_tiles import Comparison, check_tiles_folder, write_tiles
+from pipeline.evaluation.grid_comparison import GridPlan, compare_grid, parse_axis
 from pipeline.evaluation.method_comparison import SortOrder, compare_methods
-from pipeline.evaluation.parameter_sweep import SweepAxis, SweepPlan, compare_grid, parse_axis
-from pipeline.evaluation.seed_comparison import compare_seeds
 from pipeline.evaluation.variant_comparison import compare_pair
 from pipeline.evaluation.variants import Variant, VariantRunner
 from pipeline.metrics.stage_metrics import METRICS
@@ -52,7 +51,6 @@ def compare(
     options: TranslationOptions = DEFAULT_OPTIONS,
     frame: int = 0,
     order: SortOrder = "worst first",
-    seeds: int = 0,
     stage: str = "touch_depth",
     variant: _OptionText = "",
     across: str = "",
@@ -67,13 +65,13 @@ def compare(
         out: Folder for the images (PNG) and the metrics (compare.json); an earlier comparison there is replaced.
         frame: Frame to compare.
         order: Order of the methods by their error in contact.
-        seeds: Number of seeds to sample the touch with, starting at the chosen one.
         stage: Stage to compare with that of the variant, or `all`.
         variant: The variant as options of this command, such as `--method target_depth=paper`. Without a recording of
             its own it is this translation with these options added; with one, it is what these options say alone.
-        across: A parameter and the values to try, such as `depth.certainty=0.2,0.4,0.8`, against those of `down`.
-        down: The other parameter and its values.
-        metric: Metric of a pair of values, if ground truth is known; empty for images alone.
+        across: What the columns of a grid try, such as `depth.certainty=0.2,0.4,0.8`, `touch.seed=0,1,2`,
+            `touch.method=physics,t2d2` or `touch.weights=one.safetensors,other.safetensors`.
+        down: What its rows try, if anything.
+        metric: Metric of the grid's cells, if ground truth is known; empty for images alone.
         settings: `stage.parameter=value`, or `stage/method.parameter=value` of a method that is not in use, or
             `display.parameter=value`; repeatable.
     """
@@ -86,7 +84,7 @@ def compare(
         check_tiles_folder(out)
         steps: Iterator[Comparison]
         if across or down:
-            plan = _parse_plan(translation, params, across, down, metric)
+            plan = _parse_plan(Variant(label="", translation=translation, params=params), across, down, metric)
             steps = compare_grid(runner, translation, frame, params, display, plan, progress)
         elif variant:
             other = _parse_variant(variant)
@@ -100,8 +98,6 @@ def compare(
             second = Variant(label="B", translation=opened, params=other_params)
             shown = "" if stage == "all" else stage
             steps = compare_pair(runner, first, lambda: second, frame, display, shown, variant, progress)
-        elif seeds:
-            steps = compare_seeds(runner, translation, frame, params, display, seeds, progress)
         else:
             steps = compare_methods(runner, translation, frame, params, display, order, progress)
         *_, comparison = steps
@@ -111,24 +107,13 @@ def compare(
     return 0
 
 
-def _parse_plan(
-    translation: Translation, params: Mapping[str, object], across: str, down: str, metric: str
-) -> SweepPlan:
-    """Both axes and the metric of a parameter sweep; raises SettingProblem."""
+def _parse_plan(base: Variant, across: str, down: str, metric: str) -> GridPlan:
+    """Both axes and the metric of a grid; raises SettingProblem."""
     stage, _, name = metric.partition(".")
-    if metric and (name not in METRICS or stage not in translation.stages):
+    if metric and (name not in METRICS or stage not in base.translation.stages):
         raise SettingProblem(f"no metric {metric!r} on this route; give one such as {DEFAULT_METRIC}")
-    columns, rows = (_parse_axis(translation, params, text) for text in (across, down))
-    return SweepPlan(across=columns, down=rows, metric=metric)
-
-
-def _parse_axis(translation: Translation, params: Mapping[str, object], text: str) -> SweepAxis:
-    parameter, equals, values = text.partition("=")
-    stage, dot, name = parameter.strip().partition(".")
-    method = next((method for method in translation.methods if method.stage == stage), None)
-    if not (equals and dot and method):
-        raise SettingProblem(f"--across and --down each take stage.parameter=value,value of this route, got {text!r}")
-    return parse_axis(params.get(method.key, method.params()), method, name, values)
+    rows = parse_axis(base, down) if down else None
+    return GridPlan(across=parse_axis(base, across), down=rows, metric=metric)
 
 
 def _parse_settings(translation: Translation, settings: Sequence[str]) -> tuple[dict[str, object], DisplayParams]:

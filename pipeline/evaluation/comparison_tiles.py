@@ -24,7 +24,6 @@ class Comparison:
 
     tiles: tuple[Tile, ...]
     summary: str
-    reliability_curve: tuple[tuple[float, float], ...] = ()  # (standard deviation, error), mm
     stage: str = ""  # stage of the 3D views
     views_3d: tuple[tuple[tuple[Layer, ...], Translation | None], ...] = ()  # (layers, translation) per variant
 

@@ -19,7 +19,7 @@ import pytest
 import torch
 
 from app.session.file_fingerprints import describe_changed_files, fingerprint_files
-from app.session.layout import Arrangement, ComparisonSettings, Layout, load_arrangements, save_arrangements
+from app.session.layout import ComparisonSettings, Layout
 from app.session.state import Session, load_session, save_session
 from pipeline.base.entry_points import load_entry_points
 from pipeline.base.errors import TouchError
@@ -76,8 +76,8 @@ def rich_session(folder: Path) -> Session:
     one = Session(
         recording=recording, source="digit", target="gelslim", reference=recording, alignment=ALIGNMENT,
         methods={"target_depth": "paper"}, weights={"touch": folder / "w.safetensors"}, params={"display": DisplayParams()},
-        layout=Layout(arrangement=Arrangement("mine", dock_state="AAAA", splitter_sizes_px={"split_a": (1, 2)})),
-        notes={1: "slipped"}, comparison=ComparisonSettings(seeds=4), cameras={"depth": (1.0,) * 10},
+        layout=Layout(name="inspect", panes=(("depth", "2D"),)),
+        notes={1: "slipped"}, comparison=ComparisonSettings(tab="grid"), cameras={"depth": (1.0,) * 10},
         section=SectionLine(begin_mm=(0.0, 0.0), end_mm=(1.0, 1.0)),
     )  # fmt: skip
     return dataclasses.replace(one, variant=dataclasses.replace(one, frame=2))
@@ -99,15 +99,6 @@ def test_sessions(tmp_path):
         describe_changed_files(path, load_session(path))
 
     try_all(read, make, 4.0)
-
-
-def test_arrangements(tmp_path):
-    path = tmp_path / "arrangements.json"
-    save_arrangements(path, [rich_session(tmp_path).layout])
-    plain = json.loads(path.read_text())
-    try_all(
-        lambda: load_arrangements(path), lambda rng: path.write_text(json.dumps(spoil_value(plain, rng))) and None, 2.0
-    )
 
 
 def test_repro_bundles(tmp_path, monkeypatch):

@@ -11,11 +11,12 @@ from PyQt6.QtWidgets import QApplication, QComboBox, QLabel, QPushButton
 
 from pipeline.values.results import PoseStep, TouchStep
 from widgets.banner import Banner
-from widgets.comparison_tab import SweepTab
+from widgets.comparison_tab import GridTab
 from widgets.frame_summary import FrameSummary
 from widgets.frames_model import CONTACT, DEPTH, FRAME, METRIC
 from widgets.frames_panel import FramesPanel
 from widgets.log_panel import LogPanel
+from widgets.plots import Strip, StripPlot
 from widgets.probes_panel import TracePanel
 from widgets.theme import get_theme_colours, to_hex
 from widgets.timings_panel import TimingRow, TimingsPanel
@@ -67,30 +68,14 @@ def test_timings_show_every_stage_and_their_sum(qtbot):
     qtbot.addWidget(panel)
     panel.show_rows(
         (
-            TimingRow(
-                name="depth", title="Depth", state="computed", time_ms=10.0, median_ms=8.0, share=0.8, notes=("a", "b")
-            ),
-            TimingRow(name="pose", title="Pose", state="skipped", time_ms=0.5, notes=("no mesh",)),
-        ),
-        can_skip=True,
+            TimingRow(title="Depth", state="computed", time_ms=9.5, notes=("a", "b")),
+            TimingRow(title="Pose", state="skipped", time_ms=0.5, notes=("no mesh",)),
+        )
     )
-    table = panel.table
-    assert [table.item(r, 0).text() for r in range(3)] == ["Depth", "Pose", "all stages"]
-    assert [table.item(r, 2).text() for r in range(3)] == ["10.00", "0.50", "10.50"]
-    assert [table.item(0, c).text() for c in (3, 4, 5)] == ["8.00", "80 %", "a · b"]
-    with qtbot.waitSignal(panel.stage_toggled) as unticked:
-        table.item(1, 0).setCheckState(Qt.CheckState.Unchecked)
-    assert unticked.args == ["pose", False]
-
-
-def test_a_long_sentence_of_the_budget_does_not_widen_the_window(qtbot):
-    panel = TimingsPanel()
-    qtbot.addWidget(panel)
-    panel.show_budget("depth 60 %: 5 frames/s", (), "Skip pose")
-    before_px = panel.minimumSizeHint().width()
-    panel.show_budget("depth 60 %, " * 20, (), "Skip pose")
-    assert panel.minimumSizeHint().width() == before_px
-    assert panel.sentence.text().startswith("depth 60 %, ")
+    rows = [[panel.table.item(r, c).text() for c in range(5)] for r in range(3)]
+    assert rows[0] == ["Depth", "computed", "9.50", "95 %", "a · b"]
+    assert rows[1] == ["Pose", "skipped", "0.50", "5 %", "no mesh"]
+    assert rows[2] == ["all stages", "", "10.00", "100 %", ""]
 
 
 def test_the_trace_reads_like_a_sentence(qtbot):
@@ -143,10 +128,38 @@ def test_states_of_a_sample_tell_their_noise(qtbot):
     assert not slider.slider.isEnabled()
 
 
-def test_a_sweep_offers_metrics_by_their_titles(qtbot):
-    tab, metrics = SweepTab(), {"touch_depth.contact_mae_mm": "touch depth: error in contact, mm", "": "time only"}
+def test_a_grid_offers_axes_with_values_and_keeps_what_is_chosen(qtbot):
+    tab, metrics = GridTab(), {"touch_depth.contact_mae_mm": "touch depth: error in contact, mm", "": "time only"}
     qtbot.addWidget(tab)
-    tab.offer_parameters(["touch.steps", "touch.guidance"], (1, 0), metrics, "")
+    axes = {"touch.guidance": "1, 4", "touch.steps": "4, 8", "touch.seed": "0, 1"}
+    tab.offer_axes(axes, metrics, "")
     assert [tab.metric_box.itemText(i) for i in range(2)] == list(metrics.values())
     assert (tab.metric_box.currentText(), tab.metric_box.currentData()) == ("time only", "")
-    assert [box.currentText() for box in tab.axes] == ["touch.guidance", "touch.steps"]
+    assert tab.axis_texts == ("touch.guidance=1, 4", "touch.steps=4, 8")
+    tab.values[0].setText("2")
+    tab.axes[1].setCurrentIndex(0)
+    tab.axes[1].chosen.emit("")
+    tab.offer_axes({**axes, "depth.method": "physics, network"}, metrics, "")
+    assert tab.axis_texts == ("touch.guidance=2", "")
+    tab.offer_axes({"depth.method": "physics, network"}, metrics, "")
+    assert tab.axis_texts == ("depth.method=physics, network", "")
+
+
+def test_a_plot_of_steps_chooses_by_cursor_and_keys_and_marks_what_others_choose(qtbot):
+    plot = StripPlot("steps", "metrics of every step")
+    qtbot.addWidget(plot)
+    plot.resize(400, 200)
+    plot.show()
+    values = [(1.0, 0.5, float("nan"), 0.1), (4.0, 3.0, 2.0, 1.0)]
+    plot.show_strips([Strip(title=f"strip {k}, mm", curves=(("", v),)) for k, v in enumerate(values)], marks=(1,))
+    plot.show_step(2)
+    assert [cursor.value() for cursor in plot._cursors] == [2, 2]
+    with qtbot.waitSignal(plot.step_chosen) as chosen:
+        plot._cursors[1].setValue(0.8)
+    assert chosen.args == [1]
+    with qtbot.waitSignal(plot.step_chosen) as chosen:
+        qtbot.keyClick(plot, Qt.Key.Key_End)
+    assert chosen.args == [3]
+    plot.show_strips(())
+    assert (plot.n_steps, len(plot._axes)) == (0, 0)
+    qtbot.keyClick(plot, Qt.Key.Key_Home)

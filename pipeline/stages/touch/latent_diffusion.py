@@ -76,7 +76,7 @@ class LatentParams:
     )
     seed: int = setting(
         0, "Seed", low=0, high=2**31 - 1, step=1, help="random seed of the sample", source="torch.Generator",
-        pinned="Seed",
+        pinned="Seed", sweep=tuple(range(8)),
     )  # fmt: skip
     renormalise_depth: bool = setting(
         True, "Match training statistics",

@@ -63,7 +63,8 @@ class PhysicalRenderParams:
         source="sensor description",
     )  # fmt: skip
     seed: int = setting(
-        0, "Seed", low=0, high=2**31 - 1, step=1, help="random seed of the noise", source="PCG64: O'Neill 2014 (numpy)"
+        0, "Seed", low=0, high=2**31 - 1, step=1, help="random seed of the noise",
+        source="PCG64: O'Neill 2014 (numpy)", sweep=tuple(range(8)),
     )  # fmt: skip
     contact_gap_mm: float = setting(
         0.1, "Contact gap", unit="mm", low=0.0, high=2.0, step=0.05,

@@ -57,7 +57,7 @@ class DiffusionParams:
     )
     seed: int = setting(
         0, "Seed", low=0, high=2**31 - 1, step=1, help="random seed of the sample and the sensor noise", pinned="Seed",
-        source="torch.Generator and numpy PCG64",
+        source="torch.Generator and numpy PCG64", sweep=tuple(range(8)),
     )  # fmt: skip
     keep_states: bool = setting(
         False, "Keep states", help="keep the denoising states for the step view; does not change the result",

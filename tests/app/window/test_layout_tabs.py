@@ -77,6 +77,6 @@ def test_one_icon_has_one_meaning():
 def test_layout_capture_and_registration_tools_are_apart():
     names = {menu.replace("&", ""): {c.name for c in commands} for menu, commands in MENUS.items()}
     assert {f"layout_{name}" for name in LAYOUT_NAMES} <= names["Layout"]
-    assert not names["Layout"] & {"set_variant_settings", "step_through", "map_basins", "live", "edit_alignment"}
+    assert not names["Layout"] & {"set_variant_settings", "step_through", "live", "edit_alignment"}
     assert {"live", "save_screenshot", "copy_image"} <= names["Capture"]
-    assert {"step_through", "map_basins", "edit_alignment"} <= names["Registration"]
+    assert {"step_through", "edit_alignment"} <= names["Registration"]

@@ -14,7 +14,7 @@ from app.session.state import load_session
 from app.window.tour import wait_until_shown
 from pipeline.base.errors import FileProblem
 from pipeline.base.typed_data import convert
-from widgets.pane_splitter import PaneSplitter
+from widgets.panes import PaneSplitter
 
 LIMIT_S = 240
 # Of picture in a pane of two, by the window's size, with any one drawer open: width and height in pixels.

@@ -179,7 +179,7 @@ def test_a_late_part_leaves_its_column_pending(bubble_window, monkeypatch):
 
     monkeypatch.setattr(window.evaluator, "evaluate_frame", fails)
     window.choose_frame(1)
-    before = window._ticket
+    before = window.requests.ticket
     window.choose_frame(0)
     window.handle_part(before, part)
     over.set()

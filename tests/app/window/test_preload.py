@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from app.session.sample import SAMPLE_RECORDING
 from app.window import preload
-from app.window.preload import PreloadController
-from app.work.preload import preload_depth
+from app.window.preload import PreloadController, preload_depth
 from pipeline.base.progress import Cancelled
 from pipeline.stages.depth.illumination import gel_surface
 

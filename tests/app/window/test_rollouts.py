@@ -95,7 +95,7 @@ def test_one_cursor_moves_plot_scene_and_slider(opened, qtbot, monkeypatch):
     assert page.scene.legend.text().startswith("tick 12 of ")
     controller.window.actions_by_name["next"].trigger()
     assert page.ticks.frame == controller.tick == 13
-    assert page.plot.decision_ticks == (0,)
+    assert list(page.plot.marks) == [0]
     controller.window.actions_by_name["next_decision"].trigger()
     assert controller.tick == 0
     before = controller.undo_stack.count()

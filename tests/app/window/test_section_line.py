@@ -8,7 +8,6 @@ import io
 import numpy as np
 import pytest
 from PyQt6.QtCore import QPoint, Qt
-from PyQt6.QtGui import QPainter
 from PyQt6.QtWidgets import QApplication
 
 from app.session.sample import SAMPLE_RECORDING
@@ -18,7 +17,7 @@ from pipeline.base.errors import FileProblem
 from pipeline.translation import cross_section
 from pipeline.translation.cross_section import SectionLine
 from widgets.canvas import Canvas
-from widgets.section_plot import SectionPlot, compute_segments, compute_ticks
+from widgets.section_plot import SectionPlot
 
 LIMIT_S = 240
 _Left, _Shift = Qt.MouseButton.LeftButton, Qt.KeyboardModifier.ShiftModifier
@@ -47,7 +46,7 @@ def counted(monkeypatch):
 
     count(cross_section, "sample_bilinear", "cut")
     count(Canvas, "_draw_line", "line")
-    count(SectionPlot, "_draw_axes", "plot")
+    count(SectionPlot, "_show_profiles", "plot")
     return counts
 
 
@@ -196,37 +195,22 @@ def test_the_line_is_set_by_numbers_and_saved_but_not_undone(window, qtbot, tmp_
         load_session(path)
 
 
-def test_a_curve_has_gaps_and_its_axes_round_numbers():
-    x = np.arange(7.0)
-    drawn = compute_segments(x * 4.0, np.array([1, 2, np.nan, 3, 4, 5, 6.0]))
-    assert [line[0] / 4.0 for line in drawn] == [0, 3, 4, 5]
-    assert [line[0] / 4.0 for line in compute_segments(x * 4.0, x, "10")] == [0, 2, 4]
-    assert compute_ticks(0.0, 12.0, 4) == [0.0, 5.0, 10.0]
-    assert compute_ticks(-0.31, 0.31, 4) == pytest.approx([-0.2, 0.0, 0.2])
-    assert compute_ticks(-0.13, 4.5, 2) == [0.0, 2.0, 4.0]  # a scale of 0 alone tells nothing
-    assert compute_ticks(1.0, 1.0, 2) == []
-
-
-def test_a_low_plot_has_a_label_and_a_scale(qtbot, monkeypatch):
-    said = []
-
-    class Heard(QPainter):
-        def drawText(self, where, how, text):
-            said.append((text, self.fontMetrics().horizontalAdvance(text), where.width()))
-            return super().drawText(where, how, text)
-
-    monkeypatch.setattr("widgets.base.QPainter", Heard)
+def test_the_curves_of_one_sensor_are_drawn_with_gaps_when_the_plot_is_shown(qtbot):
+    along = np.linspace(0.0, 10.0, 50)
+    known = np.where(along > 5.0, 0.05 * along, np.nan)
+    profiles = [
+        cross_section.HeightProfile(name=name, title=name, place=place, heights_mm=heights)
+        for name, place, heights in (
+            ("depth", "source", 0.1 * along), ("touch_depth", "target", known), ("touch", "target", np.full(50, np.nan)),
+        )
+    ]  # fmt: skip
+    line = SectionLine(begin_mm=(0.0, 0.0), end_mm=(10.0, 0.0))
     plot = SectionPlot()
     qtbot.addWidget(plot)
-    plot.resize(900, plot.minimumHeight())
-    line = SectionLine(begin_mm=(0.0, 0.0), end_mm=(10.0, 0.0))
-    along = np.linspace(0.0, 10.0, 50)
-    profile = cross_section.HeightProfile(
-        name="touch_depth", title="Touch depth", place="target", heights_mm=0.05 * along**2 - 0.1
-    )
-    plot.show_section(cross_section.CrossSection(line=line, along_mm=along, profiles=(profile,)))
-    plot.grab()
-    assert all(wide <= room for _, wide, room in said)
-    numbers = [text for text, _, room in said if room < 50]
-    assert len(numbers) >= 2
-    assert "0" in numbers
+    plot.show_section(cross_section.CrossSection(line=line, along_mm=along, profiles=tuple(profiles)))
+    assert not plot._axes, "nothing is drawn that nobody sees"
+    plot.show()
+    plot.show_sensor_role("target")
+    (curve,) = plot._curves.values()
+    np.testing.assert_array_equal(curve.yData, known)
+    assert [label.text for _, label in plot._legend.items] == ["touch_depth"]

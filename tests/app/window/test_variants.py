@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from app.session.layout import DEFAULT_STAGE, ComparisonSettings
@@ -135,33 +134,3 @@ def test_a_problem_of_b_is_shown_in_its_place(held, qtbot, tmp_path):
     comparing.set_variant_recording(SAMPLE_RECORDING)
     _settle(qtbot, instrument, comparing)
     assert "recording: pressed.h5 | first_touch.h5" in instrument.window.comparison.current_tab.message.text()
-
-
-def test_seeds_are_sampled_on_request_with_their_spread(open_window, qtbot, tmp_path, monkeypatch):
-
-    instrument = open_window(
-        SAMPLE_RECORDING, source="gelslim", target="soft_bubble", frame=5, methods={"touch": "t2d2"}
-    )
-    comparing = next(child for child in instrument.children() if isinstance(child, ComparisonController))
-    page = instrument.window.comparison
-    instrument.window.actions_by_name["layout_compare"].trigger()
-    page.show_tab("seeds")
-    assert wait_until_shown(instrument, LIMIT_S), instrument.window.banner.text
-    assert _grid(instrument).tiles == ()  # on request alone
-    page.seed_count_box.setValue(2)
-    page.sample_button.click()
-    _settle(qtbot, instrument, comparing)
-    assert "every seed gives the same touch" in page.current_tab.message.text()
-    t2d2 = instrument.catalogue.method("touch", "t2d2")
-    instrument.choose_params(t2d2.key, replace(t2d2.params(), steps=2))
-    assert wait_until_shown(instrument, LIMIT_S)
-    page.sample_button.click()
-    _settle(qtbot, instrument, comparing)
-    tiles = {tile.title: tile for tile in _grid(instrument).tiles}
-    assert list(tiles) == ["mean of 2 seeds", "spread", "error", "sample", "truth"]
-    assert np.nanmax(tiles["spread"].preview.values) > 0.0
-    assert tiles["spread"].preview.scale.unit == "mm"
-    assert tiles["spread"].preview.scale.high == tiles["error"].preview.scale.high
-    assert page.plot.points
-    assert "2 samples have a standard deviation" in page.current_tab.message.text()
-    same_as_typed(instrument, tmp_path, monkeypatch)

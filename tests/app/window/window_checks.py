@@ -108,10 +108,7 @@ class Watched:
             if self._instrument.is_idle and not stuck and not self._window.alignment.dragging:
                 break
         else:
-            kept = {
-                name: getattr(self._instrument, f"_{name}")
-                for name in ("ticket", "opening_ticket", "background_ticket", "is_pending")
-            }
+            kept = {"requests": self._instrument.requests}
             columns = {name: column.state for name, column in self._window.columns.items()}
             kept |= {"newest": self._instrument.job.newest_ticket, "route": self._instrument.session.route}
             kept |= {"fresh": sorted(self._instrument.views._fresh), "visible": self._window.visible_columns()}

@@ -35,8 +35,9 @@ def test_what_is_wrong_with_the_other_is_one_sentence(tmp_path, capsys, outside,
 @pytest.mark.parametrize(
     ("pairs", "says"),
     [
-        (["--across", "cloud.stride=1,2"], "--across and --down"),
-        (["--across", "cloud.stride=1,2", "--down", "cloud.stride=4"], "same parameter"),
+        (["--down", "cloud.stride=1,2"], "an axis is stage.parameter=value"),
+        (["--across", "target_depth.method=surface,nonsense"], "nonsense"),
+        (["--across", "cloud.stride=1,2", "--down", "cloud.stride=4"], "try the same"),
         (
             ["--across", "cloud.stride=1,2", "--down", "target_depth.jump_mm=1", "--metric", "touch_depth.nonsense"],
             "touch_depth.nonsense",
@@ -44,10 +45,21 @@ def test_what_is_wrong_with_the_other_is_one_sentence(tmp_path, capsys, outside,
         (["--across", "cloud.stride=0", "--down", "target_depth.jump_mm=1"], "stride"),
     ],
 )
-def test_what_is_wrong_with_a_sweep_is_one_sentence(tmp_path, capsys, pairs, says):
+def test_what_is_wrong_with_a_grid_is_one_sentence(tmp_path, capsys, pairs, says):
     assert run_app(build_app(), ["compare", *_ONE, *pairs, "--out", str(tmp_path / "ways")]) == 2
     assert says in capsys.readouterr().err
     assert not (tmp_path / "ways").exists()
+
+
+def test_a_grid_tries_methods_against_seeds_and_keeps_what_fails_in_its_cell(tmp_path, capsys):
+    words = ["compare", *_ONE, "--across", "target_depth.method=surface,paper", "--down", "target_depth.jump_mm=1,2"]
+    assert run_app(build_app(), [*words, "--metric", "", "--out", str(tmp_path / "grid")]) == 0
+    tiles = json.loads((tmp_path / "grid" / "compare.json").read_text())["tiles"]
+    assert [tile["title"] for tile in tiles] == [
+        f"target_depth.method={method}, target_depth.jump_mm={mm}" for mm in (1, 2) for method in ("surface", "paper")
+    ]
+    assert [bool(tile["images"]) for tile in tiles] == [True, False] * 2
+    assert all("jump_mm" in tile["problem"] for tile in tiles[1::2])
 
 
 @pytest.mark.parametrize(("out", "says"), [(".", "holds other files ('mine.txt')"), ("mine.txt", "is a file")])
