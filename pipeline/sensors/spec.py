@@ -14,7 +14,6 @@ from typing import Annotated, Any, Literal
 import msgspec
 import numpy as np
 from msgspec import Meta
-from numpy.typing import NDArray
 
 from pipeline.base.arrays import Doubles, freeze
 from pipeline.base.errors import CalibrationError, SettingProblem, TouchError
@@ -60,10 +59,6 @@ class SensorSpec:
     def sensor_kind(self) -> SensorKind:
         """What the pipeline does differently for this kind of sensor."""
         return get_kind(self.kind)
-
-    def render_reference(self) -> NDArray[Any]:
-        """The image of this sensor without contact and noise: RGB (rows, cols, 3) uint8, or depth (rows, cols) mm."""
-        return self.sensor_kind.render_reference(self)
 
     def with_camera(self, camera: Camera) -> SensorSpec:
         """Copy with another camera; membrane, frame and limits stay. The last few are cached.

@@ -19,11 +19,12 @@ from pipeline.base.params import check_range
 from pipeline.base.units import MeshUnit
 from pipeline.engine.digests import compute_digest
 from pipeline.geometry.meshes import Mesh
+from pipeline.physics.sensor_images import render_sensor_image
 from pipeline.physics.shear import TangentialLoad
 from pipeline.sensors import alignment
 from pipeline.sensors.spec import SensorSpec, load_sensor
 from pipeline.simulation import poses, shapes, variation
-from pipeline.simulation.press import move_bubble_closer, render_sensor_image, simulate_press
+from pipeline.simulation.press import move_bubble_closer, simulate_press
 from pipeline.values.frames import Pairing, TactileFrame, Truth
 
 Face = Literal["-x", "+x", "-y", "+y", "-z", "+z"]

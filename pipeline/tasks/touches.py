@@ -19,10 +19,11 @@ from pipeline.engine.graph import Graph, StageResult
 from pipeline.geometry.meshes import Mesh
 from pipeline.networks.weights import SUFFIX, NoWeights
 from pipeline.networks.weights_registry import WEIGHTS_FOLDER
+from pipeline.physics.sensor_images import render_sensor_image
 from pipeline.sensors.alignment import resolve_alignment
 from pipeline.sensors.spec import SensorSpec, load_sensor
 from pipeline.simulation.datasets import BUBBLE_DEEPER_MM
-from pipeline.simulation.press import move_bubble_closer, render_sensor_image, simulate_press
+from pipeline.simulation.press import move_bubble_closer, simulate_press
 from pipeline.simulation.variation import vary_sensor
 from pipeline.translation.catalogue import BUILT_IN
 from pipeline.translation.translate import Request, Translation, load_nothing

@@ -12,10 +12,11 @@ import numpy as np
 
 from pipeline.base.arrays import Doubles, Floats, freeze
 from pipeline.networks.square_images import SIDE, resize_to_square
+from pipeline.physics.sensor_images import render_reference, render_sensor_image
 from pipeline.sensors.spec import SensorSpec, load_sensor
 from pipeline.simulation import poses, variation
 from pipeline.simulation.datasets import BUBBLE_DEEPER_MM
-from pipeline.simulation.press import move_bubble_closer, render_sensor_image, simulate_press
+from pipeline.simulation.press import move_bubble_closer, simulate_press
 from pipeline.training.object_sampling import DATA_SPLITS, DataSplit, SampleCache, find_next_contact, sample_object
 from pipeline.training.recorded_pairs import RecordedPair
 from pipeline.training.touch_pairs import BUBBLE, GEL
@@ -74,7 +75,7 @@ def read_square_pair(pair: RecordedPair, side: int = SIDE) -> SquarePair:
     """Squares of a recorded pair; a missing reference is the described one."""
     changes: list[Floats] = []
     for frame, sensor in ((pair.source_frame, pair.source), (pair.target_frame, pair.target)):
-        reference = sensor.render_reference() if frame.reference is None else frame.reference
+        reference = render_reference(sensor) if frame.reference is None else frame.reference
         changes.append(resize_to_square(sensor.sensor_kind.compute_relative_change(frame.image, reference), side))
     return SquarePair(changes[0], pair.source.kind, changes[1], pair.target.kind)
 

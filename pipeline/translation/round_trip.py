@@ -24,6 +24,7 @@ from pipeline.engine.graph import Graph, StageResult
 from pipeline.geometry import rigid
 from pipeline.metrics.stage_metrics import ROUND_TRIP, TRAINING_DISTANCE, compute_mae_mm
 from pipeline.networks.weights_registry import WEIGHTS_FOLDER
+from pipeline.physics.sensor_images import render_reference
 from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import SensorSpec
 from pipeline.translation.translate import Translation, load_nothing
@@ -60,7 +61,7 @@ def measure_round_trip(
     if not depth.contact.any():
         return {}
     back = reverse_translation(translation, depth)
-    reference = back.source.render_reference() if touch.reference is None else touch.reference
+    reference = render_reference(back.source) if touch.reference is None else touch.reference
     frame = TactileFrame(
         sensor=back.source.name, image=touch.image, reference=reference, camera=touch.camera, origin="generated touch"
     )

@@ -20,6 +20,7 @@ from pipeline.networks import weights_registry
 from pipeline.networks.first_pass import ResidualNetwork
 from pipeline.networks.touch_formats import answer_for_known_kinds, get_touch_format
 from pipeline.networks.weights import NoWeights, Weights
+from pipeline.physics.sensor_images import render_reference
 from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import photometric as depth
@@ -109,7 +110,7 @@ def build_condition(frame: TactileFrame, source: SensorSpec, alignment: Alignmen
     camera = source.camera if frame.camera is None else frame.camera
     reference: Any = frame.reference
     if reference is None:
-        reference = source.with_camera(camera).render_reference()
+        reference = render_reference(source.with_camera(camera))
     if reference.shape != frame.image.shape:
         raise ShapeError(f"the reference image must have the shape {frame.image.shape}, got {reference.shape}")
     change = source.sensor_kind.compute_change(frame.image, reference)
