@@ -98,7 +98,7 @@ def make_touch_request(touch: str, recording: Path, source: str, target: str) ->
     methods = {"touch": touch, **({"touch_depth": "from_image"} if touch == "vqvae" else {})}
     weights = find_weights(touch, source, target)
     return replace(
-        request, route="t2d2" if "target_depth" in BUILT_IN.method("touch", touch).reads else "t2t",
+        request, route="t2t" if "frame" in BUILT_IN.method("touch", touch).reads else "t2d2",
         methods=tuple(methods.items()), weights=() if weights is None else (("touch", weights),),
     )  # fmt: skip
 

@@ -37,7 +37,7 @@ from pipeline.stages.touch.residual_diffusion import DiffusionParams, sample_res
 from pipeline.stages.touch.residual_render import NO_PRIOR_CONTACT, NO_STEPS, render_correction, report_change
 from pipeline.stages.touch.touch_from_change import check_depth_limit
 from pipeline.values.frames import TactileFrame
-from pipeline.values.results import GeneratedTouch
+from pipeline.values.results import GeneratedTouch, TargetDepth
 
 SHIPPED_WEIGHTS = {("gelslim", "bubble"): "t2t_bubble", ("soft_bubble", "gel"): "t2t_gelslim"}
 TASK = "touch_to_touch"
@@ -62,6 +62,7 @@ def generate_touch(
     calibration: Calibration | None,
     alignment: Alignment,
     target: SensorSpec,
+    view: TargetDepth,
     network: ResidualNetwork,
     params: DiffusionParams,
     progress: Progress = SILENT,
@@ -77,8 +78,7 @@ def generate_touch(
     physical = physical_render.make_reference_touch(target)
     if is_weighted or not params.steps:
         render_params = physical_render.PhysicalRenderParams(add_noise=params.add_noise, seed=params.seed)
-        reads = frame, source, calibration, alignment, target
-        physical = frame_chain.render_from_frame(*reads, render_params, SubProgress(progress, 0.0, 0.8))
+        physical = frame_chain.render_view(view, target, render_params, SubProgress(progress, 0.0, 0.8))
     membrane = physical.membrane
     if not params.steps or membrane is None:
         return Fallback(result=physical, reason=NO_STEPS)
