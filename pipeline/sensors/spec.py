@@ -20,6 +20,7 @@ from pipeline.base.errors import CalibrationError, SettingProblem, TouchError
 from pipeline.base.files import read_bytes
 from pipeline.base.memo import Memo
 from pipeline.base.typed_data import FileName, convert
+from pipeline.engine.derived import derive_once
 from pipeline.engine.digests import UNDIGESTED, compute_cached_digest, compute_digest
 from pipeline.geometry import rigid
 from pipeline.geometry.camera import MOST_FOCAL_PX, WIDEST_VIEW, Camera
@@ -67,17 +68,18 @@ class SensorSpec:
         """
         if camera == self.camera:
             return self
-        return _with_cameras.get_or_make(
-            (compute_cached_digest(self), camera),
-            lambda: replace(self, camera=camera, rest_depth_mm=self.membrane.rest_depth_mm(camera)),
-        )
+        return _replace_camera(self, camera)
 
 
 _SIDES_PX = (8, 10_000)  # range of an image side; smaller images show no slope and no edge
 _OPTIONAL_KEYS = ("title", "kind", "without", "rest", "markers", "depth_camera")  # beside sections that a kind reads
 
-_with_cameras: Memo[tuple[str, Camera], SensorSpec] = Memo(32)
 _loaded: Memo[tuple[Path, str, str], SensorSpec] = Memo(32)
+
+
+@derive_once
+def _replace_camera(sensor: SensorSpec, camera: Camera) -> SensorSpec:
+    return replace(sensor, camera=camera, rest_depth_mm=sensor.membrane.rest_depth_mm(camera))
 
 
 def list_sensor_names() -> tuple[str, ...]:

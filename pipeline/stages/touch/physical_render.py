@@ -23,10 +23,9 @@ from pipeline.base.errors import (
     UnseenObjectWarning,
     describe_no_contact,
 )
-from pipeline.base.memo import Memo
 from pipeline.base.params import setting
 from pipeline.base.progress import SILENT, Progress
-from pipeline.engine.digests import compute_cached_digest
+from pipeline.engine.derived import derive_once
 from pipeline.geometry.camera import MIN_DEPTH_MM
 from pipeline.physics import bubble, bubble_camera, gel, lattice, optics
 from pipeline.physics.sensor_images import render_reference
@@ -115,15 +114,9 @@ def skip_without_contact(view: TargetDepth, target: SensorSpec, *_: object) -> G
     return replace(touch, in_view=view.in_view, notes=touch.notes if notes == touch.notes else notes)
 
 
+@derive_once
 def make_reference_touch(target: SensorSpec) -> GeneratedTouch:
-    """The target's reference image as a touch; cached per sensor."""
-    return _reference_touches.get_or_make(compute_cached_digest(target), lambda: _make_reference_touch(target))
-
-
-_reference_touches: Memo[str, GeneratedTouch] = Memo(8)
-
-
-def _make_reference_touch(target: SensorSpec) -> GeneratedTouch:
+    """The target's reference image as a touch, one object for each sensor."""
     shape = target.camera.shape
     rest_membrane = make_depth_map(
         target.rest_depth_mm, np.zeros(shape, np.float32), np.zeros(shape, np.bool_), target.camera
