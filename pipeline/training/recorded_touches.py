@@ -19,6 +19,7 @@ from pipeline.base.errors import FileProblem, SettingProblem
 from pipeline.base.params import setting
 from pipeline.calibration.balls import calibrate_balls
 from pipeline.calibration.calibration_table import BallFit
+from pipeline.engine.derived import derive_once
 from pipeline.physics import gel
 from pipeline.recordings import open_recording
 from pipeline.sensors.spec import SensorSpec, load_sensor
@@ -150,7 +151,7 @@ def _open(of: RecordingSource) -> tuple[Stream, SensorSpec]:
     return stream, load_sensor(of.sensor or stream.sensor)
 
 
-@lru_cache(maxsize=32)
+@derive_once
 def _list_frames_with_truth(recording: RecordingSource) -> tuple[int, ...]:
     stream, _ = _open(recording)
     truths = (stream.truth(index) for index in range(stream.n_frames))

@@ -5,12 +5,12 @@ surface is also rendered by the nominal sensor, for which touches are generated.
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Literal
 
 import numpy as np
 
 from pipeline.base.arrays import Doubles, Floats, freeze
+from pipeline.engine.derived import derive_once
 from pipeline.networks.square_images import SIDE, resize_to_square
 from pipeline.physics.sensor_images import render_reference, render_sensor_image
 from pipeline.sensors.spec import SensorSpec, load_sensor
@@ -121,7 +121,7 @@ def _resize(field: Floats, shape: tuple[int, int]) -> Floats:
     return np.asarray(cv2.resize(field, shape[::-1], interpolation=cv2.INTER_CUBIC), np.float32)
 
 
-@lru_cache(maxsize=1)
+@derive_once
 def load_nominal_sensors() -> tuple[SensorSpec, SensorSpec]:
     """The gel, and the bubble as close to the object as in the data sets."""
     return load_sensor("gelslim"), move_bubble_closer(load_sensor("soft_bubble"), BUBBLE_DEEPER_MM)
