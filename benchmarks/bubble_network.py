@@ -28,11 +28,12 @@ from benchmarks.scenes.depth_helpers import build_reader
 from pipeline.geometry import rigid
 from pipeline.metrics.stage_metrics import compute_mae_mm, iou
 from pipeline.physics import lattice
+from pipeline.physics.sensor_images import render_sensor_image
 from pipeline.recordings import open_recording
 from pipeline.sensors import alignment
 from pipeline.sensors.spec import load_sensor
 from pipeline.simulation import datasets, poses, shapes
-from pipeline.simulation.press import render_sensor_image, simulate_press
+from pipeline.simulation.press import simulate_press
 from pipeline.simulation.variation import vary_sensor
 from pipeline.stages.cloud.back_projection import BackProjectionParams, back_project_depth
 from pipeline.stages.target_depth.surface_projection import SurfaceProjectionParams, project_cloud

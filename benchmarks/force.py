@@ -20,15 +20,16 @@ from benchmarks.harness.results import BenchmarkResult
 from benchmarks.harness.text_report import print_result
 from benchmarks.harness.timing import Requirement, build_measurement, summarize_times
 from benchmarks.scenes.depth_helpers import build_reader
-from pipeline.base.entry_points import load_reference
 from pipeline.calibration.force_scale import fit_force_scale
 from pipeline.calibration.markers import track_markers
 from pipeline.geometry import rigid
+from pipeline.physics.sensor_images import render_reference
 from pipeline.physics.shear import TangentialLoad
 from pipeline.sensors.spec import load_sensor
 from pipeline.simulation import shapes
 from pipeline.simulation.press import simulate_press
 from pipeline.simulation.variation import vary_sensor
+from pipeline.stages.depth.contact_force import FORCE_MODELS
 from pipeline.stages.depth.gel_force import estimate_gel_force
 from pipeline.values.frames import TactileFrame
 
@@ -53,7 +54,7 @@ def press_tools(read, name: str, number: int, *, dragged: bool = False):
             load = TangentialLoad(displacement_mm=(drag_mm * x, drag_mm * y), friction=rng.uniform(0.3, 1.0))
         press = simulate_press(mesh, pose, unit, seed=seed, load=load)
         if press.converged and press.force_n >= _LEAST_N:
-            frame = TactileFrame(sensor=name, image=press.image, reference=unit.render_reference())
+            frame = TactileFrame(sensor=name, image=press.image, reference=render_reference(unit))
             depth = read(frame, source)
             yield source, frame, depth, depth.contact & np.isfinite(depth.indentation_mm), press.truth.force_n
 
@@ -63,7 +64,7 @@ def press_instance(read, name: str, number: int):
     found, true, taken = [], [], []
     for source, frame, depth, contact, force_n in press_tools(read, name, number):
         started = time.perf_counter()
-        by_model = load_reference(source.sensor_kind.force_estimator)(source, frame, depth.indentation_mm, contact)
+        by_model = FORCE_MODELS.get(source.sensor_kind)(source, frame, depth.indentation_mm, contact)
         taken.append(1e3 * (time.perf_counter() - started))
         pushed = np.nansum(np.maximum(depth.indentation_mm, 0.0), dtype=float)
         found.append((by_model.normal_n, pushed, depth.indentation_mm[contact].sum(dtype=float)))

@@ -36,11 +36,12 @@ from pipeline.base.arrays import Doubles, freeze
 from pipeline.base.params import NoParams
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh
+from pipeline.physics.sensor_images import render_sensor_image
 from pipeline.sensors.alignment import resolve_alignment
 from pipeline.sensors.spec import SensorSpec, list_sensor_names, load_sensor
 from pipeline.simulation import shapes
 from pipeline.simulation.poses import make_paper_grid
-from pipeline.simulation.press import SimulatedPress, render_sensor_image, simulate_press
+from pipeline.simulation.press import SimulatedPress, simulate_press
 from pipeline.stages.cloud.back_projection import BackProjectionParams, back_project_depth
 from pipeline.stages.pose.signed_distances import PoseParams, track_pose
 from pipeline.stages.target_depth.surface_projection import SurfaceProjectionParams, project_cloud

@@ -18,10 +18,11 @@ from benchmarks.harness.text_report import print_result
 from benchmarks.harness.timing import Requirement, Timing, build_measurement
 from benchmarks.scenes.depth_helpers import build_reader
 from pipeline.geometry import rigid
+from pipeline.physics.sensor_images import render_sensor_image
 from pipeline.sensors.spec import load_sensor
 from pipeline.simulation import shapes
 from pipeline.simulation.overhang import compute_lowest_mm
-from pipeline.simulation.press import render_sensor_image, simulate_press
+from pipeline.simulation.press import simulate_press
 from pipeline.tracking.track import compute_error, track_frames
 from pipeline.values.frames import TactileFrame
 

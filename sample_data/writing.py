@@ -10,10 +10,11 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.base.arrays import Doubles, Floats, Image
+from pipeline.physics.sensor_images import render_sensor_image
 from pipeline.recordings.hdf5_writer import RecordingWriter
 from pipeline.sensors import alignment
 from pipeline.sensors.spec import SensorSpec
-from pipeline.simulation.press import render_sensor_image, simulate_press
+from pipeline.simulation.press import simulate_press
 from pipeline.simulation.recorder import BUBBLE_STEP_MM
 from pipeline.simulation.shapes.solids import Shape
 from pipeline.values.frames import Pairing, TactileFrame

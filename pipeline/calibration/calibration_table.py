@@ -8,12 +8,11 @@ from numpy.typing import NDArray
 
 from pipeline.base.arrays import Floats, Image, Mask, freeze
 from pipeline.base.errors import CalibrationError
-from pipeline.base.memo import Memo
 from pipeline.calibration import slope_model
 from pipeline.calibration.markers import detect_markers, inpaint_markers, remove_printed_markers
 from pipeline.calibration.slope_model import SlopeModel, SlopeSamples
 from pipeline.engine import disk_store
-from pipeline.engine.digests import compute_cached_digest
+from pipeline.engine.derived import derive_once
 from pipeline.sensors.spec import Markers, SensorSpec
 
 SMOOTHING_PX = 1.0  # blur of the colour change, the same in fitting and in use
@@ -156,9 +155,7 @@ def compute_relative_change(
     return np.asarray(change, np.float32) * slope_model.compute_gain(bright)
 
 
-_built_in_cache: Memo[str, Calibration] = Memo(16)  # simulated variations of a sensor are many
-
-
+@derive_once
 def make_built_in(sensor: SensorSpec) -> Calibration:
     """The calibration table of the sensor's optical description, cached on disk.
 
@@ -168,19 +165,16 @@ def make_built_in(sensor: SensorSpec) -> Calibration:
     if sensor.optics is None:
         raise CalibrationError(f"{sensor.name} has no optics to derive a calibration from; it measures depth itself")
 
-    def make() -> Calibration:
-        # The shading of a slope is independent of distance, so variants of a sensor at several depths share the fit.
-        fitted = disk_store.load_or_make(
-            _Inversion, (sensor.camera, sensor.optics), _CODE, lambda: _invert_optics(sensor), "calibration_tables"
-        )
-        model = SlopeModel(colour_degree=_DEGREES[0], position_degree=_DEGREES[1],
-                           coefficients=fitted.coefficients, slope_max=fitted.slope_max)  # fmt: skip
-        return Calibration(
-            sensor=sensor.name, rows=sensor.camera.rows, cols=sensor.camera.cols, pixel_mm=sensor.pixel_mm, model=model,
-            residual=fitted.residual, origin="derived from the sensor's optical description",
-        )  # fmt: skip
-
-    return _built_in_cache.get_or_make(compute_cached_digest(sensor), make)
+    # The shading of a slope is independent of distance, so variants of a sensor at several depths share the fit.
+    fitted = disk_store.load_or_make(
+        _Inversion, (sensor.camera, sensor.optics), _CODE, lambda: _invert_optics(sensor), "calibration_tables"
+    )
+    model = SlopeModel(colour_degree=_DEGREES[0], position_degree=_DEGREES[1],
+                       coefficients=fitted.coefficients, slope_max=fitted.slope_max)  # fmt: skip
+    return Calibration(
+        sensor=sensor.name, rows=sensor.camera.rows, cols=sensor.camera.cols, pixel_mm=sensor.pixel_mm, model=model,
+        residual=fitted.residual, origin="derived from the sensor's optical description",
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

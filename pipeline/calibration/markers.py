@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.arrays import Doubles, Floats, Mask, freeze
-from pipeline.base.memo import Memo
-from pipeline.engine.digests import compute_cached_digest
+from pipeline.engine.derived import derive_once
 from pipeline.sensors.spec import Markers
 
 _DARKER = 0.12  # a marker is darker than its surroundings by this share of their brightness
@@ -136,27 +135,19 @@ def _blur(image: Floats, sigma_px: float) -> Floats:
     return np.asarray(cv2.resize(blurred, (cols, rows), interpolation=cv2.INTER_LINEAR), np.float32)
 
 
+@derive_once
 def remove_printed_markers(still: NDArray[Any], markers: Markers, pixel_mm: float) -> tuple[Mask, Floats]:
     """(mask of the markers of a reference image, the image (rows, cols, 3) without them).
 
-    Cached, since the same reference is used with every touch.
+    Computed once, since the same reference is used with every touch.
     """
-    return _inpainted_references.get_or_make(
-        (compute_cached_digest(still), markers, pixel_mm), lambda: _inpaint_reference(still, markers, pixel_mm)
-    )
+    printed = detect_markers(still, markers, pixel_mm)
+    return freeze(printed), freeze(inpaint(still.astype(np.float32), printed, _compute_sigma_px(markers, pixel_mm)))
 
 
 def inpaint_markers(change: Floats, hidden: Mask, markers: Markers, pixel_mm: float) -> Floats:
     """`change` (rows, cols, 3) with the pixels inpainted that markers hide in either image."""
     return inpaint(change, hidden, _compute_sigma_px(markers, pixel_mm))
-
-
-_inpainted_references: Memo[tuple[str, Markers, float], tuple[Mask, Floats]] = Memo(4, most_bytes=4 * 1024 * 1024)
-
-
-def _inpaint_reference(still: NDArray[Any], markers: Markers, pixel_mm: float) -> tuple[Mask, Floats]:
-    printed = detect_markers(still, markers, pixel_mm)
-    return freeze(printed), freeze(inpaint(still.astype(np.float32), printed, _compute_sigma_px(markers, pixel_mm)))
 
 
 def _compute_sigma_px(markers: Markers, pixel_mm: float) -> float:

@@ -15,7 +15,6 @@ import numpy as np
 
 from pipeline.base.arrays import Doubles, Floats, Mask, freeze
 from pipeline.base.errors import CalibrationError
-from pipeline.base.memo import Memo
 from pipeline.calibration import slope_model
 from pipeline.calibration.shading_field import (
     N_POSITION_TERMS,
@@ -24,7 +23,7 @@ from pipeline.calibration.shading_field import (
     compute_position_terms,
 )
 from pipeline.engine import disk_store
-from pipeline.engine.digests import compute_cached_digest
+from pipeline.engine.derived import derive_once
 from pipeline.sensors.parts import compute_mean_reference_light
 from pipeline.sensors.spec import Optics, SensorSpec
 
@@ -53,20 +52,17 @@ _CODE = (
 _LEVEL_MISFIT = 0.3  # share of the misfit along z, where a tilt weakens all light alike
 
 
+@derive_once
 def compute_prior(sensor: SensorSpec, pixel_mm: float, shape: tuple[int, int]) -> ShadingFieldPrior:
     """The prior of `sensor`'s field over an image of `shape` (rows, cols); CalibrationError for one without optics."""
     if sensor.optics is None:
         raise CalibrationError(
             f"{sensor.name} has no optics to derive a calibration table from; it measures depth itself"
         )
-    optics, made_of = sensor.optics, (sensor.optics, pixel_mm, shape)
-
-    def make() -> ShadingFieldPrior:
-        return disk_store.load_or_make(
-            ShadingFieldPrior, made_of, _CODE, lambda: _compute_prior(optics, pixel_mm, shape), "look_ups"
-        )
-
-    return _priors.get_or_make(compute_cached_digest(made_of), make)
+    optics = sensor.optics
+    return disk_store.load_or_make(
+        ShadingFieldPrior, (optics, pixel_mm, shape), _CODE, lambda: _compute_prior(optics, pixel_mm, shape), "look_ups"
+    )
 
 
 def _compute_prior(optics: Optics, pixel_mm: float, shape: tuple[int, int]) -> ShadingFieldPrior:
@@ -105,11 +101,7 @@ class _Gains:
     table: Floats  # (rows, cols, 3)
 
 
-_priors: Memo[str, ShadingFieldPrior] = Memo(16)
-_gain_tables: Memo[str, Floats] = Memo(16)
-_described_changes: Memo[str, Floats] = Memo(16)
-
-
+@derive_once
 def compute_gains(sensor: SensorSpec) -> Floats:
     """How strongly a slope changes the colours under near LEDs, in units of the described change; needs optics.
 
@@ -119,13 +111,10 @@ def compute_gains(sensor: SensorSpec) -> Floats:
     if sensor.optics is None:
         raise CalibrationError(f"{sensor.name} has no optics to derive its light from; it measures depth itself")
 
-    def make() -> Floats:
-        made_of = (sensor.camera, sensor.optics, sensor.pixel_mm)
-        return disk_store.load_or_make(
-            _Gains, made_of, _CODE, lambda: _Gains(table=_compute_gain_table(sensor)), "look_ups"
-        ).table
-
-    return _gain_tables.get_or_make(compute_cached_digest(sensor), make)
+    made_of = (sensor.camera, sensor.optics, sensor.pixel_mm)
+    return disk_store.load_or_make(
+        _Gains, made_of, _CODE, lambda: _Gains(table=_compute_gain_table(sensor)), "look_ups"
+    ).table
 
 
 def _compute_gain_table(sensor: SensorSpec) -> Floats:
@@ -143,15 +132,12 @@ def _compute_gain_table(sensor: SensorSpec) -> Floats:
     return freeze(np.clip(gains, *_GAINS).reshape(*_GRID, 3).astype(np.float32))
 
 
+@derive_once
 def compute_described_change(sensor: SensorSpec) -> Floats:
     """Grey levels by which a small slope along x and y changes the described colours, per mm/mm; needs optics.
 
     (rows, cols, 3, 2) on the grid of `compute_gains`.
     """
-    return _described_changes.get_or_make(compute_cached_digest(sensor), lambda: _compute_described_change(sensor))
-
-
-def _compute_described_change(sensor: SensorSpec) -> Floats:
     from pipeline.physics import optics
 
     shape = sensor.camera.shape

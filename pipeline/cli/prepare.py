@@ -16,6 +16,7 @@ from rich.console import Console
 
 from pipeline.base import compiling
 from pipeline.cli.terminal import print_line
+from pipeline.physics.sensor_images import render_reference
 
 if TYPE_CHECKING:
     from pipeline.base.arrays import Image
@@ -85,7 +86,7 @@ def _record_press(path: Path, name: str) -> Path:
 
     mesh, sensor = shapes.make_shape(_TOOL).mesh, load_sensor(name)
     press = simulate_press(mesh, make_paper_grid(mesh, n=1, seed=0)[0], sensor, seed=0)
-    frame = TactileFrame(sensor=name, image=press.image, reference=sensor.render_reference(), index=0, time_s=0.0)
+    frame = TactileFrame(sensor=name, image=press.image, reference=render_reference(sensor), index=0, time_s=0.0)
     with RecordingWriter(path, object_mesh=mesh) as writer:
         writer.append(name, frame)
     return path

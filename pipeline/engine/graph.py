@@ -6,7 +6,7 @@ parameters and the *contents* of its inputs, so an equal output after a change s
 (early cutoff, Salsa's backdating), whichever method produced it.
 
 A method may be a chain of nodes: methods that no column shows, each with a key of its own, so that a change repeats
-only what reads it.
+only what reads it. What a method reads of stages that its route leaves out is evaluated in the same way.
 """
 
 from __future__ import annotations
@@ -65,6 +65,9 @@ class Method(Generic[Params, Output, *Reads]):
     run: Callable[[Unpack[Reads], Params, Progress], Output | Skipped[Output] | Fallback[Output]]
     params: type[Params]
     reads: tuple[str, ...]  # stages above it or inputs, in the order of `run`'s arguments
+    # Of stages in `reads` that a route may leave out: there the first that fits the source is evaluated with default
+    # parameters, as a node that no column shows.
+    defaults: tuple[Method, ...] = ()
     version: int = 1  # raised when equal inputs give another output: frames on disk are then made again
     help: str = ""  # what it does, in half a sentence
     kinds: tuple[str, ...] = ()  # of the sensors that it is for; () = all
@@ -72,9 +75,6 @@ class Method(Generic[Params, Output, *Reads]):
     nodes: tuple[Method, ...] = ()  # of a chain, whose `run` is `chain_nodes(nodes, reads)`; the last makes the value
     select_params: Callable[[Any], Params] | None = None  # of a node: its own of the chain's parameters
     draft: Callable[[Params], Params] | None = None  # parameters -> cheaper ones for dragging; None = no draft
-    # Kind of the source -> stage -> method of those that it runs again inside, with default parameters: others do not
-    # reach it.
-    list_inner_methods: Callable[[str], Mapping[str, str]] | None = None
 
     def fits(self, kind: str) -> bool:
         """Return whether it is for sensors of this kind; "" = not known yet."""
@@ -191,7 +191,7 @@ class Graph:
         missing entry, or one of another method, means defaults. Raises SettingProblem for an unknown name, Cancelled
         when `progress` says so, and whatever a method raises.
         """
-        order = self.select_methods(wanted, given=inputs.keys())
+        order = self.select_methods(wanted, inputs.keys(), getattr(inputs.get("source"), "kind", ""))
         digests = {name: self._digests.compute_digest(value) for name, value in inputs.items()}
         values: dict[str, object] = dict(inputs)
         results: dict[str, StageResult] = {}
@@ -202,52 +202,48 @@ class Graph:
             if method.stage in inputs:
                 result = _make_given_result(method.stage, values[method.stage], digests[method.stage])
             else:
-                own = _select_params(params, method)
+                own = _select_params(params, method) if method in self.methods else method.params()
                 evaluate = self._evaluate_chain if method.nodes else self._evaluate_method
                 result = evaluate(method, values, digests, own, fresh, part)
                 if is_draft(own) or drafts.intersection(method.reads):
                     drafts.add(method.stage)
                     result = replace(result, draft=True)
-                result = replace(result, notes=(*self._warn_of_unused_settings(method, params, inputs), *result.notes))
             values[method.stage], digests[method.stage] = result.output, result.digest
-            results[method.stage] = result
             if result.state not in ("cached", "given"):
                 fresh.add(method.stage)
-            if on_stage is not None:
-                on_stage(result)
+            if method in self.methods:
+                results[method.stage] = result
+                if on_stage is not None:
+                    on_stage(result)
         progress.step(1.0, "")
         return results
 
-    def select_methods(self, wanted: Iterable[str], given: Iterable[str] = ()) -> tuple[Method, ...]:
-        """Return the methods of the wanted stages and of their inputs, in running order; given stages read nothing."""
+    def list_methods(self, kind: str = "") -> tuple[Method, ...]:
+        """Return the route's methods, each after those of what it reads and the route leaves out, for a kind."""
+        stages, methods = {m.stage for m in self.methods}, list[Method]()
+        for method in self.methods:
+            for default in method.defaults:
+                if default.stage not in stages and default.fits(kind):
+                    stages.add(default.stage)
+                    methods.append(default)
+            methods.append(method)
+        return tuple(methods)
+
+    def select_methods(self, wanted: Iterable[str], given: Iterable[str] = (), kind: str = "") -> tuple[Method, ...]:
+        """Return the methods of the wanted stages and of what they read, in running order; given stages read nothing.
+
+        `kind` is that of the source, by which methods of stages that the route leaves out are chosen.
+        """
         names, given = set(wanted), set(given)
         unknown = names - {m.stage for m in self.methods}
         if unknown:
             known = ", ".join(m.stage for m in self.methods)
             raise SettingProblem(f"no stage {sorted(unknown)[0]!r} on this route; there are {known}")
-        for method in reversed(self.methods):
+        methods = self.list_methods(kind)
+        for method in reversed(methods):
             if method.stage in names and method.stage not in given:
                 names.update(method.reads)
-        return tuple(m for m in self.methods if m.stage in names)
-
-    def _warn_of_unused_settings(
-        self, method: Method, params: Mapping[str, object], inputs: Mapping[str, object]
-    ) -> tuple[StageWarning, ...]:
-        """Return a warning of each method or parameter that a method leaves out by running that stage again inside."""
-        if method.list_inner_methods is None:
-            return ()
-        chosen = {other.stage: other for other in self.methods}
-        inner = method.list_inner_methods(getattr(inputs.get("source"), "kind", ""))
-        return tuple(
-            StageWarning(
-                f"the {what} of {stage.replace('_', ' ')} {'are' if what == 'parameters' else 'is'} not used: "
-                f"{method.title} runs that stage again with default settings; T2D2 uses yours"
-            )
-            for stage, name in inner.items()
-            if (other := chosen.get(stage)) is not None
-            for what in [f"method {other.title!r}" if other.name != name else "parameters"]
-            if other.name != name or _select_params(params, other) != other.params()
-        )
+        return tuple(m for m in methods if m.stage in names)
 
     def _evaluate_method(
         self,

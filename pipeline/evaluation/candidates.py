@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
 
@@ -10,6 +9,7 @@ import numpy as np
 
 from pipeline.base.arrays import Floats, freeze
 from pipeline.base.errors import SettingProblem
+from pipeline.engine.derived import derive_once
 from pipeline.evaluation.held_out import PressRecordings
 from pipeline.evaluation.published_results import PAPER_MODELS
 from pipeline.networks.weights import NoWeights
@@ -75,7 +75,7 @@ def check_candidate_names(names: Sequence[str]) -> None:
         raise SettingProblem(f"no candidate is called {unknown[0]!r}; there are {', '.join(known)}")
 
 
-@lru_cache(maxsize=8)
+@derive_once
 def compute_mean_change(recordings: tuple[PressRecordings, ...], target: str) -> Floats:
     """Mean change from the reference (rows, cols, channels) of a sensor's frames over recordings of other touches."""
     total, count, kind = None, 0, load_sensor(target).sensor_kind

@@ -13,6 +13,7 @@ import numpy as np
 
 from pipeline.base.arrays import Doubles, Floats, Mask
 from pipeline.base.errors import SettingProblem
+from pipeline.physics.sensor_images import render_reference
 from pipeline.sensors.spec import SensorSpec
 from pipeline.values.frames import TactileFrame, Truth
 from pipeline.values.results import GeneratedTouch
@@ -79,4 +80,4 @@ def build_without_truth(frame: TactileFrame, sensor: SensorSpec) -> RecordedTouc
 
 def compute_generated_change(touch: GeneratedTouch, target: SensorSpec) -> Floats:
     """Change (rows, cols, channels) of a generated touch from the described instance's reference."""
-    return target.sensor_kind.compute_relative_change(touch.image, target.render_reference())
+    return target.sensor_kind.compute_relative_change(touch.image, render_reference(target))

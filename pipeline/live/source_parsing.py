@@ -14,12 +14,12 @@ from pipeline.geometry.meshes import Mesh
 from pipeline.geometry.symmetry import Symmetry
 from pipeline.live.source import LiveFrame, LiveSource, LiveSourceLost
 from pipeline.live.usb_camera import UsbCameraSource
+from pipeline.physics.sensor_images import render_sensor_image
 from pipeline.recordings import image_files
 from pipeline.recordings.gel_images import GelImageConverter, make_gel_converter
 from pipeline.sensors.spec import load_sensor
 from pipeline.simulation import datasets
 from pipeline.simulation.datasets import SimulationPlan
-from pipeline.simulation.press import render_sensor_image
 from pipeline.values.frames import TactileFrame, Truth
 
 FRAMES_PER_CYCLE = 64  # of press, slide, twist, release; computed in the first cycle, then repeated with new noise

@@ -9,12 +9,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pipeline.base.arrays import Doubles, freeze
+from pipeline.engine.derived import derive_once
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh
 
@@ -117,18 +117,17 @@ def compute_ambiguity(poses: Sequence[Doubles], mesh: Mesh, symmetry: Symmetry |
 
 def compute_hull(mesh: Mesh) -> Doubles:
     """Return the vertices (n, 3) of the convex hull: displacement is convex, so its maximum is there."""
-    return mesh.vertices_mm if len(mesh.vertices_mm) <= _FEW else _hull_of(mesh.vertices_mm.tobytes())
+    return mesh.vertices_mm if len(mesh.vertices_mm) <= _FEW else _hull_of(mesh.vertices_mm)
 
 
-@lru_cache(maxsize=8)
-def _hull_of(vertices_f64: bytes) -> Doubles:
+@derive_once
+def _hull_of(vertices_mm: Doubles) -> Doubles:
     from scipy.spatial import ConvexHull, QhullError
 
-    vertices = np.frombuffer(vertices_f64, dtype=np.float64).reshape(-1, 3)
     try:
-        return freeze(vertices[ConvexHull(vertices).vertices])
+        return freeze(vertices_mm[ConvexHull(vertices_mm).vertices])
     except QhullError:  # a flat mesh has no hull
-        return vertices
+        return vertices_mm
 
 
 def _nearest(estimate: Doubles, truth: Doubles, points: Doubles, symmetry: Symmetry | None) -> tuple[float, Doubles]:

@@ -7,10 +7,11 @@ theory holds for any noise covariance, so the samplers are unchanged.
 """
 
 import math
-from functools import lru_cache
 
 import torch
 from torch import Tensor
+
+from pipeline.engine.derived import derive_once
 
 _POWER = 1.5  # spectrum of an exponential covariance in the plane, as of fields with edges
 
@@ -27,7 +28,7 @@ def correlate_noise(white: Tensor, correlation_length: float) -> Tensor:
     return torch.fft.irfft2(torch.fft.rfft2(white) * amplitude, s=(rows, cols))
 
 
-@lru_cache(maxsize=8)
+@derive_once
 def _amplitude(rows: int, cols: int, length: float) -> Tensor:
     """(rows, cols // 2 + 1) factor of each Fourier component, normalised to unit variance."""
     wave = torch.fft.fftfreq(rows)[:, None] ** 2 + torch.fft.fftfreq(cols)[None] ** 2

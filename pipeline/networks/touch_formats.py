@@ -5,10 +5,9 @@ from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
 
-from pipeline.base.entry_points import load_reference
 from pipeline.base.errors import SettingProblem
 from pipeline.networks.weights import NoWeights, Weights
-from pipeline.sensors.kinds import get_kind
+from pipeline.sensors.kinds import BubbleSensor, GelSensor, KindTable, get_kind
 from pipeline.sensors.spec import SensorSpec
 
 SelectWeights = Callable[[SensorSpec, SensorSpec, Path | None], Weights | NoWeights]  # (source, target, file)
@@ -43,14 +42,15 @@ BUBBLE = TouchFormat(
     grid_factor=1, trained_pixel_mm=0.43, indentation_unit_mm=6.0, relief_unit_mm=0.5, max_relief_mm=2.0,
     residual_unit_mm=3.0, t2d2_weights="t2d2_bubble",
 )  # fmt: skip
+TOUCH_FORMATS: KindTable[TouchFormat] = KindTable({GelSensor: GEL, BubbleSensor: BUBBLE})
 
 
 def get_touch_format(kind: str) -> TouchFormat:
     """The format of a kind of sensor; raises SettingProblem for a kind that has none."""
-    reference = get_kind(kind).touch_format
-    if not reference:
+    found = TOUCH_FORMATS.get(get_kind(kind))
+    if found is None:
         raise SettingProblem(f"no network translates touches of sensors of kind {kind!r}")
-    return load_reference(reference)
+    return found
 
 
 def answer_for_known_kinds(select: SelectWeights) -> SelectWeights:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from pipeline.base.arrays import Doubles, Mask, freeze
 from pipeline.base.errors import SettingProblem, ShapeError
-from pipeline.base.memo import memoise
+from pipeline.engine.derived import derive_once
 from pipeline.physics import multigrid
 from pipeline.physics.lattice import Lattice
 from pipeline.sensors.parts import Bubble
@@ -40,7 +40,6 @@ class BubbleContact:
     converged: bool
 
 
-@memoise(8)
 def make_lattice(bubble: Bubble, step_mm: float = STEP_MM) -> Lattice:
     """The lattice centred on the optical axis that holds the whole rim and can be halved for multigrid."""
     halves = 2**multigrid.N_HALVINGS
@@ -146,7 +145,7 @@ def _solve_sealed(
     return _SealedState(v=v, over_kpa=over, slope=slope, converged=False)
 
 
-@memoise(8)
+@derive_once
 def _dome(bubble: Bubble, on: Lattice) -> Doubles:
     return freeze(
         1.0 - (on.x_mm()[None, :] / bubble.half_width_mm) ** 2 - (on.y_mm()[:, None] / bubble.half_height_mm) ** 2

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.arrays import Doubles, Floats, freeze
-from pipeline.base.memo import Memo
-from pipeline.engine.digests import compute_cached_digest
+from pipeline.engine.derived import derive_once
 from pipeline.geometry.camera import Camera
 from pipeline.geometry.normals import compute_area_vectors
 from pipeline.physics import lattice
@@ -71,15 +70,11 @@ def compute_incidence_cosine(camera: Camera, depth_mm: NDArray[np.floating]) -> 
     return np.divide(facing, size, out=np.zeros(depth_mm.shape), where=size > 0)
 
 
+@derive_once
 def compute_rest_cosine(sensor: SensorSpec) -> Doubles:
     """`compute_incidence_cosine` of the membrane at rest, cached."""
     rest = sensor.rest_depth_mm
-    return _rest_cosines.get_or_make(
-        (compute_cached_digest(rest), sensor.camera), lambda: freeze(compute_incidence_cosine(sensor.camera, rest))
-    )
-
-
-_rest_cosines: Memo[tuple[str, Camera], Doubles] = Memo(16)
+    return freeze(compute_incidence_cosine(sensor.camera, rest))
 
 
 def _relative_noise(depth_mm: Doubles, cosine: NDArray[np.floating], errs: DepthCamera) -> Doubles:

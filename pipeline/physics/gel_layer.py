@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.base.arrays import Doubles, Floats, freeze
-from pipeline.base.memo import memoise
+from pipeline.engine.derived import derive_once
 from pipeline.sensors.parts import Gel
 
 _LARGEST_X = 40.0  # K is 1 to double precision long before sinh overflows
@@ -41,7 +41,7 @@ class ElasticLayer:
         return _convolve(displacement_mm, self.inverse_symbol, self.periodic_shape)
 
 
-@memoise(24, most_bytes=8 * 1024 * 1024)
+@derive_once
 def make_elastic_layer(gel: Gel, pixel_mm: float, shape: tuple[int, int]) -> ElasticLayer:
     """The pad's response over a grid of `shape`, cached."""
     # Pixels interact over n - 1 steps, in a thin layer at most over the reach of its kernel.
@@ -98,7 +98,7 @@ def _compute_kernel(gel: Gel, pixel_mm: float, span: tuple[int, ...]) -> Doubles
     return wide[middle - span[0] : middle + span[0] + 1, middle - span[1] : middle + span[1] + 1]
 
 
-@memoise(8)
+@derive_once
 def _compute_layer_kernel(gel: Gel, pixel_mm: float) -> Doubles:
     n = 2 * _compute_reach_px(gel, pixel_mm) + 2
     symbol = compute_symbol(gel, pixel_mm, (n, n))

@@ -8,15 +8,13 @@ point, that LED's light is missing there (cast shadow).
 
 import math
 from collections.abc import Iterator
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.arrays import Floats, Image, freeze
 from pipeline.base.errors import SettingProblem, ShapeError
-from pipeline.base.memo import Memo, memoise
-from pipeline.engine.digests import compute_cached_digest
+from pipeline.engine.derived import derive_once
 from pipeline.geometry.camera import Camera
 from pipeline.physics.optics_markers import check_surface, compute_marker_motion_px, draw_markers
 from pipeline.sensors.parts import Markers, Optics, compute_reference_light
@@ -92,7 +90,7 @@ def _to_float32(array: NDArray[np.floating]) -> Floats:
     return freeze(np.ascontiguousarray(array, dtype=np.float32).view())
 
 
-@memoise(32)
+@derive_once
 def pack_leds(optics: Optics, camera: Camera) -> tuple[Floats, Floats]:
     """Light directions and colours (n, 6), and falloff over the image (n, 3), for the kernels; padded to n = 3 k."""
     half_w, half_h = camera.cols / 2, camera.rows / 2
@@ -111,7 +109,7 @@ def pack_leds(optics: Optics, camera: Camera) -> tuple[Floats, Floats]:
     return freeze(np.array(directions, np.float32)), freeze(np.array(strength, np.float32))
 
 
-@memoise(32)
+@derive_once
 def _render_reference(camera: Camera, optics: Optics, markers: Markers | None, pixel_mm: float) -> Image:
     light = compute_reference_light(camera, optics).copy()
     if markers is not None:
@@ -152,17 +150,12 @@ def _render_plain(sensor: SensorSpec, height_mm: Floats) -> Image:
     return out.reshape(rows, cols, 3)
 
 
-_scenes: Memo[str, _Scene] = Memo(16)
-
-
+@derive_once
 def _prepare_scene(sensor: SensorSpec) -> _Scene:
     """Arguments of the kernels for this sensor, after the surface."""
     camera, optics = sensor.camera, require_optics(sensor)
-    return _scenes.get_or_make(
-        compute_cached_digest(sensor),
-        lambda: (np.float32(sensor.pixel_mm), compute_reference_light(camera, optics).reshape(camera.rows, -1),
-                 *pack_leds(optics, camera), np.float32(optics.vignette)),
-    )  # fmt: skip
+    light = compute_reference_light(camera, optics).reshape(camera.rows, -1)
+    return np.float32(sensor.pixel_mm), light, *pack_leds(optics, camera), np.float32(optics.vignette)
 
 
 def _casts_shadow(optics: Optics, height_mm: Floats) -> bool:
@@ -225,7 +218,7 @@ def digitise_light(light: Floats, noise_grey: float, seed: int | None) -> Image:
     return out
 
 
-@lru_cache(maxsize=1)
+@derive_once
 def _normal_quantiles() -> Floats:
     """Quantiles of the standard normal distribution, scaled to standard deviation 1."""
     from scipy.special import ndtri

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from pipeline.base.arrays import Doubles, Image
 from pipeline.base.errors import TouchError
-from pipeline.base.memo import Memo
-from pipeline.engine.digests import compute_cached_digest
+from pipeline.engine.derived import derive_once
 from pipeline.physics.optics import render_reference
 from pipeline.sensors.spec import SensorSpec, list_sensor_names, load_sensor
 
@@ -44,15 +43,10 @@ def compare_colours(image: Image, spec: SensorSpec) -> ColourComparison:
     Detects swapped channels, mirrored or rotated images, those of another sensor, of a light that nobody described, and
     those without colours. Raises SettingProblem for a sensor without optics in its description.
     """
-    return _comparisons.get_or_make(
-        (compute_cached_digest(image), compute_cached_digest(render_reference(spec))),
-        lambda: _compare(image, render_reference(spec), spec.name),
-    )
+    return _compare(image, render_reference(spec), spec.name)
 
 
-_comparisons: Memo[tuple[str, str], ColourComparison] = Memo(16)
-
-
+@derive_once
 def _compare(seen: Image, want: Image, name: str) -> ColourComparison:
     coarse = _average_blocks(seen)
     plain = _compute_similarity(coarse, _average_blocks(want))

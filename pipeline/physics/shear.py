@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from pipeline.base.arrays import Doubles, Floats, Mask, freeze
 from pipeline.base.errors import SettingProblem, ShapeError
-from pipeline.base.memo import memoise
+from pipeline.engine.derived import derive_once
 from pipeline.geometry.camera import Camera
 from pipeline.physics.gel_layer import find_fast_length
 from pipeline.physics.lattice import Lattice
@@ -127,7 +127,7 @@ class TangentialResponse:
         return np.moveaxis(back[:, : self.shape[0], : self.shape[1]], 0, -1).astype(np.float32)
 
 
-@memoise(16)
+@derive_once
 def make_response(gel: Gel, cell_mm: float, shape: tuple[int, int]) -> TangentialResponse:
     """The response of a gel's surface to tractions on `shape` cells of side `cell_mm`."""
     reach = [n - 1 for n in shape]

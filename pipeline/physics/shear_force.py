@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.base.arrays import Doubles, Floats, Mask, freeze
-from pipeline.base.memo import memoise
+from pipeline.engine.derived import derive_once
 from pipeline.physics.contact_force import PressedCells
 from pipeline.physics.shear import make_response
 from pipeline.sensors.parts import Gel
@@ -80,7 +80,7 @@ def _compute_responses(gel: Gel, pressed: PressedCells, markers: MarkerMotion, i
     return out.reshape(2 * len(places), 2 * len(cells))
 
 
-@memoise(4)
+@derive_once
 def _compute_impulse_responses(gel: Gel, cell_mm: float, shape: tuple[int, int]) -> tuple[Floats, Floats]:
     """Motion (2 rows, 2 cols, 2) around a cell with 1 kPa of traction to the right, and down."""
     rows, cols = shape

@@ -4,13 +4,13 @@ Depth is viridis, signed differences use a diverging map with a neutral centre, 
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.arrays import Floats, Image, freeze
+from pipeline.engine.derived import derive_once
 
 ColourMapName = Literal["viridis", "diverging", "diverging_dark"]
 Rgb = tuple[int, int, int]
@@ -49,7 +49,7 @@ class ColourScale:
     is_fitted: bool = False  # limits fitted to this image
 
 
-@lru_cache(maxsize=3)
+@derive_once
 def get_colour_table(name: ColourMapName) -> Image:
     """Return the 256 colours (256, 3) uint8 of a map, from low to high."""
     import cv2
@@ -81,7 +81,7 @@ def darken_diverging(pixels: Image) -> Image:
     return freeze(np.where(known[..., None], dark[at], pixels))
 
 
-@lru_cache(maxsize=1)
+@derive_once
 def _index_diverging() -> NDArray[np.int16]:
     """Return the place in the diverging map of each red and blue, which no two of its colours share; -1 = none."""
     colours = get_colour_table("diverging").astype(np.uint16)

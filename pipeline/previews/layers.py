@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.arrays import Doubles, Floats, Image, Indices, Mask, freeze
-from pipeline.base.memo import Memo
-from pipeline.engine.digests import compute_cached_digest
+from pipeline.engine.derived import derive_once
 from pipeline.geometry.camera import Camera
 from pipeline.geometry.meshes import Mesh
 from pipeline.geometry.normals import compute_area_vectors
@@ -22,9 +20,6 @@ from pipeline.sensors.spec import SensorSpec
 MAX_POINTS = 16_000  # of one surface: more are not visible in a view this small and slow rendering down
 _MEMBRANE_COLS = 64.0  # a faint smooth surface needs no more
 _Surface = tuple[Floats, NDArray[np.int32], Floats]  # points (n, 3) in mm, triangles (m, 3), normals (n, 3)
-_membranes: Memo[str, Layer] = Memo(8)
-_rest_surfaces: Memo[tuple[str, Camera], _Surface] = Memo(8)  # under a gel's images
-_meshes: Memo[str, tuple[Floats, Indices, Floats]] = Memo(8)
 
 
 @dataclass(frozen=True, slots=True, weakref_slot=True, kw_only=True)
@@ -66,10 +61,12 @@ def make_frame_layer(name: str, image: Image | Floats, camera: Camera, preview: 
     if image.ndim == 2:
         return make_grid_layer(name, camera.back_project(np.asarray(image, dtype=np.float32)), preview)
     stride = _choose_stride(*camera.shape)
-    surface = _rest_surfaces.get_or_make((compute_cached_digest(sensor), camera), lambda: _surface(
-        camera.back_project(compute_rest_depth_mm(sensor, camera)), stride
-    ))  # fmt: skip
-    return _texture_surface(name, surface, preview.pixels[::stride, ::stride], preview)
+    return _texture_surface(name, _rest_surface(sensor, camera, stride), preview.pixels[::stride, ::stride], preview)
+
+
+@derive_once
+def _rest_surface(sensor: SensorSpec, camera: Camera, stride: int) -> _Surface:
+    return _surface(camera.back_project(compute_rest_depth_mm(sensor, camera)), stride)
 
 
 def make_cloud_layer(
@@ -90,17 +87,14 @@ def make_lines_layer(
     return Layer(name=name, points_mm=points, rgb=rgb, segments=segments, colour_map=colour_map)
 
 
-@lru_cache(maxsize=16)
+@derive_once
 def _pairs(count: int) -> Indices:
     return freeze(np.arange(2 * count, dtype=np.int32).reshape(-1, 2))
 
 
+@derive_once
 def make_membrane_layer(sensor: SensorSpec) -> Layer:
-    """Return the rest surface within the image, faint; cached, so that it is rendered once."""
-    return _membranes.get_or_make(compute_cached_digest(sensor), lambda: _membrane(sensor))
-
-
-def _membrane(sensor: SensorSpec) -> Layer:
+    """Return the rest surface within the image, faint; one object, so that it is rendered once."""
     camera = sensor.camera.scale(min(1.0, _MEMBRANE_COLS / sensor.camera.cols))
     points, triangles, normals = _surface(camera.back_project(compute_rest_depth_mm(sensor, camera)), 1)
     return Layer(
@@ -121,7 +115,7 @@ def make_object_layer(mesh: Mesh, sensor_from_object: Doubles) -> Layer:
 
 def make_mesh_layer(name: str, mesh: Mesh, colour: Rgb, *, opacity: float = 1.0) -> Layer:
     """Return a mesh in its own frame."""
-    points, triangles, normals = _meshes.get_or_make(compute_cached_digest(mesh), lambda: _mesh_arrays(mesh))
+    points, triangles, normals = _mesh_arrays(mesh)
     return Layer(
         name=name, points_mm=points, rgb=repeat_colour(colour, len(points)), triangles=triangles, normals=normals,
         opacity=opacity,
@@ -158,6 +152,7 @@ def _texture_surface(name: str, surface: _Surface, pixels: Image, preview: Previ
     )  # fmt: skip
 
 
+@derive_once
 def _mesh_arrays(mesh: Mesh) -> tuple[Floats, NDArray[np.int32], Floats]:
     """Return the mesh with separate corners for every triangle, so that edges stay sharp."""
     corners = mesh.vertices_mm[mesh.triangles]
@@ -196,7 +191,7 @@ def _surface(points: NDArray[np.floating], stride: int) -> _Surface:
     return freeze(np.ascontiguousarray(grid.reshape(-1, 3))), triangles, freeze(flat)
 
 
-@lru_cache(maxsize=16)
+@derive_once
 def _grid_triangles(rows: int, cols: int) -> NDArray[np.int32]:
     first = (np.arange(rows - 1)[:, None] * cols + np.arange(cols - 1)[None, :]).ravel()
     # Front faces are wound toward the camera: OpenGL flips normals of back faces.

@@ -1,31 +1,39 @@
-"""Kinds of sensors: one `SensorKind` holds all that the pipeline does differently for a gel and for a bubble.
+"""Kinds of sensors: a `SensorKind` knows how sensors of a kind are described and what they record.
 
-Another package adds a kind by the entry point group `tactoscope.sensor_kinds`, whose value is a `SensorKind`, or by
-`register_kind`. Functions are named as "module:function" and imported on first use, since most of them belong to upper
-layers.
+What other parts of the pipeline do for each kind (depth, render, press, force, networks) is a `KindTable` beside the
+code that does it, so that imports point down. A third kind is a subclass and its entries in those tables, in one
+module: `tests/pipeline/sensors/test_third_kind.py` is one. Another package adds its kind by the entry point group
+`tactoscope.sensor_kinds`, whose value is a `SensorKind`, or by `register_kind`.
 """
 
-from collections.abc import Callable
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Generic, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.arrays import Floats
-from pipeline.base.entry_points import load_entry_points, load_reference
+from pipeline.base.entry_points import load_entry_points
+from pipeline.geometry import membrane
 from pipeline.geometry.camera import Camera
 from pipeline.geometry.membrane import Membrane
 from pipeline.sensors.descriptions import DescriptionSection
+from pipeline.sensors.parts import Bubble, DepthCamera, Gel, parse_optics, parse_part
 
+V = TypeVar("V")
 GetSection = Callable[[str], DescriptionSection]
 DisplayGroup = Literal["gel", "bubble"]
 
+_BLACK_GREY = 2  # grey level; no lit gel is this dark everywhere
+_WHITE_GREY = 254  # grey level; no gel is this bright everywhere, noise takes clipped pixels down to here
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SensorKind:
-    """One kind of sensor: how it is described, what it records, and which functions compute for it."""
+class SensorKind(ABC):
+    """One kind of sensor: how it is described, and what it records."""
 
     key: str  # `kind` of a sensor description
     is_depth: bool  # frames are depth images (rows, cols) float32 mm; else RGB images (rows, cols, 3) uint8
@@ -35,45 +43,23 @@ class SensorKind:
     display_group: DisplayGroup  # display settings and scales that apply
     still_change: float  # grey levels or mm that the mean of a block may change without contact
     drift_change: float | None  # mm by which a block's mean may drift; None = `limits.no_contact_change` of the sensor
-    part_parser: str  # (GetSection, data, path) -> fields of SensorSpec
-    membrane_parser: str  # (GetSection, Camera, parsed parts) -> Membrane, where [rest] gives no mesh
-    reference_renderer: str  # (SensorSpec) -> image without contact and noise
-    image_checker: str  # (image) -> what is wrong with it as a clause, "" = nothing
-    contact_checker: str  # (frame, sensor, calibration, limit) -> notes without contact, None = maybe contact
-    depth_estimator: str  # (frame, SensorSpec, Calibration | None, DepthParams, Progress) -> DepthMap
-    touch_renderer: str = ""  # of the physical render; "" = the kind cannot be a target of it
-    press_simulator: str = ""  # of the simulator; "" = the kind is not simulated
-    image_simulator: str = ""
-    force_estimator: str = ""  # (SensorSpec, frame, indentation_mm, contact) -> ContactForce; "" = no model
-    touch_format: str = ""  # `networks.touch_formats.TouchFormat`; "" = networks of touches do not know the kind
 
     @property
     def change_unit(self) -> str:
         """Unit of changes, as sensor descriptions write it."""
         return "mm" if self.is_depth else "grey"
 
-    def parse_parts(self, section: GetSection, data: dict[str, Any], path: Path) -> dict[str, Any]:
-        """The fields of SensorSpec that this kind describes; raises CalibrationError."""
-        return load_reference(self.part_parser)(section, data, path)
+    @abstractmethod
+    def parse_parts(self, section: GetSection, data: dict[str, Any], path: Path, /) -> dict[str, Any]:
+        """Return the fields of SensorSpec that this kind describes; raises CalibrationError."""
 
-    def parse_membrane(self, section: GetSection, camera: Camera, parts: dict[str, Any]) -> Membrane:
-        """The membrane that the description gives as numbers; raises CalibrationError."""
-        return load_reference(self.membrane_parser)(section, camera, parts)
+    @abstractmethod
+    def parse_membrane(self, section: GetSection, camera: Camera, parts: dict[str, Any], /) -> Membrane:
+        """Return the membrane that the description gives as numbers; raises CalibrationError."""
 
-    def render_reference(self, sensor: Any) -> NDArray[Any]:
-        """The image of a sensor (SensorSpec) without contact and noise."""
-        return load_reference(self.reference_renderer)(sensor)
-
-    def simulate_image(
-        self,
-        sensor: Any,
-        indentation_mm: Floats,
-        depth_mm: NDArray[Any],
-        seed: int | None,
-        shear_mm: Floats | None = None,
-    ) -> NDArray[Any]:
-        """The image of a membrane (rows, cols) at `depth_mm`, `indentation_mm` from rest, with noise if seeded."""
-        return load_reference(self.image_simulator)(sensor, indentation_mm, depth_mm, seed, shear_mm)
+    @abstractmethod
+    def find_image_problem(self, image: NDArray[Any]) -> str:
+        """Return why an image cannot be used, as a clause; "" where it can."""
 
     def compute_change(self, image: NDArray[Any], reference: NDArray[Any]) -> Floats:
         """The change float32 by contact, of the images' shape, in grey levels or mm (positive = pressed in)."""
@@ -90,7 +76,96 @@ class SensorKind:
         return image.astype(np.float32) if self.is_depth else np.clip(np.rint(image), 0, 255).astype(np.uint8)
 
 
-_BUILT_IN = ("pipeline.sensors.gel_kind:GEL", "pipeline.sensors.bubble_kind:BUBBLE")
+class GelSensor(SensorKind):
+    """A camera watches the coloured light on an elastic layer."""
+
+    __slots__ = ()
+
+    def parse_parts(self, section: GetSection, data: dict[str, Any], path: Path, /) -> dict[str, Any]:
+        """Return the fields of [gel] and [optics]."""
+        return {"gel": parse_part(Gel, section("gel")), "optics": parse_optics(section("optics"), data, path)}
+
+    def parse_membrane(self, section: GetSection, camera: Camera, _parts: dict[str, Any], /) -> Membrane:
+        """Return a flat membrane at the depth of [rest] that fills the image."""
+        z_mm = section("rest").read_number("depth", "mm", 0.1, 1000.0)
+        return membrane.make_flat_membrane(z_mm, camera.cols * z_mm / camera.fx_px, camera.rows * z_mm / camera.fy_px)
+
+    def find_image_problem(self, image: NDArray[Any]) -> str:
+        """Return why an image (rows, cols, 3) cannot be used, as a clause; "" where it can."""
+        if image.dtype != np.uint8:
+            is_nan = np.issubdtype(image.dtype, np.floating) and not np.isfinite(image).all()
+            what = "holds values that are not numbers (NaN)" if is_nan else f"is {image.dtype}"
+            return f"{what}; a gel's image must be RGB of 8 bits"
+        if int(image.max()) <= _BLACK_GREY:
+            return "is black; check the light and the camera, or leave this frame out"
+        if int(image.min()) >= _WHITE_GREY:
+            return (
+                "is clipped in every pixel and shows nothing of the gel; reduce the exposure, or leave this frame out"
+            )
+        return ""
+
+
+class BubbleSensor(SensorKind):
+    """A depth camera watches an inflated membrane."""
+
+    __slots__ = ()
+
+    def parse_parts(self, section: GetSection, data: dict[str, Any], _path: Path, /) -> dict[str, Any]:
+        """Return the fields of [bubble] and [depth_camera]."""
+        depth_camera = parse_part(DepthCamera, section("depth_camera")) if "depth_camera" in data else DepthCamera()
+        return {"bubble": parse_part(Bubble, section("bubble")), "depth_camera": depth_camera}
+
+    def parse_membrane(self, section: GetSection, _camera: Camera, parts: dict[str, Any], /) -> Membrane:
+        """Return a dome over the rim at the depth of [rest]."""
+        bubble: Bubble = parts["bubble"]
+        rim_mm = section("rest").read_number("rim_depth", "mm", 1.0, 1000.0)
+        return membrane.make_dome_membrane(rim_mm, bubble.height_mm, bubble.half_width_mm, bubble.half_height_mm)
+
+    def find_image_problem(self, image: NDArray[Any]) -> str:
+        """Return why a depth image (rows, cols) cannot be used, as a clause; "" where it can."""
+        if not np.issubdtype(image.dtype, np.floating):
+            return f"is {image.dtype}; a bubble's depth must be float32 in millimetres"
+        if not (image > 0).any():
+            return "holds no depth at all (NaN or zero everywhere); leave this frame out"
+        return ""
+
+
+class KindTable(Generic[V]):
+    """What a part of the pipeline does for each kind of sensor; a subclass without an entry has that of its base."""
+
+    def __init__(self, entries: Mapping[type[SensorKind], V]) -> None:
+        """Hold the entries of the project's own kinds."""
+        self._entries = dict(entries)
+
+    def add(self, kind: type[SensorKind], entry: V) -> None:
+        """Add the entry of another kind, for this process."""
+        self._entries[kind] = entry
+
+    def get(self, kind: SensorKind) -> V | None:
+        """Return the entry of a kind; None if it has none."""
+        return next((self._entries[base] for base in type(kind).__mro__ if base in self._entries), None)
+
+
+GEL = GelSensor(
+    key="gel",
+    is_depth=False,
+    change_sign=1.0,
+    full_change=255.0,
+    peak_change=255.0,
+    display_group="gel",
+    still_change=2.0,
+    drift_change=None,
+)
+BUBBLE = BubbleSensor(
+    key="bubble",
+    is_depth=True,
+    change_sign=-1.0,
+    full_change=1.0,
+    peak_change=22.5,  # mm, as published
+    display_group="bubble",
+    still_change=0.4,
+    drift_change=1.0,
+)
 _registered: dict[str, SensorKind] = {}
 
 
@@ -101,11 +176,7 @@ def register_kind(kind: SensorKind) -> None:
 
 def list_kinds() -> dict[str, SensorKind]:
     """Key -> kind; those of the project cannot be replaced."""
-    kinds = [
-        *load_entry_points("tactoscope.sensor_kinds", SensorKind),
-        *_registered.values(),
-        *map(load_reference, _BUILT_IN),
-    ]
+    kinds = [*load_entry_points("tactoscope.sensor_kinds", SensorKind), *_registered.values(), GEL, BUBBLE]
     return {kind.key: kind for kind in kinds}
 
 

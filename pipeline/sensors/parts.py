@@ -9,8 +9,8 @@ import numpy as np
 from msgspec import Meta
 
 from pipeline.base.arrays import Floats, freeze
-from pipeline.base.memo import memoise
 from pipeline.base.typed_data import convert
+from pipeline.engine.derived import derive_once
 from pipeline.geometry.camera import Camera
 from pipeline.sensors.descriptions import DESCRIPTION, DescriptionSection
 
@@ -134,7 +134,7 @@ class SensorLimits:
     no_contact_change: float  # largest smoothed change from the reference without contact: grey levels or mm
 
 
-@memoise(32)
+@derive_once
 def compute_reference_light(camera: Camera, optics: Optics) -> Floats:
     """Grey levels (rows, cols, 3) float32 of a gel without contact, before markers and lens blur."""
     x = ((np.arange(camera.cols) + 0.5) / camera.cols * 2 - 1)[None, :]
@@ -148,7 +148,7 @@ def compute_reference_light(camera: Camera, optics: Optics) -> Floats:
     return freeze((light * lens[..., None]).astype(np.float32))
 
 
-@memoise(32)
+@derive_once
 def compute_mean_reference_light(camera: Camera, optics: Optics) -> Floats:
     """Mean of `compute_reference_light` of each colour (3,), grey levels."""
     return freeze(compute_reference_light(camera, optics).reshape(-1, 3).mean(axis=0))

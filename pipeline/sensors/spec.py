@@ -14,13 +14,13 @@ from typing import Annotated, Any, Literal
 import msgspec
 import numpy as np
 from msgspec import Meta
-from numpy.typing import NDArray
 
 from pipeline.base.arrays import Doubles, freeze
 from pipeline.base.errors import CalibrationError, SettingProblem, TouchError
 from pipeline.base.files import read_bytes
 from pipeline.base.memo import Memo
 from pipeline.base.typed_data import FileName, convert
+from pipeline.engine.derived import derive_once
 from pipeline.engine.digests import UNDIGESTED, compute_cached_digest, compute_digest
 from pipeline.geometry import rigid
 from pipeline.geometry.camera import MOST_FOCAL_PX, WIDEST_VIEW, Camera
@@ -61,10 +61,6 @@ class SensorSpec:
         """What the pipeline does differently for this kind of sensor."""
         return get_kind(self.kind)
 
-    def render_reference(self) -> NDArray[Any]:
-        """The image of this sensor without contact and noise: RGB (rows, cols, 3) uint8, or depth (rows, cols) mm."""
-        return self.sensor_kind.render_reference(self)
-
     def with_camera(self, camera: Camera) -> SensorSpec:
         """Copy with another camera; membrane, frame and limits stay. The last few are cached.
 
@@ -72,17 +68,18 @@ class SensorSpec:
         """
         if camera == self.camera:
             return self
-        return _with_cameras.get_or_make(
-            (compute_cached_digest(self), camera),
-            lambda: replace(self, camera=camera, rest_depth_mm=self.membrane.rest_depth_mm(camera)),
-        )
+        return _replace_camera(self, camera)
 
 
 _SIDES_PX = (8, 10_000)  # range of an image side; smaller images show no slope and no edge
 _OPTIONAL_KEYS = ("title", "kind", "without", "rest", "markers", "depth_camera")  # beside sections that a kind reads
 
-_with_cameras: Memo[tuple[str, Camera], SensorSpec] = Memo(32)
 _loaded: Memo[tuple[Path, str, str], SensorSpec] = Memo(32)
+
+
+@derive_once
+def _replace_camera(sensor: SensorSpec, camera: Camera) -> SensorSpec:
+    return replace(sensor, camera=camera, rest_depth_mm=sensor.membrane.rest_depth_mm(camera))
 
 
 def list_sensor_names() -> tuple[str, ...]:

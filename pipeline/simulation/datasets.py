@@ -6,7 +6,6 @@ object, the sensor and the moment alone, whatever else is simulated and in whate
 
 import zlib
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from itertools import permutations
 from pathlib import Path
 from typing import Literal
@@ -17,13 +16,15 @@ from pipeline.base.arrays import Doubles, Floats, Image
 from pipeline.base.errors import SettingProblem
 from pipeline.base.params import check_range
 from pipeline.base.units import MeshUnit
+from pipeline.engine.derived import derive_once
 from pipeline.engine.digests import compute_digest
 from pipeline.geometry.meshes import Mesh
+from pipeline.physics.sensor_images import render_sensor_image
 from pipeline.physics.shear import TangentialLoad
 from pipeline.sensors import alignment
 from pipeline.sensors.spec import SensorSpec, load_sensor
 from pipeline.simulation import poses, shapes, variation
-from pipeline.simulation.press import move_bubble_closer, render_sensor_image, simulate_press
+from pipeline.simulation.press import move_bubble_closer, simulate_press
 from pipeline.values.frames import Pairing, TactileFrame, Truth
 
 Face = Literal["-x", "+x", "-y", "+y", "-z", "+z"]
@@ -122,7 +123,7 @@ def load_object_symmetry(plan: SimulationPlan) -> shapes.Symmetry | None:
     return None if is_mesh_file(plan.object_source) else _load_shape(plan).symmetry
 
 
-@lru_cache(maxsize=4)
+@derive_once
 def _load_shape(plan: SimulationPlan) -> shapes.Shape:
     if is_mesh_file(plan.object_source):
         return shapes.load_mesh_shape(Path(plan.object_source), plan.mesh_unit, plan.mesh_face)
@@ -138,7 +139,7 @@ def compute_pairings(plan: SimulationPlan) -> tuple[Pairing, ...]:
     )
 
 
-@lru_cache(maxsize=4)
+@derive_once
 def compute_object_poses(plan: SimulationPlan) -> tuple[Doubles, ...]:
     """The object's pose (4, 4) at every moment."""
     if plan.sequence == "grid":
@@ -182,7 +183,7 @@ def simulate_reference(plan: SimulationPlan, sensor: str, index: int) -> Image |
     return _simulate_reference(plan, sensor, index // FRAMES_PER_INSTANCE if plan.vary else 0)
 
 
-@lru_cache(maxsize=16)
+@derive_once
 def _simulate_reference(plan: SimulationPlan, sensor: str, block: int) -> Image | Floats:
     spec = _make_instance(plan, sensor, block)
     flat = np.zeros(spec.camera.shape, np.float32)
@@ -191,7 +192,7 @@ def _simulate_reference(plan: SimulationPlan, sensor: str, block: int) -> Image 
     )
 
 
-@lru_cache(maxsize=16)
+@derive_once
 def _make_instance(plan: SimulationPlan, sensor: str, block: int) -> SensorSpec:
     spec = _place_sensor(plan, sensor)
     if not plan.vary:

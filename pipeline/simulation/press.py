@@ -7,19 +7,21 @@ gives the distance and the reason.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
 
 from pipeline.base.arrays import Doubles, Floats, Image, Mask, freeze
-from pipeline.base.entry_points import load_reference
 from pipeline.base.errors import SettingProblem
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh
-from pipeline.physics import bubble, bubble_camera, gel, lattice, optics, shear
+from pipeline.physics import bubble, bubble_camera, gel, lattice, shear
 from pipeline.physics.lattice import Lattice
+from pipeline.physics.sensor_images import render_sensor_image
 from pipeline.physics.shear import TangentialLoad
+from pipeline.sensors.kinds import BubbleSensor, GelSensor, KindTable
 from pipeline.sensors.spec import SensorSpec
 from pipeline.values.frames import Truth
 
@@ -90,34 +92,13 @@ def simulate_press(
     )
 
 
-def render_sensor_image(
-    sensor: SensorSpec, indentation_mm: Floats, depth_mm: Doubles, seed: int | None, *, shear_mm: Floats | None = None
-) -> Image | Floats:
-    """The frame of a membrane at `depth_mm`, `indentation_mm` from rest, with noise unless `seed` is None."""
-    return sensor.sensor_kind.simulate_image(sensor, indentation_mm, depth_mm, seed, shear_mm)
-
-
-def simulate_gel_image(
-    sensor: SensorSpec, indentation_mm: Floats, _depth_mm: Doubles, seed: int | None, shear_mm: Floats | None
-) -> Image:
-    """The image of a gel."""
-    return optics.render(sensor, indentation_mm, seed=seed, shear_mm=shear_mm)
-
-
-def simulate_bubble_image(
-    sensor: SensorSpec, _indentation_mm: Floats, depth_mm: Doubles, seed: int | None, _shear_mm: Floats | None
-) -> Floats:
-    """The depth image of a bubble."""
-    return bubble_camera.simulate_depth_frame(sensor, depth_mm, seed)
-
-
 def _press_membrane(
     vertices_mm: Doubles, mesh: Mesh, sensor: SensorSpec, load: TangentialLoad | None
 ) -> PressedSurface:
-    simulator = sensor.sensor_kind.press_simulator
-    if not simulator:
+    simulate = PRESS_SIMULATORS.get(sensor.sensor_kind)
+    if simulate is None:
         raise SettingProblem(f"sensors of kind {sensor.kind!r} such as {sensor.name} cannot be simulated")
-    return load_reference(simulator)(vertices_mm, mesh, sensor, load)
+    return simulate(vertices_mm, mesh, sensor, load)
 
 
 def simulate_gel_press(
@@ -184,3 +165,10 @@ def simulate_bubble_press(
     depth = bubble_camera.compute_depth_from_deviation(sensor, answer.deviation_mm, on)
     contact = lattice.sample_mask_at_pixels(sensor.camera, answer.contact, on, depth)
     return PressedSurface(depth_mm=depth, contact=contact, force_n=answer.force_n, converged=answer.converged)
+
+
+# (vertices_mm (n, 3) in the sensor frame, mesh, sensor, load) -> surface
+PressSurface = Callable[[Doubles, Mesh, SensorSpec, TangentialLoad | None], PressedSurface]
+PRESS_SIMULATORS: KindTable[PressSurface] = KindTable(
+    {GelSensor: simulate_gel_press, BubbleSensor: simulate_bubble_press}
+)

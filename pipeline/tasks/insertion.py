@@ -6,7 +6,7 @@ lead-in, force limit and compliance are not in the paper and are chosen here.
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -19,6 +19,7 @@ from pipeline.base.files import read_toml
 from pipeline.base.progress import SILENT, Progress
 from pipeline.base.typed_data import FileName, Number, convert
 from pipeline.base.units import MeshUnit
+from pipeline.engine.derived import derive_once
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh
 from pipeline.simulation import shapes
@@ -86,7 +87,7 @@ PAPER = {  # of 30; the paper's tools 1 to 3 are others
 }  # fmt: skip
 
 
-@lru_cache(maxsize=8)
+@derive_once
 def make_tool(case: str) -> Tool:
     """A tool of the catalogue, or of a TOML file; raises FileProblem for a damaged one."""
     if case not in _TOOLS:

@@ -5,11 +5,11 @@ the ball follows the plate by half, so that it rolls by half the plate's motion 
 """
 
 import math
-from functools import lru_cache
 
 import numpy as np
 
 from pipeline.base.arrays import Doubles
+from pipeline.engine.derived import derive_once
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh
 from pipeline.simulation.shapes.solids import revolve_profile
@@ -25,7 +25,7 @@ _LEAST_KG = 1e-4  # of a cover: MuJoCo wants one
 _N_SIDES = 128  # of the mesh: chords within 3 um of the ball
 
 
-@lru_cache(maxsize=1)
+@derive_once
 def make_ball() -> Mesh:
     """The ball about its centre."""
     angle = np.linspace(-0.5 * math.pi, 0.5 * math.pi, _N_SIDES // 2 + 1)

@@ -5,12 +5,12 @@ the paper and are chosen here. Cups are tapered rings of flat walls with a botto
 """
 
 import math
-from functools import lru_cache
 
 import numpy as np
 
 from pipeline.base.arrays import Doubles
 from pipeline.base.progress import SILENT, Progress
+from pipeline.engine.derived import derive_once
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh
 from pipeline.simulation import shapes
@@ -43,7 +43,7 @@ _CUP_FROM_RIM: Doubles = np.array(
 )
 
 
-@lru_cache(maxsize=1)
+@derive_once
 def make_rim() -> Mesh:
     """The piece of a rim between the fingers: +x to its crest, z along the fingers' normal."""
     return transform_mesh(shapes.make_shape("cup_rim").mesh, _RIM_FROM_SHAPE)

@@ -19,10 +19,11 @@ from pipeline.engine.graph import Graph, StageResult
 from pipeline.geometry.meshes import Mesh
 from pipeline.networks.weights import SUFFIX, NoWeights
 from pipeline.networks.weights_registry import WEIGHTS_FOLDER
+from pipeline.physics.sensor_images import render_sensor_image
 from pipeline.sensors.alignment import resolve_alignment
 from pipeline.sensors.spec import SensorSpec, load_sensor
 from pipeline.simulation.datasets import BUBBLE_DEEPER_MM
-from pipeline.simulation.press import move_bubble_closer, render_sensor_image, simulate_press
+from pipeline.simulation.press import move_bubble_closer, simulate_press
 from pipeline.simulation.variation import vary_sensor
 from pipeline.translation.catalogue import BUILT_IN
 from pipeline.translation.translate import Request, Translation, load_nothing
@@ -97,7 +98,7 @@ def make_touch_request(touch: str, recording: Path, source: str, target: str) ->
     methods = {"touch": touch, **({"touch_depth": "from_image"} if touch == "vqvae" else {})}
     weights = find_weights(touch, source, target)
     return replace(
-        request, route="t2d2" if "target_depth" in BUILT_IN.method("touch", touch).reads else "t2t",
+        request, route="t2t" if "frame" in BUILT_IN.method("touch", touch).reads else "t2d2",
         methods=tuple(methods.items()), weights=() if weights is None else (("touch", weights),),
     )  # fmt: skip
 

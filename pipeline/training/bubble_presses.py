@@ -4,11 +4,11 @@ The contact depends on a number alone and is cached; the depth camera's noise is
 """
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 
 from pipeline.base.arrays import Floats, Mask, freeze
+from pipeline.engine.derived import derive_once
 from pipeline.geometry import membrane, rigid
 from pipeline.geometry.meshes import Mesh
 from pipeline.physics import bubble_camera, lattice
@@ -59,7 +59,7 @@ def simulate_bubble_press(split: DataSplit, seed: int, index: int, folder: str =
     return _presses.get(f"bubble_{split}_{seed}_{index}", folder, make, sensor=sensor)
 
 
-@lru_cache(maxsize=_N_GEOMETRIES + 1)
+@derive_once
 def _make_bubble(geometry: int) -> SensorSpec:
     """The nominal bubble (0), or one of another size, height and focal length."""
     nominal = load_sensor("soft_bubble")
@@ -149,7 +149,7 @@ def _sample_camera(sensor: SensorSpec, rng: np.random.Generator, plain: bool) ->
     return replace(sensor, bubble=noisier, depth_camera=replace(camera, grain_px=grain))
 
 
-@lru_cache(maxsize=2)
+@derive_once
 def _load_depth_camera(name: str) -> DepthCamera | None:
     return load_sensor(name).depth_camera
 

@@ -11,9 +11,9 @@ import numpy as np
 
 from pipeline.base.arrays import Floats
 from pipeline.networks.square_images import resize_to_square
+from pipeline.physics.sensor_images import render_reference, render_sensor_image
 from pipeline.sensors.alignment import resolve_alignment
 from pipeline.sensors.spec import SensorSpec, load_sensor
-from pipeline.simulation.press import render_sensor_image
 from pipeline.stages.touch.depth_condition import build_depth_square, make_working_sensor
 from pipeline.stages.touch.latent_diffusion import build_image_square
 from pipeline.training.object_sampling import DataSplit, find_next_contact
@@ -77,7 +77,7 @@ class SquareRequest:
 
     def _render_target(self, sensor: SensorSpec, indentation_mm: Floats) -> Floats:
         image = render_sensor_image(sensor, indentation_mm, sensor.rest_depth_mm - indentation_mm, None)
-        change = sensor.sensor_kind.compute_relative_change(image, sensor.render_reference())
+        change = sensor.sensor_kind.compute_relative_change(image, render_reference(sensor))
         return resize_to_square(change, self.side)
 
 

@@ -18,9 +18,10 @@ from pipeline.base.arrays import Floats, Image, Mask
 from pipeline.base.errors import SettingProblem
 from pipeline.base.params import setting
 from pipeline.networks.depth_anything_input import prepare_image, resize_to_patches
+from pipeline.physics.sensor_images import render_reference, render_sensor_image
 from pipeline.sensors.spec import SensorSpec, load_sensor
 from pipeline.simulation import poses, shapes, variation
-from pipeline.simulation.press import render_sensor_image, simulate_press
+from pipeline.simulation.press import simulate_press
 from pipeline.training.distributed import unwrap_network
 from pipeline.training.recorded_pairs import RecordedPair, derive_contact
 
@@ -68,7 +69,7 @@ class DepthAnythingTask:
         frame, truth = pair.source_frame, pair.target_truth
         if truth is None or truth.indentation_mm is None:
             return None
-        reference = pair.source.render_reference() if frame.reference is None else frame.reference
+        reference = render_reference(pair.source) if frame.reference is None else frame.reference
         contact = derive_contact(truth, pair.source)
         return self._make_example(pair.source, frame.image, reference, np.nan_to_num(truth.indentation_mm), contact)
 

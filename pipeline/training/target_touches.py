@@ -5,11 +5,11 @@ the physical render of that observation is the answer that a network has to impr
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 
 from pipeline.base.arrays import Floats, Mask, freeze
+from pipeline.engine.derived import derive_once
 from pipeline.geometry import rigid
 from pipeline.physics import lattice
 from pipeline.sensors.spec import SensorSpec, load_sensor
@@ -99,6 +99,6 @@ def _vary_instance(nominal: SensorSpec, split: DataSplit, rng: np.random.Generat
     return move_bubble_closer(instance, BUBBLE_DEEPER_MM if as_recorded else rng.uniform(*DEEPER_MM))
 
 
-@lru_cache(maxsize=4)
+@derive_once
 def _load_working_sensor(name: str) -> SensorSpec:
     return make_working_sensor(load_sensor(name))

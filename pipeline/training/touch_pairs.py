@@ -6,13 +6,13 @@ symmetric.
 """
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.arrays import Floats, Mask, freeze
+from pipeline.engine.derived import derive_once
 from pipeline.geometry.camera import Camera
 from pipeline.physics import optics
 from pipeline.sensors.spec import SensorSpec, load_sensor
@@ -129,7 +129,7 @@ def _pad_axis(centre_px: float, n: int) -> tuple[int, int]:
     return max(more, 0), n + abs(more)
 
 
-@lru_cache(maxsize=1)
+@derive_once
 def _crop_to_camera() -> tuple[slice, slice]:
     """The pixels of the bubble's own camera in the symmetric one."""
     camera = _load_working_sensors()[1].camera
@@ -137,6 +137,6 @@ def _crop_to_camera() -> tuple[slice, slice]:
     return slice(y, y + camera.rows), slice(x, x + camera.cols)
 
 
-@lru_cache(maxsize=1)
+@derive_once
 def _load_working_sensors() -> tuple[SensorSpec, SensorSpec]:
     return make_working_sensor(load_sensor(GEL)), make_working_sensor(load_sensor(BUBBLE))

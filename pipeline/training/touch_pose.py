@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -19,6 +18,7 @@ from numpy.typing import NDArray
 from pipeline.base.arrays import Doubles, Floats
 from pipeline.base.errors import SettingProblem
 from pipeline.base.params import setting
+from pipeline.engine.derived import derive_once
 from pipeline.geometry import rigid
 from pipeline.networks.square_images import normalise, resize_to_square
 from pipeline.physics import lattice
@@ -227,6 +227,6 @@ def _simulate_part(split: DataSplit, seed: int, index: int, folder: str) -> Part
     return PartialTouch(imprint_mm=resize_to_square(membrane.indentation_mm[..., None]))
 
 
-@lru_cache(maxsize=1)
+@derive_once
 def _load_working_bubble() -> SensorSpec:
     return make_working_sensor(load_nominal_sensors()[1])

@@ -5,17 +5,18 @@ surface is also rendered by the nominal sensor, for which touches are generated.
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Literal
 
 import numpy as np
 
 from pipeline.base.arrays import Doubles, Floats, freeze
+from pipeline.engine.derived import derive_once
 from pipeline.networks.square_images import SIDE, resize_to_square
+from pipeline.physics.sensor_images import render_reference, render_sensor_image
 from pipeline.sensors.spec import SensorSpec, load_sensor
 from pipeline.simulation import poses, variation
 from pipeline.simulation.datasets import BUBBLE_DEEPER_MM
-from pipeline.simulation.press import move_bubble_closer, render_sensor_image, simulate_press
+from pipeline.simulation.press import move_bubble_closer, simulate_press
 from pipeline.training.object_sampling import DATA_SPLITS, DataSplit, SampleCache, find_next_contact, sample_object
 from pipeline.training.recorded_pairs import RecordedPair
 from pipeline.training.touch_pairs import BUBBLE, GEL
@@ -74,7 +75,7 @@ def read_square_pair(pair: RecordedPair, side: int = SIDE) -> SquarePair:
     """Squares of a recorded pair; a missing reference is the described one."""
     changes: list[Floats] = []
     for frame, sensor in ((pair.source_frame, pair.source), (pair.target_frame, pair.target)):
-        reference = sensor.render_reference() if frame.reference is None else frame.reference
+        reference = render_reference(sensor) if frame.reference is None else frame.reference
         changes.append(resize_to_square(sensor.sensor_kind.compute_relative_change(frame.image, reference), side))
     return SquarePair(changes[0], pair.source.kind, changes[1], pair.target.kind)
 
@@ -120,7 +121,7 @@ def _resize(field: Floats, shape: tuple[int, int]) -> Floats:
     return np.asarray(cv2.resize(field, shape[::-1], interpolation=cv2.INTER_CUBIC), np.float32)
 
 
-@lru_cache(maxsize=1)
+@derive_once
 def load_nominal_sensors() -> tuple[SensorSpec, SensorSpec]:
     """The gel, and the bubble as close to the object as in the data sets."""
     return load_sensor("gelslim"), move_bubble_closer(load_sensor("soft_bubble"), BUBBLE_DEEPER_MM)

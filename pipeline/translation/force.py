@@ -15,6 +15,7 @@ from pipeline.metrics.stage_metrics import (
 )
 from pipeline.physics.contact_force import ContactForce
 from pipeline.stages.depth.contact_force import FORCE as FORCE_METHOD
+from pipeline.stages.depth.contact_force import FORCE_MODELS
 from pipeline.translation.translate import Translation
 from pipeline.values.frames import TactileFrame
 from pipeline.values.results import DepthMap
@@ -61,7 +62,7 @@ def list_force_metrics(translation: Translation) -> tuple[str, ...]:
 
     Empty on a route without depth, or for a kind without contact model.
     """
-    if "depth" not in translation.stages or not translation.source.sensor_kind.force_estimator:
+    if "depth" not in translation.stages or FORCE_MODELS.get(translation.source.sensor_kind) is None:
         return ()
     names = (UNCALIBRATED_FORCE, UNCALIBRATED_SHEAR) if translation.force_scale is None else (FORCE, SHEAR)
     return names if translation.source.markers is not None else names[:1]

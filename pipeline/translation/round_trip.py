@@ -13,17 +13,18 @@ what the network has learned from.
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import lru_cache
 
 import numpy as np
 
 from pipeline.base.arrays import Doubles, Floats, Mask, freeze
 from pipeline.base.files import read_arrays
 from pipeline.base.progress import SILENT, Progress
+from pipeline.engine.derived import derive_once
 from pipeline.engine.graph import Graph, StageResult
 from pipeline.geometry import rigid
 from pipeline.metrics.stage_metrics import ROUND_TRIP, TRAINING_DISTANCE, compute_mae_mm
 from pipeline.networks.weights_registry import WEIGHTS_FOLDER
+from pipeline.physics.sensor_images import render_reference
 from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import SensorSpec
 from pipeline.translation.translate import Translation, load_nothing
@@ -60,7 +61,7 @@ def measure_round_trip(
     if not depth.contact.any():
         return {}
     back = reverse_translation(translation, depth)
-    reference = back.source.render_reference() if touch.reference is None else touch.reference
+    reference = render_reference(back.source) if touch.reference is None else touch.reference
     frame = TactileFrame(
         sensor=back.source.name, image=touch.image, reference=reference, camera=touch.camera, origin="generated touch"
     )
@@ -136,7 +137,7 @@ def compute_training_distance(observed: TargetDepth, target: SensorSpec) -> floa
     return float(np.linalg.norm(scaled - (features - mean) / scale, axis=1).min() / usual)
 
 
-@lru_cache(maxsize=8)
+@derive_once
 def load_training_features(target: str) -> tuple[Doubles, Doubles, Doubles, float] | None:
     """Describe the training touches of a sensor; None where it has none.
 

@@ -221,8 +221,10 @@ class Translation:
 
     def _select_weights_files(self) -> list[tuple[Method, Path | None]]:
         """Return each method that reads weights with its file of the request; None: the shipped weights."""
-        learned, given = [m for m in self.methods if m.weights is not None], dict(self.request.weights)
-        return [(m, given.get(m.stage, given.get("") if m is learned[0] else None)) for m in learned]
+        methods, given = Graph(self.methods).list_methods(self.source.kind), dict(self.request.weights)
+        first = next((m for m in self.methods if m.weights is not None), None)
+        learned = [m for m in methods if m.weights is not None]
+        return [(m, given.get(m.stage, given.get("") if m is first else None)) for m in learned]
 
     def read_source_truth(self, index: int) -> Truth | None:
         """Return the truth of frame `index` on the source's side."""

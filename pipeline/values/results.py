@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pipeline.base.arrays import Doubles, Floats, Image, Indices, Mask, freeze
 from pipeline.base.errors import find_uncertain_contact
-from pipeline.base.memo import memoise
+from pipeline.engine.derived import derive_once
 from pipeline.engine.digests import UNDIGESTED
 from pipeline.geometry.camera import Camera
 
@@ -140,7 +140,7 @@ def make_depth_map(
     )  # fmt: skip
 
 
-@memoise(16)
+@derive_once
 def make_pixel_index(shape: tuple[int, int]) -> Indices:
     """0, 1, 2, ... in C order (rows, cols); cached per shape."""
     return freeze(np.arange(shape[0] * shape[1], dtype=np.int32).reshape(shape))

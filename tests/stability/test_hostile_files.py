@@ -35,7 +35,6 @@ from pipeline.reporting import repro_bundle
 from pipeline.sensors import kinds
 from pipeline.sensors.alignment_files import load_alignment
 from pipeline.sensors.descriptions import find_descriptions
-from pipeline.sensors.gel_kind import GEL
 from pipeline.sensors.spec import list_sensor_names, load_sensor
 from pipeline.tasks import insertion, rollout_file
 from pipeline.tasks.insertion import load_tool, make_tool
@@ -368,7 +367,7 @@ def test_rollouts(tmp_path):
 
 def test_entry_points(monkeypatch):
     """Whatever another package adds, what is listed for dialogs, options and help is listed."""
-    good = {"tactoscope.formats": (FORMATS[0], formats.list_formats), "tactoscope.sensor_kinds": (GEL, kinds.list_kinds),
+    good = {"tactoscope.formats": (FORMATS[0], formats.list_formats), "tactoscope.sensor_kinds": (kinds.GEL, kinds.list_kinds),
             "tactoscope.tasks": (insertion.TASK, lambda: load_task("stack")), "tactoscope.sensors": ("/dev/null", list_sensor_names)}  # fmt: skip
     groups, added = sorted(good), list[Any]()
     others = importlib.metadata.entry_points

@@ -26,6 +26,7 @@ from pipeline.stages.touch.latent_diffusion import LatentParams
 from pipeline.stages.touch.residual_diffusion import DiffusionParams
 from pipeline.stages.touch.t2d2 import T2D2Params
 from pipeline.values.frames import TactileFrame
+from tests.pipeline.stages.target_views import estimate_views
 from tests.stability.checks import outcome, sound
 from tests.stability.rows import SIZE, row
 from tests.stability.scenes import KINDS, aligned, indentation_mm, mesh, seeds, small, touch, view
@@ -61,6 +62,13 @@ def reading(spec, kind: str, seed: int) -> TactileFrame:
         if kind == "saturated":
             image = np.where(image > 140, 255, image).astype(np.uint8) if gel else np.where(pushed > 0, low, image)
     return TactileFrame(sensor=spec.name, image=image, reference=still)
+
+
+def translate(method, frame, source, target, network, params):
+    """A touch by a method from image to image."""
+    between = aligned(source, target)
+    view_, _ = estimate_views(frame, source, between, target)
+    return method.generate_touch(frame, source, None, between, target, view_, network, params)
 
 
 def answered(result):
@@ -120,7 +128,7 @@ def test_t2d2(target, kind, how, seed):
 def test_t2t(picture, how, seed, strength):
     source, target = variation.vary_sensor(small(GEL), seed % 2**31, strength), small(BUBBLE)
     result, _ = outcome(
-        t2t.generate_touch, reading(source, picture, seed), source, None, aligned(source, target), target,
+        translate, t2t, reading(source, picture, seed), source, target,
         shipped("t2t_bubble"), how,
     )  # fmt: skip
     sound_touch(result, target)
@@ -131,7 +139,7 @@ def test_t2t(picture, how, seed, strength):
 def test_vqvae(way, picture, seed):
     source, target = (small(name) for name in way)
     result, _ = outcome(
-        vqvae.generate_touch, reading(source, picture, seed), source, None, aligned(source, target), target,
+        translate, vqvae, reading(source, picture, seed), source, target,
         shipped(f"vqvae_{way[0]}_to_{way[1]}"), NoParams(),
     )  # fmt: skip
     sound_touch(result, target)
@@ -150,7 +158,7 @@ def test_latent(picture, steps, guidance, sampler, twice, raw, seed):
     network = shipped(f"latent_{GEL}_to_{BUBBLE}")
     network.trained_on_recordings = True  # its own answer, also where physics would replace it
     result, _ = outcome(
-        latent_diffusion.generate_touch, reading(source, picture, seed), source, None, aligned(source, target), target,
+        translate, latent_diffusion, reading(source, picture, seed), source, target,
         network, how,
     )  # fmt: skip
     sound_touch(result, target)

@@ -1,8 +1,7 @@
 """Objects to press: the catalogue by name and a user's meshes, with their symmetries."""
 
-from functools import lru_cache
-
 from pipeline.base.errors import SettingProblem
+from pipeline.engine.derived import derive_once
 from pipeline.geometry.symmetry import Symmetry
 from pipeline.simulation.shapes import tasks, training, unseen
 from pipeline.simulation.shapes.solids import Shape, load_mesh_shape, make_chamfered_prism
@@ -39,7 +38,7 @@ def list_labelled_shapes() -> tuple[str, ...]:
     return (*list_shapes("training"), *list_shapes("unseen"))
 
 
-@lru_cache(maxsize=64)
+@derive_once
 def make_shape(name: str) -> Shape:
     """The shape of this name, cached; raises SettingProblem for an unknown name."""
     for makers in _MAKERS.values():

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.arrays import Floats, Mask, freeze
-from pipeline.base.memo import memoise
+from pipeline.engine.derived import derive_once
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import contact, membrane_load
 
@@ -68,7 +68,7 @@ def denoise_displacement(raw: Floats, length_px: float) -> Floats:
     )
 
 
-@memoise(8)
+@derive_once
 def _compute_damping(shape: tuple[int, int], length_px: float) -> Floats:
     ky, kx = (np.arange(n) * (math.pi / n) for n in shape)
     q_sq = ky[:, None] ** 2 + kx[None, :] ** 2

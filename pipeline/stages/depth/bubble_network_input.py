@@ -10,8 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.base.arrays import Floats, Mask, freeze
-from pipeline.base.memo import Memo
-from pipeline.engine.digests import compute_cached_digest
+from pipeline.engine.derived import derive_once
 from pipeline.stages.depth.bubble_contact import denoise_displacement
 
 N_CHANNELS = 5
@@ -59,14 +58,14 @@ def _compute_load(smooth: Floats, pixel_mm: float) -> Floats:
 def estimate_rest_surface(rest: Floats, seen: Mask, pixel_mm: float) -> Floats:
     """The reference membrane (rows, cols) without its noise: a dome plus structure wider than 10 mm."""
     measured = seen.astype(np.float32)
-    dome = _find_dome(rest, measured)
+    dome = _fit_dome(rest, measured)
     level = np.where(seen, rest - dome, np.float32(0.0)).astype(np.float32)
     return dome + _average(level, measured, _REST_SMOOTHING_MM / pixel_mm)
 
 
 def _compute_roughness(rest: Floats, measured: Floats, pixel_mm: float) -> Floats:
     """Structure of a reference (rows, cols) too fine for a membrane; 0 where nothing was measured."""
-    level = np.where(measured > 0, rest - _find_dome(rest, measured), np.float32(0.0)).astype(np.float32)
+    level = np.where(measured > 0, rest - _fit_dome(rest, measured), np.float32(0.0)).astype(np.float32)
     rough = (level - _average(level, measured, _ROUGHNESS_MM / pixel_mm)) * measured
     return np.clip(rough, -_ROUGHNESS_MAX_MM, _ROUGHNESS_MAX_MM).astype(np.float32)
 
@@ -79,27 +78,22 @@ def _average(level: Floats, measured: Floats, sigma_px: float) -> Floats:
     return np.asarray(mean / np.maximum(share, _WEIGHT_MIN), np.float32)
 
 
-def _find_dome(rest: Floats, measured: Floats) -> Floats:
-    """The dome of a reference (rows, cols): that of a frame is asked for twice, and by most of a recording's frames."""
-    keys = compute_cached_digest(rest), compute_cached_digest(measured)
-    return _domes.get_or_make(keys, lambda: freeze(_fit_dome(rest, measured)))
-
-
-_domes: Memo[tuple[str, str], Floats] = Memo(4)
-
-
+@derive_once
 def _fit_dome(rest: Floats, measured: Floats) -> Floats:
-    """The polynomial of degree six nearest to a reference: an untouched dome in perspective, to hundredths of a mm."""
+    """The polynomial of degree six nearest to a reference: an untouched dome in perspective, to hundredths of a mm.
+
+    It is asked for twice with each frame, and by most of a recording's frames.
+    """
     powers = [(i, j) for i in range(_DOME_DEGREE + 1) for j in range(_DOME_DEGREE + 1 - i)]
     y, x = (np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, n), _DOME_DEGREE) for n in rest.shape)
     sparse = slice(None, None, _DOME_STEP_PX)
     used = _select_largest_region(measured > 0)[sparse, sparse]
     if np.count_nonzero(used) < _DOME_PIXELS_MIN:
-        return np.zeros_like(rest)
+        return freeze(np.zeros_like(rest))
     terms = np.stack([(y[sparse, i][:, None] * x[sparse, j][None, :])[used] for i, j in powers], axis=-1)
     depth_mm, shape = rest[sparse, sparse][used], np.zeros((_DOME_DEGREE + 1, _DOME_DEGREE + 1))
     shape[tuple(np.transpose(powers))] = np.linalg.lstsq(terms, depth_mm, rcond=None)[0]
-    return (y @ shape @ x.T).astype(np.float32)
+    return freeze((y @ shape @ x.T).astype(np.float32))
 
 
 def _select_largest_region(seen: Mask) -> Mask:

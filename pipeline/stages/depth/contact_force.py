@@ -4,18 +4,25 @@ Not a column: a quantity of the stage *depth*, computed where a report, a table 
 """
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
-from pipeline.base.entry_points import load_reference
+from pipeline.base.arrays import Floats, Mask
 from pipeline.base.errors import SettingProblem, find_uncertain_contact
 from pipeline.base.params import NoParams
 from pipeline.base.progress import SILENT, Progress
 from pipeline.engine.graph import Method, skip_if_exact
-from pipeline.physics.contact_force import ContactForce
+from pipeline.physics.contact_force import ContactForce, estimate_bubble_force
+from pipeline.sensors.kinds import BubbleSensor, GelSensor, KindTable
 from pipeline.sensors.spec import SensorSpec
+from pipeline.stages.depth.gel_force import estimate_gel_force
 from pipeline.values.frames import TactileFrame
 from pipeline.values.results import DepthMap
+
+# (sensor, frame, indentation_mm, contact) -> force
+EstimateForce = Callable[[SensorSpec, TactileFrame, Floats, Mask], ContactForce]
+FORCE_MODELS: KindTable[EstimateForce] = KindTable({GelSensor: estimate_gel_force, BubbleSensor: estimate_bubble_force})
 
 
 def skip_without_contact(
@@ -35,11 +42,11 @@ def estimate_force(
     depth: DepthMap, source: SensorSpec, frame: TactileFrame, _params: NoParams, _progress: Progress = SILENT
 ) -> ContactForce:
     """Force of the contact with the described gel or membrane; raises SettingProblem for another kind."""
-    estimator = source.sensor_kind.force_estimator
-    if not estimator:
+    estimate = FORCE_MODELS.get(source.sensor_kind)
+    if estimate is None:
         raise SettingProblem(f"sensors of kind {source.kind!r} such as {source.name} have no contact model for force")
     contact = depth.contact & np.isfinite(depth.indentation_mm)
-    return load_reference(estimator)(source.with_camera(depth.camera), frame, depth.indentation_mm, contact)
+    return estimate(source.with_camera(depth.camera), frame, depth.indentation_mm, contact)
 
 
 FORCE = Method(

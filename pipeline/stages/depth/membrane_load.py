@@ -27,7 +27,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.base.arrays import Floats, Mask, freeze
-from pipeline.base.memo import memoise
+from pipeline.engine.derived import derive_once
 
 _BORDER_MM = 5.0  # around the image, where unknown loads may act
 _NOISE = 0.45  # mm, standard deviation of a mean over 1 mm^2, for which the weights below hold: about what
@@ -204,7 +204,7 @@ def _mask_load(load: Floats) -> Floats:
     return np.asarray(cv2.dilate(strong.astype(np.uint8), np.ones((3, 3), np.uint8)), np.float32)
 
 
-@memoise(8)
+@derive_once
 def _make_line_kernels(length_px: float, width_px: float) -> tuple[Floats, ...]:
     """Elongated Gaussians of sum 1, one for each direction."""
     reach = max(1, round(2 * length_px))
@@ -217,7 +217,7 @@ def _make_line_kernels(length_px: float, width_px: float) -> tuple[Floats, ...]:
     return tuple(lines)
 
 
-@memoise(8)
+@derive_once
 def _compute_squared_eigenvalues(shape: tuple[int, int]) -> Floats:
     """Squares of the five-point Laplacian's eigenvalues (rows, cols) in cosines."""
     ky, kx = (np.arange(n) * (math.pi / n) for n in shape)

@@ -4,6 +4,7 @@ A gel's picture goes through a colour-to-slope look-up and an exact integration 
 compared with its untouched one (`bubble_depth`).
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar, cast
 
@@ -11,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.arrays import Image, freeze
-from pipeline.base.entry_points import load_reference
-from pipeline.base.errors import MissingReference, SensorMismatch, ShapeError, StageWarning
+from pipeline.base.errors import MissingReference, SensorMismatch, SettingProblem, ShapeError, StageWarning
 from pipeline.base.memo import Memo
 from pipeline.base.params import setting
 from pipeline.base.progress import SILENT, Progress
@@ -21,6 +21,7 @@ from pipeline.calibration.calibration_table import Calibration, make_built_in
 from pipeline.engine.digests import compute_cached_digest
 from pipeline.geometry.camera import Camera
 from pipeline.physics.reference_colours import compare_colours
+from pipeline.sensors.kinds import BubbleSensor, GelSensor, KindTable
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import (
     bubble_depth,
@@ -92,7 +93,10 @@ def estimate_depth(
     """
     progress.step(0.0, "comparing with the reference image")
     check_frame(frame, source)
-    return load_reference(source.sensor_kind.depth_estimator)(frame, source, calibration, params, progress)
+    estimate = DEPTH_ESTIMATORS.get(source.sensor_kind)
+    if estimate is None:
+        raise SettingProblem(f"no physics estimates the depth of sensors of kind {source.kind!r} such as {source.name}")
+    return estimate(frame, source, calibration, params, progress)
 
 
 def estimate_bubble_frame(
@@ -245,10 +249,11 @@ def skip_without_contact(
         return None
     limit = source.limits.no_contact_change / params.sensitivity
     seen_by = see_by_frame(source, frame)
-    is_readable = not any(load_reference(kind.image_checker)(array) for array in (image, reference))
+    is_readable = not any(kind.find_image_problem(array) for array in (image, reference))
     if frame.image.shape[:2] != seen_by.camera.shape or not is_readable:
         return None
-    notes = load_reference(kind.contact_checker)(frame, seen_by, calibration, limit)
+    check = NO_CONTACT_CHECKS.get(kind)
+    notes = None if check is None else check(frame, seen_by, calibration, limit)
     if notes is None:
         return None
     at_rest = _at_rest(frame, seen_by)
@@ -271,7 +276,7 @@ def check_frame(frame: TactileFrame, source: SensorSpec) -> None:
             raise SensorMismatch(
                 f"the {what} of {where} must have shape {wanted}, got {array.shape}; choose the right sensor"
             )
-        problem = load_reference(kind.image_checker)(array)
+        problem = kind.find_image_problem(array)
         if problem:
             raise ShapeError(f"the {what} of {where} {problem}")
     lost = 0.0 if kind.is_depth else _measure_lost_share(image, reference)
@@ -305,4 +310,13 @@ def _at_rest(frame: TactileFrame, source: SensorSpec) -> DepthMap:
     )
 
 
+EstimateDepth = Callable[[TactileFrame, SensorSpec, Calibration | None, DepthParams, Progress], DepthMap]
+DEPTH_ESTIMATORS: KindTable[EstimateDepth] = KindTable(
+    {GelSensor: estimate_gel_frame, BubbleSensor: estimate_bubble_frame}
+)
+# (frame, sensor, calibration, limit in grey levels or mm) -> notes without contact; None = there may be contact
+CheckContact = Callable[[TactileFrame, SensorSpec, Calibration | None, float], tuple[str, ...] | None]
+NO_CONTACT_CHECKS: KindTable[CheckContact] = KindTable(
+    {GelSensor: gel_depth.describe_if_no_contact, BubbleSensor: bubble_depth.describe_if_no_contact}
+)
 _rests: Memo[tuple[str, Camera], DepthMap] = Memo(16)

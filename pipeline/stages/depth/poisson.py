@@ -19,13 +19,13 @@ gradients, with this integral as the preconditioner.
 
 import math
 from collections.abc import Callable
-from functools import lru_cache
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
 from pipeline.base.arrays import Doubles, Floats, freeze
 from pipeline.base.errors import SettingProblem, ShapeError
+from pipeline.engine.derived import derive_once
 
 Boundary = Literal["flat", "free"]
 _BOUNDARIES: tuple[Boundary, ...] = get_args(Boundary)
@@ -130,7 +130,6 @@ def _transpose(images: Floats) -> Floats:
     return out
 
 
-@lru_cache(maxsize=256)
 def _is_fast_length(n: int, other: int) -> bool:
     """Whether a transform of length `n` is no slower than one of another length, by their largest prime factors."""
     return _compute_largest_prime(n) <= max(_compute_largest_prime(other), _FAST_PRIME_MAX)
@@ -145,7 +144,7 @@ def _compute_largest_prime(n: int) -> int:
     return max(n, largest)
 
 
-@lru_cache(maxsize=8)
+@derive_once
 def _compute_pivots(rows: int, modes: int, ends: EndConditions, others: EndConditions) -> tuple[Floats, Doubles]:
     """Inverse pivots for `solve_tridiagonal`: images (rows, modes) with `ends` along the rows, `others` across."""
     from pipeline.stages.depth.poisson_kernels import compute_pivots

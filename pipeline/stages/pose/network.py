@@ -22,6 +22,7 @@ from pipeline.networks import weights_registry
 from pipeline.networks.network_factory import reproducible_inference
 from pipeline.networks.square_images import normalise, resize_to_square
 from pipeline.networks.weights import NoWeights, Weights
+from pipeline.physics.sensor_images import render_reference
 from pipeline.sensors.spec import SensorSpec
 from pipeline.simulation import shapes
 from pipeline.stages.pose import signed_distances
@@ -55,7 +56,7 @@ def predict_pose(
     if skipped is not None or mesh is None:
         assert skipped is not None
         return Skipped(output=skipped, reason=skipped.notes[0])
-    reference = target.render_reference()
+    reference = render_reference(target)
     square = normalise(
         resize_to_square(target.sensor_kind.compute_relative_change(touch.image, reference)), target.kind
     )

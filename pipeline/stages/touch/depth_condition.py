@@ -9,8 +9,6 @@ from __future__ import annotations
 import numpy as np
 
 from pipeline.base.arrays import Floats, Mask, freeze
-from pipeline.base.memo import Memo
-from pipeline.engine.digests import compute_cached_digest
 from pipeline.networks.square_images import resize_to_square
 from pipeline.networks.touch_formats import get_touch_format
 from pipeline.sensors.spec import SensorSpec
@@ -21,14 +19,7 @@ CONDITION_CHANNELS = 6
 def make_working_sensor(target: SensorSpec) -> SensorSpec:
     """The target with the camera of the working grid."""
     factor = get_touch_format(target.kind).grid_factor
-    if factor == 1:
-        return target
-    return _working_sensors.get_or_make(
-        compute_cached_digest(target), lambda: target.with_camera(target.camera.scale(1.0 / factor))
-    )
-
-
-_working_sensors: Memo[str, SensorSpec] = Memo(8)
+    return target if factor == 1 else target.with_camera(target.camera.scale(1.0 / factor))
 
 
 def build_depth_condition(

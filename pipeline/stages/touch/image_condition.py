@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.arrays import Doubles, Floats, Mask, freeze
-from pipeline.base.memo import Memo
-from pipeline.engine.digests import compute_cached_digest
+from pipeline.engine.derived import derive_once
 from pipeline.geometry import rigid
 from pipeline.geometry.camera import MIN_DEPTH_MM, Camera
 from pipeline.networks.square_images import normalise
@@ -38,7 +37,7 @@ def build_image_condition(
 
     `image_change` is frame minus reference of a gel's `source_camera`: (rows, cols, 3) in grey levels.
     """
-    sampling_map = _get_sampling_map(source, source_camera, target, alignment, _UPSAMPLING)
+    sampling_map = _compute_sampling_map(source, source_camera, target, alignment, _UPSAMPLING)
     resampled = _resample(np.asarray(image_change, np.float32), sampling_map) / _CHANGE_UNIT_GREY
     channels = [_fold_pixels(np.ascontiguousarray(c), _UPSAMPLING) for c in np.moveaxis(resampled, -1, 0)]
     in_view = sampling_map.inside[::_UPSAMPLING, ::_UPSAMPLING].astype(np.float32)
@@ -56,7 +55,7 @@ def reproject_square(square_change: Floats, source: SensorSpec, target: SensorSp
         source.camera.resize(side, side),
         target.with_camera(target.camera.resize(side, side)),
     )
-    sampling_map = _get_sampling_map(source, source_camera, target_square, alignment, 1)
+    sampling_map = _compute_sampling_map(source, source_camera, target_square, alignment, 1)
     if source.sensor_kind.is_depth:
         return freeze(_compute_relief(square_change[0], sampling_map)[None].astype(np.float32))
     resampled = _resample(np.ascontiguousarray(normalise(square_change, source.kind).transpose(1, 2, 0)), sampling_map)
@@ -73,7 +72,7 @@ def build_reprojected_square(
     """
     side = square_change.shape[-1]
     source_square, target_square = (one.with_camera(one.camera.resize(side, side)) for one in (source, target))
-    sampling_map = _get_sampling_map(source, source_square.camera, target_square, alignment, 1)
+    sampling_map = _compute_sampling_map(source, source_square.camera, target_square, alignment, 1)
     change = reproject_square(square_change, source, target, alignment)
     overlap_mm = _compute_overlap_mm(source_square, target_square, alignment, sampling_map)
     inside = sampling_map.inside.astype(np.float32)
@@ -106,9 +105,6 @@ class _SamplingMap:
     size: tuple[int, int] | None  # (cols, rows) px; None = full size
 
 
-_sampling_maps: Memo[tuple[str, ...], _SamplingMap] = Memo(4)  # one per recording
-
-
 def _compute_relief(change: Floats, sampling_map: _SamplingMap) -> Floats:
     """Distance of a smoothed bubble behind its top within the target's view, which is what a gel would feel."""
     resampled, inside = _resample(_smooth(change), sampling_map), sampling_map.inside
@@ -132,15 +128,7 @@ def _resample(field: Floats, sampling_map: _SamplingMap) -> Floats:
     return np.where(shown, np.asarray(found, np.float32), np.float32(0.0))
 
 
-def _get_sampling_map(
-    source: SensorSpec, source_camera: Camera, target: SensorSpec, alignment: Alignment, upsampling: int
-) -> _SamplingMap:
-    key = *map(compute_cached_digest, (source, source_camera, target, alignment.target_from_source)), str(upsampling)
-    return _sampling_maps.get_or_make(
-        key, lambda: _compute_sampling_map(source, source_camera, target, alignment, upsampling)
-    )
-
-
+@derive_once
 def _compute_sampling_map(
     source: SensorSpec, source_camera: Camera, target: SensorSpec, alignment: Alignment, upsampling: int
 ) -> _SamplingMap:

@@ -145,6 +145,7 @@ def generate_touch(
     calibration: Calibration | None,
     alignment: Alignment,
     target: SensorSpec,
+    view: TargetDepth,
     network: nn.Module,
     params: LatentParams,
     progress: Progress = SILENT,
@@ -167,8 +168,7 @@ def generate_touch(
         first = _sample_touch(condition, target, net, replace(params, steps=1, guidance=1.0), SILENT)
         impossible = check_depth_limit(first, source, target, alignment)
         if impossible:
-            reads = frame, source, calibration, alignment, target
-            physical = frame_chain.render_from_frame(*reads, physical_render.PhysicalRenderParams(), progress)
+            physical = frame_chain.render_view(view, target, physical_render.PhysicalRenderParams(), progress)
             return Fallback(result=physical, reason=f"physics: {impossible[0]}")
     touch = _sample_touch(condition, target, net, params, progress)
     limits = check_depth_limit(touch, source, target, alignment) if checks_depth else ()

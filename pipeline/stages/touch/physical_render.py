@@ -7,13 +7,13 @@ camera. Elsewhere the membrane is free.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal, assert_never
 
 import numpy as np
 
 from pipeline.base.arrays import Floats, Image, Indices, Mask, freeze
-from pipeline.base.entry_points import load_reference
 from pipeline.base.errors import (
     AlignmentWarning,
     OutsideViewWarning,
@@ -23,12 +23,13 @@ from pipeline.base.errors import (
     UnseenObjectWarning,
     describe_no_contact,
 )
-from pipeline.base.memo import Memo
 from pipeline.base.params import setting
 from pipeline.base.progress import SILENT, Progress
-from pipeline.engine.digests import compute_cached_digest
+from pipeline.engine.derived import derive_once
 from pipeline.geometry.camera import MIN_DEPTH_MM
 from pipeline.physics import bubble, bubble_camera, gel, lattice, optics
+from pipeline.physics.sensor_images import render_reference
+from pipeline.sensors.kinds import BubbleSensor, GelSensor, KindTable
 from pipeline.sensors.spec import SensorSpec
 from pipeline.values.results import GeneratedTouch, TargetDepth, make_depth_map, make_pixel_index
 
@@ -90,12 +91,12 @@ def render_touch(
         return replace(reference_touch, notes=(*gap_notes, *reference_touch.notes))
     progress.step(0.0, "pressing the target's membrane")
     depth_limited, limit_notes = _limit_indentation(view, target)
-    renderer = target.sensor_kind.touch_renderer
-    if not renderer:
+    render = TOUCH_RENDERERS.get(target.sensor_kind)
+    if render is None:
         raise SettingProblem(
             f"the physical render has no model of sensors of kind {target.kind!r} such as {target.name}"
         )
-    touch = load_reference(renderer)(view, depth_limited, target, params, [*gap_notes, *limit_notes])
+    touch = render(view, depth_limited, target, params, [*gap_notes, *limit_notes])
     progress.step(1.0, "pressed")
     return touch
 
@@ -114,21 +115,15 @@ def skip_without_contact(view: TargetDepth, target: SensorSpec, *_: object) -> G
     return replace(touch, in_view=view.in_view, notes=touch.notes if notes == touch.notes else notes)
 
 
+@derive_once
 def make_reference_touch(target: SensorSpec) -> GeneratedTouch:
-    """The target's reference image as a touch; cached per sensor."""
-    return _reference_touches.get_or_make(compute_cached_digest(target), lambda: _make_reference_touch(target))
-
-
-_reference_touches: Memo[str, GeneratedTouch] = Memo(8)
-
-
-def _make_reference_touch(target: SensorSpec) -> GeneratedTouch:
+    """The target's reference image as a touch, one object for each sensor."""
     shape = target.camera.shape
     rest_membrane = make_depth_map(
         target.rest_depth_mm, np.zeros(shape, np.float32), np.zeros(shape, np.bool_), target.camera
     )
     return GeneratedTouch(
-        image=target.render_reference(),
+        image=render_reference(target),
         camera=target.camera,
         source_index=freeze(np.full(shape, -1, np.int32)),
         in_view=freeze(np.ones(shape, np.bool_)),
@@ -279,3 +274,8 @@ def _make_touch(
         image=image, camera=target.camera, source_index=freeze(source), in_view=view.in_view,
         membrane=replace(membrane, error=view.error), notes=tuple(notes),
     )  # fmt: skip
+
+
+# (target depth, its indentation_mm within the sensor's limit, target, parameters, notes so far) -> touch
+RenderTouch = Callable[[TargetDepth, Floats, SensorSpec, PhysicalRenderParams, list[str]], GeneratedTouch]
+TOUCH_RENDERERS: KindTable[RenderTouch] = KindTable({GelSensor: render_gel_touch, BubbleSensor: render_bubble_touch})

@@ -9,6 +9,7 @@ import numpy as np
 from pipeline.base.arrays import Floats, Image, Mask, freeze
 from pipeline.base.errors import ChangeNote, OutsideViewWarning
 from pipeline.engine.graph import Fallback
+from pipeline.physics.sensor_images import render_sensor_image
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.touch.residual_diffusion import DenoisingState, ResidualSample
 from pipeline.values.results import DepthMap, GeneratedTouch, TouchStep
@@ -58,7 +59,7 @@ def _render_state(
     corrected = replace(
         first, indentation_mm=freeze(surface), depth_mm=freeze(depth), contact=freeze(contact), is_generated=True
     )
-    return target.sensor_kind.simulate_image(target, surface, depth, seed), corrected
+    return render_sensor_image(target, surface, depth, seed), corrected
 
 
 def report_change(touch: GeneratedTouch, physical: GeneratedTouch) -> GeneratedTouch | Fallback[GeneratedTouch]:

@@ -26,7 +26,7 @@ from pipeline.stages.stage import (
     look_up_element,
 )
 from pipeline.stages.touch import latent_diffusion, physical_render, t2d2, t2t, vqvae
-from pipeline.stages.touch.frame_chain import PHYSICS_FROM_FRAME, READS, guard_contact, list_inner_methods
+from pipeline.stages.touch.frame_chain import DEFAULTS, GUARDED_READS, RENDER, guard_contact
 from pipeline.stages.touch.latent_diffusion import LatentParams
 from pipeline.stages.touch.residual_diffusion import DiffusionParams, make_draft_params
 from pipeline.stages.touch.t2d2 import T2D2Params
@@ -61,11 +61,11 @@ T2T = Method(
     name="t2t",
     title="T2T diffusion",
     help="image-to-image diffusion trained on pairs of a gel and a bubble",
-    run=guard_contact(fall_back_without_weights(t2t.generate_touch, fallback=PHYSICS_FROM_FRAME)),
+    run=guard_contact(fall_back_without_weights(t2t.generate_touch, fallback=RENDER)),
     params=DiffusionParams,
-    reads=(*READS, "touch_weights"),
+    reads=(*GUARDED_READS, "touch_weights"),
+    defaults=DEFAULTS,
     weights=t2t.select_weights,
-    list_inner_methods=list_inner_methods,
     draft=make_draft_params,
     version=11,
 )
@@ -88,11 +88,11 @@ LATENT = Method(
     name="latent",
     title="T2T latent diffusion (the paper's)",
     help="200 steps from noise, conditioned on the encoded source image",
-    run=guard_contact(fall_back_without_weights(latent_diffusion.generate_touch, fallback=PHYSICS_FROM_FRAME)),
+    run=guard_contact(fall_back_without_weights(latent_diffusion.generate_touch, fallback=RENDER)),
     params=LatentParams,
-    reads=(*READS, "touch_weights"),
+    reads=(*GUARDED_READS, "touch_weights"),
+    defaults=DEFAULTS,
     weights=latent_diffusion.select_weights,
-    list_inner_methods=list_inner_methods,
     draft=latent_diffusion.make_draft_params,
     version=2,
 )
@@ -101,11 +101,11 @@ VQVAE = Method(
     name="vqvae",
     title="VQ-VAE, the paper's baseline",
     help="image-to-image at 128 x 128 through a codebook; uses no depth",
-    run=guard_contact(fall_back_without_weights(vqvae.generate_touch, fallback=PHYSICS_FROM_FRAME)),
+    run=guard_contact(fall_back_without_weights(vqvae.generate_touch, fallback=RENDER)),
     params=NoParams,
-    reads=(*READS, "touch_weights"),
+    reads=(*GUARDED_READS, "touch_weights"),
+    defaults=DEFAULTS,
     weights=vqvae.select_weights,
-    list_inner_methods=list_inner_methods,
     version=2,
 )
 

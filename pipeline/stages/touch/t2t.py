@@ -15,6 +15,7 @@ from pipeline.networks import weights_registry
 from pipeline.networks.first_pass import ResidualNetwork
 from pipeline.networks.touch_formats import answer_for_known_kinds
 from pipeline.networks.weights import NoWeights, Weights
+from pipeline.physics.sensor_images import render_reference
 from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import photometric as depth
@@ -25,7 +26,7 @@ from pipeline.stages.touch.residual_diffusion import DiffusionParams, sample_res
 from pipeline.stages.touch.residual_render import NO_STEPS, render_correction
 from pipeline.stages.touch.touch_from_change import check_depth_limit
 from pipeline.values.frames import TactileFrame
-from pipeline.values.results import GeneratedTouch
+from pipeline.values.results import GeneratedTouch, TargetDepth
 
 SHIPPED_WEIGHTS = {("gelslim", "bubble"): "t2t_bubble"}
 TASK = "touch_to_touch"
@@ -49,6 +50,7 @@ def generate_touch(
     calibration: Calibration | None,
     alignment: Alignment,
     target: SensorSpec,
+    view: TargetDepth,
     network: ResidualNetwork,
     params: DiffusionParams,
     progress: Progress = SILENT,
@@ -61,8 +63,7 @@ def generate_touch(
 
     def answer_by_physics(reason: str) -> Fallback[GeneratedTouch]:
         render_params = physical_render.PhysicalRenderParams(add_noise=params.add_noise, seed=params.seed)
-        reads = frame, source, calibration, alignment, target
-        return Fallback(result=frame_chain.render_from_frame(*reads, render_params, progress), reason=reason)
+        return Fallback(result=frame_chain.render_view(view, target, render_params, progress), reason=reason)
 
     if not params.steps:
         return answer_by_physics(NO_STEPS)
@@ -83,7 +84,7 @@ def build_condition(frame: TactileFrame, source: SensorSpec, alignment: Alignmen
     camera = source.camera if frame.camera is None else frame.camera
     reference: Any = frame.reference
     if reference is None:
-        reference = source.with_camera(camera).render_reference()
+        reference = render_reference(source.with_camera(camera))
     if reference.shape != frame.image.shape:
         raise ShapeError(f"the reference image must have the shape {frame.image.shape}, got {reference.shape}")
     change = source.sensor_kind.compute_change(frame.image, reference)

@@ -7,6 +7,7 @@ import numpy as np
 from pipeline.base.arrays import Floats, freeze
 from pipeline.base.errors import StageWarning
 from pipeline.geometry import rigid
+from pipeline.physics.sensor_images import render_reference
 from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import SensorSpec
 from pipeline.values.results import GeneratedTouch
@@ -20,7 +21,7 @@ def make_touch_from_change(target: SensorSpec, change: Floats, notes: tuple[str,
     shape = target.camera.shape
     kind = target.sensor_kind
     scaled = np.float32(kind.full_change) * (change[..., 0] if kind.is_depth else change)
-    image = kind.apply_change(target.render_reference(), scaled)
+    image = kind.apply_change(render_reference(target), scaled)
     return GeneratedTouch(
         image=freeze(image), camera=target.camera, source_index=freeze(np.full(shape, -1, np.int32)),
         in_view=freeze(np.ones(shape, np.bool_)), notes=notes,

@@ -30,7 +30,7 @@ from pipeline.stages.depth import photometric as depth
 from pipeline.stages.touch.image_condition import reproject_square
 from pipeline.stages.touch.touch_from_change import check_depth_limit, make_touch_from_change
 from pipeline.values.frames import TactileFrame
-from pipeline.values.results import GeneratedTouch
+from pipeline.values.results import GeneratedTouch, TargetDepth
 
 if TYPE_CHECKING:
     from torch import nn
@@ -62,6 +62,7 @@ def generate_touch(
     calibration: Calibration | None,
     alignment: Alignment,
     target: SensorSpec,
+    view: TargetDepth,  # noqa: ARG001 - read by its guard
     network: nn.Module,
     params: NoParams,  # noqa: ARG001 - no settings
     progress: Progress = SILENT,

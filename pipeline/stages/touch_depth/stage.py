@@ -10,6 +10,7 @@ from pipeline.base.errors import describe_no_contact
 from pipeline.base.params import NoParams
 from pipeline.base.progress import SILENT, Progress
 from pipeline.engine.graph import Fallback, Method, skip_if_exact
+from pipeline.physics.sensor_images import render_reference
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import photometric as depth
 from pipeline.stages.depth.photometric import DepthParams
@@ -52,7 +53,7 @@ def estimate_from_image(
 
 
 def _make_frame(touch: GeneratedTouch, target: SensorSpec) -> TactileFrame:
-    reference = target.render_reference()
+    reference = render_reference(target)
     return TactileFrame(sensor=target.name, image=touch.image, reference=reference, origin="generated touch")
 
 

@@ -14,7 +14,7 @@ from app.window.panels import Panel
 from pipeline.base import entry_points
 from pipeline.cli.main import build_app, run_app
 from pipeline.recordings import formats
-from pipeline.sensors import descriptions, gel_kind, kinds
+from pipeline.sensors import descriptions, kinds
 from pipeline.sensors.spec import list_sensor_names
 from pipeline.stages.depth.stage import STAGE
 from pipeline.tasks import insertion, task
@@ -24,7 +24,7 @@ ROOT = Path(__file__).parents[3]
 METHOD = dataclasses.replace(STAGE.methods[0], name="lab")
 GOOD = {
     "tactoscope.formats": dataclasses.replace(formats.FORMATS[0], key="lab"),
-    "tactoscope.sensor_kinds": dataclasses.replace(gel_kind.GEL, key="lab"),
+    "tactoscope.sensor_kinds": dataclasses.replace(kinds.GEL, key="lab"),
     "tactoscope.tasks": dataclasses.replace(insertion.TASK, name="lab"),
     "tactoscope.methods": METHOD,
     "tactoscope.panels": Panel(title="lab", build=lambda _: None),  # type: ignore[arg-type, return-value]

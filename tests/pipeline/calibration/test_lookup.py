@@ -8,6 +8,7 @@ import pytest
 from pipeline.base.errors import CalibrationError, FileProblem
 from pipeline.calibration import calibration_file, slope_model
 from pipeline.calibration import calibration_table as calibration
+from pipeline.engine.derived import DERIVED
 from pipeline.physics import optics
 from pipeline.sensors.spec import load_sensor
 
@@ -166,7 +167,7 @@ def test_the_built_in_table_is_cached_on_disk(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     source = replace(load_sensor("digit"), name="one that was never asked for")
     first = calibration.make_built_in(source)
-    calibration._built_in_cache.clear()
+    DERIVED.clear()
     monkeypatch.setattr(calibration, "_invert_optics", lambda _: pytest.fail("it was cached"))
     again = calibration.make_built_in(source)
     assert np.array_equal(again.model.coefficients, first.model.coefficients)

@@ -30,6 +30,11 @@ class Add:
     amount: float = setting(1.0, "Amount")
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Source:
+    kind: str
+
+
 @dataclass
 class Ran:
     """Which stages really ran, in order."""
@@ -93,6 +98,26 @@ def test_an_equal_output_stops_the_recomputation_below_it(graph, ran):
     results = graph.evaluate(["last"], {"x": Number(value=4.0), "y": Y}, {})
     assert ran.names == ["double", "sign"]
     assert results["last"].state == "unchanged"
+
+
+def test_a_stage_that_the_route_leaves_out_is_evaluated_unseen_with_defaults(ran):
+    double = ran.stage("double", ("x",), lambda x, p: Number(value=2 * x.value * p.amount))
+    of_others = replace(double, name="of_others", kinds=("other",))
+    last = replace(
+        ran.stage("last", ("double", "y"), lambda d, y, p: Number(value=d.value + y.value)),
+        defaults=(of_others, double),
+    )
+    seen, inputs = [], {"x": X, "y": Y, "source": Source(kind="this")}
+    graph, params = Graph((last,)), {"double": Add(amount=5.0)}
+    results = graph.evaluate(["last"], inputs, params, on_stage=lambda result: seen.append(result.name))
+    assert list(results) == seen == ["last"]
+    assert results["last"].output.value == 16.0, "parameters of a column that is not there do not reach it"
+    assert graph.evaluate(["last"], inputs, {})["last"].state == "cached"
+    assert ran.names == ["double", "last"]
+    whole = graph.with_methods((double, last)).evaluate(["last"], inputs, params)
+    assert whole["last"].output.value == 40.0, "the route's own method and its parameters reach it"
+    assert graph.evaluate(["last"], {**inputs, "double": Y}, {})["last"].output.value == 20.0
+    assert [m.name for m in graph.list_methods("other")] == ["of_others", "only"]
 
 
 def test_a_shortcut_answers_without_running_and_says_so(ran):

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.base.entry_points import load_reference
 from pipeline.geometry import rigid
 from pipeline.sensors.spec import load_sensor
 from pipeline.simulation import shapes
 from pipeline.simulation.press import simulate_press
+from pipeline.stages.depth.contact_force import FORCE_MODELS
 from pipeline.values.frames import TactileFrame
 
 EXACT_SHARE = 0.05  # contact in whole pixels, on coarser lattices: 0.5 % on gels, 4 % on bubbles (90th percentile)
@@ -25,7 +25,7 @@ def press(name, depth_mm, tool="sphere", x_mm=0.0):
 
 def estimate(sensor, touch):
     frame = TactileFrame(sensor=sensor.name, image=touch.image, reference=None)
-    estimator = load_reference(sensor.sensor_kind.force_estimator)
+    estimator = FORCE_MODELS.get(sensor.sensor_kind)
     return estimator(sensor, frame, touch.indentation_mm, touch.contact).normal_n
 
 

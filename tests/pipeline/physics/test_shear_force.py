@@ -7,6 +7,7 @@ import pytest
 
 from pipeline.geometry import rigid
 from pipeline.physics.contact_force import press_gel_contact
+from pipeline.physics.sensor_images import render_reference
 from pipeline.physics.shear import TangentialLoad
 from pipeline.physics.shear_force import MarkerMotion, estimate_shear_force
 from pipeline.sensors.spec import load_sensor
@@ -54,7 +55,7 @@ def test_a_tenth_of_the_markers_that_jumped_to_a_neighbour_change_little():
 @pytest.mark.parametrize("tool", ["hexagon", "sphere"])
 def test_an_image_gives_the_force_of_the_drag(tool):
     """Within 15 % with the true depth; a press without drag has a hundredth of its normal force at most."""
-    reference = GELSLIM.render_reference()
+    reference = render_reference(GELSLIM)
     for right_mm, down_mm in ((0.2, -0.1), (0.0, 0.0)):
         touch = drag(right_mm, down_mm, tool=tool, seed=3)
         frame = TactileFrame(sensor="gelslim", image=touch.image, reference=reference)
@@ -65,7 +66,7 @@ def test_an_image_gives_the_force_of_the_drag(tool):
 
 def test_no_shear_where_markers_or_the_reference_are_missing_or_noise_and_zero_without_contact():
     touch, dotless = drag(0.2, 0.0), load_sensor("gelslim_dotless")
-    reference = GELSLIM.render_reference()
+    reference = render_reference(GELSLIM)
     frame = TactileFrame(sensor="gelslim", image=touch.image, reference=reference)
     alone = TactileFrame(sensor="gelslim", image=touch.image, reference=None)
     grey = TactileFrame(sensor="gelslim", image=np.full_like(reference, 90), reference=np.full_like(reference, 90))

@@ -15,6 +15,7 @@ from pipeline.stages.touch import t2t
 from pipeline.stages.touch.residual_diffusion import DiffusionParams
 from pipeline.stages.touch.touch_from_change import check_depth_limit, make_touch_from_change
 from pipeline.values.frames import TactileFrame
+from tests.pipeline.stages.target_views import estimate_views
 from tests.pipeline.stages.test_t2d2_t2t import ConstantDenoiser
 
 GEL, BUBBLE = load_sensor("gelslim"), load_sensor("soft_bubble")
@@ -64,8 +65,9 @@ def test_physics_answers_for_t2t_that_is_deeper_than_the_source_can_be_pressed()
         TactileFrame(sensor="gelslim", image=touched, reference=still),
         alignment.resolve_alignment(GEL, BUBBLE),
     )
-    made = t2t.generate_touch(frame, GEL, None, stand, BUBBLE, ConstantDenoiser(13.0), DiffusionParams(steps=2))
+    reads = frame, GEL, None, stand, BUBBLE, estimate_views(frame, GEL, stand, BUBBLE)[0]
+    made = t2t.generate_touch(*reads, ConstantDenoiser(13.0), DiffusionParams(steps=2))
     assert isinstance(made, Fallback)
     assert "deeper than the source" in made.reason
-    fair = t2t.generate_touch(frame, GEL, None, stand, BUBBLE, ConstantDenoiser(2.0), DiffusionParams(steps=2))
+    fair = t2t.generate_touch(*reads, ConstantDenoiser(2.0), DiffusionParams(steps=2))
     assert not any("deeper than the source" in note for note in fair.notes)

@@ -23,6 +23,7 @@ from pipeline.stages.touch.depth_condition import build_depth_square
 from pipeline.stages.touch.latent_diffusion import LatentParams, sample_image
 from pipeline.translation.catalogue import BUILT_IN
 from pipeline.values.results import TargetDepth
+from tests.pipeline.stages.target_views import estimate_views
 
 SHOWN = np.random.default_rng(0).normal(size=(3, 32, 32)).astype(np.float32)
 
@@ -144,17 +145,18 @@ def test_the_condition_is_scaled_as_in_training_and_impossible_depths_are_left_t
     frame = TactileFrame(sensor="gelslim", image=image, reference=rest)
     params = LatentParams(raw_condition=setting)
     both = alignment.resolve_alignment(gel, bubble)
-    touch = latent_diffusion.generate_touch(frame, gel, None, both, bubble, network, params)
+    reads = frame, gel, None, both, bubble, estimate_views(frame, gel, both, bubble)[0]
+    touch = latent_diffusion.generate_touch(*reads, network, params)
     assert latent_diffusion.OUTSIDE_VIEW in touch.notes
     plain = latent_diffusion.resize_to_square(gel.sensor_kind.compute_relative_change(image, rest), 32)
     assert np.allclose(seen[0], normalise(times * plain, "gel"), atol=1e-4)
     monkeypatch.setattr(latent_diffusion, "sample_image", lambda *_: (np.ones((3, 32, 32), np.float32), ()))
-    impossible = latent_diffusion.generate_touch(frame, gel, None, both, bubble, network, params)
+    impossible = latent_diffusion.generate_touch(*reads, network, params)
     assert isinstance(impossible, Fallback), "22.5 mm into the bubble: the gel cannot be pressed so far"
     assert "another alignment" in impossible.reason
     assert impossible.result.membrane is not None
     network.trained_on_recordings = True
-    known = latent_diffusion.generate_touch(frame, gel, None, both, bubble, network, params)
+    known = latent_diffusion.generate_touch(*reads, network, params)
     assert not isinstance(known, Fallback), "recorded pairs know how the sensors lie"
 
 

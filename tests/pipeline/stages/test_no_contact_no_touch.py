@@ -17,9 +17,10 @@ from pipeline.sensors import alignment
 from pipeline.sensors.spec import load_sensor
 from pipeline.stages.depth.photometric import DepthParams
 from pipeline.stages.touch import latent_diffusion, physical_render, t2d2, t2t, vqvae
-from pipeline.stages.touch.frame_chain import guard_contact, list_inner_methods
+from pipeline.stages.touch.frame_chain import guard_contact
 from pipeline.translation.catalogue import BUILT_IN
 from pipeline.values.frames import TactileFrame
+from tests.pipeline.stages.target_views import estimate_views
 from tests.pipeline.stages.test_light_changes import add_spot
 
 GEL, BUBBLE = load_sensor("gelslim"), load_sensor("soft_bubble")
@@ -138,36 +139,48 @@ def test_weights_of_recorded_pairs_are_asked_wherever_the_source_is_touched(touc
         weights_of("vqvae", "vqvae", inputs=3, outputs=1, width=4, codes=8), config={"trained_on_recordings": 1.0}
     )
     far = alignment.correct_alignment(alignment.resolve_alignment(GEL, BUBBLE), rigid.translation(0.0, 0.0, 30.0))
-    run = guard_contact(lambda *_: "asked")
-    assert run(touched_frame, GEL, None, far, BUBBLE, weights, None, SILENT) == "asked"
-    assert run(touched_frame, GEL, None, far, BUBBLE, NoWeights(why="none"), None, SILENT) != "asked"
-    assert run(lit_frame, GEL, None, far, BUBBLE, weights, None, SILENT) != "asked"
+    guard = guard_contact(lambda *_: "asked")
+
+    def run(frame, weights):
+        view, depth = estimate_views(frame, GEL, far, BUBBLE)
+        return guard(frame, depth, GEL, None, far, BUBBLE, view, weights, None, SILENT)
+
+    assert run(touched_frame, weights) == "asked"
+    assert run(touched_frame, NoWeights(why="none")) != "asked"
+    assert run(lit_frame, weights) != "asked"
 
 
 @pytest.mark.parametrize("name", ["t2t", "latent", "vqvae"])
-def test_settings_that_do_not_reach_a_method_are_named(name, lit_frame):
-    def warn(params, **others):
-        graph = Graph(BUILT_IN.methods("t2d2", {"touch": name, **others}, {"source": GEL.kind, "target": BUBBLE.kind}))
-        methods = {method.stage: method for method in graph.methods}
+def test_methods_and_parameters_of_depth_reach_touches_from_images(name, touched_frame):
+    """A touch that the user's depth does not see is none, whichever method would generate it."""
+
+    def evaluate_with(params, graph=None, **others):
+        kinds = {"source": GEL.kind, "target": BUBBLE.kind}
+        methods = BUILT_IN.methods("t2d2", {"touch": name, **others}, kinds)
+        graph = Graph(methods) if graph is None else graph.with_methods(methods)
         inputs = {
-            "frame": lit_frame, "source": GEL, "target": BUBBLE, "calibration": None, "mesh": None, "previous": None,
-            "alignment": alignment.resolve_alignment(GEL, BUBBLE),
-            "touch_weights": methods["touch"].weights(GEL, BUBBLE, None),
+            "frame": touched_frame, "source": GEL, "target": BUBBLE, "calibration": None,
+            "alignment": alignment.resolve_alignment(GEL, BUBBLE), "touch_weights": NoWeights(why="none"),
+            "depth_weights": NoWeights(why="none"), "true_depth": replace(depth, contact=np.zeros_like(depth.contact)),
         }  # fmt: skip
-        notes = graph.evaluate(["touch"], inputs, params)["touch"].notes
-        return [note for note in notes if "not used" in note]
+        return graph, graph.evaluate(["touch"], inputs, params)
 
-    assert not warn({})
-    assert not warn({"depth": DepthParams()})
-    (of_parameters,) = warn({"depth": DepthParams(contact_limit=3.0)})
-    assert of_parameters.startswith("the parameters of depth are not used")
-    (of_method,) = warn({}, target_depth="paper")
-    assert of_method.startswith("the method 'Point splat (paper)' of target depth is not used")
-    assert len(warn({}, depth="unet", target_depth="paper")) == 2
+    depth = estimate_views(touched_frame, GEL, alignment.resolve_alignment(GEL, BUBBLE), BUBBLE)[1]
+    graph, results = evaluate_with({})
+    assert results["touch"].output.membrane.contact.any()
+    deeper = 0.9 * float(depth.indentation_mm.max()) / GEL.limits.contact_min_mm
+    _, limited = evaluate_with({"depth": DepthParams(contact_limit=min(deeper, 10.0))}, graph)
+    assert limited["touch"].output.membrane.contact.sum() < results["touch"].output.membrane.contact.sum()
+    _, untouched = evaluate_with({}, graph, depth="truth")
+    assert untouched["touch"].state == "skipped"
+    _, splat = evaluate_with({}, graph, target_depth="paper")
+    assert splat["touch"].digest != results["touch"].digest
 
 
-def test_the_inner_methods_are_those_of_the_default_route():
+def test_the_default_methods_are_those_of_the_default_route():
+    t2t = BUILT_IN.methods("t2t")
     for kind in ("gel", "bubble"):
-        methods = {m.stage: m.name for m in BUILT_IN.methods("t2d2", kinds={"source": kind, "target": kind})}
-        inner = list_inner_methods(kind)
-        assert {stage: methods[stage] for stage in inner} == inner
+        known = {m.stage: m for m in BUILT_IN.methods("t2d2", kinds={"source": kind, "target": kind})}
+        chosen = [m for m in Graph(t2t).list_methods(kind) if m not in t2t]
+        assert [m.stage for m in chosen] == ["depth", "cloud", "target_depth"]
+        assert all(known[m.stage] is m for m in chosen)

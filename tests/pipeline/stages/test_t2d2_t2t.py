@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from pipeline.base.progress import SILENT
-from pipeline.engine.graph import Fallback, Skipped
+from pipeline.engine.graph import Fallback, Graph, Skipped
 from pipeline.geometry import rigid
 from pipeline.networks import weights_registry
 from pipeline.networks.network_factory import load_network, load_predictor
@@ -32,6 +32,7 @@ from pipeline.training.touch_residual import TouchResidualTask
 from pipeline.translation.catalogue import BUILT_IN
 from pipeline.values.frames import TactileFrame
 from pipeline.values.results import TargetDepth, make_pixel_index
+from tests.pipeline.stages.target_views import estimate_views
 
 GEL, BUBBLE = load_sensor("gelslim"), load_sensor("soft_bubble")
 
@@ -183,6 +184,19 @@ def ball_frames():
     )  # fmt: skip
 
 
+def list_reads(frame):
+    """What T2T from a GelSlim to a bubble reads of a frame, but for weights."""
+    between = alignment.resolve_alignment(GEL, BUBBLE)
+    view, found = estimate_views(frame, GEL, between, BUBBLE)
+    return frame, found, GEL, None, between, BUBBLE, view
+
+
+def list_reads_in_contact(frame):
+    """What T2T reads once there is contact."""
+    frame, _, *others = list_reads(frame)
+    return frame, *others
+
+
 def test_the_condition_is_aligned_with_the_target(ball_frames):
     shown = t2t.build_condition(ball_frames[0], GEL, alignment.resolve_alignment(GEL, BUBBLE), BUBBLE)
     truth = ball_frames[3]
@@ -204,7 +218,7 @@ def test_a_translated_alignment_translates_the_condition(ball_frames):
 
 
 def test_t2t_is_the_network_alone_and_physics_without_steps(ball_frames):
-    reads = ball_frames[0], GEL, None, alignment.resolve_alignment(GEL, BUBBLE), BUBBLE
+    reads = list_reads_in_contact(ball_frames[0])
     touch = t2t.generate_touch(*reads, ConstantDenoiser(1.0, contact=1.0), DiffusionParams())
     assert np.allclose(touch.membrane.indentation_mm, 1.0)
     assert touch.membrane.contact.all()
@@ -218,15 +232,13 @@ def test_t2t_is_the_network_alone_and_physics_without_steps(ball_frames):
 def test_t2t_skips_a_frame_without_contact(ball_frames):
     net = ConstantDenoiser(1.0)
     at_rest = replace(ball_frames[0], image=ball_frames[0].reference)
-    reads = at_rest, GEL, None, alignment.resolve_alignment(GEL, BUBBLE), BUBBLE
-    answer = frame_chain.guard_contact(t2t.generate_touch)(*reads, net, unweighted(steps=200), SILENT)
+    answer = frame_chain.guard_contact(t2t.generate_touch)(*list_reads(at_rest), net, unweighted(steps=200), SILENT)
     assert isinstance(answer, Skipped)
     assert not net.shown
 
 
 def test_t2t_without_weights_falls_back_to_the_render(ball_frames):
-    frame, between = ball_frames[0], alignment.resolve_alignment(GEL, BUBBLE)
-    answer = T2T.run(frame, GEL, None, between, BUBBLE, NoWeights(why="none"), unweighted(), SILENT)
+    answer = T2T.run(*list_reads(ball_frames[0]), NoWeights(why="none"), unweighted(), SILENT)
     assert isinstance(answer, Fallback)
     assert answer.result.membrane.contact.any()
     assert answer.result.membrane.indentation_mm.max() > 1.0
@@ -277,15 +289,23 @@ def test_shipped_weights_are_better_than_physics_on_unseen_grasps(target):
     assert found.card["minutes"]
 
 
-def test_the_fallback_of_t2t_uses_the_default_depth_method(ball_frames, monkeypatch):
+def test_a_route_without_depth_evaluates_the_default_depth_method_unseen(ball_frames):
     """The bubble network, so that T2T and T2D2 are compared with the same physics; physics without its weights."""
     frame, between = ball_frames[2], alignment.resolve_alignment(BUBBLE, GEL)
-    reads = frame, BUBBLE, None, between, GEL, physical_render.PhysicalRenderParams()
+    methods = BUILT_IN.methods("t2t", kinds={"source": "bubble", "target": "gel"})
+    inputs = {
+        "frame": frame, "source": BUBBLE, "target": GEL, "calibration": None, "alignment": between,
+        "touch_weights": NoWeights(why="none"),
+    }  # fmt: skip
     by_network = bubble_network.estimate_frame(
         frame, BUBBLE, None, load_predictor(bubble_network.select_weights(BUBBLE, BUBBLE, None)), NetworkParams()
     )
-    for seen in (by_network, depth.estimate_depth_with_notes(frame, BUBBLE, None, depth.DepthParams())):
+    by_physics = depth.estimate_depth_with_notes(frame, BUBBLE, None, depth.DepthParams())
+    for seen, weights in (
+        (by_network, bubble_network.select_weights(BUBBLE, GEL, None)), (by_physics, NoWeights(why="none")),
+    ):  # fmt: skip
         view = project_cloud(back_project_depth(seen, between, BackProjectionParams()), GEL, SurfaceProjectionParams())
         expected = physical_render.render_touch(view, GEL, physical_render.PhysicalRenderParams()).membrane
-        assert np.array_equal(frame_chain.render_from_frame(*reads).membrane.contact, expected.contact)
-        monkeypatch.setattr(bubble_network, "select_weights", lambda *_: NoWeights(why="none are there"))
+        results = Graph(methods).evaluate(["touch"], {**inputs, "depth_weights": weights}, {})
+        assert list(results) == ["touch"]
+        assert np.array_equal(results["touch"].output.membrane.contact, expected.contact)

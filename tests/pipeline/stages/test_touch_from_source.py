@@ -63,7 +63,7 @@ def run(frame, weights, stage="touch"):
 
 def test_an_image_only_touch_has_its_depth_from_the_image(contact_frame):
     found = run(contact_frame, weights_of("vqvae", "vqvae", inputs=3, outputs=1, width=4, codes=8), "touch_depth")
-    assert list(found) == ["touch", "touch_depth"]  # no depth, no cloud, no view
+    assert list(found) == ["depth", "cloud", "target_depth", "touch", "touch_depth"]  # depth says that it is a touch
     touch = found["touch"].output
     assert touch.image.shape == BUBBLE.camera.shape
     assert touch.membrane is None

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib.metadata
-from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 
@@ -15,17 +15,18 @@ from pipeline.base.arrays import freeze
 from pipeline.base.errors import CalibrationError, SettingProblem, ShapeError
 from pipeline.geometry import membrane
 from pipeline.networks import weights_registry
-from pipeline.networks.touch_formats import TouchFormat
 from pipeline.networks.weights import NoWeights
+from pipeline.physics.sensor_images import IMAGE_RENDERERS, render_reference
 from pipeline.previews.display_params import DisplayParams
 from pipeline.previews.preview import make_frame_preview, make_indentation_scale
 from pipeline.recordings.hdf5_writer import RecordingWriter
 from pipeline.sensors import kinds
-from pipeline.sensors.kinds import SensorKind, register_kind
+from pipeline.sensors.kinds import GEL, GelSensor, SensorKind, register_kind
 from pipeline.sensors.spec import SensorSpec, load_sensor
 from pipeline.simulation.press import simulate_press
 from pipeline.stages.depth import photometric
-from pipeline.stages.depth.photometric import DepthParams
+from pipeline.stages.depth.contact_force import FORCE_MODELS
+from pipeline.stages.depth.photometric import DEPTH_ESTIMATORS, NO_CONTACT_CHECKS, DepthParams
 from pipeline.stages.touch import latent_diffusion, t2d2, t2t, vqvae
 from pipeline.translation.translate import Request, open_translation
 from pipeline.values.frames import TactileFrame
@@ -53,21 +54,22 @@ rotation_vector = { value = [0.0, 0.0, 0.0], unit = "deg", from = "test" }
 """
 
 
-def parse_parts(_section, _data, _path):
-    return {}
+class TaxelArray(SensorKind):
+    """Flat pads that read how far each is pressed, in mm."""
+
+    def parse_parts(self, section, data, path):
+        return {}
+
+    def parse_membrane(self, section, camera, parts):
+        z = section("rest").read_number("depth", "mm", 0.1, 1000.0)
+        return membrane.make_flat_membrane(z, camera.cols * z / camera.fx_px, camera.rows * z / camera.fy_px)
+
+    def find_image_problem(self, image):
+        return "has negative taxels" if (image < -1.0).any() else ""
 
 
-def parse_membrane(section, camera, _parts):
-    z = section("rest").read_number("depth", "mm", 0.1, 1000.0)
-    return membrane.make_flat_membrane(z, camera.cols * z / camera.fx_px, camera.rows * z / camera.fy_px)
-
-
-def render_reference(sensor: SensorSpec):
-    return freeze(np.zeros(sensor.camera.shape, np.float32))  # taxels read their own indentation
-
-
-def find_image_problem(image):
-    return "has negative taxels" if (image < -1.0).any() else ""
+def render_image(_sensor, indentation_mm, _depth_mm, _seed, _shear_mm):
+    return indentation_mm
 
 
 def describe_if_no_contact(frame, _sensor, _calibration, limit):
@@ -83,12 +85,13 @@ def estimate_depth(frame, sensor, _calibration, params, _progress):
     )  # fmt: skip
 
 
-TAXELS = SensorKind(
+TAXELS = TaxelArray(
     key="taxels", is_depth=True, change_sign=1.0, full_change=1.0, peak_change=2.0, display_group="gel",
-    still_change=0.1, drift_change=None, part_parser=f"{__name__}:parse_parts", membrane_parser=f"{__name__}:parse_membrane",
-    reference_renderer=f"{__name__}:render_reference", image_checker=f"{__name__}:find_image_problem",
-    contact_checker=f"{__name__}:describe_if_no_contact", depth_estimator=f"{__name__}:estimate_depth",
+    still_change=0.1, drift_change=None,
 )  # fmt: skip
+IMAGE_RENDERERS.add(TaxelArray, render_image)
+NO_CONTACT_CHECKS.add(TaxelArray, describe_if_no_contact)
+DEPTH_ESTIMATORS.add(TaxelArray, estimate_depth)
 
 
 @pytest.fixture
@@ -107,7 +110,7 @@ def sensor(path: Path, monkeypatch) -> SensorSpec:
 def make_frame(sensor: SensorSpec, pressed_mm: float) -> TactileFrame:
     image = np.zeros(sensor.camera.shape, np.float32)
     image[4:7, 6:10] = pressed_mm
-    return TactileFrame(sensor=sensor.name, image=image, reference=sensor.render_reference())
+    return TactileFrame(sensor=sensor.name, image=image, reference=render_reference(sensor))
 
 
 def test_an_unknown_kind_is_refused_with_those_that_are_known(path: Path):
@@ -152,15 +155,18 @@ def test_the_third_kind_has_a_preview_with_its_scale(sensor: SensorSpec):
     assert make_indentation_scale(sensor, display).high == 2.0
 
 
-def test_a_recording_of_the_third_kind_is_translated_to_a_gel(sensor: SensorSpec, path: Path):
+@pytest.mark.parametrize("target", ["gelslim", "soft_bubble"])
+def test_a_recording_of_the_third_kind_is_translated(sensor: SensorSpec, path: Path, target: str):
     with RecordingWriter(path.with_name("touch.h5")) as writer:
         writer.append(sensor.name, make_frame(sensor, 0.8))
-    request = Request(recording=path.with_name("touch.h5"), source=str(path), target="gelslim")
+    request = Request(recording=path.with_name("touch.h5"), source=str(path), target=target)
     with closing(open_translation(request)) as translation:
         results = translation.build_graph().evaluate(["depth", "touch"], translation.read_inputs(0), {})
         assert results["depth"].method.name == "physics"  # no network is for them
         assert not results["depth"].fallback
-        assert results["touch"].output.image.shape == (*translation.target.camera.shape, 3)
+        touch = results["touch"].output
+        assert touch.image.shape[:2] == translation.target.camera.shape
+        assert touch.membrane.contact.any()
 
 
 def test_what_a_kind_does_not_offer_is_refused_in_words(sensor: SensorSpec):
@@ -173,20 +179,20 @@ def test_what_a_kind_does_not_offer_is_refused_in_words(sensor: SensorSpec):
 @pytest.mark.parametrize("name", ["digit", "soft_bubble"])
 def test_a_change_restores_the_image(name: str):
     sensor = load_sensor(name)
-    kind, reference = sensor.sensor_kind, sensor.render_reference()
+    kind, reference = sensor.sensor_kind, render_reference(sensor)
     change = np.full(reference.shape, 2.0, np.float32)
     image = kind.apply_change(reference, change)
     assert image.dtype == reference.dtype
     np.testing.assert_allclose(kind.compute_change(image, reference)[3:-3, 3:-3], 2.0, atol=1e-4)
 
 
-@pytest.mark.parametrize("key", ["gel", "bubble"])
-def test_everything_that_a_kind_names_exists(key: str):
-    kind = kinds.get_kind(key)
-    for field in kind.__dataclass_fields__:
-        value = getattr(kind, field)
-        if isinstance(value, str) and ":" in value:
-            assert isinstance(entry_points.load_reference(value), (Callable, TouchFormat))
+def test_a_subclass_has_the_entries_of_its_base_and_others_none():
+    class SofterGel(GelSensor):
+        """A gel in all but its description."""
+
+    softer = SofterGel(**{field.name: getattr(GEL, field.name) for field in dataclasses.fields(GEL)})
+    assert FORCE_MODELS.get(softer) is FORCE_MODELS.get(GEL) is not None
+    assert FORCE_MODELS.get(TAXELS) is None
 
 
 @pytest.mark.parametrize("method", [t2d2, t2t, latent_diffusion, vqvae])
