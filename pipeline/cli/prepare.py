@@ -48,19 +48,16 @@ def prepare() -> int:
 
 def _list_tasks() -> Iterator[Callable[[], object]]:
     """Yield tasks that together call every kernel; those that the sample needs come first."""
-    from pipeline.translation.catalogue import BUILT_IN, default_params, with_setting
-
-    params = default_params(BUILT_IN.methods("t2d2"))
     for source, target in _DIRECTIONS:
-        yield partial(_translate_sample, source, target, params)
+        yield partial(_translate_sample, source, target)
     # Points: the paper's, and those too sparse for a surface.
-    yield partial(_translate_sample, *_DIRECTIONS[0], params, (("target_depth", "paper"),))
-    yield partial(_translate_sample, *_DIRECTIONS[0], with_setting(params, "cloud.stride=16"))
+    yield partial(_translate_sample, *_DIRECTIONS[0], (("target_depth", "paper"),))
+    yield partial(_translate_sample, *_DIRECTIONS[0], settings=("cloud.stride=16",))
     yield from (_build_geometry, _simulate_presses, _estimate_adaptive_depth)
 
 
 def _translate_sample(
-    source: str, target: str, params: dict[str, object], methods: tuple[tuple[str, str], ...] = ()
+    source: str, target: str, methods: tuple[tuple[str, str], ...] = (), settings: tuple[str, ...] = ()
 ) -> None:
     from pipeline.translation.translate import Request, open_translation
 
@@ -69,9 +66,8 @@ def _translate_sample(
         if not recording.exists():  # an installed package brings no samples
             folder = place.enter_context(TemporaryDirectory())
             recording, frame = _record_press(Path(folder) / "press.h5", source), 0
-        it = open_translation(Request(recording=recording, source=source, target=target, methods=methods))
-        place.callback(it.close)
-        it.build_graph().evaluate(it.stages, it.read_inputs(frame), params)
+        request = Request(recording=recording, source=source, target=target, methods=methods)
+        place.enter_context(open_translation(request, settings=settings)).evaluate(frame)
 
 
 def _record_press(path: Path, name: str) -> Path:

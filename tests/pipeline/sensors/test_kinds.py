@@ -157,7 +157,7 @@ def test_a_recording_of_the_third_kind_is_translated_to_a_gel(sensor: SensorSpec
         writer.append(sensor.name, make_frame(sensor, 0.8))
     request = Request(recording=path.with_name("touch.h5"), source=str(path), target="gelslim")
     with closing(open_translation(request)) as translation:
-        results = translation.build_graph().evaluate(["depth", "touch"], translation.read_inputs(0), {})
+        results = translation.evaluate(0, ["depth", "touch"])
         assert results["depth"].method.name == "physics"  # no network is for them
         assert not results["depth"].fallback
         assert results["touch"].output.image.shape == (*translation.target.camera.shape, 3)
