@@ -24,7 +24,7 @@ import os
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias, cast
+from typing import TYPE_CHECKING, Any, TypeAlias, cast, get_args
 
 if TYPE_CHECKING:
     from importlib.machinery import ModuleSpec
@@ -41,7 +41,6 @@ if TYPE_CHECKING:
     from pipeline.recordings.format_dispatch import open_recording
     from pipeline.recordings.formats import RecordingFormat, register_format
     from pipeline.recordings.in_memory import make_recording
-    from pipeline.sensors.alignment_files import load_alignment
     from pipeline.sensors.spec import SensorSpec, load_sensor
     from pipeline.tracking.track_record import TrackRecord
     from pipeline.translation.translate import Translation
@@ -52,9 +51,9 @@ if TYPE_CHECKING:
 __all__ = [
     "Calibration", "DepthMap", "Fallback", "GeneratedTouch", "Method", "NoParams", "ObjectPose", "Recording",
     "RecordingFormat", "Refinement", "SensorSpec", "Skipped", "Stream", "TactileFrame", "TouchError", "TrackRecord",
-    "TranslatedFrame", "Translation", "Truth", "align", "calibrate", "depth", "load_alignment", "load_mesh",
+    "TranslatedFrame", "Translation", "Truth", "align", "calibrate", "depth", "load_mesh",
     "load_sensor", "main", "make_depth_map", "make_recording", "open", "open_recording", "register_format",
-    "save_calibration", "setting", "track", "train",
+    "save_alignment", "save_calibration", "setting", "simulate", "track", "train",
 ]  # fmt: skip
 
 PathLike: TypeAlias = "str | os.PathLike[str]"
@@ -80,7 +79,6 @@ _HOMES = {
     "TranslatedFrame": "pipeline.translation.translated_frame",
     "Translation": "pipeline.translation.translate",
     "Truth": "pipeline.values.frames",
-    "load_alignment": "pipeline.sensors.alignment_files",
     "load_mesh": "pipeline.geometry.meshes",
     "load_sensor": "pipeline.sensors.spec",
     "make_depth_map": "pipeline.values.results",
@@ -218,6 +216,37 @@ def depth(
     return opened.with_(stage="depth", method=method, **settings)[0].depth
 
 
+def simulate(
+    shape: PathLike, sensors: Sequence[str], n: int = 10, *, seed: int = 0, sequence: str = "grid"
+) -> Recording:
+    """Simulate touches that several sensors record at once, with their truth.
+
+    Args:
+        shape: Name of a shape, as `tactoscope simulate --help` lists them, or a mesh file.
+        sensors: The sensors, by name or TOML file.
+        n: Number of touches.
+        seed: The same seed gives the same frames.
+        sequence: `grid` (single touches at poses of a grid), or a motion: `press`, `slide`, `twist`, `release`, `all`.
+
+    Returns:
+        A recording for `ts.open`; a touch is simulated when it is first read.
+
+    Raises:
+        TouchError: There is no such shape, sensor or sequence, or the mesh cannot be used.
+    """
+    from pipeline.base.errors import SettingProblem
+    from pipeline.simulation.datasets import PoseSequence, SimulationPlan, make_plans, make_recording
+
+    if sequence not in get_args(PoseSequence):
+        raise SettingProblem(f"no sequence {sequence!r}; there are {', '.join(get_args(PoseSequence))}")
+    kind = cast("PoseSequence", sequence)
+    plan = SimulationPlan(sensors=tuple(sensors), object_source="", n_poses=n, seed=seed, sequence=kind)
+    plans = make_plans((os.fspath(shape),), plan)
+    if len(plans) > 1:
+        raise SettingProblem(f"{shape!r} is a group of {len(plans)} shapes; give one of them")
+    return make_recording(plans[0])
+
+
 def align(touches: Translation, frames: Iterable[int] | None = None) -> Refinement:
     """Refine the alignment of two sensors on touches that both recorded.
 
@@ -237,6 +266,16 @@ def align(touches: Translation, frames: Iterable[int] | None = None) -> Refineme
 
     pairs = load_paired_touches(touches, range(len(touches)) if frames is None else frames)
     return refine_alignment(pairs, touches.alignment)
+
+
+def save_alignment(touches: Translation, path: PathLike) -> None:
+    """Write the alignment of two sensors as a TOML file, for `ts.open(..., alignment=path)`; raises FileProblem."""
+    from pipeline.sensors.alignment_files import AlignmentFile
+    from pipeline.sensors.alignment_files import save_alignment as save
+
+    origin = f"in use on {touches.recording.path.name}"
+    names = touches.source.name, touches.target.name
+    save(Path(path), AlignmentFile(alignment=touches.alignment, source=names[0], target=names[1], origin=origin))
 
 
 def calibrate(
@@ -299,6 +338,7 @@ def train(
     hold_out: str = "",
     steps: int | None = None,
     minutes: float | None = None,
+    workers: int = 0,
 ) -> Path:
     """Train a network, on recorded pairs of two sensors or on simulated touches.
 
@@ -310,6 +350,8 @@ def train(
         hold_out: Pairs that only validate, as in `tactoscope train --help`.
         steps: Number of steps; None = the recipe's.
         minutes: Time in all, instead of steps.
+        workers: Processes that make examples; 0 = this one. A script that takes some runs under
+            `if __name__ == "__main__":`.
 
     Returns:
         The weights file, for `ts.open(..., weights={"touch": file})`.
@@ -327,7 +369,9 @@ def train(
         chosen = override_pairs(chosen, os.fspath(pairs), hold_out)
     if steps is not None:
         chosen = override_training(chosen, steps=steps)
-    train_run(TrainingRun(recipe=chosen, folder=folder, max_minutes=minutes, command="tactoscope.train"))
+    train_run(
+        TrainingRun(recipe=chosen, folder=folder, max_minutes=minutes, n_workers=workers, command="tactoscope.train")
+    )
     weights = folder / "weights.safetensors"
     export_run(folder, weights)
     return weights

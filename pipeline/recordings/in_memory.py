@@ -24,6 +24,7 @@ def make_recording(
     reference: ArrayLike | None,
     sensor: SensorSpec,
     times_s: Sequence[float] | None = None,
+    path: Path = PATH,
 ) -> Recording:
     """Return a recording of one sensor from its images.
 
@@ -32,6 +33,7 @@ def make_recording(
         reference: One image of the sensor without contact, of the same shape and type; None = not recorded.
         sensor: The sensor that made them.
         times_s: (n,) seconds, increasing; None = not known.
+        path: Where they are from, for messages.
 
     Raises:
         ShapeError: Shapes or types are others, or no image is there.
@@ -52,15 +54,15 @@ def make_recording(
 
     def read(index: int) -> TactileFrame:
         return TactileFrame(
-            sensor=sensor.name, image=frames[index], reference=rest, index=index, origin=f"{PATH} [{index}]",
+            sensor=sensor.name, image=frames[index], reference=rest, index=index, origin=f"{path} [{index}]",
             time_s=math.nan if times is None else float(times[index]),
         )  # fmt: skip
 
     stream = Stream(
         name=sensor.name, sensor=sensor.name, n_frames=len(frames), times_s=times,
-        frame=with_index_check(read, len(frames), PATH),
+        frame=with_index_check(read, len(frames), path),
     )  # fmt: skip
-    return Recording(path=PATH, format="arrays", streams=(stream,))
+    return Recording(path=path, format="arrays", streams=(stream,))
 
 
 def _convert(image: NDArray[Any], sensor: SensorSpec, what: str) -> Image | Floats:

@@ -138,7 +138,9 @@ class Translation:
         if method:
             changed = changed._with_method(stage, method)
         if settings:
-            params = changed._get_params(stage)
+            method_ = changed.get_method(stage)
+            params = changed.params.get(stage)
+            params = params if isinstance(params, method_.params) else method_.params()
             for name, value in settings.items():
                 params = replace_value(params, name, value)
             changed = replace(changed, params={**changed.params, stage: params})
@@ -165,11 +167,9 @@ class Translation:
         graph = self.graph if isinstance(method, str) else Graph(())
         return replace(self, request=request, catalogue=catalogue, notes=notes, graph=graph)
 
-    def _get_params(self, stage: str) -> object:
-        """Return the parameters of the method that computes a stage; raises SettingProblem."""
-        method = Graph(self.methods).select_methods([stage])[-1]
-        given = self.params.get(stage)
-        return given if isinstance(given, method.params) else method.params()
+    def get_method(self, stage: str) -> Method:
+        """Return the method that computes a stage; raises SettingProblem where the route has no such stage."""
+        return Graph(self.methods).select_methods([stage])[-1]
 
     def list_methods(self, stage: str = "touch") -> tuple[str, ...]:
         """Return the names of a stage's methods that can answer for these two sensors.

@@ -100,7 +100,8 @@ class TranslatedFrame:
     @property
     def metrics(self) -> Mapping[str, float]:
         """`stage.metric` -> error against the truth, in the unit that the name ends in; {} without any truth."""
-        return self.translation.compute_metrics(self.results, self.index)
+        values = self.translation.compute_metrics(self.results, self.index)
+        return {name: float(value) for name, value in values.items()}
 
     def result(self, stage: str) -> StageResult:
         """Return one stage's result with its time, state and notes; raises SettingProblem for an unknown stage."""
