@@ -100,7 +100,7 @@ def test_the_notebook_shows_figures():
     shown = [set(output.get("data", {})) for output in outputs]
     assert any("text/html" in kinds for kinds in shown), "a frame as images"
     assert any("image/png" in kinds for kinds in shown), "a figure"
-    (text,) = ("".join(output["text"]) for output in outputs if output.output_type == "stream")
+    text = "".join(output["text"] for output in outputs if output.output_type == "stream")
     assert text.count("mm in contact") >= 4
 
 

@@ -53,8 +53,7 @@ class RecordingFormat:
     key: str
     title: str  # noun phrase for dialogs and messages
     content: str  # what the format brings
-    # (Path) -> Recording; with `applies_options` (RecordingFiles, ReadOptions) -> Recording
-    reader: str | Callable[..., Any]
+    reader: str | Callable[..., Any]  # (Path) -> Recording; with `applies_options` (RecordingFiles, ReadOptions)
     suffixes: tuple[str, ...] = ()  # of its files, lower case; () = a folder only
     signatures: tuple[bytes, ...] = ()  # first bytes of a file, which count more than the suffix
     matches: str = ""  # (RecordingFiles) -> bool, among formats of one suffix; "" = always
