@@ -241,10 +241,10 @@ def simulate(
         raise SettingProblem(f"no sequence {sequence!r}; there are {', '.join(get_args(PoseSequence))}")
     kind = cast("PoseSequence", sequence)
     plan = SimulationPlan(sensors=tuple(sensors), object_source="", n_poses=n, seed=seed, sequence=kind)
-    plans = make_plans((os.fspath(shape),), plan)
-    if len(plans) > 1:
-        raise SettingProblem(f"{shape!r} is a group of {len(plans)} shapes; give one of them")
-    return make_recording(plans[0])
+    first, *others = make_plans((os.fspath(shape),), plan)
+    if others:
+        raise SettingProblem(f"{shape!r} is a group of {1 + len(others)} shapes; give one of them")
+    return make_recording(first)
 
 
 def align(touches: Translation, frames: Iterable[int] | None = None) -> Refinement:
@@ -261,11 +261,9 @@ def align(touches: Translation, frames: Iterable[int] | None = None) -> Refineme
     Raises:
         SettingProblem: No frame has contact on both sensors.
     """
-    from pipeline.alignment.refine import refine_alignment
-    from pipeline.alignment.touches import load_paired_touches
+    from pipeline.alignment.refine import refine_on_recording
 
-    pairs = load_paired_touches(touches, range(len(touches)) if frames is None else frames)
-    return refine_alignment(pairs, touches.alignment)
+    return refine_on_recording(touches, range(len(touches)) if frames is None else frames)
 
 
 def save_alignment(touches: Translation, path: PathLike) -> None:

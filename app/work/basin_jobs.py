@@ -35,8 +35,7 @@ class BasinMapResult:
             pose, sensor_from_object=self.basins.poses[row, col], fitness=answer.fitness,
             rmse_mm=float(self.basins.rmse_mm[row, col]),
         )  # fmt: skip
-        outputs = {name: result.output for name, result in self.results.items()}
-        context = self.translation.make_preview_context(outputs, self.display)
+        context = self.translation.make_preview_context(self.results, self.display)
         return self.translation.catalogue.stage("pose").make_preview(end_pose, context)
 
 

@@ -2,7 +2,6 @@
 
 import os
 from collections.abc import Sequence
-from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -12,8 +11,7 @@ from cyclopts import Parameter
 from rich.console import Console
 from rich.table import Table
 
-from pipeline.alignment import refine as refinement
-from pipeline.alignment.refine import AlignmentFit, Refinement
+from pipeline.alignment.refine import AlignmentFit, Refinement, refine_on_recording
 from pipeline.alignment.score import (
     UNIT_STEP,
     AlignmentScore,
@@ -28,10 +26,10 @@ from pipeline.alignment.touches import AlignmentTouch, load_paired_touches
 from pipeline.base.errors import FileProblem, SettingProblem
 from pipeline.base.files import check_folder_for
 from pipeline.base.frame_lists import parse_frames
-from pipeline.cli.terminal import TerminalProgress, open_progress_bar, print_line
+from pipeline.cli.terminal import open_progress_bar, print_line
 from pipeline.cli.translation_options import Flag
 from pipeline.sensors.alignment_files import ALIGNMENT_SUFFIX, AlignmentFile, save_alignment
-from pipeline.translation.translate import Request, Translation, open_translation
+from pipeline.translation.translate import Request, open_translation
 
 # Predicted standard deviation of a rotation from which a warning is printed. Two touches of a sample leave 0.8 deg and
 # are 1.1 deg off, three leave 0.7 deg and are 0.2 deg off.
@@ -72,10 +70,11 @@ def score(recording: Path, *, touches: PairedTouchOptions, alignment: Path | Non
         alignment: The .toml to score; default: the recording's alignment, or that of the sensor descriptions.
     """
     with (
-        closing(open_translation(touches.build_request(recording, alignment))) as translation,
+        open_translation(touches.build_request(recording, alignment)) as translation,
         open_progress_bar() as progress,
     ):
-        pairs = _load_touches(translation, touches, progress)
+        frames = parse_frames(touches.frames, translation.n_frames)
+        pairs = load_paired_touches(translation, frames, exact=touches.truth, progress=progress)
         observed = [observe_target(pair.target, translation.target) for pair in pairs]
         scores = score_touches(pairs, observed, translation.alignment, progress=progress)
         best = int(np.argmax([score.overlap_px for score in scores]))
@@ -113,18 +112,22 @@ def refine_alignment(
     if not tolerance > 0:
         raise SettingProblem(f"--tolerance must be above 0, got {tolerance:g}")
     with (
-        closing(open_translation(touches.build_request(recording, alignment))) as translation,
+        open_translation(touches.build_request(recording, alignment)) as translation,
         open_progress_bar() as progress,
     ):
-        used, held_out = split_held_out(_load_touches(translation, touches, progress), hold_out)
-        fit = refinement.refine_alignment(
-            used, translation.alignment, held_out=held_out, into=into, tolerance=tolerance,
+        fit = refine_on_recording(
+            translation,
+            parse_frames(touches.frames, translation.n_frames),
+            exact=touches.truth,
+            hold_out=hold_out,
+            into=into,
+            tolerance=tolerance,
             progress=progress,
-        )  # fmt: skip
+        )
     print_refinement(fit)
     file = AlignmentFile(
         alignment=fit.alignment, source=translation.source.name, target=translation.target.name,
-        origin=f"refined on {len(used)} touches of {recording.name}, change stored in {into}",
+        origin=f"refined on {fit.used_fit[0].n_touches} touches of {recording.name}, change stored in {into}",
     )  # fmt: skip
     write_alignment(out, file)
     return 0
@@ -143,31 +146,6 @@ def write_alignment(out: Path, file: AlignmentFile) -> None:
     """Write an alignment and print where; raises FileProblem."""
     save_alignment(out, file)
     print_line(f"alignment written to {os.fspath(out)}; use it with --alignment")
-
-
-def split_held_out(
-    touches: Sequence[AlignmentTouch], hold_out: float
-) -> tuple[list[AlignmentTouch], list[AlignmentTouch]]:
-    """(touches to fit to, touches held out), the latter evenly spread; at least one is fitted to."""
-    n = min(round(hold_out * len(touches)), len(touches) - 1)
-    held_out = {int((k + 0.5) * len(touches) / n) for k in range(n)} if n > 0 else set[int]()
-    return (
-        [touch for k, touch in enumerate(touches) if k not in held_out],
-        [touch for k, touch in enumerate(touches) if k in held_out],
-    )
-
-
-def _load_touches(
-    translation: Translation, options: PairedTouchOptions, progress: TerminalProgress
-) -> tuple[AlignmentTouch, ...]:
-    frames = parse_frames(options.frames, translation.n_frames)
-    touches = load_paired_touches(translation, frames, exact=options.truth, progress=progress)
-    if not touches:
-        raise SettingProblem(
-            f"none of the {len(frames)} frames has contact on both {translation.source.name} and "
-            f"{translation.target.name}; choose other frames"
-        )
-    return touches
 
 
 def _print_scores(touches: Sequence[AlignmentTouch], scores: Sequence[AlignmentScore]) -> None:

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Sequence
-from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -94,7 +93,7 @@ def _fit_recording(recording: Path, options: PairedTouchOptions, out: Path | Non
     if out is None:
         raise SettingProblem("a recording gives a metric alignment; name the .toml for it with --out")
     prepare_alignment_file(out)
-    with closing(open_translation(options.build_request(recording))) as translation, open_progress_bar() as progress:
+    with open_translation(options.build_request(recording)) as translation, open_progress_bar() as progress:
         frames = parse_frames(options.frames, translation.n_frames)
         loaded = load_paired_touches(translation, frames, exact=options.truth, progress=progress)
         touches = [touch for touch in loaded if touch.has_contact_on_both]

@@ -5,10 +5,8 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, cast
 
 import numpy as np
@@ -59,32 +57,16 @@ def _list_tasks() -> Iterator[Callable[[], object]]:
 def _translate_sample(
     source: str, target: str, methods: tuple[tuple[str, str], ...] = (), settings: tuple[str, ...] = ()
 ) -> None:
+    from pipeline.simulation.datasets import SimulationPlan, make_recording
     from pipeline.translation.translate import Request, open_translation
 
-    with ExitStack() as place:
-        recording, frame = SAMPLE_RECORDING, _FRAME
-        if not recording.exists():  # an installed package brings no samples
-            folder = place.enter_context(TemporaryDirectory())
-            recording, frame = _record_press(Path(folder) / "press.h5", source), 0
-        request = Request(recording=recording, source=source, target=target, methods=methods)
-        place.enter_context(open_translation(request, settings=settings)).evaluate(frame)
-
-
-def _record_press(path: Path, name: str) -> Path:
-    """Write a recording of one simulated press of the sensor `name`; returns its path."""
-    from pipeline.recordings.hdf5_writer import RecordingWriter
-    from pipeline.sensors.spec import load_sensor
-    from pipeline.simulation import shapes
-    from pipeline.simulation.poses import make_paper_grid
-    from pipeline.simulation.press import simulate_press
-    from pipeline.values.frames import TactileFrame
-
-    mesh, sensor = shapes.make_shape(_TOOL).mesh, load_sensor(name)
-    press = simulate_press(mesh, make_paper_grid(mesh, n=1, seed=0)[0], sensor, seed=0)
-    frame = TactileFrame(sensor=name, image=press.image, reference=sensor.render_reference(), index=0, time_s=0.0)
-    with RecordingWriter(path, object_mesh=mesh) as writer:
-        writer.append(name, frame)
-    return path
+    recording, frame = None, _FRAME
+    if not SAMPLE_RECORDING.exists():  # an installed package brings no samples
+        plan = SimulationPlan(sensors=(source,), object_source=_TOOL, n_poses=1, seed=0)
+        recording, frame = make_recording(plan), 0
+    request = Request(recording=SAMPLE_RECORDING, source=source, target=target, methods=methods)
+    with open_translation(request, recording=recording, settings=settings) as opened:
+        opened.evaluate(frame)
 
 
 def _build_geometry() -> None:

@@ -104,7 +104,7 @@ def _draw_stages(
     ))  # fmt: skip
     stages = {DEPTH: "target_depth", model: "touch"} if model == T2D2 else {model: "touch"}
     results = chosen.evaluate(index, ["target_depth", "touch"])
-    context = chosen.make_preview_context({name: result.output for name, result in results.items()}, DisplayParams())
+    context = chosen.make_preview_context(results)
     previews = {title: chosen.catalogue.stage(stage).make_preview(results[stage].output, context)
                 for title, stage in stages.items()}  # fmt: skip
     return {title: preview.pixels for title, preview in previews.items()}

@@ -62,8 +62,7 @@ class VariantResult:
 
     def make_context(self, display: DisplayParams) -> PreviewContext:
         """What the stages' previews are drawn from."""
-        outputs = {name: result.output for name, result in self.results.items()}
-        return self.variant.translation.make_preview_context(outputs, display)
+        return self.variant.translation.make_preview_context(self.results, display)
 
     def make_preview(self, stage: str, display: DisplayParams) -> Preview:
         """Preview of one stage."""

@@ -13,7 +13,6 @@ mesh.*, calibration.npz, weights_*, source.toml, target.toml   where they were g
 import shlex
 import shutil
 from collections.abc import Mapping
-from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
@@ -113,7 +112,7 @@ def write_bundle(
     """Write the repro bundle of one frame into a new `folder`; raises TouchError."""
     if folder.exists():
         raise FileProblem("something of this name is there already and is kept; choose another", folder)
-    with closing(open_translation(request)) as translation:
+    with open_translation(request) as translation:
         index = translation.check_index(frame)
 
         def fill(part: Path) -> None:

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from pipeline.base.figures import make_figure, save_figure
 from pipeline.base.files import write_arrays, write_json
 from pipeline.base.progress import SILENT, Progress
-from pipeline.previews.display_params import DisplayParams
 from pipeline.reporting.frame_report import FrameReport
 from pipeline.reporting.report import collect_value_arrays
 from pipeline.reporting.sheet import draw_panel
@@ -53,10 +52,9 @@ def write_truth(
 
 
 def _build_views(report: FrameReport, translation: Translation, truths: Mapping[str, object]) -> dict[str, TruthView]:
-    outputs = {name: result.output for name, result in report.results.items()}
-    seen = translation.make_preview_context(outputs, DisplayParams())
+    seen = translation.make_preview_context(report.results)
     views: dict[str, TruthView] = {}
-    for name, value in outputs.items():
+    for name, value in seen.outputs.items():
         stage = translation.catalogue.stage(name)
         view = build_truth_view(stage, stage.make_preview(value, seen), truths, seen)
         if view is not None:

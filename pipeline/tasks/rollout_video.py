@@ -1,7 +1,6 @@
 """A recorded rollout as a video: the scene, its touches and the force, one image per tick."""
 
 from collections.abc import Iterator
-from contextlib import closing
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -86,7 +85,7 @@ def read_touches(rollout: RecordedRollout, decision: int) -> tuple[Preview | Non
     try:
         task, touch = load_task(rollout.plan.task), rollout.summary.touch
         request = make_touch_request(touch, rollout.path, task.source, task.target)
-        with closing(open_translation(request)) as translation:
+        with open_translation(request) as translation:
             index = min(decision, translation.n_frames - 1)
             frame, results = translation.stream.frame(index), translation.evaluate(index, ["touch"])
             display, truths = DisplayParams(), translation.read_true_outputs(index)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
@@ -69,6 +69,7 @@ class Request:
     offsets: Offsets = field(default_factory=Offsets)  # offsets from that alignment
 
 
+DEFAULT_DISPLAY = DisplayParams()
 ContextLoader = Callable[[Image | Floats | None], tuple[Image, ...]]
 
 
@@ -219,8 +220,11 @@ class Translation:
         """Return the sensor whose frame a column is in."""
         return self.source if self.get_role(column) == "source" else self.target
 
-    def make_preview_context(self, outputs: Mapping[str, Any], display: DisplayParams) -> PreviewContext:
-        """Return what previews are drawn from, with these values of the stages computed so far."""
+    def make_preview_context(
+        self, results: Mapping[str, StageResult], display: DisplayParams = DEFAULT_DISPLAY
+    ) -> PreviewContext:
+        """Return what previews are drawn from, with these results of the stages computed so far."""
+        outputs = {name: result.output for name, result in results.items()}
         return PreviewContext(
             outputs=outputs, source=self.source, target=self.target, mesh=self.mesh, display=display
         )  # fmt: skip
@@ -265,25 +269,19 @@ class Translation:
         Raises:
             TouchError: A frame is damaged, a name unknown, or a stage cannot be computed.
         """
-        if not isinstance(frame, TactileFrame):
-            frame = self.stream.frame(self.check_index(frame))
-        inputs = {**self.build_inputs(frame, previous, progress), **given}
+        inputs = {**self.read_inputs(frame, previous, progress), **given}
         names = self.stages if stages is None else stages
         return self.graph.with_methods(self.methods).evaluate(names, inputs, self.params, progress, on_stage)
 
     def read_inputs(
-        self, index: int, previous: ObjectPose | None = None, progress: Progress = SILENT
+        self, frame: int | TactileFrame, previous: ObjectPose | None = None, progress: Progress = SILENT
     ) -> Mapping[str, object]:
-        """Return the graph's inputs for frame `index`; raises FileProblem if that frame is damaged.
+        """Return the graph's inputs for a frame by number or at hand; raises FileProblem if it is damaged.
 
         `previous` is the pose of the frame before, where a sequence is followed. `progress` shows how weights are read.
         """
-        return self.build_inputs(self.stream.frame(self.check_index(index)), previous, progress)
-
-    def build_inputs(
-        self, frame: TactileFrame, previous: ObjectPose | None = None, progress: Progress = SILENT
-    ) -> Mapping[str, object]:
-        """Return the graph's inputs for a frame at hand."""
+        if not isinstance(frame, TactileFrame):
+            frame = self.stream.frame(self.check_index(frame))
         with reading_reported_to(progress):
             weights = self.weights
         return {

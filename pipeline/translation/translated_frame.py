@@ -7,8 +7,6 @@ import html
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING
 
-from pipeline.previews.display_params import DisplayParams
-
 if TYPE_CHECKING:
     from pipeline.base.arrays import Floats, Image
     from pipeline.engine.graph import StageResult
@@ -105,16 +103,14 @@ class TranslatedFrame:
 
     def result(self, stage: str) -> StageResult:
         """Return one stage's result with its time, state and notes; raises SettingProblem for an unknown stage."""
-        if stage not in self._results:
-            self._evaluate([stage])
+        self._evaluate([stage])
         return self._results[stage]
 
     def preview(self, stage: str = "touch") -> Preview:
         """Return a stage as it is drawn: `pixels` (rows, cols, 3) uint8 RGB, `caption`, and the values behind them."""
-        self.result(stage)
-        outputs = {name: result.output for name, result in self._results.items()}
-        context = self.translation.make_preview_context(outputs, DisplayParams())
-        return self.translation.catalogue.stage(stage).make_preview(outputs[stage], context)
+        self._evaluate([stage])
+        context = self.translation.make_preview_context(self._results)
+        return self.translation.catalogue.stage(stage).make_preview(context.outputs[stage], context)
 
     def _evaluate(self, stages: Iterable[str]) -> None:
         if not self._results.keys() >= set(stages):
