@@ -357,11 +357,18 @@ def train(
     Raises:
         TouchError: The recipe, the pairs or the folder cannot be used.
     """
+    from pipeline.base.errors import SettingProblem
     from pipeline.training.export import export_run
     from pipeline.training.loop import TrainingRun
     from pipeline.training.loop import train as train_run
-    from pipeline.training.recipe import load_recipe, override_pairs, override_training
+    from pipeline.training.recipe import list_shipped_recipes, load_recipe, override_pairs, override_training
+    from pipeline.training.task import TASKS
 
+    known = sorted({task.subcommand for task in TASKS.values()})
+    if what not in known:
+        raise SettingProblem(f"nothing called {what!r} can be trained; there are {', '.join(known)}")
+    if pairs is None and not recipe:
+        raise SettingProblem(f"give pairs to train {what} on, or a recipe: {', '.join(list_shipped_recipes(what))}")
     chosen, folder = load_recipe(recipe or f"{what}_pairs", what), Path(out)
     if pairs is not None:
         chosen = override_pairs(chosen, os.fspath(pairs), hold_out)

@@ -72,6 +72,7 @@ def test_nothing_is_computed_until_it_is_asked_for(touches, evaluated):
 
 def test_frames_are_counted_from_both_ends(touches):
     assert touches[-1].index == len(touches) - 1
+    assert touches[np.int64(2)].index == 2
     for index in (len(touches), -len(touches) - 1):
         with pytest.raises(SettingProblem, match="frame"):
             touches[index]
@@ -150,10 +151,30 @@ def test_arrays_need_their_sensor_and_their_reference_fits(touches):
         ts.open(images, "gelslim")
     with pytest.raises(ShapeError, match="the reference has shape"):
         ts.open(images, "gelslim", source="digit", reference=images[0][:10])
+    with pytest.raises(ShapeError, match="several shapes"):
+        ts.open([images[0], images[0][:10]], "gelslim", source="digit")
     with pytest.raises(ShapeError, match="one time an image"):
         ts.make_recording(images, None, ts.load_sensor("digit"), times_s=[0.0, 1.0])
     with pytest.raises(SettingProblem, match="the reference of a file is a file"):
         ts.open(SAMPLE, "gelslim", reference=images[0])
+
+
+def test_a_frame_of_a_closed_recording_and_a_stage_without_membrane_are_sentences(touches):
+    with ts.open(SAMPLE, "gelslim", source="digit") as opened:
+        frame = opened[TOUCHED]
+    for read in (lambda: frame.depth, lambda: frame.truth):
+        with pytest.raises(ts.TouchError, match="the recording is closed; read its frames before"):
+            read()
+    with pytest.raises(SettingProblem, match="the membrane of 'touch' is not tracked; choose one of depth"):
+        ts.track(touches, "touch", [TOUCHED])
+
+
+def test_a_training_needs_pairs_or_a_recipe(tmp_path):
+    with pytest.raises(SettingProblem, match="nothing called 'magic' can be trained; there are depth"):
+        ts.train("magic", tmp_path)
+    with pytest.raises(SettingProblem, match="give pairs to train t2t on, or a recipe: t2t_bubble"):
+        ts.train("t2t", tmp_path)
+    assert not list(tmp_path.iterdir())
 
 
 def test_simulated_touches_have_their_truth_and_are_the_same_again():

@@ -38,7 +38,12 @@ def make_recording(
     Raises:
         ShapeError: Shapes or types are others, or no image is there.
     """
-    stack = np.asarray(images)
+    try:
+        stack = np.asarray(images)
+    except ValueError:
+        raise ShapeError(
+            f"the images of {sensor.title} have several shapes; give those of one shape at a time"
+        ) from None
     ndim, content = (4, "uint8 RGB (n, rows, cols, 3)") if sensor.bubble is None else (3, "depth in mm (n, rows, cols)")
     if stack.ndim == ndim - 1:
         raise ShapeError(f"images of {sensor.title} must be {content}, got one of {stack.shape}; put it in a list")

@@ -5,10 +5,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from pipeline.base.arrays import Doubles
-from pipeline.base.errors import FileProblem
+from pipeline.base.errors import FileProblem, SettingProblem
 from pipeline.base.progress import SILENT, Progress
 from pipeline.tracking.track import compute_error, make_record, make_row, track_frames
-from pipeline.tracking.track_record import TrackRecord, TrackRow
+from pipeline.tracking.track_record import TRACKED_STAGES, TrackRecord, TrackRow
 from pipeline.translation.translate import Translation
 from pipeline.values.results import DepthMap
 
@@ -25,6 +25,8 @@ def track_recording(
     Rows of the result may differ from those that `on_row` received: closed loops move them. Frames that cannot be read
     count as lost; raises FileProblem where none can.
     """
+    if stage not in TRACKED_STAGES:
+        raise SettingProblem(f"the membrane of {stage!r} is not tracked; choose one of {', '.join(TRACKED_STAGES)}")
     problems = dict[int, FileProblem]()
 
     def read_depth(index: int) -> DepthMap | None:

@@ -95,12 +95,12 @@ class Catalogue:
         catalogue = self
         for method in methods:
             try:
-                catalogue = catalogue.with_method(method)
+                catalogue = catalogue.add_method(method)
             except SettingProblem as problem:
                 log.warning("tactoscope.methods: %s; it is left out", problem)
         return catalogue
 
-    def with_method(self, method: Method) -> Catalogue:
+    def add_method(self, method: Method) -> Catalogue:
         """Return the catalogue with one more method, after its stage's own.
 
         Raises SettingProblem where there is no such stage, or another method of that name.

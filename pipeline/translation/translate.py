@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -110,7 +111,8 @@ class Translation:
         return True
 
     def __getitem__(self, index: int) -> TranslatedFrame:
-        return TranslatedFrame(self, self.check_index(index + self.n_frames if index < 0 else index))
+        number = operator.index(index)
+        return TranslatedFrame(self, self.check_index(number + self.n_frames if number < 0 else number))
 
     def __iter__(self) -> Iterator[TranslatedFrame]:
         return (TranslatedFrame(self, index) for index in range(self.n_frames))
@@ -158,7 +160,7 @@ class Translation:
     def _with_method(self, stage: str, method: str | Method) -> Translation:
         catalogue, name = self.catalogue, method if isinstance(method, str) else method.name
         if isinstance(method, Method):
-            catalogue = catalogue.with_method(method)
+            catalogue = catalogue.add_method(method)
         catalogue.method(stage, name)  # raises SettingProblem
         methods = {**dict(self.request.methods), stage: name}
         request = replace(self.request, methods=tuple(methods.items()))
