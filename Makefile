@@ -59,7 +59,6 @@ tour: $(READY)
 
 # The pages of docs/ with the API from its docstrings, in out/site; a link that leads nowhere fails.
 docs: $(READY)
-	@$(PIP) -e '.[docs]'
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 # Up to 10,000 cases a row, fewer where one is slow; the table with their numbers is left in out/stability.json.
