@@ -87,6 +87,11 @@ def test_a_frame_has_what_the_stages_made_of_it(touches):
     assert frame._repr_html_().count("data:image/png;base64,") == len(touches.stages)
 
 
+def test_what_only_the_truth_knows_is_a_note():
+    with ts.open(SAMPLE, "soft_bubble", source="gelslim", methods={"touch": "physics"}) as opened:
+        assert any("of the target's contact: the rest is missing" in note for note in opened[TOUCHED].notes)
+
+
 def test_other_settings_compute_only_what_follows(touches):
     touches.evaluate(TOUCHED)
     states = {name: result.state for name, result in touches.with_(stage="pose", seed=7)[TOUCHED].results.items()}

@@ -7,6 +7,8 @@ import html
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING
 
+from pipeline.translation.truth_view import add_truth_warnings
+
 if TYPE_CHECKING:
     from pipeline.base.arrays import Floats, Image
     from pipeline.engine.graph import StageResult
@@ -114,7 +116,10 @@ class TranslatedFrame:
 
     def _evaluate(self, stages: Iterable[str]) -> None:
         if not self._results.keys() >= set(stages):
-            self._results |= self.translation.evaluate(self.index, stages)
+            made = self.translation.evaluate(self.index, stages)
+            if "target_depth" in made:  # the only stage whose truth adds a note
+                made["target_depth"] = add_truth_warnings(made["target_depth"], self.truth)
+            self._results |= made
 
     def _repr_html_(self) -> str:
         """Return the stages side by side, for a notebook."""
