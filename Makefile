@@ -10,7 +10,7 @@ TORCH_FOR_CPU := torch==$(shell sed -n 's/^torch==//p' constraints.txt)+cpu
 READY := $(VENV)/.ready
 SAMPLE := sample_data/recordings/first_touch.h5
 
-.PHONY: run test setup lint slow monkey tour stability bench samples clean
+.PHONY: run test setup lint slow monkey tour docs stability bench samples clean
 
 run: $(READY)
 	@if [ -n "$$DISPLAY$$WAYLAND_DISPLAY" ]; then \
@@ -56,6 +56,10 @@ monkey: $(READY)
 # The pictures of README.md and docs/tour.md, as the window is now.
 tour: $(READY)
 	xvfb-run -a -s "-screen 0 1600x950x24" $(BIN)/python docs/make_tour.py
+
+# The pages of docs/ with the API from its docstrings, in out/site; a link that leads nowhere fails.
+docs: $(READY)
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 # Up to 10,000 cases a row, fewer where one is slow; the table with their numbers is left in out/stability.json.
 stability: $(READY)

@@ -61,13 +61,12 @@ prepare()
 CHAIN = """
 import json, sys, time
 from pathlib import Path
-from pipeline.translation.catalogue import default_params
 from pipeline.translation.translate import Request, open_translation
 frame, ways = json.loads(sys.argv[1])
 for source, target in ways:
     sample = Path("sample_data/recordings/first_touch.h5")
     opened = open_translation(Request(recording=sample, source=source, target=target))
-    results = opened.build_graph().evaluate(opened.stages, opened.read_inputs(frame), default_params(opened.methods))
+    results = opened.evaluate(frame)
     assert {result.state for result in results.values()} == {"computed"}, "the touch was skipped"
 """
 WINDOW = """

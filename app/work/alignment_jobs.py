@@ -1,17 +1,14 @@
 """Background jobs of the alignment: drag preview, assessment of a frame, refinement on all frames."""
 
-from contextlib import closing
 from dataclasses import dataclass, replace
 
 from app.session.state import Session
 from app.work.evaluator import Evaluator
 from app.work.jobs import JobReporter
 from app.work.requests import get_depth_params, make_request
-from pipeline.alignment.refine import Refinement, refine_alignment
+from pipeline.alignment.refine import Refinement, refine_on_recording
 from pipeline.alignment.score import AlignmentScore, Sensitivity
-from pipeline.alignment.touches import load_paired_touches
 from pipeline.base.arrays import Doubles
-from pipeline.base.errors import SettingProblem
 from pipeline.previews.layers import Layer
 from pipeline.previews.preview import Preview, add_observed_outline, enlarge_preview
 from pipeline.sensors.alignment import Offsets, decompose_motion
@@ -126,19 +123,15 @@ def propose_refinement(session: Session, report: JobReporter) -> RefinementPropo
 
     It opens the recording a second time. Every fourth touch is held out for validation if there are enough.
     """
-    from pipeline.cli.align import split_held_out
-
-    with closing(open_translation(make_request(session))) as translation:
-        frames = range(translation.n_frames)
-        touches = load_paired_touches(
-            translation, frames, get_depth_params(session, translation.methods), progress=report
+    with open_translation(make_request(session)) as translation:
+        refinement = refine_on_recording(
+            translation,
+            range(translation.n_frames),
+            start=session.offsets.apply_to(translation.alignment),
+            params=get_depth_params(session, translation.methods),
+            hold_out=VALIDATION_FRACTION,
+            progress=report,
         )
-        if not touches:
-            pair = f"{translation.source.name} and {translation.target.name}"
-            raise SettingProblem(f"no frame has contact on both {pair}; refinement needs frames with contact on both")
-        used, held_out = split_held_out(touches, VALIDATION_FRACTION)
-        start = session.offsets.apply_to(translation.alignment)
-        refinement = refine_alignment(used, start, held_out=held_out, progress=report)
     pivot_mm = session.offsets.pivot_mm if any(session.offsets.pivot_mm) else refinement.pivot_mm
     return RefinementProposal(
         refinement=refinement,

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 from app.session.state import Session
 from app.work.jobs import JobReporter
-from app.work.requests import explain_unavailable, get_depth_params, make_request, open_request
+from app.work.requests import apply_session, explain_unavailable, get_depth_params, make_request, open_request
 from app.work.stage_previews import PreviewCache, SourcePreview, add_thumbnails, summarise_frame
 from app.work.target_comparison import TargetComparison, build_target_comparison
 from pipeline.base.errors import SettingProblem, TouchError
@@ -121,7 +121,7 @@ class Evaluator:
             report.deliver(InitialFrame(index=index))
         started_s = time.perf_counter()
         loaded = self._previews.load_frame(translation, index, session.display)
-        inputs, truth = translation.build_inputs(loaded.frame, progress=report), loaded.ground_truth
+        truth = loaded.ground_truth
         ms = 1e3 * (time.perf_counter() - started_s)
         source = SourcePreview(
             frame=loaded.frame, ground_truth=truth, preview=loaded.preview, layers=(loaded.layer,), read_ms=ms
@@ -139,8 +139,7 @@ class Evaluator:
             known = truths if result.name in stages else None
             report.deliver(self._previews.draw_stage(result, results, translation, session, other, known))
 
-        self.graph = translation.build_graph(like=self.graph)
-        self.graph.evaluate(stages, inputs, session.collect_params(translation.methods), report, on_stage)
+        translation.evaluate(loaded.frame, stages, report, on_stage=on_stage)
         metrics = self._previews.compute_metrics(translation, results, index, truth)
         self._release_memory(results)
         return EvaluatedFrame(
@@ -160,9 +159,8 @@ class Evaluator:
 
     def open_frame(self, session: Session, report: JobReporter) -> tuple[Translation, int]:
         """Open the session's translation with its offsets, and resolve its frame number; raises TouchError."""
-        opened = self._open(session, report)
-        translation = replace(opened, alignment=session.offsets.apply_to(opened.alignment))
-        return translation, self._resolve_index(session, translation)
+        translation = apply_session(session, self._open(session, report))
+        return replace(translation, graph=self.graph), self._resolve_index(session, translation)
 
     def _resolve_index(self, session: Session, translation: Translation) -> int:
         """Return the session's frame number; for AUTO_FRAME the one detected on opening."""
@@ -180,9 +178,8 @@ class Evaluator:
             return opened, cached
         if "depth" not in opened.stages:
             raise SettingProblem(f"the route {opened.request.route!r} has no depth to align; choose another route")
-        self.graph = opened.build_graph(like=self.graph)
-        params = session.collect_params(opened.methods)
-        depth = self.graph.evaluate(("depth",), opened.read_inputs(index), params, report)["depth"]
+        translation = replace(apply_session(session, opened), graph=self.graph)
+        depth = translation.evaluate(index, ["depth"], report)["depth"]
         return opened, self._get_comparison(opened, index, depth.output, session)
 
     def evaluate_in_background(
@@ -192,22 +189,18 @@ class Evaluator:
 
         `completely` adds what takes another translation: the round trip, and the cause of the error.
         """
-        opened = self._open(session, report)
-        translation = replace(opened, alignment=session.offsets.apply_to(opened.alignment))
-        self._background_graph = graph = translation.build_graph(like=self._background_graph)
+        translation = self._open_in_background(session, report)
         try:
-            params, frame = session.collect_params(translation.methods), translation.stream.frame(index)
-            results = graph.evaluate(
-                translation.stages, translation.build_inputs(frame, progress=report), params, report
-            )
+            frame = translation.stream.frame(index)
+            results = translation.evaluate(frame, progress=report)
             metrics = translation.compute_metrics(results, index)
             truth = translation.read_ground_truth(index)
             results = {name: add_truth_warnings(result, truth) for name, result in results.items()}
             summary = summarise_frame(results, metrics, translation) or FrameSummary(metrics=metrics)
             summary = add_thumbnails(summary, frame, translation.source, session.display)
             if completely:
-                round_trip = measure_round_trip(results, translation, graph, params, report)
-                cause = self._find_cause(translation, results, params, index, report)
+                round_trip = measure_round_trip(results, translation, report)
+                cause = _find_cause(translation, results, index, report)
                 summary = replace(summary, metrics={**summary.metrics, **round_trip}, cause=cause, is_complete=True)
             self._release_memory(results)
         except TouchError as error:
@@ -220,41 +213,22 @@ class Evaluator:
         self, session: Session, index: int, metric: str, report: JobReporter
     ) -> MeasuredQuantities:
         """Measure the force of a frame, which takes its depth alone; `metric` is NaN where that fails."""
-        translation = self._open(session, report)
-        self._background_graph = graph = translation.build_graph(like=self._background_graph)
+        translation = self._open_in_background(session, report)
         quantities: Mapping[str, float] = {metric: math.nan}
         try:
-            inputs = translation.read_inputs(index, progress=report)
-            depth = graph.evaluate(("depth",), inputs, session.collect_params(translation.methods), report)
-            quantities |= measure_force(depth, index, translation, graph)
+            quantities |= measure_force(translation.evaluate(index, ["depth"], report), index, translation)
         except TouchError as error:
             log.info("frame %d has no force: %s", index, error)
         settings = replace(session, target=translation.target.name).settings
         return MeasuredQuantities(index=index, settings=settings, quantities=quantities)
 
-    def _find_cause(
-        self,
-        translation: Translation,
-        results: Mapping[str, StageResult],
-        params: Mapping[str, object],
-        index: int,
-        report: JobReporter,
-    ) -> str:
-        """Return the stage that most of a frame's error comes from, or that has the first warning without truth."""
-        if "touch_depth" in translation.stages:
-            shares = attribute_error(translation, self._background_graph, params, index, DEFAULT_METRIC, report)
-            if shares is not None:
-                return shares.main_cause
-        stage = translation.catalogue.stage
-        return next((stage(name).title.lower() for name, result in results.items() if result.warnings), "")
+    def _open_in_background(self, session: Session, report: JobReporter) -> Translation:
+        return replace(apply_session(session, self._open(session, report)), graph=self._background_graph)
 
     def attribute_frame_error(self, session: Session, metric: str, report: JobReporter) -> ErrorAttribution | None:
         """Attribute the error `metric` of the session's frame to its stages; None if the metric is unknown."""
         translation, index = self.open_frame(session, report)
-        self.graph = translation.build_graph(like=self.graph)
-        return attribute_error(
-            translation, self.graph, session.collect_params(translation.methods), index, metric, report
-        )
+        return attribute_error(translation, index, metric, report)
 
     def _get_comparison(
         self, translation: Translation, index: int, depth: object, session: Session
@@ -334,3 +308,13 @@ class Evaluator:
 
 def _size_bytes(values: Mapping[str, object]) -> int:
     return sum(measure_bytes(value) for value in values.values())
+
+
+def _find_cause(translation: Translation, results: Mapping[str, StageResult], index: int, report: JobReporter) -> str:
+    """Return the stage that most of a frame's error comes from, or that has the first warning without truth."""
+    if "touch_depth" in translation.stages:
+        shares = attribute_error(translation, index, DEFAULT_METRIC, report)
+        if shares is not None:
+            return shares.main_cause
+    stage = translation.catalogue.stage
+    return next((stage(name).title.lower() for name, result in results.items() if result.warnings), "")

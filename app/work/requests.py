@@ -69,6 +69,15 @@ def open_request(request: Request, catalogue: Catalogue) -> Translation:
     return translation
 
 
+def apply_session(session: Session, opened: Translation) -> Translation:
+    """Return an open translation with the offsets and parameters of a session."""
+    return replace(
+        opened,
+        alignment=session.offsets.apply_to(opened.alignment),
+        params=session.collect_params(opened.methods),
+    )
+
+
 def _choose_target(request: Request) -> str:
     """Return the target of the alignment file, else another sensor of the recording, else one of another kind."""
     with closing(

@@ -16,7 +16,7 @@ from pipeline.previews.display_params import DisplayParams
 from pipeline.previews.layers import Layer, make_frame_layer
 from pipeline.previews.preview import Preview, add_observed_outline, make_frame_preview, match_camera
 from pipeline.sensors.spec import SensorSpec
-from pipeline.stages.stage import GroundTruth, PreviewContext, Stage, StepHistory
+from pipeline.stages.stage import GroundTruth, Stage, StepHistory
 from pipeline.translation.round_trip import measure_training_distance
 from pipeline.translation.translate import Translation
 from pipeline.translation.truth_view import TruthView, build_observation_view, build_truth_view
@@ -128,7 +128,7 @@ class PreviewCache:
 def _draw_stage(
     stage: Stage, result: StageResult, results: Mapping[str, StageResult], translation: Translation, session: Session
 ) -> StagePreview:
-    context = _make_context(results, translation, session)
+    context = translation.make_preview_context(results, session.display)
     preview = stage.make_preview(result.output, context)
     steps = stage.split_steps(result.output)
     previews = tuple(stage.make_preview(step, context) for step in steps)
@@ -174,13 +174,8 @@ def _add_comparison(
         )
     if truths is None:
         return shown
-    return replace(
-        shown, truth_view=build_truth_view(stage, shown.preview, truths, _make_context(results, translation, session))
-    )
-
-
-def _make_context(results: Mapping[str, StageResult], translation: Translation, session: Session) -> PreviewContext:
-    return translation.make_preview_context({name: r.output for name, r in results.items()}, session.display)
+    context = translation.make_preview_context(results, session.display)
+    return replace(shown, truth_view=build_truth_view(stage, shown.preview, truths, context))
 
 
 def _preview_frame(frame: TactileFrame, sensor: SensorSpec, display: DisplayParams) -> tuple[Preview, Camera]:

@@ -1,15 +1,14 @@
 """Tracks for the window, on a background thread: from a session or a folder to rows and 3D layers."""
 
 import time
-from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from app.session.state import Session
 from app.work.jobs import JobReporter
-from app.work.requests import make_request, open_request
+from app.work.requests import apply_session, make_request, open_request
 from pipeline.base.arrays import Doubles, freeze
 from pipeline.geometry import rigid
 from pipeline.previews.colours import OBJECT_COLOUR, REGISTERED_POINT_COLOUR, repeat_colour
@@ -45,10 +44,10 @@ def track_session(session: Session, stage: str, catalogue: Catalogue, report: Jo
             report.deliver(tuple(rows))
 
     report.step(0.0, "opening the recording")
-    with closing(open_request(make_request(session), catalogue)) as opened:
-        translation = replace(opened, alignment=session.offsets.apply_to(opened.alignment))
-        params = session.collect_params(translation.methods)
-        return make_view(track_recording(translation, stage, params, range(opened.n_frames), report, add_row))
+    with open_request(make_request(session), catalogue) as opened:
+        return make_view(
+            track_recording(apply_session(session, opened), stage, range(opened.n_frames), report, add_row)
+        )
 
 
 def read_track(folder: Path) -> TrackView:

@@ -1,6 +1,6 @@
 """Refine an alignment to many touches at once; report undetermined directions and the fit on held-out touches."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,13 +19,15 @@ from pipeline.alignment.normal_equations import (
     estimate_noise,
 )
 from pipeline.alignment.residuals import Evidence, collect_evidence, thin_points
-from pipeline.alignment.touches import AlignmentTouch
+from pipeline.alignment.touches import AlignmentTouch, load_paired_touches
 from pipeline.base.arrays import Doubles, freeze
 from pipeline.base.errors import SettingProblem
 from pipeline.base.progress import SILENT, Progress
 from pipeline.geometry import rigid
 from pipeline.geometry.screws import describe_motions
 from pipeline.sensors.alignment import Alignment, AlignmentPart, compose_motion, correct_alignment
+from pipeline.stages.depth.photometric import DepthParams
+from pipeline.translation.translate import Translation
 
 _START = ResidualNoise(surface_mm=2.0, outline_mm=4.0)  # first loss scales: as far as a start may be off
 _START_NEAR = ResidualNoise(surface_mm=0.5, outline_mm=1.0)  # from a start that is roughly right
@@ -123,6 +125,36 @@ def refine_alignment(
         notes=()
         if converged
         else (f"not converged after {solver.iterations} iterations; start from a closer alignment",),
+    )
+
+
+def refine_on_recording(
+    translation: Translation,
+    frames: Iterable[int],
+    *,
+    start: Alignment | None = None,
+    params: DepthParams | None = None,
+    exact: bool = False,
+    hold_out: float = 0.0,
+    into: AlignmentPart = "target_from_alignment",
+    tolerance: float = 1.0,
+    progress: Progress = SILENT,
+) -> Refinement:
+    """Refine on those frames of a recording that have contact on both sensors, but for a share `hold_out`.
+
+    It starts from `start`, else the translation's alignment; depth is as in `load_paired_touch`. Raises SettingProblem
+    without such frames.
+    """
+    touches = load_paired_touches(translation, frames, params, exact=exact, progress=progress)
+    n = min(round(hold_out * len(touches)), len(touches) - 1)
+    held_out = {int((k + 0.5) * len(touches) / n) for k in range(n)}  # evenly spread
+    return refine_alignment(
+        [touch for k, touch in enumerate(touches) if k not in held_out],
+        start or translation.alignment,
+        held_out=[touch for k, touch in enumerate(touches) if k in held_out],
+        into=into,
+        tolerance=tolerance,
+        progress=progress,
     )
 
 

@@ -86,7 +86,7 @@ def load_paired_touches(
     exact: bool = False,
     progress: Progress = SILENT,
 ) -> tuple[AlignmentTouch, ...]:
-    """Load the frames with contact on both sensors, in order; raises like `load_paired_touch`.
+    """Load the frames with contact on both sensors, in order; raises like `load_paired_touch`, and where there is none.
 
     Frames at whose time the target recorded none are left out, unless all are.
     """
@@ -98,6 +98,11 @@ def load_paired_touches(
         touch = load_paired_touch(translation, index, params, exact=exact)
         if touch.has_contact_on_both:
             touches.append(touch)
+    if not touches:
+        raise SettingProblem(
+            f"none of the {len(asked)} frames has contact on both {translation.source.name} and "
+            f"{translation.target.name}; choose other frames"
+        )
     return tuple(touches)
 
 

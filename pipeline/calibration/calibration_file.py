@@ -79,8 +79,9 @@ def _list_arrays(path: Path) -> set[str]:
         return set()
 
 
-def save(calibration: Calibration, path: Path) -> Path:
+def save(calibration: Calibration, path: Path | str) -> Path:
     """Write the calibration as .npz and return its place; a failure leaves no half-written file."""
+    path = Path(path)
     path = path if path.suffix == ".npz" else path.with_name(path.name + ".npz")
     model, error, share = calibration.model, calibration.expected_error, calibration.median_pressure_share
     maps: dict[str, Any] = {

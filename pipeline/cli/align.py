@@ -2,7 +2,6 @@
 
 import os
 from collections.abc import Sequence
-from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -14,7 +13,7 @@ from rich.table import Table
 
 from pipeline.alignment import refine as refinement
 from pipeline.alignment.coarse_start import estimate_alignment
-from pipeline.alignment.refine import AlignmentFit, Refinement
+from pipeline.alignment.refine import AlignmentFit, Refinement, hold_out_touches, refine_on_recording
 from pipeline.alignment.score import (
     UNIT_STEP,
     AlignmentScore,
@@ -29,7 +28,7 @@ from pipeline.alignment.touches import AlignmentTouch, load_paired_touches
 from pipeline.base.errors import FileProblem, SettingProblem
 from pipeline.base.files import check_folder_for
 from pipeline.base.frame_lists import parse_frames
-from pipeline.cli.terminal import TerminalProgress, open_progress_bar, print_line
+from pipeline.cli.terminal import open_progress_bar, print_line
 from pipeline.cli.translation_options import Flag
 from pipeline.sensors.alignment_files import ALIGNMENT_SUFFIX, AlignmentFile, save_alignment
 from pipeline.translation.translate import Request, Translation, open_translation
@@ -73,10 +72,11 @@ def score(recording: Path, *, touches: PairedTouchOptions, alignment: Path | Non
         alignment: The .toml to score; default: the recording's alignment, or that of the sensor descriptions.
     """
     with (
-        closing(open_translation(touches.build_request(recording, alignment))) as translation,
+        open_translation(touches.build_request(recording, alignment)) as translation,
         open_progress_bar() as progress,
     ):
-        pairs = _load_touches(translation, touches, progress)
+        frames = parse_frames(touches.frames, translation.n_frames)
+        pairs = load_paired_touches(translation, frames, exact=touches.truth, progress=progress)
         observed = [observe_target(pair.target, translation.target) for pair in pairs]
         scores = score_touches(pairs, observed, translation.alignment, progress=progress)
         best = int(np.argmax([score.overlap_px for score in scores]))
@@ -111,17 +111,20 @@ def refine_alignment(
     if not tolerance > 0:
         raise SettingProblem(f"--tolerance must be above 0, got {tolerance:g}")
     with (
-        closing(_open_pairs(recording, touches, out, hold_out, alignment)) as translation,
+        _open_pairs(recording, touches, out, hold_out, alignment) as translation,
         open_progress_bar() as progress,
     ):
-        used, held_out = split_held_out(_load_touches(translation, touches, progress), hold_out)
-        fit = refinement.refine_alignment(
-            used, translation.alignment, held_out=held_out, into=into, tolerance=tolerance,
+        fit = refine_on_recording(
+            translation,
+            parse_frames(touches.frames, translation.n_frames),
+            exact=touches.truth,
+            hold_out=hold_out,
+            into=into,
+            tolerance=tolerance,
             progress=progress,
-        )  # fmt: skip
-    _write_refinement(
-        out, translation, fit, f"refined on {len(used)} touches of {recording.name}, change stored in {into}"
-    )
+        )
+    origin = f"refined on {fit.used_fit[0].n_touches} touches of {recording.name}, change stored in {into}"
+    _write_refinement(out, translation, fit, origin)
     return 0
 
 
@@ -133,8 +136,10 @@ def fit_alignment(recording: Path, *, touches: PairedTouchOptions, out: Path, ho
         out: The .toml to write.
         hold_out: Share of the touches that are not fitted to, only scored before and after.
     """
-    with closing(_open_pairs(recording, touches, out, hold_out)) as translation, open_progress_bar() as progress:
-        used, held_out = split_held_out(_load_touches(translation, touches, progress), hold_out)
+    with _open_pairs(recording, touches, out, hold_out) as translation, open_progress_bar() as progress:
+        frames = parse_frames(touches.frames, translation.n_frames)
+        found = load_paired_touches(translation, frames, exact=touches.truth, progress=progress)
+        used, held_out = hold_out_touches(found, hold_out)
         start = estimate_alignment(used, translation.alignment, progress)
         fit = refinement.refine_alignment(used, start, held_out=held_out, progress=progress)
     origin = f"fitted to {len(used)} touches of {recording.name}, without an initial alignment"
@@ -161,31 +166,6 @@ def _write_refinement(out: Path, translation: Translation, fit: Refinement, orig
     names = {"source": translation.source.name, "target": translation.target.name}
     save_alignment(out, AlignmentFile(alignment=fit.alignment, origin=origin, **names))
     print_line(f"alignment written to {os.fspath(out)}; use it with --alignment")
-
-
-def split_held_out(
-    touches: Sequence[AlignmentTouch], hold_out: float
-) -> tuple[list[AlignmentTouch], list[AlignmentTouch]]:
-    """(touches to fit to, touches held out), the latter evenly spread; at least one is fitted to."""
-    n = min(round(hold_out * len(touches)), len(touches) - 1)
-    held_out = {int((k + 0.5) * len(touches) / n) for k in range(n)} if n > 0 else set[int]()
-    return (
-        [touch for k, touch in enumerate(touches) if k not in held_out],
-        [touch for k, touch in enumerate(touches) if k in held_out],
-    )
-
-
-def _load_touches(
-    translation: Translation, options: PairedTouchOptions, progress: TerminalProgress
-) -> tuple[AlignmentTouch, ...]:
-    frames = parse_frames(options.frames, translation.n_frames)
-    touches = load_paired_touches(translation, frames, exact=options.truth, progress=progress)
-    if not touches:
-        raise SettingProblem(
-            f"none of the {len(frames)} frames has contact on both {translation.source.name} and "
-            f"{translation.target.name}; choose other frames"
-        )
-    return touches
 
 
 def _print_scores(touches: Sequence[AlignmentTouch], scores: Sequence[AlignmentScore]) -> None:

@@ -2,7 +2,6 @@
 
 import statistics
 from collections.abc import Sequence
-from contextlib import closing
 from dataclasses import asdict
 from pathlib import Path
 
@@ -15,9 +14,6 @@ from pipeline.base.frame_lists import parse_frames
 from pipeline.base.progress import SubProgress
 from pipeline.cli.terminal import open_progress_bar, print_line
 from pipeline.cli.translation_options import DEFAULT_OPTIONS, StageSettings, TargetName, TranslationOptions
-from pipeline.engine.cache import Cache
-from pipeline.engine.graph import Graph
-from pipeline.translation.catalogue import with_settings
 from pipeline.translation.error_attribution import DEFAULT_METRIC, ErrorAttribution, attribute_error
 from pipeline.translation.translate import open_translation
 
@@ -42,17 +38,16 @@ def attribute(
         frame: The only frame to analyse; default: all frames.
         json: File for the shares of every frame.
     """
-    with closing(open_translation(options.build_request(recording, target))) as translation:
-        params = with_settings(translation.methods, settings)
+    request = options.build_request(recording, target)
+    with open_translation(request, settings=settings, cache_bytes=_CACHE_BYTES) as translation:
         if json is not None:
             check_folder_for(json)
         indices = parse_frames("", translation.n_frames) if frame is None else [translation.check_index(frame)]
-        graph = translation.build_graph(like=Graph((), cache=Cache(_CACHE_BYTES)))
         with open_progress_bar() as progress:
             results: list[ErrorAttribution] = []
             for k, index in enumerate(indices):
                 part = SubProgress(progress, k / len(indices), 1.0 / len(indices), f"frame {index}")
-                result = attribute_error(translation, graph, params, index, metric, part)
+                result = attribute_error(translation, index, metric, part)
                 if result is not None:
                     results.append(result)
     if not results:

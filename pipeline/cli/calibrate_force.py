@@ -1,7 +1,6 @@
 """`tactoscope calibrate force`: the scale of a sensor's force from weighed presses."""
 
 import math
-from contextlib import closing
 from pathlib import Path
 
 from rich.console import Console
@@ -20,7 +19,6 @@ from pipeline.cli.translation_options import (
     find_sensor,
     split_list,
 )
-from pipeline.translation.catalogue import with_settings
 from pipeline.translation.force import estimate_force
 from pipeline.translation.translate import Translation, open_translation
 
@@ -44,20 +42,19 @@ def force(
     check_folder_for(out)
     path = out if out.suffix == ".npz" else out.with_name(out.name + ".npz")
     request = options.build_request(presses, find_sensor(presses, options))
-    with closing(open_translation(request)) as translation:
+    with open_translation(request, settings=settings) as translation:
         listed = [index for part in split_list(frames) for index in parse_frames(part, translation.n_frames)]
         indices = listed or parse_frames("", translation.n_frames)
         weighed_n = _parse_forces(forces, indices, translation)
-        graph, params = translation.build_graph(), with_settings(translation.methods, settings)
         if "depth" not in translation.stages:
             raise SettingProblem(f"the route {request.route!r} measures no depth; choose --route t2d2")
         estimated_n: list[float] = []
         with open_progress_bar() as progress:
             for done, index in enumerate(indices):
                 progress.step(done / len(indices), f"frame {index}")
-                depth = graph.evaluate(("depth",), translation.read_inputs(index), params, progress)["depth"].output
                 frame = translation.stream.frame(index)
-                estimated_n.append(estimate_force(depth, frame, translation, graph).normal_n)
+                depth = translation.evaluate(frame, ["depth"], progress)["depth"].output
+                estimated_n.append(estimate_force(depth, frame, translation).normal_n)
         scale = fit_force_scale(translation.source.name, estimated_n, weighed_n)
     save_force_scale(scale, path, request.calibration)
     _print_report(scale, indices)

@@ -3,7 +3,7 @@
 import os
 import shlex
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, closing
+from contextlib import ExitStack
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated
@@ -77,7 +77,7 @@ def compare(
     """
     runner = VariantRunner()
     with ExitStack() as stack:
-        translation = stack.enter_context(closing(open_translation(options.build_request(recording, target))))
+        translation = stack.enter_context(open_translation(options.build_request(recording, target)))
         progress = stack.enter_context(open_progress_bar())
         translation.stream.frame(translation.check_index(frame))  # a damaged one leaves nothing to compare
         params, display = _parse_settings(translation, settings)
@@ -92,7 +92,7 @@ def compare(
                 other = _with_base(other, recording, options, settings)
             assert other.recording is not None
             request = other.options.build_request(other.recording, other.target or target)
-            opened = stack.enter_context(closing(open_translation(request)))
+            opened = stack.enter_context(open_translation(request))
             other_params, _ = _parse_settings(opened, other.settings)
             first = Variant(label="A", translation=translation, params=params)
             second = Variant(label="B", translation=opened, params=other_params)

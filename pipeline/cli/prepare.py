@@ -5,10 +5,8 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, cast
 
 import numpy as np
@@ -16,7 +14,6 @@ from rich.console import Console
 
 from pipeline.base import compiling
 from pipeline.cli.terminal import print_line
-from pipeline.physics.sensor_images import render_reference
 
 if TYPE_CHECKING:
     from pipeline.base.arrays import Image
@@ -49,47 +46,27 @@ def prepare() -> int:
 
 def _list_tasks() -> Iterator[Callable[[], object]]:
     """Yield tasks that together call every kernel; those that the sample needs come first."""
-    from pipeline.translation.catalogue import BUILT_IN, default_params, with_setting
-
-    params = default_params(BUILT_IN.methods("t2d2"))
     for source, target in _DIRECTIONS:
-        yield partial(_translate_sample, source, target, params)
+        yield partial(_translate_sample, source, target)
     # Points: the paper's, and those too sparse for a surface.
-    yield partial(_translate_sample, *_DIRECTIONS[0], params, (("target_depth", "paper"),))
-    yield partial(_translate_sample, *_DIRECTIONS[0], with_setting(params, "cloud.stride=16"))
+    yield partial(_translate_sample, *_DIRECTIONS[0], (("target_depth", "paper"),))
+    yield partial(_translate_sample, *_DIRECTIONS[0], settings=("cloud.stride=16",))
     yield from (_build_geometry, _simulate_presses, _estimate_adaptive_depth)
 
 
 def _translate_sample(
-    source: str, target: str, params: dict[str, object], methods: tuple[tuple[str, str], ...] = ()
+    source: str, target: str, methods: tuple[tuple[str, str], ...] = (), settings: tuple[str, ...] = ()
 ) -> None:
+    from pipeline.simulation.datasets import SimulationPlan, make_recording
     from pipeline.translation.translate import Request, open_translation
 
-    with ExitStack() as place:
-        recording, frame = SAMPLE_RECORDING, _FRAME
-        if not recording.exists():  # an installed package brings no samples
-            folder = place.enter_context(TemporaryDirectory())
-            recording, frame = _record_press(Path(folder) / "press.h5", source), 0
-        it = open_translation(Request(recording=recording, source=source, target=target, methods=methods))
-        place.callback(it.close)
-        it.build_graph().evaluate(it.stages, it.read_inputs(frame), params)
-
-
-def _record_press(path: Path, name: str) -> Path:
-    """Write a recording of one simulated press of the sensor `name`; returns its path."""
-    from pipeline.recordings.hdf5_writer import RecordingWriter
-    from pipeline.sensors.spec import load_sensor
-    from pipeline.simulation import shapes
-    from pipeline.simulation.poses import make_paper_grid
-    from pipeline.simulation.press import simulate_press
-    from pipeline.values.frames import TactileFrame
-
-    mesh, sensor = shapes.make_shape(_TOOL).mesh, load_sensor(name)
-    press = simulate_press(mesh, make_paper_grid(mesh, n=1, seed=0)[0], sensor, seed=0)
-    frame = TactileFrame(sensor=name, image=press.image, reference=render_reference(sensor), index=0, time_s=0.0)
-    with RecordingWriter(path, object_mesh=mesh) as writer:
-        writer.append(name, frame)
-    return path
+    recording, frame = None, _FRAME
+    if not SAMPLE_RECORDING.exists():  # an installed package brings no samples
+        plan = SimulationPlan(sensors=(source,), object_source=_TOOL, n_poses=1, seed=0)
+        recording, frame = make_recording(plan), 0
+    request = Request(recording=SAMPLE_RECORDING, source=source, target=target, methods=methods)
+    with open_translation(request, recording=recording, settings=settings) as opened:
+        opened.evaluate(frame)
 
 
 def _build_geometry() -> None:

@@ -1,6 +1,5 @@
 """`tactoscope track`: the motion of a touched object and a map of its surface, without its mesh."""
 
-from contextlib import closing
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -20,7 +19,6 @@ from pipeline.cli.translation_options import (
 )
 from pipeline.reporting.track_recording import track_recording
 from pipeline.tracking.track_record import TABLE, TrackRecord, write_record
-from pipeline.translation.catalogue import with_settings
 from pipeline.translation.translate import open_translation
 
 TrackedStage = Annotated[
@@ -50,12 +48,10 @@ def track(
     """
     source = target or find_sensor(recording, options)
     check_folder(out)
-    with closing(open_translation(options.build_request(recording, source))) as translation:
+    with open_translation(options.build_request(recording, source), settings=settings) as translation:
         indices = parse_frames(frames, translation.n_frames)
         with open_progress_bar() as progress:
-            record = track_recording(
-                translation, stage, with_settings(translation.methods, settings), indices, progress
-            )
+            record = track_recording(translation, stage, indices, progress)
     write_record(out, record)
     for problem in record.problems:
         print_error(problem)

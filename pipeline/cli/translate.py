@@ -3,7 +3,6 @@
 import os
 import re
 from collections.abc import Mapping, Sequence
-from contextlib import closing
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated
@@ -27,11 +26,8 @@ from pipeline.cli.translation_options import (
     TargetName,
     TranslationOptions,
 )
-from pipeline.engine.cache import Cache
-from pipeline.engine.graph import Graph
 from pipeline.reporting.frame_report import FrameReport
 from pipeline.reporting.report import FinishedFrame, compute_frame_key, load_finished_frame, write_frame, write_report
-from pipeline.translation.catalogue import with_settings
 from pipeline.translation.force import list_force_metrics, measure_force
 from pipeline.translation.translate import Request, Translation, open_translation
 from pipeline.translation.truth_view import add_truth_warnings
@@ -87,14 +83,12 @@ def translate(
         raise SettingProblem("--scheduler distributes single frames; give it with --all, and without --follow")
     request = options.build_request(recording, target)
     console, request = Console(stderr=True), _with_absolute_paths(request) if scheduler else request
-    translation = open_translation(request)
+    translation = open_translation(request, settings=settings, cache_bytes=CACHE_BYTES)
     translation.check_index(0)
-    params = with_settings(translation.methods, settings)
     force = force or translation.force_scale is not None
     check_folder(out)
-    graph = translation.build_graph(like=Graph((), cache=Cache(CACHE_BYTES)))
     with console.status("looking for a contact") as status, compiling.report_compiling(status.update):
-        indices = range(translation.n_frames) if all_frames else [_select_frame(translation, graph, params, frame)]
+        indices = range(translation.n_frames) if all_frames else [_select_frame(translation, frame)]
     reports: list[FrameReport] = []
     last: FinishedFrame | None = None
     n_resumed = 0
@@ -112,9 +106,7 @@ def translate(
                 part.step(0.0, "")
                 with compiling.report_compiling(bar.show):
                     previous = last if follow else None
-                    is_resumed, last = _translate_frame(
-                        translation, graph, params, index, out, previous, part, force=force
-                    )
+                    is_resumed, last = _translate_frame(translation, index, out, previous, part, force=force)
                 reports.append(last.report)
                 n_resumed += is_resumed
     finally:  # also on Ctrl-C: finished frames are complete and listed
@@ -213,10 +205,8 @@ def _describe_force(reports: Sequence[FrameReport], translation: Translation, *,
 
 def _run_job(job: _FrameJob) -> None:
     """Translate one frame on a worker and write it; a frame that fails is left to the main process."""
-    with closing(open_translation(job.request)) as translation:
-        graph = translation.build_graph(like=Graph((), cache=Cache(CACHE_BYTES)))
-        params = with_settings(translation.methods, job.settings)
-        _translate_frame(translation, graph, params, job.index, job.out, None, SILENT, force=job.force)
+    with open_translation(job.request, settings=job.settings, cache_bytes=CACHE_BYTES) as translation:
+        _translate_frame(translation, job.index, job.out, None, SILENT, force=job.force)
 
 
 def _with_absolute_paths(request: Request) -> Request:
@@ -232,8 +222,6 @@ def _exit_code(failed: Sequence[FrameReport]) -> int:
 
 def _translate_frame(
     translation: Translation,
-    graph: Graph,
-    params: Mapping[str, object],
     index: int,
     out: Path,
     previous: FinishedFrame | None,
@@ -243,17 +231,16 @@ def _translate_frame(
 ) -> tuple[bool, FinishedFrame]:
     """(whether an earlier run had finished it, the frame); a frame that fails has its problem in the report."""
     try:
-        key = compute_frame_key(translation, params, index, previous, with_force=force)
+        key = compute_frame_key(translation, index, previous, with_force=force)
         finished = load_finished_frame(out, index, key)
         if finished is not None:
             return True, finished
-        inputs = translation.read_inputs(index, previous.pose if previous else None, progress)
-        results = graph.evaluate(translation.stages, inputs, params, progress)
+        results = translation.evaluate(index, progress=progress, previous=previous.pose if previous else None)
         truth = translation.read_ground_truth(index)
         results = {name: add_truth_warnings(result, truth) for name, result in results.items()}
         metrics = translation.compute_metrics(results, index)
         if force:
-            metrics |= measure_force(results, index, translation, graph)
+            metrics |= measure_force(results, index, translation)
         report = FrameReport(index=index, results=results, metrics=metrics)
         write_frame(out, translation.stream.frame(index), report, translation, key)
         return False, FinishedFrame(report=report.without_arrays, key=key, pose=_get_pose(report))
@@ -271,13 +258,13 @@ def _get_pose(report: FrameReport) -> ObjectPose | None:
     return output if isinstance(output, ObjectPose) and output.sensor_from_object is not None else None
 
 
-def _select_frame(translation: Translation, graph: Graph, params: Mapping[str, object], frame: int | None) -> int:
+def _select_frame(translation: Translation, frame: int | None) -> int:
     """The requested frame, or the first one with contact."""
     if frame is not None:
         return translation.check_index(frame)
     first = translation.stages[0]
     for index in range(translation.n_frames):
-        result = graph.evaluate([first], translation.read_inputs(index), params)[first]
+        result = translation.evaluate(index, [first])[first]
         contact = getattr(result.output, "contact", None)
         if contact.any() if contact is not None else result.state != "skipped":
             return index

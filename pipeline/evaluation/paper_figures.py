@@ -18,7 +18,6 @@ from pipeline.evaluation.touch_scoring import open_presses
 from pipeline.previews.display_params import DisplayParams
 from pipeline.previews.preview import make_frame_preview
 from pipeline.sensors.spec import load_sensor
-from pipeline.translation.catalogue import default_params
 from pipeline.translation.translate import Translation
 from pipeline.values.frames import TactileFrame
 
@@ -104,10 +103,8 @@ def _draw_stages(
         translation.request, methods=tuple(methods.items()), weights=tuple(files.items())
     ))  # fmt: skip
     stages = {DEPTH: "target_depth", model: "touch"} if model == T2D2 else {model: "touch"}
-    results = chosen.build_graph().evaluate(
-        ["target_depth", "touch"], chosen.read_inputs(index), default_params(chosen.methods)
-    )
-    context = chosen.make_preview_context({name: result.output for name, result in results.items()}, DisplayParams())
+    results = chosen.evaluate(index, ["target_depth", "touch"])
+    context = chosen.make_preview_context(results)
     previews = {title: chosen.catalogue.stage(stage).make_preview(results[stage].output, context)
                 for title, stage in stages.items()}  # fmt: skip
     return {title: preview.pixels for title, preview in previews.items()}

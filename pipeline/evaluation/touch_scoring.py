@@ -119,8 +119,8 @@ class _TouchScorer:
         self, job: ScoringJob, translation: Translation, index: int, name: str,
         observed: tuple[TactileFrame, Truth | None], mean: Floats | None,
     ) -> None:  # fmt: skip
-        self._job, self._translation, self._index, self._name, self._mean = job, translation, index, name, mean
-        self._cache = Graph((), cache=Cache(_CACHE_BYTES))
+        self._job, self._index, self._name, self._mean = job, index, name, mean
+        self._translation = replace(translation, graph=Graph((), cache=Cache(_CACHE_BYTES)))  # of this touch alone
         self._true, self._truth = self._read_recorded_touch(*observed), observed[1]
         self._ms: dict[str, float] = {}
         target_depth = self._evaluate("physics", {}, "target_depth")["target_depth"].output
@@ -172,11 +172,11 @@ class _TouchScorer:
             files["touch"] = self._job.weights[touch]
         request = replace(self._translation.request, methods=tuple(chosen.items()), weights=tuple(files.items()))
         like = replace(self._translation, request=request)
-        graph, params = like.build_graph(like=self._cache), default_params(like.methods)
+        params = default_params(like.methods)
         for assignment in self._job.settings:
             if _has_setting(assignment, params):
                 params = with_setting(params, assignment)
-        results = graph.evaluate([stage], {**like.read_inputs(self._index), **given}, params)
+        results = replace(like, params=params).evaluate(self._index, [stage], given=given)
         for result in results.values():
             if result.method is not None and result.state in ("computed", "skipped"):
                 self._ms.setdefault(result.method.key, result.ms)
@@ -202,10 +202,9 @@ class _TouchScorer:
         """Depth of the target's own frame."""
         read = self._translation.with_target_as_source()
         read = replace(read, request=replace(read.request, methods=tuple(self._job.methods.items())))
-        inputs = read.read_inputs(self._index)
-        result = read.build_graph(like=self._cache).evaluate(["depth"], inputs, default_params(read.methods))["depth"]
-        assert isinstance(result.output, DepthMap)
-        return result.output
+        output = read.evaluate(self._index, ["depth"])["depth"].output
+        assert isinstance(output, DepthMap)
+        return output
 
     def _read_recorded_touch(self, frame: TactileFrame, truth: Truth | None) -> RecordedTouch:
         """The recorded touch with its truth, or with the depth of its own frame where no truth is recorded."""
@@ -227,8 +226,7 @@ class _TouchScorer:
         chosen = replace(self._translation, request=replace(
             self._translation.request, methods=(*self._job.methods.items(), ("touch_depth", how))
         ))  # fmt: skip
-        inputs = {"touch": touch, "target": chosen.target}
-        result = chosen.build_graph(like=self._cache).evaluate(["touch_depth"], inputs, {})["touch_depth"].output
+        result = chosen.evaluate(self._index, ["touch_depth"], given={"touch": touch})["touch_depth"].output
         assert isinstance(result, DepthMap)
         return result
 

@@ -62,8 +62,7 @@ class VariantResult:
 
     def make_context(self, display: DisplayParams) -> PreviewContext:
         """What the stages' previews are drawn from."""
-        outputs = {name: result.output for name, result in self.results.items()}
-        return self.variant.translation.make_preview_context(outputs, display)
+        return self.variant.translation.make_preview_context(self.results, display)
 
     def make_preview(self, stage: str, display: DisplayParams) -> Preview:
         """Preview of one stage."""
@@ -84,15 +83,13 @@ class VariantRunner:
         self, variant: Variant, frame: int, stages: Sequence[str], progress: Progress = SILENT, *, timed: bool = False
     ) -> VariantResult:
         """Compute `stages` of one frame; raises TouchError. `timed` leaves out the time of loading networks."""
-        translation, params = variant.translation, variant.stage_params
-        inputs = translation.read_inputs(frame)
-        results = translation.build_graph(like=self.graph).evaluate(stages, inputs, params, progress)
+        translation = replace(variant.translation, graph=self.graph, params=variant.stage_params)
+        results = translation.evaluate(frame, stages, progress)
         ms = math.nan
         if timed:
             for name, result in results.items():
-                self._measure(
-                    variant, name, result, {**inputs, **{n: r.output for n, r in results.items() if n != name}}
-                )
+                given = {other: r.output for other, r in results.items() if other != name}
+                self._measure(translation, frame, result, given)
             ms = sum(self._times_ms.get(_time_key(result)) or result.ms for result in results.values())
         return VariantResult(variant=variant, frame=frame, results=results, ms=ms)
 
@@ -113,7 +110,7 @@ class VariantRunner:
         self.graph.cache.clear()
         self._loaded.clear()
 
-    def _measure(self, variant: Variant, name: str, result: StageResult, inputs: Mapping[str, object]) -> None:
+    def _measure(self, translation: Translation, frame: int, result: StageResult, given: Mapping[str, object]) -> None:
         """Remember a computed stage's time; the first run of a network is repeated, as it includes loading."""
         method, key = result.method, _time_key(result)
         if result.state != "computed" and self._times_ms.get(key) is not None:
@@ -122,7 +119,8 @@ class VariantRunner:
         is_computed = result.state == "computed" and not result.fallback
         if method is not None and method.weights is not None and is_computed and method.key not in self._loaded:
             self._loaded.add(method.key)
-            ms = Graph(variant.translation.methods).evaluate([name], inputs, variant.stage_params)[name].ms
+            anew = replace(translation, graph=Graph(()))
+            ms = anew.evaluate(frame, [result.name], given=given)[result.name].ms
         self._times_ms.put(key, ms)
 
 

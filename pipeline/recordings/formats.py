@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from pipeline.base.entry_points import call_package, load_entry_points, load_reference
 from pipeline.base.errors import FileProblem
@@ -48,12 +48,12 @@ class ReadOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordingFormat:
-    """One file format. Functions are given as "module:function" and imported on first use."""
+    """One file format. A function given as "module:function" is imported on first use."""
 
     key: str
     title: str  # noun phrase for dialogs and messages
     content: str  # what the format brings
-    reader: str  # (Path) -> Recording; with `applies_options` (RecordingFiles, ReadOptions) -> Recording
+    reader: str | Callable[..., Any]  # (Path) -> Recording; with `applies_options` (RecordingFiles, ReadOptions)
     suffixes: tuple[str, ...] = ()  # of its files, lower case; () = a folder only
     signatures: tuple[bytes, ...] = ()  # first bytes of a file, which count more than the suffix
     matches: str = ""  # (RecordingFiles) -> bool, among formats of one suffix; "" = always
@@ -76,7 +76,7 @@ class RecordingFormat:
 
     def read(self, files: RecordingFiles, options: ReadOptions) -> Recording:
         """Open the recording; raises FileProblem, SettingProblem or CalibrationError."""
-        read = load_reference(self.reader)
+        read = load_reference(self.reader) if isinstance(self.reader, str) else self.reader
         return read(files, options) if self.applies_options else read(files.path)
 
 

@@ -112,6 +112,7 @@ def _read_stream(group: Any, name: str, path: Path, lost: list[str]) -> Stream:
         return cached[1]
 
     def frame(index: int) -> TactileFrame:
+        _require_open(group, path)
         row = int(rows[index])
         return TactileFrame(
             sensor=sensor, image=_read_row(group["frames"], index, index, name, path, dtype),
@@ -123,6 +124,7 @@ def _read_stream(group: Any, name: str, path: Path, lost: list[str]) -> Stream:
         bits = int(known_truth[index])
         if not bits:
             return None
+        _require_open(group, path)
         fields = {
             t.field: _read_row(group[t.key], index, index, name, path, t.dtype)
             for t in layout.TRUTH_FIELDS
@@ -154,6 +156,11 @@ def _validate_stream(group: Any, path: Path) -> tuple[int, type]:
                 group, field.key, layout.UNITS[field.key], kinds, (None, *(field.shape or shape[:2])), path
             )
     return int(n), dtype
+
+
+def _require_open(group: Any, path: Path) -> None:
+    if not group:
+        raise FileProblem("the recording is closed; read its frames before, as inside its 'with' block", path)
 
 
 def _read_row(dataset: Any, row: int, index: int, stream: str, path: Path, dtype: type) -> NDArray[Any]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing, suppress
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -18,8 +18,7 @@ from pipeline.base.errors import FileProblem, SettingProblem
 from pipeline.base.files import check_folder_for, open_atomic, require_separate, write_arrays
 from pipeline.base.frame_lists import parse_frames
 from pipeline.base.progress import SILENT, Progress
-from pipeline.engine.cache import Cache
-from pipeline.engine.graph import Graph, StageResult
+from pipeline.engine.graph import StageResult
 from pipeline.geometry import rigid
 from pipeline.reporting import pane_figures, viewer_files
 from pipeline.reporting.export_request import SHEET, SOURCE, ExportRequest
@@ -67,7 +66,7 @@ def export_file(asked: ExportRequest, progress: Progress = SILENT) -> ExportOutc
     inputs = (request.recording, request.reference, request.calibration, request.mesh, request.alignment)
     require_separate(asked.path, [*filter(None, inputs), *(file for _, file in request.weights)])
     check_folder_for(asked.path)
-    with closing(open_translation(asked.request)) as translation:
+    with open_translation(request, settings=asked.stage_settings, cache_bytes=_CACHE_BYTES) as translation:
         for pane in asked.pane.split(",") if asked.section else [asked.pane]:
             if pane not in (SHEET, SOURCE, *translation.stages):
                 known = ", ".join((SHEET, SOURCE, *translation.stages))
@@ -83,10 +82,9 @@ class _Work:
 
     def __init__(self, asked: ExportRequest, translation: Translation, progress: Progress) -> None:
         self.asked, self.translation, self.progress = asked, translation, progress
-        self.params, self.display = asked.parse_params(translation.methods), asked.display_params
+        self.display = asked.display_params
         self.replaced = {translation.truth_label} if translation.truth_label else set[str]()
         self.problems: dict[int, FileProblem] = {}
-        self._graph = translation.build_graph(like=Graph((), cache=Cache(_CACHE_BYTES)))
 
     @property
     def frame_indices(self) -> list[int]:
@@ -114,16 +112,14 @@ class _Work:
             stages = stages[: stages.index(self.asked.pane) + 1]
         elif self.asked.pane == SOURCE and not every:
             stages = ()
-        inputs = self.translation.read_inputs(index)
-        frame = inputs["frame"]
-        assert isinstance(frame, TactileFrame)
-        results = self._graph.evaluate(stages, inputs, self.params, self.progress) if stages else {}
+        frame = self.translation.stream.frame(self.translation.check_index(index))
+        results = self.translation.evaluate(frame, stages, self.progress) if stages else {}
         self.replaced |= {f"{name}: {result.fallback}" for name, result in results.items() if result.fallback}
         return frame, results
 
     def compute_all_metrics(self, results: Mapping[str, StageResult], index: int) -> Mapping[str, float]:
         """Return the metrics of a frame, with its force."""
-        force = measure_force(results, index, self.translation, self._graph)
+        force = measure_force(results, index, self.translation)
         return {**self.translation.compute_metrics(results, index), **force}
 
     def draw_figure(self, index: int) -> Figure:

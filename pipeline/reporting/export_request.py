@@ -9,10 +9,8 @@ from pathlib import Path
 from typing import Literal
 
 from pipeline.base.params import list_settings, replace_value
-from pipeline.engine.graph import Method
 from pipeline.previews.display_params import DisplayParams
 from pipeline.sensors.alignment import Offsets
-from pipeline.translation.catalogue import with_settings
 from pipeline.translation.translate import Request
 
 SHEET, SOURCE = "sheet", "source"  # panes that are no stages: all of them side by side, and the source frame
@@ -39,9 +37,10 @@ class ExportRequest:
     section: tuple[float, ...] = ()  # x, y of start and end of a line in mm; () = none
     path: Path
 
-    def parse_params(self, methods: tuple[Method, ...]) -> dict[str, object]:
-        """Return stage -> parameters of its method; raises SettingProblem."""
-        return with_settings(methods, [line for line in self.settings if not line.startswith(_DISPLAY)])
+    @property
+    def stage_settings(self) -> tuple[str, ...]:
+        """Return the settings of stages."""
+        return tuple(line for line in self.settings if not line.startswith(_DISPLAY))
 
     @property
     def display_params(self) -> DisplayParams:

@@ -49,16 +49,15 @@ def render_pane(
     if name == SOURCE:
         return _reading(frame, translation, display)
     stage = translation.catalogue.stage(name)
-    outputs = {key: result.output for key, result in results.items()}
-    seen = translation.make_preview_context(outputs, display)
-    picture, value = stage.make_preview(outputs[name], seen), outputs[name]
+    seen, value = translation.make_preview_context(results, display), results[name].output
+    picture = stage.make_preview(value, seen)
     title = ", ".join(filter(None, (f"{stage.title} · {results[name].answered_by}", translation.truth_label)))
     if shown != "computed":
         truths = translation.read_true_outputs(frame.index)
         if name not in truths:
             raise SettingProblem(f"the truth of {name} is not known of frame {frame.index} of this recording")
         value, title = truths[name], f"{title}, {shown}"
-        true = stage.make_preview(value, replace(seen, outputs={**outputs, **truths}))
+        true = stage.make_preview(value, replace(seen, outputs={**seen.outputs, **truths}))
         picture = true if shown == "truth" else _less(picture, true, name)
     points_mm, rgb = _points(value, picture)
     return RenderedPane(title=title, preview=picture, points_mm=points_mm, rgb=rgb)

@@ -134,7 +134,6 @@ class FinishedFrame:
 
 def compute_frame_key(
     translation: Translation,
-    params: Mapping[str, object],
     index: int,
     before: FinishedFrame | None,
     *,
@@ -148,7 +147,7 @@ def compute_frame_key(
         (
             __version__,
             *((m.stage, m.name, m.version) for m in translation.methods),
-            repr(params),
+            repr(translation.params),
             dict(translation.read_inputs(index)),
             translation.read_source_truth(index),
             translation.read_target_observation(index),

@@ -13,7 +13,6 @@ mesh.*, calibration.npz, weights_*, source.toml, target.toml   where they were g
 import shlex
 import shutil
 from collections.abc import Mapping
-from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
@@ -27,8 +26,7 @@ from pipeline.base.errors import FileProblem
 from pipeline.base.files import read_arrays, read_json, write_arrays, write_folder, write_json, write_text
 from pipeline.base.progress import SILENT, Progress, SubProgress
 from pipeline.base.typed_data import FileName, Name, Note, convert
-from pipeline.engine.cache import Cache
-from pipeline.engine.graph import Graph, StageResult
+from pipeline.engine.graph import StageResult
 from pipeline.geometry import urdf
 from pipeline.recordings.formats import DepthUnit
 from pipeline.recordings.hdf5_writer import RecordingWriter
@@ -39,7 +37,6 @@ from pipeline.reporting.sheet import write_sheet
 from pipeline.reporting.truth_files import write_truth
 from pipeline.sensors.alignment import Offsets
 from pipeline.sensors.alignment_files import AlignmentFile, save_alignment
-from pipeline.translation.catalogue import with_settings
 from pipeline.translation.frame_selection import select_context_frames
 from pipeline.translation.translate import Request, Translation, open_translation
 from pipeline.values.frames import TactileFrame
@@ -115,7 +112,7 @@ def write_bundle(
     """Write the repro bundle of one frame into a new `folder`; raises TouchError."""
     if folder.exists():
         raise FileProblem("something of this name is there already and is kept; choose another", folder)
-    with closing(open_translation(request)) as translation:
+    with open_translation(request) as translation:
         index = translation.check_index(frame)
 
         def fill(part: Path) -> None:
@@ -145,8 +142,8 @@ def replay_bundle(folder: Path, progress: Progress = SILENT) -> ReplayResult:
     """Translate a bundle's frame again and compare it with the recorded results; raises TouchError."""
     said = _read(folder)
     request = _request(said.request, folder)
-    with closing(open_translation(request)) as translation:
-        frame, results, metrics = _translate(translation, translation.build_graph(), said.settings, progress)
+    with _open(request, said.settings) as translation:
+        frame, results, metrics = _translate(translation, progress)
     now, kept = collect_stage_arrays(frame, results), read_arrays(folder / "expected.npz", "the expected results")
     stages = dict.fromkeys(name.partition(".")[0] for name in (*kept, *now))
     return ReplayResult(
@@ -163,28 +160,26 @@ def _write_results(
 
     `index` is the frame's number in the recording, by which the sheets name it.
     """
-    with closing(open_translation(inside)) as translation:
-        graph = translation.build_graph(like=Graph((), cache=Cache(_CACHE_BYTES)))
-        frame, results, metrics = _translate(translation, graph, settings, SubProgress(progress, 0.0, 0.6))
+    with _open(inside, settings) as translation:
+        frame, results, metrics = _translate(translation, SubProgress(progress, 0.0, 0.6))
         write_arrays(part / "expected.npz", collect_stage_arrays(frame, results))
         report = FrameReport(index=index, results=results, metrics=metrics)
         write_sheet(part / "sheet.png", frame, report, translation)
-        params = _parse(translation, settings)
-        write_truth(part, report, translation, graph, params, 0, SubProgress(progress, 0.6, 0.4))
+        write_truth(part, report, translation, 0, SubProgress(progress, 0.6, 0.4))
         return metrics
 
 
+def _open(request: Request, settings: tuple[str, ...]) -> Translation:
+    """Open a bundle's translation; settings of the display change no result."""
+    of_stages = [line for line in settings if not line.startswith("display.")]
+    return open_translation(request, settings=of_stages, cache_bytes=_CACHE_BYTES)
+
+
 def _translate(
-    translation: Translation, graph: Graph, settings: tuple[str, ...], progress: Progress
+    translation: Translation, progress: Progress
 ) -> tuple[TactileFrame, Mapping[str, StageResult], dict[str, float]]:
-    inputs = translation.read_inputs(0)
-    results = graph.evaluate(translation.stages, inputs, _parse(translation, settings), progress)
-    return cast("TactileFrame", inputs["frame"]), results, translation.compute_metrics(results, 0)
-
-
-def _parse(translation: Translation, settings: tuple[str, ...]) -> dict[str, object]:
-    """Return the parameters of each stage; those of the display change no result."""
-    return with_settings(translation.methods, [line for line in settings if not line.startswith("display.")])
+    results = translation.evaluate(0, progress=progress)
+    return translation.stream.frame(0), results, translation.compute_metrics(results, 0)
 
 
 def _copy_inputs(translation: Translation, part: Path) -> Request:

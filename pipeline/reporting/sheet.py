@@ -47,7 +47,7 @@ def draw_sheet(
     camera = match_camera(frame.camera or source.camera, frame.image.shape)
     reading = make_frame_preview(frame.shown_image, camera, source, display, reference=frame.reference)
     draw_panel(figure, axes[0], reading, f"Source · {source.title}")
-    seen = translation.make_preview_context({name: result.output for name, result in report.results.items()}, display)
+    seen = translation.make_preview_context(report.results, display)
     for ax, name in zip(axes[1:], translation.stages, strict=True):
         stage, result = translation.catalogue.stage(name), report.results.get(name)
         if result is None:

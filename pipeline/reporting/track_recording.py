@@ -1,14 +1,14 @@
 """Track the membrane of one stage through a recording, for the command line and the window alike."""
 
 import contextlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from pipeline.base.arrays import Doubles
-from pipeline.base.errors import FileProblem
+from pipeline.base.errors import FileProblem, SettingProblem
 from pipeline.base.progress import SILENT, Progress
 from pipeline.tracking.track import compute_error, make_record, make_row, track_frames
-from pipeline.tracking.track_record import TrackRecord, TrackRow
+from pipeline.tracking.track_record import TRACKED_STAGES, TrackRecord, TrackRow
 from pipeline.translation.translate import Translation
 from pipeline.values.results import DepthMap
 
@@ -16,7 +16,6 @@ from pipeline.values.results import DepthMap
 def track_recording(
     translation: Translation,
     stage: str,
-    params: Mapping[str, object],
     indices: Sequence[int],
     progress: Progress = SILENT,
     on_row: Callable[[TrackRow], None] | None = None,
@@ -26,15 +25,17 @@ def track_recording(
     Rows of the result may differ from those that `on_row` received: closed loops move them. Frames that cannot be read
     count as lost; raises FileProblem where none can.
     """
-    graph, problems = translation.build_graph(), dict[int, FileProblem]()
+    if stage not in TRACKED_STAGES:
+        raise SettingProblem(f"the membrane of {stage!r} is not tracked; choose one of {', '.join(TRACKED_STAGES)}")
+    problems = dict[int, FileProblem]()
 
     def read_depth(index: int) -> DepthMap | None:
         try:
-            inputs = translation.read_inputs(index, progress=progress)
+            frame = translation.stream.frame(index)
         except FileProblem as error:
             problems[index] = error
             return None
-        return graph.evaluate([stage], inputs, params)[stage].output
+        return translation.evaluate(frame, [stage])[stage].output
 
     track = track_frames(
         indices, read_depth, progress,

@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 from pipeline.base.figures import make_figure, save_figure
 from pipeline.base.files import write_arrays, write_json
 from pipeline.base.progress import SILENT, Progress
-from pipeline.engine.graph import Graph
-from pipeline.previews.display_params import DisplayParams
 from pipeline.reporting.frame_report import FrameReport
 from pipeline.reporting.report import collect_value_arrays
 from pipeline.reporting.sheet import draw_panel
@@ -31,9 +29,8 @@ _ROW_HEIGHT = 0.34
 
 
 def write_truth(
-    folder: Path, report: FrameReport, translation: Translation, graph: Graph, params: Mapping[str, object],
-    frame: int, progress: Progress = SILENT,
-) -> None:  # fmt: skip
+    folder: Path, report: FrameReport, translation: Translation, frame: int, progress: Progress = SILENT
+) -> None:
     """Write what is known of the truth of frame `frame`, nothing where none is; `report` says what was computed."""
     truths = translation.read_true_outputs(frame)
     if not truths:
@@ -49,16 +46,15 @@ def write_truth(
     write_arrays(folder / "difference.npz", gaps)
     _draw(folder / "truth.png", report, translation, views)
     if DEFAULT_METRIC in report.metrics:
-        attribution = attribute_error(translation, graph, params, frame, progress=progress)
+        attribution = attribute_error(translation, frame, progress=progress)
         if attribution is not None:
             write_json(folder / "attribution.json", {**asdict(attribution), "frame": report.index})
 
 
 def _build_views(report: FrameReport, translation: Translation, truths: Mapping[str, object]) -> dict[str, TruthView]:
-    outputs = {name: result.output for name, result in report.results.items()}
-    seen = translation.make_preview_context(outputs, DisplayParams())
+    seen = translation.make_preview_context(report.results)
     views: dict[str, TruthView] = {}
-    for name, value in outputs.items():
+    for name, value in seen.outputs.items():
         stage = translation.catalogue.stage(name)
         view = build_truth_view(stage, stage.make_preview(value, seen), truths, seen)
         if view is not None:

@@ -6,6 +6,7 @@ object, the sensor and the moment alone, whatever else is simulated and in whate
 
 import zlib
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import permutations
 from pathlib import Path
 from typing import Literal
@@ -25,7 +26,7 @@ from pipeline.sensors import alignment
 from pipeline.sensors.spec import SensorSpec, load_sensor
 from pipeline.simulation import poses, shapes, variation
 from pipeline.simulation.press import move_bubble_closer, simulate_press
-from pipeline.values.frames import Pairing, TactileFrame, Truth
+from pipeline.values.frames import Pairing, Recording, Stream, TactileFrame, Truth
 
 Face = Literal["-x", "+x", "-y", "+y", "-z", "+z"]
 PoseSequence = Literal["grid", "press", "slide", "twist", "release", "all"]
@@ -166,6 +167,34 @@ def simulate_moment(plan: SimulationPlan, index: int) -> SimulatedMoment:
         frames.append((frame, press.truth if press.converged else None))
         unsolved += not press.converged
     return SimulatedMoment(frames=tuple(frames), n_unsolved=unsolved)
+
+
+def make_recording(plan: SimulationPlan) -> Recording:
+    """Return the recording of a plan in memory; a moment is simulated when one of its frames is first read."""
+
+    @cache
+    def simulate(index: int) -> dict[str, tuple[TactileFrame, Truth | None]]:
+        return {frame.sensor: (frame, truth) for frame, truth in simulate_moment(plan, index).frames}
+
+    def make_stream(sensor: str) -> Stream:
+        return Stream(
+            name=sensor,
+            sensor=sensor,
+            n_frames=plan.n_poses,
+            frame=lambda index: simulate(index)[sensor][0],
+            truth=lambda index: simulate(index)[sensor][1],
+            has_truth=True,
+        )
+
+    return Recording(
+        path=Path(f"simulated {plan.object_name}"),
+        format="simulation",
+        streams=tuple(make_stream(load_sensor(name).name) for name in plan.sensors),
+        object_mesh=load_object_mesh(plan),
+        symmetry=load_object_symmetry(plan),
+        pairings=compute_pairings(plan),
+        notes=(describe_plan(plan),),
+    )
 
 
 def _make_load(plan: SimulationPlan, spec: SensorSpec, index: int) -> TangentialLoad | None:

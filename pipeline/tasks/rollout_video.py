@@ -1,7 +1,6 @@
 """A recorded rollout as a video: the scene, its touches and the force, one image per tick."""
 
 from collections.abc import Iterator
-from contextlib import closing
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -86,11 +85,9 @@ def read_touches(rollout: RecordedRollout, decision: int) -> tuple[Preview | Non
     try:
         task, touch = load_task(rollout.plan.task), rollout.summary.touch
         request = make_touch_request(touch, rollout.path, task.source, task.target)
-        with closing(open_translation(request)) as translation:
+        with open_translation(request) as translation:
             index = min(decision, translation.n_frames - 1)
-            inputs = translation.read_inputs(index)
-            frame: Any = inputs["frame"]
-            results = translation.build_graph().evaluate(["touch"], inputs, {})
+            frame, results = translation.stream.frame(index), translation.evaluate(index, ["touch"])
             display, truths = DisplayParams(), translation.read_true_outputs(index)
             source = render_pane("source", frame, results, translation, display).preview
             made = render_pane("touch", frame, results, translation, display).preview

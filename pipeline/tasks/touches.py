@@ -135,6 +135,7 @@ class Moment:
             recording=self._recording, stream=self._recording.stream(source.name), source=source, target=self._target,
             alignment=resolve_alignment(source, self._target), calibration=None, mesh=self._mesh,
             load_context_images=load_nothing if touch == TRUE else lambda _reference: self._context_images,
+            graph=self._graph,
         )  # fmt: skip
 
     def evaluate(
@@ -142,14 +143,12 @@ class Moment:
     ) -> tuple[Translation, dict[str, StageResult]]:
         """The translation by `touch` and its results up to `stage`, with values `given` in place of stages."""
         translation = self.open_translation(touch)
-        graph = translation.build_graph(like=self._graph)
-        inputs = {**translation.read_inputs(0), **(given or {})}
         params = {
             method.stage: method.draft(method.params())
             for method in translation.methods
             if self._draft and method.stage == "depth" and method.draft is not None
         }
-        return translation, graph.evaluate([stage], inputs, params, progress)
+        return translation, replace(translation, params=params).evaluate(0, [stage], progress, given=given or {})
 
     def measure_depth(
         self, touch: str, given: Mapping[str, object] | None = None, progress: Progress = SILENT

@@ -90,27 +90,28 @@ class Catalogue:
         kind = kinds.get(entry.sensor_role, "")
         return method if method.fits(kind) else next(other for other in entry.methods if other.fits(kind))
 
-    def add_methods(self, methods: Iterable[object]) -> Catalogue:
+    def add_methods(self, methods: Iterable[Method]) -> Catalogue:
         """Return the catalogue with more methods, after the stages' own; unusable ones are left out with a warning."""
-        stages = {stage.name: stage for stage in self.stages}
+        catalogue = self
         for method in methods:
-            problem = _check_method(method, stages)
-            if problem:
+            try:
+                catalogue = catalogue.add_method(method)
+            except SettingProblem as problem:
                 log.warning("tactoscope.methods: %s; it is left out", problem)
-            elif isinstance(method, Method):
-                stage = stages[method.stage]
-                stages[method.stage] = replace(stage, methods=(*stage.methods, method))
-        return replace(self, stages=tuple(stages.values()))
+        return catalogue
 
+    def add_method(self, method: Method) -> Catalogue:
+        """Return the catalogue with one more method, after its stage's own.
 
-def _check_method(method: object, stages: Mapping[str, Stage]) -> str:
-    if not isinstance(method, Method):
-        return f"{method!r:.80} is no Method"
-    if method.stage not in stages:
-        return f"the method {method.name!r} is for the unknown stage {method.stage!r}"
-    if any(method.name == known.name for known in stages[method.stage].methods):
-        return f"the stage {method.stage!r} already has a method {method.name!r}"
-    return ""
+        Raises SettingProblem where there is no such stage, or another method of that name.
+        """
+        stage = self.stage(method.stage)
+        if method in stage.methods:
+            return self
+        if any(method.name == known.name for known in stage.methods):
+            raise SettingProblem(f"the stage {stage.name!r} already has a method {method.name!r}; choose another name")
+        extended = replace(stage, methods=(*stage.methods, method))
+        return replace(self, stages=tuple(extended if s.name == stage.name else s for s in self.stages))
 
 
 def _find_by_name(entries: Sequence[NamedEntry], name: str, what: str) -> NamedEntry:

@@ -13,7 +13,7 @@ import numpy as np
 from pipeline.base.arrays import Mask, freeze
 from pipeline.base.errors import SettingProblem
 from pipeline.base.progress import SILENT, Progress, SubProgress
-from pipeline.engine.graph import Graph, StageResult
+from pipeline.engine.graph import StageResult
 from pipeline.metrics.stage_metrics import METRICS
 from pipeline.translation.translate import Translation
 from pipeline.values.results import TargetDepth
@@ -66,8 +66,6 @@ class ErrorAttribution:
 
 def attribute_error(
     translation: Translation,
-    graph: Graph,
-    params: Mapping[str, object],
     frame: int,
     figure: str = DEFAULT_METRIC,
     progress: Progress = SILENT,
@@ -83,23 +81,23 @@ def attribute_error(
     if METRICS[name].better != "lower":
         raise SettingProblem(f"{figure} is not an error; choose a metric of which lower is better")
 
-    def evaluate_metric(inputs: Mapping[str, object], part: Progress) -> tuple[Mapping[str, StageResult], float | None]:
-        results = graph.evaluate([stage], inputs, params, part)
+    def evaluate_metric(part: Progress) -> tuple[Mapping[str, StageResult], float | None]:
+        results = translation.evaluate(at_hand, [stage], part, given=given)
         return results, translation.compute_metrics(results, frame).get(figure)
 
-    inputs = dict(translation.read_inputs(frame))
+    at_hand, given = translation.stream.frame(translation.check_index(frame)), dict[str, object]()
     truths = translation.read_true_outputs(frame)
     before = translation.stages[: translation.stages.index(stage)]
     each = 1.0 / (2 + len(before))
-    results, total = evaluate_metric(inputs, SubProgress(progress, 0.0, each))
+    results, total = evaluate_metric(SubProgress(progress, 0.0, each))
     if total is None:
         return None
     steps = tuple(list_substitutions(translation, {name: truths[name] for name in before if name in truths}, results))
     parts: list[ErrorShare] = []
     left = total
     for index, (of, title, value) in enumerate(steps, start=1):
-        inputs[of] = value
-        _, now = evaluate_metric(inputs, SubProgress(progress, index * each, each, title))
+        given[of] = value
+        _, now = evaluate_metric(SubProgress(progress, index * each, each, title))
         if now is None:
             break
         parts.append(ErrorShare(stage=of, title=title, share=left - now, remaining=now))

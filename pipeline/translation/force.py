@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping
 
-from pipeline.engine.graph import Graph, StageResult
+from pipeline.engine.graph import StageResult
 from pipeline.metrics.stage_metrics import (
     FORCE,
     SHEAR,
@@ -21,16 +21,14 @@ from pipeline.values.frames import TactileFrame
 from pipeline.values.results import DepthMap
 
 
-def estimate_force(depth: DepthMap, frame: TactileFrame, translation: Translation, graph: Graph) -> ContactForce:
-    """Force that the contact model gives for a depth map of the source, without a scale; cached by `graph`."""
+def estimate_force(depth: DepthMap, frame: TactileFrame, translation: Translation) -> ContactForce:
+    """Force that the contact model gives for a depth map of the source, without a scale."""
     inputs = {"depth": depth, "source": translation.source, "frame": frame}
     stage = FORCE_METHOD.stage
-    return graph.with_methods((FORCE_METHOD,)).evaluate((stage,), inputs, {})[stage].output
+    return translation.graph.with_methods((FORCE_METHOD,)).evaluate((stage,), inputs, {})[stage].output
 
 
-def measure_force(
-    results: Mapping[str, StageResult], index: int, translation: Translation, graph: Graph
-) -> dict[str, float]:
+def measure_force(results: Mapping[str, StageResult], index: int, translation: Translation) -> dict[str, float]:
     """The force of a frame's depth as metrics, and the true one where known; {} without depth or certain contact.
 
     Without a force scale the metrics are others, whose titles say that their scale is not known. Shear takes the scale
@@ -40,7 +38,7 @@ def measure_force(
     names = list_force_metrics(translation)
     if not isinstance(depth, DepthMap) or not names or depth.is_uncertain:
         return {}
-    found = estimate_force(depth, translation.stream.frame(index), translation, graph)
+    found = estimate_force(depth, translation.stream.frame(index), translation)
     normal_n, scale = found.normal_n, translation.force_scale
     figures = {names[0]: normal_n if scale is None else scale.apply(normal_n)}
     truth = translation.read_source_truth(index)

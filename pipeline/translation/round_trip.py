@@ -20,7 +20,7 @@ from pipeline.base.arrays import Doubles, Floats, Mask, freeze
 from pipeline.base.files import read_arrays
 from pipeline.base.progress import SILENT, Progress
 from pipeline.engine.derived import derive_once
-from pipeline.engine.graph import Graph, StageResult
+from pipeline.engine.graph import StageResult
 from pipeline.geometry import rigid
 from pipeline.metrics.stage_metrics import ROUND_TRIP, TRAINING_DISTANCE, compute_mae_mm
 from pipeline.networks.weights_registry import WEIGHTS_FOLDER
@@ -44,11 +44,7 @@ def measure_training_distance(results: Mapping[str, StageResult], translation: T
 
 
 def measure_round_trip(
-    results: Mapping[str, StageResult],
-    translation: Translation,
-    graph: Graph,
-    params: Mapping[str, object],
-    progress: Progress = SILENT,
+    results: Mapping[str, StageResult], translation: Translation, progress: Progress = SILENT
 ) -> dict[str, float]:
     """Return the round-trip error of a frame's results as a metric; {} without contact or on a route without depth.
 
@@ -65,8 +61,7 @@ def measure_round_trip(
     frame = TactileFrame(
         sensor=back.source.name, image=touch.image, reference=reference, camera=touch.camera, origin="generated touch"
     )
-    way_back = graph.with_methods(back.methods)
-    returned = way_back.evaluate([_BACK, "target_depth"], back.build_inputs(frame, progress=progress), params, progress)
+    returned = back.evaluate(frame, [_BACK, "target_depth"], progress)
     membrane, view = returned[_BACK].output, returned["target_depth"].output
     if membrane.indentation_mm.shape != depth.indentation_mm.shape:
         return {}

@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+import operator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from types import MappingProxyType
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
 from pipeline.base.arrays import Floats, Image
 from pipeline.base.errors import CalibrationError, SettingProblem, ShapeError, StageWarning, UnknownSensor
 from pipeline.base.frame_lists import check_frame_index
+from pipeline.base.params import Value, replace_value
 from pipeline.base.progress import SILENT, Progress, reading_reported_to
 from pipeline.calibration.calibration_file import load_if_present
 from pipeline.calibration.calibration_table import Calibration
 from pipeline.calibration.force_scale import ForceScale, load_force_scale
+from pipeline.engine.cache import DEFAULT_MAX_BYTES, Cache
 from pipeline.engine.digests import compute_cached_digest
 from pipeline.engine.graph import Graph, Method, StageResult
 from pipeline.geometry.meshes import Mesh, load_mesh
@@ -31,13 +35,16 @@ from pipeline.sensors.depth_unit import describe_unit_problem
 from pipeline.sensors.spec import SensorSpec, load_sensor
 from pipeline.stages.stage import GroundTruth, PreviewContext, SensorRole, Stage
 from pipeline.stages.truth_method import TRUTH, get_input_name
-from pipeline.translation.catalogue import BUILT_IN, Catalogue
+from pipeline.translation.catalogue import BUILT_IN, Catalogue, with_settings
 from pipeline.translation.frame_selection import select_context_frames
+from pipeline.translation.translated_frame import TranslatedFrame
 from pipeline.values.frames import Recording, Stream, TactileFrame, Truth
 from pipeline.values.pairing import follow, pair_frames
 from pipeline.values.results import ObjectPose
 
 if TYPE_CHECKING:
+    from typing import Self
+
     from pipeline.geometry.symmetry import Symmetry
 
 
@@ -63,6 +70,7 @@ class Request:
     offsets: Offsets = field(default_factory=Offsets)  # offsets from that alignment
 
 
+DEFAULT_DISPLAY = DisplayParams()
 ContextLoader = Callable[[Image | Floats | None], tuple[Image, ...]]
 
 
@@ -73,7 +81,12 @@ def load_nothing(_reference: Image | Floats | None) -> tuple[Image, ...]:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Translation:
-    """Everything that the methods read, for every frame of one stream."""
+    """An opened recording, its target, and the methods between: a sequence of frames that are translated when asked.
+
+    `len()` is the number of frames, `[i]` the `TranslatedFrame` with that number (negative: from the end), and a loop
+    goes through all. Use it in a `with` statement, or `close()` it. Results are cached by content: what `with_` returns
+    computes only what differs.
+    """
 
     request: Request
     recording: Recording
@@ -88,6 +101,92 @@ class Translation:
     force_scale: ForceScale | None = None  # of the source; None = not weighed
     catalogue: Catalogue = BUILT_IN
     load_context_images: ContextLoader = load_nothing  # of the source's sensor instance, by a frame's reference
+    params: Mapping[str, object] = field(default_factory=dict[str, object])  # stage -> parameters; missing = defaults
+    graph: Graph = field(default_factory=lambda: Graph(()))  # its cache holds the results; its methods are not read
+
+    def __len__(self) -> int:
+        return self.n_frames
+
+    def __bool__(self) -> bool:  # an empty recording is one too
+        return True
+
+    def __getitem__(self, index: int) -> TranslatedFrame:
+        number = operator.index(index)
+        return TranslatedFrame(self, self.check_index(number + self.n_frames if number < 0 else number))
+
+    def __iter__(self) -> Iterator[TranslatedFrame]:
+        return (TranslatedFrame(self, index) for index in range(self.n_frames))
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        self.close()
+
+    def with_(self, *, stage: str = "touch", method: str | Method = "", **settings: Value) -> Translation:
+        """Return the translation with another method of a stage, or other parameters of it.
+
+        It shares the cache and the open recording: close only one of the two.
+
+        Args:
+            stage: Stage that `method` and `settings` are about: `depth`, `cloud`, `target_depth`, `touch`,
+                `touch_depth` or `pose`.
+            method: Name of one of its methods (`list_methods`), or a `Method` of your own.
+            settings: Parameters of the stage's method, such as `steps=8` or `guidance=2.0`.
+
+        Raises:
+            SettingProblem: There is no such stage, method or parameter, or a value is out of its range.
+        """
+        changed = self
+        if method:
+            changed = changed._with_method(stage, method)
+        if settings:
+            method_ = changed.get_method(stage)
+            params = changed.params.get(stage)
+            params = params if isinstance(params, method_.params) else method_.params()
+            for name, value in settings.items():
+                params = replace_value(params, name, value)
+            changed = replace(changed, params={**changed.params, stage: params})
+        return changed
+
+    def with_alignment(self, alignment: Alignment) -> Translation:
+        """Return the translation by another alignment of the two sensors, such as a refined one."""
+        return replace(self, alignment=alignment)
+
+    def with_calibration(self, calibration: Calibration) -> Translation:
+        """Return the translation by another calibration table of the source."""
+        return replace(self, calibration=calibration, load_context_images=load_nothing)
+
+    def _with_method(self, stage: str, method: str | Method) -> Translation:
+        catalogue, name = self.catalogue, method if isinstance(method, str) else method.name
+        if isinstance(method, Method):
+            catalogue = catalogue.add_method(method)
+        catalogue.method(stage, name)  # raises SettingProblem
+        methods = {**dict(self.request.methods), stage: name}
+        request = replace(self.request, methods=tuple(methods.items()))
+        unused = (*_about_methods(request, self.methods), *_about_kinds(request, self.source, self.target, catalogue))
+        notes = tuple(dict.fromkeys((*self.notes, *unused)))
+        # A function at hand may have been changed under the same name, so it shares no results.
+        graph = self.graph if isinstance(method, str) else Graph(())
+        return replace(self, request=request, catalogue=catalogue, notes=notes, graph=graph)
+
+    def get_method(self, stage: str) -> Method:
+        """Return the method that computes a stage; raises SettingProblem where the route has no such stage."""
+        return Graph(self.methods).select_methods([stage])[-1]
+
+    def list_methods(self, stage: str = "touch") -> tuple[str, ...]:
+        """Return the names of a stage's methods that can answer for these two sensors.
+
+        They are for the kind of the stage's sensor, and have weights where they are networks. Raises SettingProblem for
+        an unknown stage.
+        """
+        kind = self.get_sensor(stage).kind
+        return tuple(m.name for m in self.catalogue.stage(stage).methods if m.fits(kind) and self._has_weights(m))
+
+    def _has_weights(self, method: Method) -> bool:
+        file = dict(self.request.weights).get(method.stage)
+        found = None if method.weights is None else method.weights(self.source, self.target, file)
+        return not isinstance(found, NoWeights)
 
     @property
     def n_frames(self) -> int:
@@ -123,8 +222,11 @@ class Translation:
         """Return the sensor whose frame a column is in."""
         return self.source if self.get_role(column) == "source" else self.target
 
-    def make_preview_context(self, outputs: Mapping[str, Any], display: DisplayParams) -> PreviewContext:
-        """Return what previews are drawn from, with these values of the stages computed so far."""
+    def make_preview_context(
+        self, results: Mapping[str, StageResult], display: DisplayParams = DEFAULT_DISPLAY
+    ) -> PreviewContext:
+        """Return what previews are drawn from, with these results of the stages computed so far."""
+        outputs = {name: result.output for name, result in results.items()}
         return PreviewContext(
             outputs=outputs, source=self.source, target=self.target, mesh=self.mesh, display=display
         )  # fmt: skip
@@ -146,23 +248,42 @@ class Translation:
             force_scale=None,
         )  # fmt: skip
 
-    def build_graph(self, like: Graph | None = None) -> Graph:
-        """Return the graph of the route, with the cache of `like` if given."""
-        return Graph(self.methods) if like is None else like.with_methods(self.methods)
+    def evaluate(
+        self,
+        frame: int | TactileFrame,
+        stages: Iterable[str] | None = None,
+        progress: Progress = SILENT,
+        *,
+        given: Mapping[str, object] = MappingProxyType({}),
+        previous: ObjectPose | None = None,
+        on_stage: Callable[[StageResult], None] | None = None,
+    ) -> dict[str, StageResult]:
+        """Return the results of some stages and of those that they depend on, in running order.
+
+        Args:
+            frame: Number of a frame, or a frame at hand.
+            stages: Names of the stages; None = all of the route.
+            progress: Shows how far it is, and may cancel.
+            given: Values in place of stages or inputs: the truth of a stage there attributes the error.
+            previous: Pose of the frame before, where a sequence is followed.
+            on_stage: Receives each result as soon as it is there.
+
+        Raises:
+            TouchError: A frame is damaged, a name unknown, or a stage cannot be computed.
+        """
+        inputs = {**self.read_inputs(frame, previous, progress), **given}
+        names = self.stages if stages is None else stages
+        return self.graph.with_methods(self.methods).evaluate(names, inputs, self.params, progress, on_stage)
 
     def read_inputs(
-        self, index: int, previous: ObjectPose | None = None, progress: Progress = SILENT
+        self, frame: int | TactileFrame, previous: ObjectPose | None = None, progress: Progress = SILENT
     ) -> Mapping[str, object]:
-        """Return the graph's inputs for frame `index`; raises FileProblem if that frame is damaged.
+        """Return the graph's inputs for a frame by number or at hand; raises FileProblem if it is damaged.
 
         `previous` is the pose of the frame before, where a sequence is followed. `progress` shows how weights are read.
         """
-        return self.build_inputs(self.stream.frame(self.check_index(index)), previous, progress)
-
-    def build_inputs(
-        self, frame: TactileFrame, previous: ObjectPose | None = None, progress: Progress = SILENT
-    ) -> Mapping[str, object]:
-        """Return the graph's inputs for a frame at hand."""
+        if not isinstance(frame, TactileFrame):
+            frame = self.stream.frame(self.check_index(frame))
         with reading_reported_to(progress):
             weights = self.weights
         return {
@@ -281,19 +402,32 @@ class Translation:
         return check_frame_index(index, self.n_frames)
 
 
-def open_translation(request: Request, catalogue: Catalogue = BUILT_IN) -> Translation:
-    """Open and check all that `request` names; raises TouchError with what is wrong and where."""
+def open_translation(
+    request: Request,
+    catalogue: Catalogue = BUILT_IN,
+    *,
+    recording: Recording | None = None,
+    settings: Sequence[str] = (),
+    cache_bytes: int = DEFAULT_MAX_BYTES,
+) -> Translation:
+    """Open and check all that `request` names; raises TouchError with what is wrong and where.
+
+    `recording` is one at hand, in place of the file. `settings` are `stage.parameter=value`. `cache_bytes` bounds the
+    results that are held.
+    """
     methods = catalogue.methods(request.route, dict(request.methods))  # report a wrong name before anything is read
     target = load_sensor(request.target)
-    recording = open_recording(
+    recording = recording or open_recording(
         request.recording, sensor=request.source, stream=request.stream, reference=request.reference,
         reference_frames=request.reference_frames, depth_unit=request.depth_unit,
     )  # fmt: skip
     try:
-        return _open_with(recording, request, target, methods, catalogue)
+        opened = _open_with(recording, request, target, methods, catalogue)
+        params = with_settings(opened.methods, settings)
     except Exception:
         recording.close()
         raise
+    return replace(opened, params=params, graph=Graph((), cache=Cache(cache_bytes)))
 
 
 def _open_with(

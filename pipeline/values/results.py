@@ -129,6 +129,11 @@ class ObjectPose:
     notes: tuple[str, ...] = ()
     alternatives: tuple[Doubles, ...] = ()  # (4, 4) each, best first: other poses that fit this touch as well
 
+    @property
+    def matrix(self) -> Doubles | None:
+        """`sensor_from_object` (4, 4): maps points of the object's mesh in mm to the target's frame."""
+        return self.sensor_from_object
+
 
 def make_depth_map(
     rest_mm: NDArray[np.floating], indentation_mm: Floats, contact: Mask, camera: Camera, notes: tuple[str, ...] = ()

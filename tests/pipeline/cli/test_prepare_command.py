@@ -12,7 +12,6 @@ import pytest
 from pipeline.base import compiling
 from pipeline.cli import prepare
 from pipeline.engine.graph import Graph
-from pipeline.translation.catalogue import BUILT_IN, default_params
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -31,7 +30,7 @@ def test_an_installed_package_without_samples_prepares_by_a_simulated_press(monk
     ran = []
     evaluate = Graph.evaluate
     monkeypatch.setattr(Graph, "evaluate", lambda *args, **how: ran.append(evaluate(*args, **how)))
-    prepare._translate_sample(source, target, default_params(BUILT_IN.methods("t2d2")))
+    prepare._translate_sample(source, target)
     assert ran[0]["target_depth"].output.contact.any()
 
 

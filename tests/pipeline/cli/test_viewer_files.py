@@ -29,7 +29,7 @@ def evaluated():
     translation = open_translation(
         Request(recording=SAMPLE, target="soft_bubble", source="gelslim", methods=(("touch", "physics"),))
     )
-    yield translation, translation.build_graph().evaluate(translation.stages, translation.read_inputs(8), {})
+    yield translation, translation.evaluate(8)
     translation.close()
 
 

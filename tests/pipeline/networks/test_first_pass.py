@@ -60,7 +60,7 @@ import sys
 from app.session.sample import SAMPLE_RECORDING
 from pipeline.translation.translate import Request, open_translation
 opened = open_translation(Request(recording=SAMPLE_RECORDING, source="gelslim", target="soft_bubble"))
-touch = opened.build_graph().evaluate(("touch",), opened.read_inputs(5), {})["touch"]
+touch = opened[5].result("touch")
 assert touch.method.name == "t2d2" and touch.badge.startswith("network changed"), touch.notes
 assert "torch" not in sys.modules
 """

@@ -161,7 +161,7 @@ def test_a_recording_of_the_third_kind_is_translated(sensor: SensorSpec, path: P
         writer.append(sensor.name, make_frame(sensor, 0.8))
     request = Request(recording=path.with_name("touch.h5"), source=str(path), target=target)
     with closing(open_translation(request)) as translation:
-        results = translation.build_graph().evaluate(["depth", "touch"], translation.read_inputs(0), {})
+        results = translation.evaluate(0, ["depth", "touch"])
         assert results["depth"].method.name == "physics"  # no network is for them
         assert not results["depth"].fallback
         touch = results["touch"].output

@@ -134,8 +134,7 @@ def test_a_users_file_is_loaded_and_a_foreign_one_gives_the_reason(opened, tmp_p
                           weights=() if file is None else (("", file),))  # fmt: skip
         made = open_translation(request)
         try:
-            params = {"depth": DepthAnythingParams(shorter_side_px=28)}
-            return made.build_graph().evaluate(["depth"], made.read_inputs(TOUCH), params)["depth"].notes[0]
+            return made.with_(stage="depth", shorter_side_px=28)[TOUCH].result("depth").notes[0]
         finally:
             made.recording.close()
 

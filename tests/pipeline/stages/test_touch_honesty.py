@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import closing
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -47,8 +48,7 @@ def compute_mean_touch(recording, target):
 def generate(variant, frame):
     """A touch with the depth of it, and why another method answered."""
     params = {stage: FEW_STEPS if isinstance(p, LatentParams) else p for stage, p in variant.stage_params.items()}
-    inputs = variant.translation.read_inputs(frame)
-    results = variant.translation.build_graph().evaluate(["touch", "touch_depth"], inputs, params)
+    results = replace(variant.translation, params=params).evaluate(frame, ["touch", "touch_depth"])
     return results["touch"].output, results["touch_depth"].output
 
 
@@ -74,8 +74,7 @@ def generate_by(method, frame=1):
         methods=(("touch", method),),
     )  # fmt: skip
     with closing(open_translation(request)) as translation:
-        results = translation.build_graph().evaluate(["touch"], translation.read_inputs(frame), {})
-    touch = results["touch"].output
+        touch = translation[frame].touch
     assert isinstance(touch, GeneratedTouch)
     return touch
 

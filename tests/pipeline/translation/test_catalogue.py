@@ -18,7 +18,7 @@ from pipeline.reporting.frame_report import FrameReport
 from pipeline.reporting.report import collect_stage_arrays, write_frame, write_report
 from pipeline.stages.touch_depth.stage import NO_MEMBRANE
 from pipeline.translation import pixel_trace
-from pipeline.translation.catalogue import BUILT_IN, default_params, with_method, with_setting
+from pipeline.translation.catalogue import BUILT_IN, with_method
 from pipeline.translation.translate import Request, open_translation
 from tests.pipeline.translation.toys import TOYS
 
@@ -35,7 +35,7 @@ def toy():
 
 @pytest.fixture(scope="module")
 def results(toy):
-    return toy.build_graph().evaluate(toy.stages, toy.read_inputs(TOUCHED), {})
+    return toy.evaluate(TOUCHED)
 
 
 def test_a_route_has_its_own_slots_and_no_others(toy, results):
@@ -62,9 +62,7 @@ def test_what_a_toy_slot_says_reaches_figures_arrays_sheet_and_trace(toy, result
 
 
 def test_parameters_and_methods_of_a_toy_are_set_by_name(toy, results):
-    params = with_setting(default_params(toy.methods), "touch.gain=0")
-    dark = toy.build_graph().evaluate(["touch"], toy.read_inputs(TOUCHED), params)["touch"].output
-    assert not dark.image.any()
+    assert not toy.with_(gain=0)[TOUCHED].touch.image.any()
     assert results["touch"].output.image.any()
     with pytest.raises(SettingProblem, match="no method 'melt' for the stage 'touch'; there are physics"):
         BUILT_IN.methods("t2d2", with_method({}, "touch=melt"))
@@ -74,24 +72,23 @@ def test_parameters_and_methods_of_a_toy_are_set_by_name(toy, results):
 
 def test_a_touch_without_a_membrane_is_read_as_recorded_and_the_note_says_so(toy):
     asked = replace(toy, request=replace(toy.request, methods=(("touch_depth", "membrane"),)))
-    result = asked.build_graph().evaluate(["touch_depth"], asked.read_inputs(TOUCHED), {})["touch_depth"]
+    result = asked.evaluate(TOUCHED, ["touch_depth"])["touch_depth"]
     assert NO_MEMBRANE in (*result.notes, *result.output.notes)
     read = replace(toy, request=replace(toy.request, methods=(("touch_depth", "from_image"),)))
-    same = read.build_graph().evaluate(["touch_depth"], read.read_inputs(TOUCHED), {})["touch_depth"].output
+    same = read[TOUCHED].touch_depth
     assert np.array_equal(result.output.indentation_mm, same.indentation_mm)
 
 
 def test_the_truth_may_stand_for_a_slot(toy):
     """Blame by substitution: what is given is not worked out, and what rests on it is."""
     chain = replace(toy, request=replace(toy.request, route="t2d2"))
-    graph, inputs = chain.build_graph(), chain.read_inputs(TOUCHED)
-    measured = graph.evaluate(chain.stages[:2], inputs, {})
+    measured = chain.evaluate(TOUCHED, chain.stages[:2])
     truth = chain.read_source_truth(TOUCHED)
     exact = replace(
         measured["depth"].output, indentation_mm=truth.indentation_mm, contact=truth.contact,
         depth_mm=(chain.source.rest_depth_mm - truth.indentation_mm).astype(np.float32),
     )  # fmt: skip
-    given = graph.evaluate(chain.stages[:2], {**inputs, "depth": exact}, {})
+    given = chain.evaluate(TOUCHED, chain.stages[:2], given={"depth": exact})
     assert given["depth"].state == "given"
     assert given["depth"].output is exact
     assert given["cloud"].state == "computed"
@@ -124,7 +121,7 @@ import sys
 from pathlib import Path
 from pipeline.translation.translate import Request, open_translation
 opened = open_translation(Request(recording=Path({str(SAMPLE)!r}), source="digit", target="soft_bubble"))
-opened.build_graph().evaluate(["depth"], opened.read_inputs({TOUCHED}), {{}})
+opened[{TOUCHED}].depth
 assert "torch" not in sys.modules
 """
     subprocess.run([sys.executable, "-c", code], check=True)

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pipeline.engine.graph import Graph
 from pipeline.stages.pose.signed_distances import PoseParams, track_pose
-from pipeline.translation.catalogue import default_params, with_setting
 from pipeline.translation.pixel_trace import trace_forward, trace_to_source
 from pipeline.translation.translate import Request, open_translation
 
@@ -29,10 +29,9 @@ def translation():
 
 @pytest.fixture(scope="module")
 def warm(translation):
-    """A graph that has seen the touched frame."""
-    graph = translation.build_graph()
-    graph.evaluate(translation.stages, translation.read_inputs(TOUCHED), {})
-    return graph
+    """The translation, whose cache holds the touched frame."""
+    translation.evaluate(TOUCHED)
+    return translation
 
 
 def states(results):
@@ -40,8 +39,7 @@ def states(results):
 
 
 def test_a_pose_parameter_reruns_the_pose_only(translation, warm):
-    params = with_setting(default_params(translation.methods), "pose.seed=5")
-    after = states(warm.evaluate(translation.stages, translation.read_inputs(TOUCHED), params))
+    after = states(warm.with_(stage="pose", seed=5).evaluate(TOUCHED))
     assert after == {
         "depth": "cached",
         "cloud": "cached",
@@ -53,12 +51,12 @@ def test_a_pose_parameter_reruns_the_pose_only(translation, warm):
 
 
 def test_a_frame_seen_before_runs_nothing(translation, warm):
-    after = states(warm.evaluate(translation.stages, translation.read_inputs(TOUCHED), {}))
+    after = states(warm.evaluate(TOUCHED))
     assert set(after.values()) == {"cached"}
 
 
 def test_the_error_of_the_measured_depth_goes_with_the_touch_into_the_pose(translation, warm):
-    results = warm.evaluate(translation.stages, translation.read_inputs(TOUCHED), {})
+    results = warm.evaluate(TOUCHED)
     measured, touch_depth, found = (results[stage].output for stage in ("depth", "touch_depth", "pose"))
     assert touch_depth.error == measured.error
     assert measured.error is not None
@@ -68,24 +66,22 @@ def test_the_error_of_the_measured_depth_goes_with_the_touch_into_the_pose(trans
 
 def test_a_setting_without_effect_stops_at_the_stage_it_belongs_to(translation, warm):
     """The sensitivity only decides what counts as untouched; on a firm touch nothing below is worked out again."""
-    defaults = default_params(translation.methods)
-    params = with_setting(defaults, "depth.sensitivity=2")
-    assert params["depth"] != defaults["depth"]
-    after = states(warm.evaluate(translation.stages, translation.read_inputs(TOUCHED), params))
+    sensitive = warm.with_(stage="depth", sensitivity=2.0)
+    assert sensitive.params["depth"] != warm.params["depth"]
+    after = states(sensitive.evaluate(TOUCHED))
     assert after.pop("depth") == "computed"
     assert set(after.values()) == {"unchanged"}
 
 
 def test_the_same_picture_under_another_name_stops_at_the_depth(translation, warm):
-    inputs = translation.read_inputs(TOUCHED)
-    inputs = {**inputs, "frame": replace(inputs["frame"], index=77, origin="elsewhere")}
-    after = states(warm.evaluate(translation.stages, inputs, {}))
+    frame = replace(translation.stream.frame(TOUCHED), index=77, origin="elsewhere")
+    after = states(warm.evaluate(frame))
     assert after.pop("depth") == "computed"
     assert set(after.values()) == {"unchanged"}
 
 
 def test_an_untouched_frame_skips_every_stage_and_gives_the_untouched_target(translation):
-    results = translation.build_graph().evaluate(translation.stages, translation.read_inputs(UNTOUCHED), {})
+    results = translation.evaluate(UNTOUCHED)
     assert set(states(results).values()) == {"skipped"}
     touch = results["touch"].output
     assert not touch.membrane.contact.any()
@@ -94,13 +90,13 @@ def test_an_untouched_frame_skips_every_stage_and_gives_the_untouched_target(tra
 
 
 def test_equal_inputs_give_equal_bytes(translation, warm):
-    again = translation.build_graph().evaluate(translation.stages, translation.read_inputs(TOUCHED), {})
-    before = warm.evaluate(translation.stages, translation.read_inputs(TOUCHED), {})
+    again = replace(translation, graph=Graph(())).evaluate(TOUCHED)
+    before = warm.evaluate(TOUCHED)
     assert {n: r.digest for n, r in again.items()} == {n: r.digest for n, r in before.items()}
 
 
 def test_what_leaves_a_stage_cannot_be_written_to(translation, warm):
-    results = warm.evaluate(translation.stages, translation.read_inputs(TOUCHED), {})
+    results = warm.evaluate(TOUCHED)
     for result in results.values():
         for name in result.output.__dataclass_fields__:
             value = getattr(result.output, name)
@@ -109,7 +105,7 @@ def test_what_leaves_a_stage_cannot_be_written_to(translation, warm):
 
 
 def test_the_chain_stays_near_the_truth(translation, warm):
-    results = warm.evaluate(translation.stages, translation.read_inputs(TOUCHED), {})
+    results = warm.evaluate(TOUCHED)
     figures = translation.compute_metrics(results, TOUCHED)
     assert figures["depth.contact_mae_mm"] < CONTACT_MAE_MM
     assert figures["depth.contact_iou"] > CONTACT_IOU
@@ -118,7 +114,7 @@ def test_the_chain_stays_near_the_truth(translation, warm):
 
 
 def test_a_pixel_of_the_real_chain_goes_there_and_back(translation, warm):
-    results = warm.evaluate(translation.stages, translation.read_inputs(TOUCHED), {})
+    results = warm.evaluate(TOUCHED)
     inner = results["target_depth"].output.contact.copy()
     inner[[0, -1]] = inner[:, [0, -1]] = False  # at the border the nearest corner may lie outside the image
     rows, cols = np.nonzero(inner)

@@ -12,7 +12,6 @@ from app.session.sample import SAMPLE_RECORDING
 from pipeline.base.arrays import freeze
 from pipeline.base.errors import SettingProblem
 from pipeline.engine.graph import StageResult
-from pipeline.translation.catalogue import default_params
 from pipeline.translation.error_attribution import OUTSIDE_VIEW, attribute_error
 from pipeline.translation.translate import Request, open_translation
 
@@ -21,51 +20,44 @@ TOUCHED = 5
 
 @pytest.fixture(scope="module")
 def to_bubble():
-    """The sample's GelSlim translated to its bubble, with a graph and parameters."""
-    translation = open_translation(Request(recording=SAMPLE_RECORDING, source="gelslim", target="soft_bubble"))
-    yield translation, translation.build_graph(), default_params(translation.methods)
-    translation.recording.close()
+    """The sample's GelSlim translated to its bubble."""
+    with open_translation(Request(recording=SAMPLE_RECORDING, source="gelslim", target="soft_bubble")) as translation:
+        yield translation
 
 
 def test_shares_and_remainder_add_up_to_the_error(to_bubble):
     for metric in ("touch_depth.contact_mae_mm", "pose.mssd_mm"):
-        found = attribute_error(*to_bubble, TOUCHED, metric)
+        found = attribute_error(to_bubble, TOUCHED, metric)
         assert found.total == pytest.approx(sum(part.share for part in found.shares) + found.remainder)
         assert found.shares[-1].remaining == found.remainder
 
 
 def test_ground_truth_in_every_stage_leaves_no_error(to_bubble):
-    found = attribute_error(*to_bubble, TOUCHED)
+    found = attribute_error(to_bubble, TOUCHED)
     assert found.remainder == 0.0
     assert found.total > 0.1
 
 
 def test_contact_outside_the_sources_view_is_named(to_bubble):
     """A bubble touches much more of the object than the gel: depth and rendering contribute little to the error."""
-    found = attribute_error(*to_bubble, TOUCHED)
+    found = attribute_error(to_bubble, TOUCHED)
     share = {part.title: part.share for part in found.shares}
     assert share[OUTSIDE_VIEW] > 0.8 * found.total
     assert OUTSIDE_VIEW in found.summary
 
 
-def test_the_error_of_a_wrong_stage_is_attributed_to_it(to_bubble, monkeypatch):
+def test_the_error_of_a_wrong_stage_is_attributed_to_it(to_bubble):
     """Depth that is 1 mm too deep raises the share of depth alone."""
-    translation, graph, params = to_bubble
-    clean = {
-        part.title: part.share
-        for part in attribute_error(translation, graph, params, TOUCHED, "touch_depth.mae_mm").shares
-    }
-    depth = next(method for method in translation.methods if method.stage == "depth")
+    clean = {part.title: part.share for part in attribute_error(to_bubble, TOUCHED, "touch_depth.mae_mm").shares}
+    depth = next(method for method in to_bubble.methods if method.stage == "depth")
 
     def deeper(*reads):
         made = depth.run(*reads)
         more = np.where(made.contact, made.indentation_mm + 1.0, made.indentation_mm).astype(np.float32)
         return replace(made, indentation_mm=freeze(more), depth_mm=freeze(made.depth_mm - 1.0 * made.contact))
 
-    wrong_methods = tuple(
-        replace(m, run=deeper, name="deeper") if m.stage == "depth" else m for m in translation.methods
-    )
-    found = attribute_error(translation, graph.with_methods(wrong_methods), params, TOUCHED, "touch_depth.mae_mm")
+    wrong = to_bubble.with_(stage="depth", method=replace(depth, name="deeper", run=deeper, nodes=()))
+    found = attribute_error(wrong, TOUCHED, "touch_depth.mae_mm")
     shares = {part.title: part.share for part in found.shares}
     assert shares["depth"] > clean["depth"] + 0.002
     others = [title for title in shares if title != "depth"]
@@ -73,18 +65,18 @@ def test_the_error_of_a_wrong_stage_is_attributed_to_it(to_bubble, monkeypatch):
 
 
 def test_a_frame_without_contact_has_no_attribution(to_bubble):
-    assert attribute_error(*to_bubble, 0) is None
+    assert attribute_error(to_bubble, 0) is None
 
 
 @pytest.mark.parametrize(("metric", "fact"), [("touch_depth.nonsense", "nonsense"), ("nowhere.mae_mm", "nowhere"),
                                               ("touch_depth.contact_iou", "contact_iou")])  # fmt: skip
 def test_a_metric_that_cannot_be_attributed_is_refused(to_bubble, metric, fact):
     with pytest.raises(SettingProblem, match=fact):
-        attribute_error(*to_bubble, TOUCHED, metric)
+        attribute_error(to_bubble, TOUCHED, metric)
 
 
 def test_every_stage_but_the_cloud_has_ground_truth(to_bubble):
-    translation = to_bubble[0]
+    translation = to_bubble
     truths = translation.read_true_outputs(TOUCHED)
     assert set(truths) == set(translation.stages) - {"cloud"}
     results = {

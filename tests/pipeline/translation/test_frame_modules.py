@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 
 import pipeline
-from pipeline.translation.catalogue import default_params
 from pipeline.translation.translate import Request, open_translation
 
 PACKAGE = str(Path(pipeline.__file__).parent)
@@ -41,11 +40,10 @@ def count_modules() -> Iterator[tuple[set[str], list[str]]]:
 
 def test_a_frame_passes_few_modules():
     request = Request(recording=SAMPLE, source="gelslim", target="soft_bubble")
-    with closing(open_translation(request)) as translation:
-        graph, params = translation.build_graph(), default_params(translation.methods)
-        graph.evaluate(translation.stages, translation.read_inputs(4), params)
+    with open_translation(request) as translation:
+        translation.evaluate(4)
         with count_modules() as (modules, steps):
-            results = graph.evaluate(translation.stages, translation.read_inputs(5), params)
+            results = translation.evaluate(5)
     assert {result.state for result in results.values()} == {"computed"}
     assert 50 < len(modules) <= 110
     assert len(steps) < 4000

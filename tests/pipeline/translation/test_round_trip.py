@@ -37,23 +37,21 @@ def translation():
 
 
 def test_a_round_trip_returns_the_depth_and_is_far_off_where_it_does_not(translation):
-    graph = translation.build_graph()
-    results = graph.evaluate(STAGES, translation.read_inputs(TOUCHED), {})
-    error_mm = measure_round_trip(results, translation, graph, {})[ROUND_TRIP]
+    results = translation.evaluate(TOUCHED, STAGES)
+    error_mm = measure_round_trip(results, translation)[ROUND_TRIP]
     depth = results["depth"].output
     mean_mm = float(depth.indentation_mm[depth.contact].mean())
     assert 0 < error_mm < 0.5 * mean_mm
     deeper = replace(depth, indentation_mm=np.asarray(2.0 * depth.indentation_mm, np.float32))
     forged = {**results, "depth": replace(results["depth"], output=deeper)}
-    assert measure_round_trip(forged, translation, graph, {})[ROUND_TRIP] > 2.0 * error_mm
-    untouched = graph.evaluate(STAGES, translation.read_inputs(UNTOUCHED), {})
-    assert measure_round_trip(untouched, translation, graph, {}) == {}
+    assert measure_round_trip(forged, translation)[ROUND_TRIP] > 2.0 * error_mm
+    untouched = translation.evaluate(UNTOUCHED, STAGES)
+    assert measure_round_trip(untouched, translation) == {}
     assert measure_training_distance(untouched, translation) == {}
 
 
 def test_the_way_back_undoes_the_alignment(translation):
-    graph = translation.build_graph()
-    depth = graph.evaluate(("depth",), translation.read_inputs(TOUCHED), {})["depth"].output
+    depth = translation[TOUCHED].depth
     back = reverse_translation(translation, depth)
     np.testing.assert_allclose(
         back.alignment.target_from_source, rigid.invert(translation.alignment.target_from_source), atol=1e-9
@@ -63,7 +61,7 @@ def test_the_way_back_undoes_the_alignment(translation):
 
 
 def test_a_touch_unlike_training_is_farther_than_one_of_the_sample(translation):
-    results = translation.build_graph().evaluate(("target_depth",), translation.read_inputs(TOUCHED), {})
+    results = translation.evaluate(TOUCHED, ["target_depth"])
     seen = measure_training_distance(results, translation)[TRAINING_DISTANCE]
     view = results["target_depth"].output
     everywhere = np.ones_like(view.contact)

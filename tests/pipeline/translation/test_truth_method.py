@@ -17,7 +17,7 @@ from pipeline.reporting.frame_report import FrameReport
 from pipeline.reporting.pane_figures import render_pane
 from pipeline.reporting.report import collect_stage_arrays
 from pipeline.reporting.sheet import draw_sheet
-from pipeline.translation.catalogue import BUILT_IN, default_params
+from pipeline.translation.catalogue import BUILT_IN
 from pipeline.translation.error_attribution import DEFAULT_METRIC, attribute_error
 from pipeline.translation.pixel_trace import trace_to_source
 from pipeline.translation.translate import Request, open_translation
@@ -39,11 +39,11 @@ def pin(opened, *stages):
 
 
 def evaluate(opened, stage, index=FRAME):
-    return opened.build_graph().evaluate([stage], opened.read_inputs(index), default_params(opened.methods))
+    return opened.evaluate(index, [stage])
 
 
 def test_the_error_that_remains_is_that_of_the_attribution(sample):
-    shares = attribute_error(sample, sample.build_graph(), default_params(sample.methods), FRAME).shares
+    shares = attribute_error(sample, FRAME).shares
     results = evaluate(pin(sample, "depth"), "touch_depth")
     assert results["depth"].method.name == "truth"
     assert sample.compute_metrics(results, FRAME)[DEFAULT_METRIC] == shares[0].remaining

@@ -11,7 +11,7 @@ import pytest
 
 from pipeline.base.arrays import freeze
 from pipeline.base.errors import SettingProblem
-from pipeline.engine.graph import Method
+from pipeline.engine.graph import Graph, Method
 from pipeline.networks import network_factory, weights_registry
 from pipeline.networks.weights import NoWeights, Weights, save_weights
 from pipeline.stages.depth.stage import PHYSICS
@@ -72,11 +72,8 @@ def weights(factor, task="toy"):
 def depth(method="scaled", graph=None, **more):
     methods = (("depth", method), ("touch", "physics"))
     request = Request(recording=SAMPLE, source="digit", target="gelslim", methods=methods, **more)
-    opened = open_translation(request, CATALOGUE)
-    try:
-        return (graph or opened.build_graph()).evaluate(["depth"], opened.read_inputs(TOUCH), {})["depth"], opened.notes
-    finally:
-        opened.recording.close()
+    with open_translation(request, CATALOGUE) as opened:
+        return replace(opened, graph=graph or opened.graph).evaluate(TOUCH, ["depth"])["depth"], opened.notes
 
 
 def test_a_file_is_read_and_what_it_holds_is_part_of_the_key(tmp_path):
@@ -86,16 +83,13 @@ def test_a_file_is_read_and_what_it_holds_is_part_of_the_key(tmp_path):
     np.testing.assert_allclose(twice.output.indentation_mm, 2.0 * plain.indentation_mm, rtol=1e-6)
     assert twice.notes == ("by network",)
     assert twice.fallback == ""
-    opened = open_translation(Request(recording=SAMPLE, source="digit", target="gelslim", methods=(("depth", "scaled"),),
-                                      weights=(("depth", file),)), CATALOGUE)  # fmt: skip
-    graph = opened.build_graph()
+    graph = Graph(())
     assert depth(graph=graph, weights=(("depth", file),))[0].state == "computed"
     assert depth(graph=graph, weights=(("depth", file),))[0].state == "cached"
     save_weights(file, weights(3.0))
     again = depth(graph=graph, weights=(("depth", file),))[0]
     assert again.state == "computed"
     np.testing.assert_allclose(again.output.indentation_mm, 3.0 * plain.indentation_mm, rtol=1e-6)
-    opened.recording.close()
 
 
 def test_what_comes_along_is_read_where_no_file_is_given():
