@@ -9,10 +9,12 @@ cycles (Kornhuber 1994) take over, which are slower but always converge.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 
 from pipeline.base.arrays import Doubles, Mask
+from pipeline.physics.conjugate_gradients import generate_steps
 
 N_HALVINGS = 4  # every lattice side is a multiple of 2^4 steps, so that it can be halved this often
 MAX_CYCLES = 160
@@ -64,36 +66,29 @@ def solve(grid: ObstacleProblem, start_mm: Doubles, load_per_mm: float, toleranc
 def _solve_linear(
     v: Doubles, load: Doubles, loose: Mask, size: tuple[float, int], careful: bool, tolerance_mm: float
 ) -> None:
-    """Solve the linear problem on the loose nodes, in place: flexible conjugate gradients, preconditioned by a cycle.
+    """Solve the linear problem on the loose nodes, in place: conjugate gradients, preconditioned by a cycle.
 
-    The cycle is not symmetric (red before black on the way down and up), hence the flexible form. No array of the
-    lattice's size is allocated in a step: allocation costs as much as the sums.
+    No array of the lattice's size is allocated in a step: allocation costs as much as the sums.
     """
     from pipeline.physics.multigrid_kernels import compute_residual, run_cycle
 
-    left, moved, direction, guided = np.empty_like(v), np.zeros_like(v), np.zeros_like(v), np.empty_like(v)
-    unbound, nothing, energy, still_loose = np.full_like(v, np.inf), np.zeros_like(v), 1.0, loose.copy()
-    compute_residual(v, load, unbound, loose, size[0], left)
-    for _ in range(_MAX_STEPS):
-        guided[:] = 0.0
-        run_cycle(guided, left, unbound, loose, still_loose, *size, True, careful)
-        direction *= _dot(guided, moved) / energy
-        direction += guided
+    left, moved, guided, still_loose = np.empty_like(v), np.empty_like(v), np.empty_like(v), loose.copy()
+    unbound, nothing = np.full_like(v, np.inf), np.zeros_like(v)
+
+    def apply(direction: Doubles) -> Doubles:
         compute_residual(direction, nothing, unbound, loose, size[0], moved)
-        energy, curvature = _dot(direction, left), -_dot(direction, moved)
-        if not (energy > 0 and curvature > 0):
-            return
-        length = energy / curvature
-        moved *= length
-        left += moved
-        v += np.multiply(direction, length, out=guided)
-        if max(float(guided.max()), -float(guided.min())) <= _STEP_SHARE * tolerance_mm:
-            return
+        return np.negative(moved, out=moved)
 
+    def run_preconditioner(residual: Doubles) -> Doubles:
+        guided[:] = 0.0
+        run_cycle(guided, residual, unbound, loose, still_loose, *size, True, careful)
+        return guided
 
-def _dot(a: Doubles, b: Doubles) -> float:
-    """Dot product in a fixed order; BLAS distributes it over threads."""
-    return float(np.einsum("ij,ij->", a, b))
+    compute_residual(v, load, unbound, loose, size[0], left)
+    for step in islice(generate_steps(left, apply, run_preconditioner), _MAX_STEPS):
+        v += step
+        if max(float(step.max()), -float(step.min())) <= _STEP_SHARE * tolerance_mm:
+            return
 
 
 def refine(v: Doubles) -> Doubles:
