@@ -103,10 +103,10 @@ def _iterate(
     from scipy.spatial import KDTree
 
     # Nearest neighbours do not depend on which cloud moves: the model's tree is built once.
-    tree: Any = KDTree(model)
+    tree: Any = KDTree(model[:, :2])
     motion, steps = start, list[tuple[Doubles, float]]()
     for _ in range(n_iterations):
-        _, index = tree.query(rigid.apply(rigid.invert(motion), scene))
+        _, index = tree.query(rigid.apply(rigid.invert(motion), scene)[:, :2])
         before, motion = motion, _kabsch(model[index], scene)
         off = rigid.apply(motion, model[index]) - scene
         steps.append((motion, float(np.sqrt((off**2).sum(axis=1).mean()))))
