@@ -9,7 +9,7 @@ from PyQt6.QtCore import QPointF, QRectF, Qt, pyqtSignal
 from PyQt6.QtGui import QPainter, QPalette, QPen
 from PyQt6.QtWidgets import QHBoxLayout, QLabel, QPushButton, QVBoxLayout, QWidget
 
-from pipeline.stages.stage import StepCurve, StepHistory
+from pipeline.previews.view import StepCurve, StepHistory
 from widgets.base import ChoiceBox, PaintedWidget, resize_font
 from widgets.styling import fill, set_spacing
 from widgets.theme import ThemeColours, get_theme_colours, to_qcolor

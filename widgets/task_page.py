@@ -7,7 +7,7 @@ from PyQt6.QtGui import QPainter, QPalette, QPolygonF
 from PyQt6.QtWidgets import QHBoxLayout, QLabel, QVBoxLayout, QWidget
 
 from pipeline.previews.colours import Rgb
-from pipeline.stages.stage import StepCurve
+from pipeline.previews.view import StepCurve
 from widgets.base import ChoiceBox
 from widgets.error_attribution_panel import DecisionPanel
 from widgets.preview_view import PreviewView

@@ -11,7 +11,7 @@ from PyQt6.QtWidgets import QHBoxLayout, QLabel, QVBoxLayout, QWidget
 
 from pipeline.base.arrays import Doubles
 from pipeline.previews.colours import Rgb
-from pipeline.stages.stage import StepCurve
+from pipeline.previews.view import StepCurve
 from pipeline.tracking.track_record import MOTION, TrackRecord, TrackRow
 from widgets.base import ChoiceBox
 from widgets.run_bar import StartBar

@@ -37,7 +37,7 @@ class BasinMapResult:
         )  # fmt: skip
         outputs = {name: result.output for name, result in self.results.items()}
         context = self.translation.make_preview_context(outputs, self.display)
-        return self.translation.catalogue.stage("pose").make_preview(end_pose, context)
+        return self.translation.catalogue.views["pose"].make_preview(end_pose, context)
 
 
 def run_basin_map(

@@ -15,8 +15,9 @@ from pipeline.geometry.camera import Camera
 from pipeline.previews.display_params import DisplayParams
 from pipeline.previews.layers import Layer, make_frame_layer
 from pipeline.previews.preview import Preview, add_observed_outline, make_frame_preview, match_camera
+from pipeline.previews.view import PreviewContext, StepHistory, View
 from pipeline.sensors.spec import SensorSpec
-from pipeline.stages.stage import GroundTruth, PreviewContext, Stage, StepHistory
+from pipeline.stages.stage import GroundTruth
 from pipeline.translation.round_trip import measure_training_distance
 from pipeline.translation.translate import Translation
 from pipeline.translation.truth_view import TruthView, build_observation_view, build_truth_view
@@ -111,34 +112,34 @@ class PreviewCache:
         truths: Mapping[str, object] | None,
     ) -> StagePreview:
         """Return the preview of a result; equal results return the same images, which the window need not redraw."""
-        stage = translation.catalogue.stage(result.name)
-        inputs = tuple(results[name].digest for name in stage.preview_stages if name in results)
+        view = translation.catalogue.views[result.name]
+        inputs = tuple(results[name].digest for name in view.preview_stages if name in results)
         n_steps = len(getattr(result.output, "steps", ()))  # not part of the digest
         key = (result.name, result.digest, n_steps, session.display, inputs)
         cached = None if truths is None and other is None else self._compared.get(key)
         if cached is not None and cached[0] is other and cached[1] is truths:
             return replace(cached[2], result=result)
-        shown = self._previews.get_or_make(key, lambda: _draw_stage(stage, result, results, translation, session))
+        shown = self._previews.get_or_make(key, lambda: _draw_stage(view, result, results, translation, session))
         if truths is not None or other is not None:
-            shown = _add_comparison(stage, shown, results, translation, session, other, truths)
+            shown = _add_comparison(view, shown, results, translation, session, other, truths)
             self._compared.put(key, (other, truths, shown))
         return replace(shown, result=result)
 
 
 def _draw_stage(
-    stage: Stage, result: StageResult, results: Mapping[str, StageResult], translation: Translation, session: Session
+    view: View, result: StageResult, results: Mapping[str, StageResult], translation: Translation, session: Session
 ) -> StagePreview:
     context = _make_context(results, translation, session)
-    preview = stage.make_preview(result.output, context)
-    steps = stage.split_steps(result.output)
-    previews = tuple(stage.make_preview(step, context) for step in steps)
+    preview = view.make_preview(result.output, context)
+    steps = view.split_steps(result.output)
+    previews = tuple(view.make_preview(step, context) for step in steps)
     return StagePreview(
         result=result,
         preview=preview,
-        layers=stage.make_layers(result.output, context, preview),
+        layers=view.make_layers(result.output, context, preview),
         step_previews=previews,
-        step_layers=tuple(stage.make_step_layers(s, context, p) for s, p in zip(steps, previews, strict=True)),
-        step_history=stage.summarise_steps(result.output),
+        step_layers=tuple(view.make_step_layers(s, context, p) for s, p in zip(steps, previews, strict=True)),
+        step_history=view.summarise_steps(result.output),
     )
 
 
@@ -158,7 +159,7 @@ def _size_loaded_bytes(loaded: LoadedFrame) -> int:
 
 
 def _add_comparison(
-    stage: Stage,
+    view: View,
     shown: StagePreview,
     results: Mapping[str, StageResult],
     translation: Translation,
@@ -175,7 +176,10 @@ def _add_comparison(
     if truths is None:
         return shown
     return replace(
-        shown, truth_view=build_truth_view(stage, shown.preview, truths, _make_context(results, translation, session))
+        shown,
+        truth_view=build_truth_view(
+            shown.result.name, view, shown.preview, truths, _make_context(results, translation, session)
+        ),
     )
 
 

@@ -108,7 +108,7 @@ def _draw_stages(
         ["target_depth", "touch"], chosen.read_inputs(index), default_params(chosen.methods)
     )
     context = chosen.make_preview_context({name: result.output for name, result in results.items()}, DisplayParams())
-    previews = {title: chosen.catalogue.stage(stage).make_preview(results[stage].output, context)
+    previews = {title: chosen.catalogue.views[stage].make_preview(results[stage].output, context)
                 for title, stage in stages.items()}  # fmt: skip
     return {title: preview.pixels for title, preview in previews.items()}
 

@@ -116,11 +116,11 @@ def evaluate_view(
     results = {name: add_truth_warnings(each, truth) for name, each in result.results.items()}
     context, true_outputs = result.make_context(display), translation.read_true_outputs(frame)
     for name, each in results.items():
-        entry = translation.catalogue.stage(name)
-        preview = entry.make_preview(each.output, context)
+        view = translation.catalogue.views[name]
+        preview = view.make_preview(each.output, context)
         views[name] = StageView(
-            preview=preview, layers=entry.make_layers(each.output, context, preview), result=each,
-            truth_view=build_truth_view(entry, preview, true_outputs, context),
+            preview=preview, layers=view.make_layers(each.output, context, preview), result=each,
+            truth_view=build_truth_view(name, view, preview, true_outputs, context),
         )  # fmt: skip
     titles = {SOURCE: "Source", **{name: translation.catalogue.stage(name).title for name in translation.stages}}
     metrics = translation.compute_metrics_against(results, truth)

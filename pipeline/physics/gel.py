@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pipeline.base.arrays import Floats, Mask, freeze
 from pipeline.base.errors import ShapeError
 from pipeline.physics import gel_layer
-from pipeline.physics.conjugate_gradients import compute_dot, generate_steps
+from pipeline.physics.multigrid import compute_dot, generate_steps
 from pipeline.sensors.parts import Gel
 
 TOLERANCE_MM = 1e-4  # 0.1 um: far below the resolution of any camera

@@ -8,13 +8,14 @@ cycles (Kornhuber 1994) take over, which are slower but always converge.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from itertools import islice
+from typing import TypeVar
 
 import numpy as np
 
-from pipeline.base.arrays import Doubles, Mask
-from pipeline.physics.conjugate_gradients import generate_steps
+from pipeline.base.arrays import Doubles, Floats, Mask
 
 N_HALVINGS = 4  # every lattice side is a multiple of 2^4 steps, so that it can be halved this often
 MAX_CYCLES = 160
@@ -23,6 +24,8 @@ _BOLD_CYCLES = 6  # with coarse levels up to the contact: fast on smooth objects
 _FEW_NODES = 2  # that still enter or leave the contact when the linear problem is tried
 _MAX_STEPS = 30
 _STEP_SHARE = 0.3  # of the tolerance: the error is well below it after a step of this size
+
+Field = TypeVar("Field", Doubles, Floats)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -89,6 +92,38 @@ def _solve_linear(
         v += step
         if max(float(step.max()), -float(step.min())) <= _STEP_SHARE * tolerance_mm:
             return
+
+
+def generate_steps(
+    residual: Field, apply: Callable[[Field], Field], precondition: Callable[[Field], Field]
+) -> Generator[Field]:
+    """Yield the conjugate gradient steps whose sum solves A x = b; the caller adds them up and stops.
+
+    The flexible form (Notay 2000): a direction is made orthogonal to the last by A itself, so that the preconditioner
+    may be unsymmetric or inexact, such as one cycle of multigrid.
+
+    `residual` is b at first, and b - A x in place after each step. `apply` is x -> A x, symmetric and positive on the
+    directions that `precondition` gives. Both may return buffers of their own: a step is valid until the next one, and
+    no array is allocated in it. Ends where no step reduces the residual any more.
+    """
+    direction, moved, reduced = np.zeros_like(residual), np.zeros_like(residual), 1.0
+    while True:
+        guided = precondition(residual)
+        direction *= -compute_dot(guided, moved) / reduced
+        direction += guided
+        moved = apply(direction)
+        reduced, curvature = compute_dot(direction, residual), compute_dot(direction, moved)
+        if not (reduced > 0.0 and curvature > 0.0):
+            return
+        moved *= reduced / curvature
+        residual -= moved
+        np.multiply(direction, reduced / curvature, out=guided)
+        yield guided
+
+
+def compute_dot(a: Doubles | Floats, b: Doubles | Floats) -> float:
+    """The dot product of two fields in double precision and in a fixed order; BLAS distributes it over threads."""
+    return float(np.einsum("i,i->", a.ravel(), b.ravel(), dtype=np.float64))
 
 
 def refine(v: Doubles) -> Doubles:

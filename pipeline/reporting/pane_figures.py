@@ -51,14 +51,15 @@ def render_pane(
     stage = translation.catalogue.stage(name)
     outputs = {key: result.output for key, result in results.items()}
     seen = translation.make_preview_context(outputs, display)
-    picture, value = stage.make_preview(outputs[name], seen), outputs[name]
+    view, value = translation.catalogue.views[name], outputs[name]
+    picture = view.make_preview(value, seen)
     title = ", ".join(filter(None, (f"{stage.title} · {results[name].answered_by}", translation.truth_label)))
     if shown != "computed":
         truths = translation.read_true_outputs(frame.index)
         if name not in truths:
             raise SettingProblem(f"the truth of {name} is not known of frame {frame.index} of this recording")
         value, title = truths[name], f"{title}, {shown}"
-        true = stage.make_preview(value, replace(seen, outputs={**outputs, **truths}))
+        true = view.make_preview(value, replace(seen, outputs={**outputs, **truths}))
         picture = true if shown == "truth" else _less(picture, true, name)
     points_mm, rgb = _points(value, picture)
     return RenderedPane(title=title, preview=picture, points_mm=points_mm, rgb=rgb)

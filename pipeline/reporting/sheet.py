@@ -52,7 +52,7 @@ def draw_sheet(
             ax.set_axis_off()
             continue
         title = stage.title if result.method is None else f"{stage.title} · {result.answered_by}"
-        draw_panel(figure, ax, stage.make_preview(result.output, seen), title)
+        draw_panel(figure, ax, translation.catalogue.views[name].make_preview(result.output, seen), title)
         _footer(ax, result, timed=timed)
     sensors = f"{source.name} → {translation.target.name}"
     words = "   ".join(filter(None, (f"frame {report.index}", sensors, translation.truth_label)))

@@ -59,10 +59,10 @@ def _build_views(report: FrameReport, translation: Translation, truths: Mapping[
     seen = translation.make_preview_context(outputs, DisplayParams())
     views: dict[str, TruthView] = {}
     for name, value in outputs.items():
-        stage = translation.catalogue.stage(name)
-        view = build_truth_view(stage, stage.make_preview(value, seen), truths, seen)
-        if view is not None:
-            views[name] = view
+        view = translation.catalogue.views[name]
+        truth_view = build_truth_view(name, view, view.make_preview(value, seen), truths, seen)
+        if truth_view is not None:
+            views[name] = truth_view
     return views
 
 
