@@ -11,10 +11,9 @@ from app.work.target_comparison import TargetComparison
 from pipeline.base.arrays import Image, freeze
 from pipeline.base.memo import Memo, measure_bytes
 from pipeline.engine.graph import StageResult
-from pipeline.geometry.camera import Camera
 from pipeline.previews.display_params import DisplayParams
 from pipeline.previews.layers import Layer, make_frame_layer
-from pipeline.previews.preview import Preview, add_observed_outline, make_frame_preview, match_camera
+from pipeline.previews.preview import Preview, add_observed_outline, make_recorded_preview
 from pipeline.previews.view import PreviewContext, StepHistory, View
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.stage import GroundTruth
@@ -84,7 +83,7 @@ class PreviewCache:
         if loaded is None or (loaded.frame.is_depth and loaded.display != display):  # colour maps apply to depth only
             frame = translation.stream.frame(translation.check_index(index)) if loaded is None else loaded.frame
             truth = translation.read_ground_truth(index) if loaded is None else loaded.ground_truth
-            preview, camera = _preview_frame(frame, translation.source, display)
+            preview, camera = make_recorded_preview(frame, translation.source, display)
             layer = make_frame_layer("source", frame.image, camera, preview, translation.source)
             loaded = LoadedFrame(frame, truth, preview, layer, display)
             if translation.recording.refresh is None:  # the zero and the oldest frames of a live recording change
@@ -187,16 +186,11 @@ def _make_context(results: Mapping[str, StageResult], translation: Translation, 
     return translation.make_preview_context({name: r.output for name, r in results.items()}, session.display)
 
 
-def _preview_frame(frame: TactileFrame, sensor: SensorSpec, display: DisplayParams) -> tuple[Preview, Camera]:
-    camera = match_camera(frame.camera or sensor.camera, frame.image.shape)
-    return make_frame_preview(frame.shown_image, camera, sensor, display, reference=frame.reference), camera
-
-
 def add_thumbnails(
     summary: FrameSummary, frame: TactileFrame, sensor: SensorSpec, display: DisplayParams
 ) -> FrameSummary:
     """Return the summary with a small image (rows, cols, 3) of its frame for either theme, for the frames table."""
-    preview, _ = _preview_frame(frame, sensor, display)
+    preview, _ = make_recorded_preview(frame, sensor, display)
     dark = None if preview.scale is None else _shrink(recolour_for_theme(preview.pixels, preview.scale, DARK_COLOURS))
     return replace(summary, thumbnail=_shrink(preview.pixels), dark_thumbnail=dark)
 

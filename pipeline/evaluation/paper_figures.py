@@ -16,7 +16,7 @@ from pipeline.evaluation.held_out import PressRecordings
 from pipeline.evaluation.paper_tables import EvaluationRequest, collect_touches
 from pipeline.evaluation.touch_scoring import open_presses
 from pipeline.previews.display_params import DisplayParams
-from pipeline.previews.preview import make_frame_preview
+from pipeline.previews.preview import make_recorded_preview
 from pipeline.sensors.spec import load_sensor
 from pipeline.translation.catalogue import default_params
 from pipeline.translation.translate import Translation
@@ -88,8 +88,7 @@ def _make_row(
 
 def _draw_frame(frame: TactileFrame, translation: Translation, name: str) -> Image:
     sensor = translation.source if translation.source.name == name else translation.target
-    camera = sensor.camera if frame.camera is None else frame.camera
-    return make_frame_preview(frame.shown_image, camera, sensor, DisplayParams(), reference=frame.reference).pixels
+    return make_recorded_preview(frame, sensor, DisplayParams())[0].pixels
 
 
 def _draw_stages(

@@ -14,7 +14,7 @@ from pipeline.base.figures import make_figure
 from pipeline.engine.graph import StageResult
 from pipeline.previews.difference import compute_difference
 from pipeline.previews.display_params import DisplayParams
-from pipeline.previews.preview import PixelPositions, Preview, compute_rest_depth_mm, make_frame_preview, match_camera
+from pipeline.previews.preview import PixelPositions, Preview, compute_rest_depth_mm, make_recorded_preview
 from pipeline.reporting.export_request import SOURCE, PaneContent
 from pipeline.translation.translate import Translation
 from pipeline.values.frames import TactileFrame
@@ -76,8 +76,7 @@ def draw_pane_figure(shown: RenderedPane, about: str) -> Figure:
 
 def _reading(frame: TactileFrame, translation: Translation, display: DisplayParams) -> RenderedPane:
     sensor = translation.source
-    camera = match_camera(frame.camera or sensor.camera, frame.image.shape)
-    picture = make_frame_preview(frame.shown_image, camera, sensor, display, reference=frame.reference)
+    picture, camera = make_recorded_preview(frame, sensor, display)
     surface = frame.image if frame.is_depth else compute_rest_depth_mm(sensor, camera)
     laid = replace(picture, positions_mm=PixelPositions(camera, np.asarray(surface, np.float32)))
     points_mm, rgb = _points(None, laid)

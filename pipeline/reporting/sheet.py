@@ -10,7 +10,7 @@ from pipeline.engine.graph import StageResult
 from pipeline.previews.colours import ColourScale, get_colour_table
 from pipeline.previews.display_params import DisplayParams
 from pipeline.previews.drawing import Line, list_outlines, make_scale_bar
-from pipeline.previews.preview import Preview, make_frame_preview, match_camera
+from pipeline.previews.preview import Preview, make_recorded_preview
 from pipeline.reporting.frame_report import FrameReport
 from pipeline.translation.translate import Translation
 from pipeline.values.frames import TactileFrame
@@ -42,9 +42,7 @@ def draw_sheet(
     figure = make_figure(figsize=(_PANEL_IN * n, 4.3), dpi=90)
     # Fixed positions: an automatic layout costs more time than all the drawing.
     axes = [figure.add_axes(((0.07 + i) / n, 0.2, 0.76 / n, 0.6)) for i in range(n)]
-    camera = match_camera(frame.camera or source.camera, frame.image.shape)
-    reading = make_frame_preview(frame.shown_image, camera, source, display, reference=frame.reference)
-    draw_panel(figure, axes[0], reading, f"Source · {source.title}")
+    draw_panel(figure, axes[0], make_recorded_preview(frame, source, display)[0], f"Source · {source.title}")
     seen = translation.make_preview_context({name: result.output for name, result in report.results.items()}, display)
     for ax, name in zip(axes[1:], translation.stages, strict=True):
         stage, result = translation.catalogue.stage(name), report.results.get(name)
