@@ -26,8 +26,8 @@ from benchmarks.harness.text_report import print_result
 from benchmarks.harness.timing import Requirement, build_measurement, summarize_times, time_in_turns
 from benchmarks.scenes.depth_helpers import build_reader
 from pipeline.geometry import rigid
+from pipeline.geometry.rasterisation import render_mesh
 from pipeline.metrics.stage_metrics import compute_mae_mm, iou
-from pipeline.physics import lattice
 from pipeline.physics.sensor_images import render_sensor_image
 from pipeline.recordings import open_recording
 from pipeline.sensors import alignment
@@ -92,7 +92,7 @@ class _Touch:
         self.seed = 2 * k
         self.bubble, self.truth = (simulate_press(thing, pose, unit, seed=None).truth for unit in (self.unit, self.gel))
         vertices = rigid.apply(self.bubble.sensor_from_object, thing.vertices_mm)
-        self.object_mm = lattice.render_mesh_depth(vertices, thing.triangles, self.unit.camera)
+        self.object_mm = render_mesh(vertices, thing.triangles, self.unit.camera)[0]
         self.depth_mm = self.unit.rest_depth_mm - self.bubble.indentation_mm
 
     def frame(self, kind: str) -> TactileFrame:

@@ -11,11 +11,11 @@ from PyQt6.QtGui import QColor, QPainter, QPalette, QPen, QPixmap
 from PyQt6.QtWidgets import QSizePolicy, QWidget
 
 from pipeline.base.arrays import Image
+from pipeline.previews.drawing import CASING_COLOUR
 from pipeline.previews.preview import Preview
 from widgets.base import make_caption_font
 from widgets.preview_renderer import MAX_ZOOM, MIN_ZOOM, PreviewRenderer
 from widgets.theme import (
-    CASING_COLOUR,
     CROSSHAIR_COLOUR,
     SECTION_COLOUR,
     get_backdrop,

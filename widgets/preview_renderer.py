@@ -8,15 +8,13 @@ from numpy.typing import NDArray
 from PyQt6.QtCore import QPointF, QRect, QRectF, QSize, QSizeF, Qt
 from PyQt6.QtGui import QColor, QFont, QImage, QPainter, QPalette, QPen, QPixmap, QPolygonF
 
-from pipeline.base.arrays import Floats, Image
+from pipeline.base.arrays import Image
 from pipeline.previews.colours import NO_VALUE_COLOUR, ColourScale, darken_diverging
+from pipeline.previews.drawing import Line, list_outlines, make_scale_bar
 from pipeline.previews.preview import Preview
 from widgets.base import make_caption_font
 from widgets.theme import (
-    CASING_COLOUR,
-    CONTACT_COLOUR,
     LIGHT_COLOURS,
-    OBSERVED_CONTACT_COLOUR,
     ThemeColours,
     get_colour_map,
     get_theme_colours,
@@ -24,7 +22,7 @@ from widgets.theme import (
 )
 
 MAX_ZOOM, MIN_ZOOM = 60.0, 0.02
-_BAR_LENGTHS_MM = (50.0, 20.0, 10.0, 5.0, 2.0, 1.0, 0.5, 0.2, 0.1)
+_NARROWEST_PX, _LABEL_PX = 60.0, 100.0  # screen pixels: images without a scale bar; half the room for its text
 _DIMMED = 0.45
 
 
@@ -114,17 +112,8 @@ class PreviewRenderer:
             self._draw_image(painter, *self.overlay, dense)
         painter.setOpacity(1.0)
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
-        observed, own = self.preview.observed_outline_px, self.preview.outline_px
-        casing, inner, rim = (
-            QPen(c, w)
-            for c, w in (
-                (to_qcolor(CASING_COLOUR, 190), 3.4),
-                (to_qcolor(OBSERVED_CONTACT_COLOUR), 1.6),
-                (to_qcolor(CONTACT_COLOUR), 1.6),
-            )
-        )
-        for border, pen in ((observed, casing), (observed, inner), (own, rim)):
-            self._draw_border(painter, border, pen)
+        for line in list_outlines(self.preview):
+            self._draw_line(painter, line)
         self._draw_scale_bar(painter, self.preview, font)
 
     def _draw_image(self, painter: QPainter, image: QImage, from_share: float, dense: float) -> None:
@@ -143,12 +132,11 @@ class PreviewRenderer:
             drawn = drawn.scaled(size, ratio, how)
         painter.drawImage(place, drawn)
 
-    def _draw_border(self, painter: QPainter, border_px: Floats | None, pen: QPen) -> None:
-        if border_px is None or not len(border_px):
-            return
-        painter.setPen(pen)
+    def _draw_line(self, painter: QPainter, line: Line) -> None:
+        colour, flat = to_qcolor(line.rgb, round(255 * line.opacity)), Qt.PenCapStyle.FlatCap
+        painter.setPen(QPen(colour, line.width, Qt.PenStyle.SolidLine, flat))  # a square cap lengthens a scale bar
         middle, centre = self._middle, self.centre
-        at = (border_px - (centre.x(), centre.y())) * self.scale + (middle.x(), middle.y())
+        at = (line.points_px - (centre.x(), centre.y())) * self.scale + (middle.x(), middle.y())
         step = max(1, math.floor(0.7 / self.scale))
         gaps = np.flatnonzero(np.isnan(at[:, 0]))
         for piece in np.split(at, gaps):
@@ -157,26 +145,19 @@ class PreviewRenderer:
                 painter.drawPolyline(_polygon(np.concatenate([known[:-1:step], known[-1:]])))
 
     def _draw_scale_bar(self, painter: QPainter, picture: Preview, font: QFont) -> None:
-        if not (math.isfinite(picture.pixel_mm) and picture.pixel_mm > 0):
-            return
         rows, cols = picture.pixels.shape[:2]
-        low, high = self.to_screen(QPointF(0, 0)), self.to_screen(QPointF(cols, rows))
-        right, below = min(high.x(), self.size.width()), min(high.y(), self.size.height())
-        wide = right - max(0.0, low.x())
-        px_of_mm = self.scale / picture.pixel_mm
-        length_mm = next((n for n in _BAR_LENGTHS_MM if n * px_of_mm <= 0.3 * wide), 0.0)
-        if not length_mm or wide < 60:
+        low, high = self.to_image(QPointF(0, 0)), self.to_image(QPointF(self.size.width(), self.size.height()))
+        visible = max(0.0, low.x()), max(0.0, low.y()), min(cols, high.x()), min(rows, high.y())
+        bar = make_scale_bar(picture, visible, self._recolour)
+        if bar is None or (visible[2] - visible[0]) * self.scale < _NARROWEST_PX:
             return
-        end, y = right - 0.05 * wide, below - 8.0
-        dark = self._recolour(picture.pixels[-(rows // 6) :: 3, -(cols // 3) :: 3]).mean() < 130
-        ink = QColor(255, 255, 255) if dark else QColor(30, 32, 36)
-        painter.setPen(QPen(ink, 3))
-        painter.drawLine(QPointF(end - length_mm * px_of_mm, y), QPointF(end, y))
+        self._draw_line(painter, bar.line)
         # A font of a size in pixels belongs to the size of the whole image.
         painter.setFont(make_caption_font(font) if font.pointSizeF() > 0 else font)
-        high = painter.fontMetrics().height()
-        room = QRectF(end - length_mm * px_of_mm - 40, y - 3 - high, length_mm * px_of_mm + 80, high)
-        painter.drawText(room, Qt.AlignmentFlag.AlignCenter, f"{length_mm:g} mm")
+        x, y = bar.line.points_px.mean(axis=0)
+        tall = painter.fontMetrics().height()
+        room = QRectF(self.to_screen(QPointF(x, y)) - QPointF(_LABEL_PX, 3 + tall), QSizeF(2 * _LABEL_PX, tall))
+        painter.drawText(room, Qt.AlignmentFlag.AlignCenter, bar.text)
 
 
 def _polygon(points: NDArray[np.floating]) -> QPolygonF:

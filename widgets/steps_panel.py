@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from PyQt6.QtCore import pyqtSignal
 from PyQt6.QtWidgets import QHBoxLayout, QLabel, QPushButton, QVBoxLayout, QWidget
 
-from pipeline.stages.stage import StepCurve, StepHistory
+from pipeline.previews.view import StepCurve, StepHistory
 from widgets.base import ChoiceBox
 from widgets.plots import Strip, StripPlot
 from widgets.styling import fill, set_spacing

@@ -6,7 +6,7 @@ from PyQt6.QtCore import Qt
 from PyQt6.QtWidgets import QHBoxLayout, QLabel, QVBoxLayout, QWidget
 
 from pipeline.previews.colours import Rgb
-from pipeline.stages.stage import StepCurve
+from pipeline.previews.view import StepCurve
 from widgets.base import ChoiceBox
 from widgets.error_attribution_panel import DecisionPanel
 from widgets.plots import StripPlot

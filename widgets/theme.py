@@ -12,13 +12,6 @@ from PyQt6.QtWidgets import QApplication, QToolTip
 
 from pipeline.previews.colours import NO_VALUE_COLOUR, ColourMapName, ColourScale, Rgb
 
-CONTACT_COLOUR: Rgb = (230, 85, 13)  # outline of the contact mask
-OBSERVED_CONTACT_COLOUR: Rgb = (
-    255,
-    255,
-    255,
-)  # outline of what the target observed, with a dark casing: visible on every colour
-CASING_COLOUR: Rgb = (20, 24, 30)
 CROSSHAIR_COLOUR: Rgb = (230, 0, 115)  # crosshair of the probe
 SECTION_COLOUR: Rgb = (240, 228, 66)  # the section line, with a dark casing
 CATEGORY_COLOURS: tuple[

@@ -296,7 +296,7 @@ class ComparisonController(BackgroundController):
         if page.current_name == "two":
             page.row_3d.setVisible(bool(comparison.views_3d))
             for letter, cell in zip("AB", page.views_3d if comparison.views_3d else (), strict=False):
-                cell.legend.setText(f"{letter} · {self._controller.catalogue.stage(comparison.stage).legend}")
+                cell.legend.setText(f"{letter} · {self._controller.catalogue.views[comparison.stage].legend}")
             self._controller.views.show_variants(comparison.stage, comparison.views_3d, self._controller.session)
 
     def show_result(self, result: object) -> None:

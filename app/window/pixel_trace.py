@@ -9,7 +9,8 @@ from app.window.main_window import MainWindow
 from app.window.scene_geometry import compute_trace_points
 from pipeline.engine.graph import StageResult
 from pipeline.previews.display_params import DisplayParams
-from pipeline.stages.stage import GroundTruth, ProbePoint
+from pipeline.previews.view import ProbePoint
+from pipeline.stages.stage import GroundTruth
 from pipeline.translation import pixel_trace
 from pipeline.translation.translate import Translation
 from pipeline.values.frames import TactileFrame

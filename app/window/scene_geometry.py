@@ -11,8 +11,8 @@ from app.window.main_window import MainWindow
 from pipeline.geometry import rigid
 from pipeline.previews.display_params import DisplayParams
 from pipeline.previews.layers import ViewBounds, stretch_depth
+from pipeline.previews.view import ProbePoint, to_xyz
 from pipeline.sensors.spec import SensorSpec
-from pipeline.stages.stage import ProbePoint, to_xyz
 from pipeline.translation.pixel_trace import SOURCE
 from pipeline.translation.translate import Translation
 from widgets.scene_renderer import CameraState, SceneRenderer
@@ -53,7 +53,7 @@ def compute_trace_points(
 
 def get_depth_stretch(column: str, translation: Translation, display: DisplayParams) -> float:
     """Return by how much the 3D view of a column exaggerates indentations."""
-    is_stretched = column != SOURCE and translation.catalogue.stage(column).exaggerates_indentation
+    is_stretched = column != SOURCE and translation.catalogue.views[column].exaggerates_indentation
     return display.get_depth_stretch(translation.get_sensor(column)) if is_stretched else 1.0
 
 
@@ -78,7 +78,12 @@ def show_captions(window: MainWindow, opened: Translation, display: DisplayParam
     _show_caption(window.view_panels["source"], _SOURCE_LEGEND, opened.source.name, 1.0)
     for stage in opened.catalogue.stages:
         stretch = get_depth_stretch(stage.name, opened, display)
-        _show_caption(window.view_panels[stage.name], stage.legend, opened.get_sensor(stage.name).name, stretch)
+        _show_caption(
+            window.view_panels[stage.name],
+            opened.catalogue.views[stage.name].legend,
+            opened.get_sensor(stage.name).name,
+            stretch,
+        )
 
 
 def _show_caption(panel: View3DPanel, legend: str, frame: str, stretch: float) -> None:

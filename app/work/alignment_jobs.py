@@ -9,10 +9,11 @@ from app.work.requests import get_depth_params, make_request
 from pipeline.alignment.refine import Refinement, refine_on_recording
 from pipeline.alignment.score import AlignmentScore, Sensitivity
 from pipeline.base.arrays import Doubles
+from pipeline.previews.image_views import TARGET_DEPTH
 from pipeline.previews.layers import Layer
 from pipeline.previews.preview import Preview, add_observed_outline, enlarge_preview
 from pipeline.sensors.alignment import Offsets, decompose_motion
-from pipeline.stages.target_depth import stage as target_depth
+from pipeline.stages.target_depth.stage import POINT_SPLAT, SURFACE
 from pipeline.stages.target_depth.surface_projection import ProjectionParams
 from pipeline.translation.translate import Translation, open_translation
 from pipeline.translation.truth_view import TruthView, build_observation_view
@@ -67,7 +68,7 @@ def draw_before_and_after(
     context = opened.make_preview_context({}, session.display)
 
     def draw_preview(offsets: Offsets) -> Preview:
-        preview = target_depth.make_preview(frame.project_touch(offsets.apply_to(opened.alignment), params)[0], context)
+        preview = TARGET_DEPTH.make_preview(frame.project_touch(offsets.apply_to(opened.alignment), params)[0], context)
         if frame.paired_touch is not None:
             view = build_observation_view(preview, frame.paired_touch.target, opened.target, session.display)
             preview = view.difference_to_truth or preview
@@ -90,7 +91,7 @@ def preview_drag(evaluator: Evaluator, session: Session, report: JobReporter) ->
     depth, _ = frame.project_touch(alignment, params, frame.preview_downsampling)
     score = frame.compute_score(alignment, params)
     context = opened.make_preview_context({}, session.display)
-    small = target_depth.make_preview(depth, context)
+    small = TARGET_DEPTH.make_preview(depth, context)
     preview = enlarge_preview(small, opened.target.camera.shape)
     observed = (
         None
@@ -99,7 +100,7 @@ def preview_drag(evaluator: Evaluator, session: Session, report: JobReporter) ->
     )
     return DragPreview(
         preview=add_observed_outline(preview, frame.observed_outline_px), observation_view=observed,
-        layers=target_depth.make_layers(depth, context, small), score=score,
+        layers=TARGET_DEPTH.make_layers(depth, context, small), score=score,
     )  # fmt: skip
 
 
@@ -141,8 +142,8 @@ def propose_refinement(session: Session, report: JobReporter) -> RefinementPropo
 
 def get_projection_params(session: Session) -> ProjectionParams:
     """Return the projection parameters of the session's target depth method."""
-    is_splat = session.methods.get("target_depth") == target_depth.POINT_SPLAT.name
-    params = session.get_params(target_depth.POINT_SPLAT if is_splat else target_depth.SURFACE)
+    is_splat = session.methods.get("target_depth") == POINT_SPLAT.name
+    params = session.get_params(POINT_SPLAT if is_splat else SURFACE)
     assert isinstance(params, ProjectionParams)
     return params
 

@@ -9,7 +9,7 @@ from app.work.jobs import JobReporter
 from pipeline.base.arrays import Doubles
 from pipeline.base.errors import FileProblem
 from pipeline.previews.layers import Layer, ViewBounds
-from pipeline.stages.stage import StepCurve
+from pipeline.previews.view import StepCurve
 from pipeline.tasks.task import Decision, RecordedRollout
 from pipeline.tasks.trial_rows import TrialRow
 

@@ -11,12 +11,12 @@ from app.work.target_comparison import TargetComparison
 from pipeline.base.arrays import Image, freeze
 from pipeline.base.memo import Memo, measure_bytes
 from pipeline.engine.graph import StageResult
-from pipeline.geometry.camera import Camera
 from pipeline.previews.display_params import DisplayParams
 from pipeline.previews.layers import Layer, make_frame_layer
-from pipeline.previews.preview import Preview, add_observed_outline, make_frame_preview, match_camera
+from pipeline.previews.preview import Preview, add_observed_outline, make_recorded_preview
+from pipeline.previews.view import StepHistory, View
 from pipeline.sensors.spec import SensorSpec
-from pipeline.stages.stage import GroundTruth, Stage, StepHistory
+from pipeline.stages.stage import GroundTruth
 from pipeline.translation.round_trip import measure_training_distance
 from pipeline.translation.translate import Translation
 from pipeline.translation.truth_view import TruthView, build_observation_view, build_truth_view
@@ -83,7 +83,7 @@ class PreviewCache:
         if loaded is None or (loaded.frame.is_depth and loaded.display != display):  # colour maps apply to depth only
             frame = translation.stream.frame(translation.check_index(index)) if loaded is None else loaded.frame
             truth = translation.read_ground_truth(index) if loaded is None else loaded.ground_truth
-            preview, camera = _preview_frame(frame, translation.source, display)
+            preview, camera = make_recorded_preview(frame, translation.source, display)
             layer = make_frame_layer("source", frame.image, camera, preview, translation.source)
             loaded = LoadedFrame(frame, truth, preview, layer, display)
             if translation.recording.refresh is None:  # the zero and the oldest frames of a live recording change
@@ -111,34 +111,34 @@ class PreviewCache:
         truths: Mapping[str, object] | None,
     ) -> StagePreview:
         """Return the preview of a result; equal results return the same images, which the window need not redraw."""
-        stage = translation.catalogue.stage(result.name)
-        inputs = tuple(results[name].digest for name in stage.preview_stages if name in results)
+        view = translation.catalogue.views[result.name]
+        inputs = tuple(results[name].digest for name in view.preview_stages if name in results)
         n_steps = len(getattr(result.output, "steps", ()))  # not part of the digest
         key = (result.name, result.digest, n_steps, session.display, inputs)
         cached = None if truths is None and other is None else self._compared.get(key)
         if cached is not None and cached[0] is other and cached[1] is truths:
             return replace(cached[2], result=result)
-        shown = self._previews.get_or_make(key, lambda: _draw_stage(stage, result, results, translation, session))
+        shown = self._previews.get_or_make(key, lambda: _draw_stage(view, result, results, translation, session))
         if truths is not None or other is not None:
-            shown = _add_comparison(stage, shown, results, translation, session, other, truths)
+            shown = _add_comparison(view, shown, results, translation, session, other, truths)
             self._compared.put(key, (other, truths, shown))
         return replace(shown, result=result)
 
 
 def _draw_stage(
-    stage: Stage, result: StageResult, results: Mapping[str, StageResult], translation: Translation, session: Session
+    view: View, result: StageResult, results: Mapping[str, StageResult], translation: Translation, session: Session
 ) -> StagePreview:
     context = translation.make_preview_context(results, session.display)
-    preview = stage.make_preview(result.output, context)
-    steps = stage.split_steps(result.output)
-    previews = tuple(stage.make_preview(step, context) for step in steps)
+    preview = view.make_preview(result.output, context)
+    steps = view.split_steps(result.output)
+    previews = tuple(view.make_preview(step, context) for step in steps)
     return StagePreview(
         result=result,
         preview=preview,
-        layers=stage.make_layers(result.output, context, preview),
+        layers=view.make_layers(result.output, context, preview),
         step_previews=previews,
-        step_layers=tuple(stage.make_step_layers(s, context, p) for s, p in zip(steps, previews, strict=True)),
-        step_history=stage.summarise_steps(result.output),
+        step_layers=tuple(view.make_step_layers(s, context, p) for s, p in zip(steps, previews, strict=True)),
+        step_history=view.summarise_steps(result.output),
     )
 
 
@@ -158,7 +158,7 @@ def _size_loaded_bytes(loaded: LoadedFrame) -> int:
 
 
 def _add_comparison(
-    stage: Stage,
+    view: View,
     shown: StagePreview,
     results: Mapping[str, StageResult],
     translation: Translation,
@@ -175,19 +175,14 @@ def _add_comparison(
     if truths is None:
         return shown
     context = translation.make_preview_context(results, session.display)
-    return replace(shown, truth_view=build_truth_view(stage, shown.preview, truths, context))
-
-
-def _preview_frame(frame: TactileFrame, sensor: SensorSpec, display: DisplayParams) -> tuple[Preview, Camera]:
-    camera = match_camera(frame.camera or sensor.camera, frame.image.shape)
-    return make_frame_preview(frame.shown_image, camera, sensor, display, reference=frame.reference), camera
+    return replace(shown, truth_view=build_truth_view(shown.result.name, view, shown.preview, truths, context))
 
 
 def add_thumbnails(
     summary: FrameSummary, frame: TactileFrame, sensor: SensorSpec, display: DisplayParams
 ) -> FrameSummary:
     """Return the summary with a small image (rows, cols, 3) of its frame for either theme, for the frames table."""
-    preview, _ = _preview_frame(frame, sensor, display)
+    preview, _ = make_recorded_preview(frame, sensor, display)
     dark = None if preview.scale is None else _shrink(recolour_for_theme(preview.pixels, preview.scale, DARK_COLOURS))
     return replace(summary, thumbnail=_shrink(preview.pixels), dark_thumbnail=dark)
 

@@ -129,7 +129,9 @@ def _surface_points(depth: DepthMap) -> Doubles:
     chosen = np.zeros_like(usable)
     chosen[every // 2 :: every, every // 2 :: every] = True
     row, col = np.nonzero(usable & chosen)
-    return _at(depth, col.astype(np.float64), row.astype(np.float64), depth.depth_mm[row, col].astype(np.float64))
+    return depth.camera.back_project_at(
+        col.astype(np.float64), row.astype(np.float64), depth.depth_mm[row, col].astype(np.float64)
+    )
 
 
 def _outline_points(depth: DepthMap) -> Doubles:
@@ -149,14 +151,7 @@ def _outline_points(depth: DepthMap) -> Doubles:
     kept = (x > margin) & (x < cols - 1 - margin) & (y > margin) & (y < rows - 1 - margin) & (z > MIN_DEPTH_MM)
     x, y, z = x[kept], y[kept], z[kept]
     every = max(1, int(np.ceil(x.size / OUTLINE_POINTS)))
-    return _at(depth, x[::every], y[::every], z[::every])
-
-
-def _at(depth: DepthMap, x_px: Doubles, y_px: Doubles, z_mm: Doubles) -> Doubles:
-    camera = depth.camera
-    return np.stack(
-        [(x_px - camera.cx_px) / camera.fx_px * z_mm, (y_px - camera.cy_px) / camera.fy_px * z_mm, z_mm], axis=-1
-    )
+    return depth.camera.back_project_at(x[::every], y[::every], z[::every])
 
 
 def _normals(depth_mm: Doubles, camera: Camera) -> Doubles:

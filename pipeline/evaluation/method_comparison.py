@@ -119,7 +119,7 @@ def _compute_metrics(
 
 def _make_touch_preview(touch: GeneratedTouch, translation: Translation, display: DisplayParams) -> Preview:
     """The touch as its column shows it."""
-    return translation.catalogue.stage(_STAGE).make_preview(touch, translation.make_preview_context({}, display))
+    return translation.catalogue.views[_STAGE].make_preview(touch, translation.make_preview_context({}, display))
 
 
 def _make_truth_preview(translation: Translation, frame: int, display: DisplayParams) -> Preview | None:

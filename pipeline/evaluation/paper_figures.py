@@ -16,7 +16,7 @@ from pipeline.evaluation.held_out import PressRecordings
 from pipeline.evaluation.paper_tables import EvaluationRequest, collect_touches
 from pipeline.evaluation.touch_scoring import open_presses
 from pipeline.previews.display_params import DisplayParams
-from pipeline.previews.preview import make_frame_preview
+from pipeline.previews.preview import make_recorded_preview
 from pipeline.sensors.spec import load_sensor
 from pipeline.translation.translate import Translation
 from pipeline.values.frames import TactileFrame
@@ -87,8 +87,7 @@ def _make_row(
 
 def _draw_frame(frame: TactileFrame, translation: Translation, name: str) -> Image:
     sensor = translation.source if translation.source.name == name else translation.target
-    camera = sensor.camera if frame.camera is None else frame.camera
-    return make_frame_preview(frame.shown_image, camera, sensor, DisplayParams(), reference=frame.reference).pixels
+    return make_recorded_preview(frame, sensor, DisplayParams())[0].pixels
 
 
 def _draw_stages(
@@ -105,7 +104,7 @@ def _draw_stages(
     stages = {DEPTH: "target_depth", model: "touch"} if model == T2D2 else {model: "touch"}
     results = chosen.evaluate(index, ["target_depth", "touch"])
     context = chosen.make_preview_context(results)
-    previews = {title: chosen.catalogue.stage(stage).make_preview(results[stage].output, context)
+    previews = {title: chosen.catalogue.views[stage].make_preview(results[stage].output, context)
                 for title, stage in stages.items()}  # fmt: skip
     return {title: preview.pixels for title, preview in previews.items()}
 

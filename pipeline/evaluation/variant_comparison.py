@@ -12,7 +12,7 @@ from pipeline.previews.contrast import share_scale
 from pipeline.previews.difference import compute_difference
 from pipeline.previews.display_params import DisplayParams
 from pipeline.previews.layers import Layer, make_frame_layer
-from pipeline.previews.preview import Preview, make_frame_preview, match_camera
+from pipeline.previews.preview import Preview, make_recorded_preview
 from pipeline.previews.tile import Tile
 from pipeline.translation.translate import Translation
 from pipeline.translation.truth_view import TruthView, add_truth_warnings, build_truth_view
@@ -107,8 +107,7 @@ def evaluate_view(
     translation = variant.translation
     source, truth = translation.source, translation.read_ground_truth(translation.check_index(frame))
     recorded = translation.stream.frame(frame)
-    camera = match_camera(recorded.camera or source.camera, recorded.image.shape)
-    preview = make_frame_preview(recorded.shown_image, camera, source, display, reference=recorded.reference)
+    preview, camera = make_recorded_preview(recorded, source, display)
     layer = make_frame_layer(SOURCE, recorded.image, camera, preview, source)
     views = {SOURCE: StageView(preview=preview, layers=(layer,))}
     requested = [name for name in translation.stages if stage in ("", name)]
@@ -116,11 +115,11 @@ def evaluate_view(
     results = {name: add_truth_warnings(each, truth) for name, each in result.results.items()}
     context, true_outputs = result.make_context(display), translation.read_true_outputs(frame)
     for name, each in results.items():
-        entry = translation.catalogue.stage(name)
-        preview = entry.make_preview(each.output, context)
+        view = translation.catalogue.views[name]
+        preview = view.make_preview(each.output, context)
         views[name] = StageView(
-            preview=preview, layers=entry.make_layers(each.output, context, preview), result=each,
-            truth_view=build_truth_view(entry, preview, true_outputs, context),
+            preview=preview, layers=view.make_layers(each.output, context, preview), result=each,
+            truth_view=build_truth_view(name, view, preview, true_outputs, context),
         )  # fmt: skip
     titles = {SOURCE: "Source", **{name: translation.catalogue.stage(name).title for name in translation.stages}}
     metrics = translation.compute_metrics_against(results, truth)

@@ -18,7 +18,7 @@ from pipeline.engine.graph import Graph, Method, StageResult
 from pipeline.networks.weights import NoWeights
 from pipeline.previews.display_params import DisplayParams
 from pipeline.previews.preview import Preview
-from pipeline.stages.stage import PreviewContext
+from pipeline.previews.view import PreviewContext
 from pipeline.translation.translate import Translation
 
 _CACHE_BYTES = 64 * 1024 * 1024  # a dozen frames by every touch method
@@ -66,8 +66,8 @@ class VariantResult:
 
     def make_preview(self, stage: str, display: DisplayParams) -> Preview:
         """Preview of one stage."""
-        entry = self.variant.translation.catalogue.stage(stage)
-        return entry.make_preview(self.results[stage].output, self.make_context(display))
+        view = self.variant.translation.catalogue.views[stage]
+        return view.make_preview(self.results[stage].output, self.make_context(display))
 
 
 class VariantRunner:

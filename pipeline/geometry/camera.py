@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -69,9 +70,14 @@ class Camera:
 
     def back_project(self, depth_mm: NDArray[np.floating]) -> Doubles:
         """Return the points (rows, cols, 3) of a depth image in the sensor frame; NaN stays NaN."""
-        x, y = self.rays()
         z = np.asarray(depth_mm, dtype=np.float64)
-        return np.stack([z * x[None, :], z * y[:, None], z], axis=-1)
+        return self.back_project_at(np.arange(self.cols), np.arange(self.rows)[:, None], z)
+
+    def back_project_at(self, x_px: NDArray[Any], y_px: NDArray[Any], z_mm: Doubles) -> Doubles:
+        """Return the points (..., 3) in the sensor frame of depths (...) at image positions."""
+        return np.stack(
+            [(x_px - self.cx_px) / self.fx_px * z_mm, (y_px - self.cy_px) / self.fy_px * z_mm, z_mm], axis=-1
+        )
 
     def project(self, points_mm: ArrayLike) -> tuple[Doubles, Doubles, Mask]:
         """Return (x_px, y_px, visible) of points (n, 3); points behind the lens or outside the image are invisible."""

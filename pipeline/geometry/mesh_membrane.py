@@ -16,6 +16,7 @@ from pipeline.base.errors import MeshProblem
 from pipeline.geometry.camera import MIN_DEPTH_MM
 from pipeline.geometry.membrane import Membrane
 from pipeline.geometry.meshes import Mesh, load_mesh
+from pipeline.geometry.rasterisation import rasterise_triangles
 
 MAX_ERROR_MM = 0.05  # of the grid against its mesh: far below the noise of a bubble's depth
 _PERCENT = 95  # percent of the cells within that error; the rest are creases, such as a rim
@@ -47,8 +48,8 @@ def make_mesh_membrane(mesh: Mesh, step_mm: float = 0.5) -> Membrane:
         raise MeshProblem(f"a grid of {step_mm:g} mm has {nx * ny:,} nodes on this rest surface; use a larger step")
     x, y = low[0] + np.arange(nx) * step_mm, low[1] + np.arange(ny) * step_mm
     # The last nodes may be outside the mesh by rounding or part of a step: its border continues there.
-    x_mm, y_mm = np.meshgrid(np.minimum(x, high[0]), np.minimum(y, high[1]))
-    heights = _heights(mesh, x_mm, y_mm, step_mm)
+    columns, rows = ((at[:-1], np.minimum(at[-1:], high[k])) for k, at in enumerate((x, y)))
+    heights = np.block([[_heights(mesh, some_x, some_y, step_mm) for some_x in columns] for some_y in rows])
     if not np.isfinite(heights).any():
         raise MeshProblem("the rest surface is parallel to z and covers no area; check its axes")
     surface = Membrane(x0_mm=float(x[0]), y0_mm=float(y[0]), step_mm=step_mm, z_mm=freeze(_extend_border(heights)))
@@ -61,21 +62,19 @@ def make_mesh_membrane(mesh: Mesh, step_mm: float = 0.5) -> Membrane:
 
 
 def _heights(mesh: Mesh, x_mm: Doubles, y_mm: Doubles, step_mm: float) -> Doubles:
-    """Return z of the mesh's nearest surface at each (x, y), else NaN; raises MeshProblem where it folds."""
-    from pipeline.geometry.mesh_membrane_kernels import sample_mesh_heights
-
-    nearest, farthest = np.full(x_mm.size, np.nan), np.full(x_mm.size, np.nan)
-    sample_mesh_heights(
-        np.ascontiguousarray(mesh.vertices_mm), np.ascontiguousarray(mesh.triangles), x_mm.ravel(), y_mm.ravel(),
-        (float(x_mm[0, 0]), float(y_mm[0, 0])), step_mm, x_mm.shape, nearest, farthest,
-    )  # fmt: skip
+    """Z (ny, nx) of the mesh's nearest surface at nodes of a grid, else NaN; raises MeshProblem where it folds."""
+    nodes = (mesh.vertices_mm - (x_mm[0], y_mm[0], 0.0)) / (step_mm, step_mm, 1.0)
+    nearest, farthest = (
+        side * rasterise_triangles(nodes * (1.0, 1.0, side), mesh.triangles, (len(y_mm), len(x_mm)))[0]
+        for side in (1.0, -1.0)
+    )
     folded = int(np.count_nonzero(farthest - nearest > _FOLD_MM))
     if folded:
         raise MeshProblem(
             f"the rest surface folds over itself at {folded:,} places seen along z; "
             "keep the sheet that the camera sees, without walls or a back"
         )
-    return nearest.reshape(x_mm.shape)
+    return np.where(np.isfinite(nearest), nearest, np.nan)
 
 
 def _extend_border(heights: Doubles) -> Doubles:
@@ -92,9 +91,7 @@ def _extend_border(heights: Doubles) -> Doubles:
 def compute_lattice_error_mm(mesh: Mesh, surface: Membrane) -> float:
     """Return the 95th percentile over cells of |z| difference between mesh and height field, at their centres."""
     ny, nx = surface.z_mm.shape
-    x_mm, y_mm = np.meshgrid(
-        surface.x0_mm + (np.arange(nx) + 0.5) * surface.step_mm, surface.y0_mm + (np.arange(ny) + 0.5) * surface.step_mm
-    )
-    off = np.abs(_heights(mesh, x_mm, y_mm, surface.step_mm) - surface.depth_at(x_mm, y_mm))
+    x_mm, y_mm = (at + (np.arange(n) + 0.5) * surface.step_mm for at, n in ((surface.x0_mm, nx), (surface.y0_mm, ny)))
+    off = np.abs(_heights(mesh, x_mm, y_mm, surface.step_mm) - surface.depth_at(*np.meshgrid(x_mm, y_mm)))
     known = off[np.isfinite(off)]
     return float(np.percentile(known, _PERCENT)) if known.size else 0.0

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -92,6 +93,18 @@ def sample_surface(mesh: Mesh, n: int, seed: int) -> tuple[Doubles, Doubles]:
     u, v = np.where(folded, 1.0 - u, u)[:, None], np.where(folded, 1.0 - v, v)[:, None]
     a, b, c = (corners[chosen, k] for k in range(3))
     return freeze(a + u * (b - a) + v * (c - a)), freeze(normals[chosen] / doubled[chosen, None])
+
+
+@lru_cache(maxsize=16)
+def make_grid_triangles(rows: int, cols: int) -> Indices:
+    """Triangles (n, 3) between the points of an image in row order, two for each four neighbours.
+
+    Front faces are wound toward the camera: OpenGL flips the normals of back faces.
+    """
+    first = (np.arange(rows - 1)[:, None] * cols + np.arange(cols - 1)[None, :]).ravel()
+    upper = np.stack([first, first + cols, first + 1], axis=-1)
+    lower = np.stack([first + 1, first + cols, first + cols + 1], axis=-1)
+    return freeze(np.concatenate([upper, lower]).astype(np.int32))
 
 
 def _find_scale(corners: Doubles, unit: str, path: Path) -> float:

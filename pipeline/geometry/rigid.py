@@ -29,14 +29,20 @@ def rotation(rotation_vector_rad: ArrayLike) -> Doubles:
     """The rotations (..., 4, 4) about vectors (..., 3) by their lengths in radians (exponential map, Rodrigues)."""
     w = np.asarray(rotation_vector_rad, dtype=np.float64)
     angle = np.sqrt((w * w).sum(axis=-1))[..., None, None]
-    k = np.zeros((*w.shape, 3))
-    k[..., (2, 0, 1), (1, 2, 0)], k[..., (1, 2, 0), (2, 0, 1)] = w, -w
+    k = cross_matrix(w)
     small, safe = angle < _SMALL_ANGLE_RAD, np.maximum(angle, _SMALL_ANGLE_RAD)
     a = np.where(small, 1.0 - angle**2 / 6.0, np.sin(safe) / safe)
     b = np.where(small, 0.5 - angle**2 / 24.0, (1.0 - np.cos(safe)) / safe**2)
     matrix = np.zeros((*w.shape[:-1], 4, 4))
     matrix[..., range(4), range(4)] = 1.0
     matrix[..., :3, :3] += a * k + b * (k @ k)
+    return matrix
+
+
+def cross_matrix(vectors: Doubles) -> Doubles:
+    """The matrices (..., 3, 3) that multiply as the cross product with vectors (..., 3)."""
+    matrix = np.zeros((*vectors.shape, 3))
+    matrix[..., (2, 0, 1), (1, 2, 0)], matrix[..., (1, 2, 0), (2, 0, 1)] = vectors, -vectors
     return matrix
 
 
@@ -87,6 +93,14 @@ def invert(matrix: Doubles) -> Doubles:
     inverse[:3, :3] = matrix[:3, :3].T
     inverse[:3, 3] = -matrix[:3, :3].T @ matrix[:3, 3]
     return inverse
+
+
+def orthonormalise(matrix: Doubles) -> Doubles:
+    """The nearest rigid transform (4, 4): products of many lose their orthonormality."""
+    u, _, vt = np.linalg.svd(matrix[:3, :3])
+    rigid = matrix.copy()
+    rigid[:3, :3] = u @ vt
+    return rigid
 
 
 def apply(target_from_source: Doubles, points_mm: ArrayLike) -> Doubles:

@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from pipeline.base.arrays import Doubles
+from pipeline.geometry.rigid import cross_matrix
 
 SLIDE_ROTATION_LIMIT = 0.05  # share of rotation in a unit motion below which it is a translation
 _LOOSE_ROTATION_LIMIT = 0.2  # share of rotation that also counts where the pure translation is not observable either
@@ -92,7 +93,7 @@ def _common_centre(turns: list[Doubles], slides: Doubles, radius_mm: float) -> D
     if not turns:
         return np.zeros(3)
     free = np.eye(3) - slides @ slides.T
-    rows = np.concatenate([free @ _cross(turn[:3] / radius_mm) for turn in turns])
+    rows = np.concatenate([free @ cross_matrix(turn[:3] / radius_mm) for turn in turns])
     wanted = np.concatenate([-free @ turn[3:] for turn in turns])
     u, size, vt = np.linalg.svd(rows, full_matrices=False)
     is_significant = (
@@ -121,7 +122,3 @@ def _describe_rotation(
     if np.linalg.norm(centre_mm) <= _CENTRE_DISTANCE * radius_mm:
         return words
     return words + " through ({:.1f}, {:.1f}, {:.1f}) mm".format(*(np.round(about_mm + centre_mm, 1) + 0.0))
-
-
-def _cross(w: Doubles) -> Doubles:
-    return np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])

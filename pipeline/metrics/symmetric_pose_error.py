@@ -199,6 +199,6 @@ def _screw(motion: Doubles) -> Doubles:
     """Return the logarithm (6,) of a rigid motion: rotation vector, and translation per unit of the motion along it."""
     turn = rigid.rotation_vector_rad(motion)
     angle = float(np.linalg.norm(turn))
-    skew = np.array([[0.0, -turn[2], turn[1]], [turn[2], 0.0, -turn[0]], [-turn[1], turn[0], 0.0]])
+    skew = rigid.cross_matrix(turn)
     curl = 1.0 / 12.0 if angle < _SMALL_RAD else (1.0 - 0.5 * angle / math.tan(0.5 * angle)) / angle**2
     return np.concatenate([turn, (np.eye(3) - 0.5 * skew + curl * (skew @ skew)) @ motion[:3, 3]])

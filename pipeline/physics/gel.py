@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from pipeline.base.arrays import Floats, Mask, freeze
 from pipeline.base.errors import ShapeError
 from pipeline.physics import gel_layer
+from pipeline.physics.multigrid import compute_dot, generate_steps
 from pipeline.sensors.parts import Gel
 
 TOLERANCE_MM = 1e-4  # 0.1 um: far below the resolution of any camera
@@ -83,18 +84,17 @@ def relax_gel(
         return _no_contact(target.shape, pixel_mm)
     box = _bound_mask(mask)
     layer, inside = gel_layer.make_elastic_layer(gel, pixel_mm, target[box].shape), mask[box]
-    pressure = np.zeros(inside.shape, np.float32)
-    left = np.where(inside, target[box], np.float32(0))
-    step = np.zeros_like(pressure)
-    energy, steps, worst = 1.0, 0, float(np.abs(left).max())
-    while worst > tolerance_mm and steps < max_steps:
-        preconditioned = np.where(inside, layer.compute_pressure(left), np.float32(0))
-        new_energy = _dot(left, preconditioned)
-        step = preconditioned + np.float32(new_energy / energy if steps else 0.0) * step
-        moved = np.where(inside, layer.compute_displacement(step), np.float32(0))
-        length = np.float32(new_energy / _dot(step, moved))
-        pressure, left, energy = pressure + length * step, left - length * moved, new_energy
-        steps, worst = steps + 1, float(np.abs(left).max())
+    pressure, left, steps = np.zeros(inside.shape, np.float32), target[box].copy(), 0
+    for steps, step in enumerate(
+        generate_steps(
+            left, lambda p: layer.compute_displacement(p) * inside, lambda u: layer.compute_pressure(u) * inside
+        ),
+        1,
+    ):
+        pressure += step
+        if float(np.abs(left).max()) <= tolerance_mm or steps == max_steps:
+            break
+    worst = float(np.abs(left).max())
     whole = np.zeros(target.shape, np.float32)
     whole[box] = pressure
     u = gel_layer.make_elastic_layer(gel, pixel_mm, target.shape).compute_displacement(whole)
@@ -119,18 +119,18 @@ def _solve_contact(
             return pressure, step, residual
         along = np.where(touching, gap, np.float32(0))
         steep = np.where(touching, layer.compute_pressure(along), np.float32(0))
-        new_norm = _dot(along, steep)
+        new_norm = compute_dot(along, steep)
         direction = steep + np.float32(new_norm / norm if conjugate else 0.0) * np.where(
             touching, direction, np.float32(0)
         )
         norm = new_norm
         moved = layer.compute_displacement(direction)
-        curvature = _dot(direction, moved)
+        curvature = compute_dot(direction, moved)
         if curvature <= 0:  # no contact yet: push where it overlaps
             pressure = np.where(gap < 0, -stiffness * gap, pressure)
             u, conjugate = layer.compute_displacement(pressure), False
             continue
-        length = np.float32(_dot(along, direction) / curvature)
+        length = np.float32(compute_dot(along, direction) / curvature)
         trial = pressure - length * direction
         clipped = trial < 0
         entering = ~touching & (gap < 0)
@@ -145,10 +145,6 @@ def _solve_contact(
         pressure = trial
         u = layer.compute_displacement(pressure)
     return pressure, max_steps, residual
-
-
-def _dot(a: Floats, b: Floats) -> float:
-    return float(np.einsum("ij,ij->", a, b, dtype=np.float64))
 
 
 def _check_overlap(overlap_mm: NDArray[np.floating], pixel_mm: float) -> Floats:

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from pipeline.base.arrays import Doubles, Indices, Mask, freeze
 from pipeline.geometry.camera import Camera
+from pipeline.geometry.meshes import make_grid_triangles
+from pipeline.geometry.rasterisation import rasterise_triangles
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,38 +35,26 @@ class Lattice:
 
 def rasterise_depth_image(camera: Camera, depth_mm: NDArray[np.floating], on: Lattice) -> Doubles:
     """Z (ny, nx) in mm of the surface in a depth image (NaN = none), the nearest where it folds; +inf without one."""
-    from pipeline.physics.lattice_kernels import lower_to_depth_image
-
-    height = np.full(on.shape, np.inf)
-    ray_x, ray_y = camera.rays()
-    joined = np.zeros(depth_mm.shape, np.bool_)
-    lower_to_depth_image(np.asarray(depth_mm, np.float64), ray_x, ray_y, on.x0_mm, on.y0_mm, on.step_mm, joined, height)
+    points, known = camera.back_project(depth_mm), np.isfinite(depth_mm)
+    height = rasterise_mesh(points.reshape(-1, 3), make_grid_triangles(*known.shape), on)
+    between = known[:-1, 1:] & known[1:, :-1]
+    upper, lower = between & known[:-1, :-1], between & known[1:, 1:]
+    joined = np.zeros_like(known)
+    joined[:-1, :-1] = upper
+    joined[1:, 1:] |= lower
+    joined[:-1, 1:] |= upper | lower
+    joined[1:, :-1] |= upper | lower
+    alone = points[known & ~joined]  # a single pixel between the nodes counts, too
+    col, row = ((alone[:, k] - at) / on.step_mm + 0.5 for k, at in enumerate((on.x0_mm, on.y0_mm)))
+    inside = (col >= 0) & (col < on.shape[1]) & (row >= 0) & (row < on.shape[0])
+    np.minimum.at(height, (row[inside].astype(np.intp), col[inside].astype(np.intp)), alone[inside, 2])
     return height
 
 
 def rasterise_mesh(vertices_mm: Doubles, triangles: Indices, on: Lattice) -> Doubles:
     """Z (ny, nx) of the side of a mesh (in the sensor frame) that faces the camera; +inf outside."""
-    from pipeline.physics.lattice_kernels import lower_to_mesh
-
-    height = np.full(on.shape, np.inf)
-    nodes = np.array(vertices_mm, dtype=np.float64)
-    nodes[:, :2] = (nodes[:, :2] - (on.x0_mm, on.y0_mm)) / on.step_mm
-    lower_to_mesh(nodes, triangles, height)
-    return height
-
-
-def render_mesh_depth(vertices_mm: Doubles, triangles: Indices, camera: Camera) -> Doubles:
-    """Z (rows, cols) of the side of a mesh (in front of the camera, in its frame) that each pixel sees; NaN outside.
-
-    1 / z is linear in the image, so that triangles are rasterised as over a lattice.
-    """
-    from pipeline.physics.lattice_kernels import lower_to_mesh
-
-    x, y, z = vertices_mm.T
-    nodes = np.stack([camera.fx_px * x / z + camera.cx_px, camera.fy_px * y / z + camera.cy_px, -1.0 / z], axis=-1)
-    nearness = np.full(camera.shape, np.inf)
-    lower_to_mesh(nodes, triangles, nearness)
-    return freeze(np.where(np.isfinite(nearness), -1.0 / nearness, np.nan))
+    nodes = (vertices_mm - (on.x0_mm, on.y0_mm, 0.0)) / (on.step_mm, on.step_mm, 1.0)
+    return rasterise_triangles(nodes, triangles, on.shape)[0]
 
 
 def intersect_rays(camera: Camera, z_mm: Doubles, on: Lattice, guess_mm: NDArray[np.floating]) -> Doubles:

@@ -8,11 +8,14 @@ cycles (Kornhuber 1994) take over, which are slower but always converge.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Generator
 from dataclasses import dataclass
+from itertools import islice
+from typing import TypeVar
 
 import numpy as np
 
-from pipeline.base.arrays import Doubles, Mask
+from pipeline.base.arrays import Doubles, Floats, Mask
 
 N_HALVINGS = 4  # every lattice side is a multiple of 2^4 steps, so that it can be halved this often
 MAX_CYCLES = 160
@@ -21,6 +24,8 @@ _BOLD_CYCLES = 6  # with coarse levels up to the contact: fast on smooth objects
 _FEW_NODES = 2  # that still enter or leave the contact when the linear problem is tried
 _MAX_STEPS = 30
 _STEP_SHARE = 0.3  # of the tolerance: the error is well below it after a step of this size
+
+Field = TypeVar("Field", Doubles, Floats)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -64,36 +69,61 @@ def solve(grid: ObstacleProblem, start_mm: Doubles, load_per_mm: float, toleranc
 def _solve_linear(
     v: Doubles, load: Doubles, loose: Mask, size: tuple[float, int], careful: bool, tolerance_mm: float
 ) -> None:
-    """Solve the linear problem on the loose nodes, in place: flexible conjugate gradients, preconditioned by a cycle.
+    """Solve the linear problem on the loose nodes, in place: conjugate gradients, preconditioned by a cycle.
 
-    The cycle is not symmetric (red before black on the way down and up), hence the flexible form. No array of the
-    lattice's size is allocated in a step: allocation costs as much as the sums.
+    No array of the lattice's size is allocated in a step: allocation costs as much as the sums.
     """
     from pipeline.physics.multigrid_kernels import compute_residual, run_cycle
 
-    left, moved, direction, guided = np.empty_like(v), np.zeros_like(v), np.zeros_like(v), np.empty_like(v)
-    unbound, nothing, energy, still_loose = np.full_like(v, np.inf), np.zeros_like(v), 1.0, loose.copy()
-    compute_residual(v, load, unbound, loose, size[0], left)
-    for _ in range(_MAX_STEPS):
-        guided[:] = 0.0
-        run_cycle(guided, left, unbound, loose, still_loose, *size, True, careful)
-        direction *= _dot(guided, moved) / energy
-        direction += guided
+    left, moved, guided, still_loose = np.empty_like(v), np.empty_like(v), np.empty_like(v), loose.copy()
+    unbound, nothing = np.full_like(v, np.inf), np.zeros_like(v)
+
+    def apply(direction: Doubles) -> Doubles:
         compute_residual(direction, nothing, unbound, loose, size[0], moved)
-        energy, curvature = _dot(direction, left), -_dot(direction, moved)
-        if not (energy > 0 and curvature > 0):
-            return
-        length = energy / curvature
-        moved *= length
-        left += moved
-        v += np.multiply(direction, length, out=guided)
-        if max(float(guided.max()), -float(guided.min())) <= _STEP_SHARE * tolerance_mm:
+        return np.negative(moved, out=moved)
+
+    def run_preconditioner(residual: Doubles) -> Doubles:
+        guided[:] = 0.0
+        run_cycle(guided, residual, unbound, loose, still_loose, *size, True, careful)
+        return guided
+
+    compute_residual(v, load, unbound, loose, size[0], left)
+    for step in islice(generate_steps(left, apply, run_preconditioner), _MAX_STEPS):
+        v += step
+        if max(float(step.max()), -float(step.min())) <= _STEP_SHARE * tolerance_mm:
             return
 
 
-def _dot(a: Doubles, b: Doubles) -> float:
-    """Dot product in a fixed order; BLAS distributes it over threads."""
-    return float(np.einsum("ij,ij->", a, b))
+def generate_steps(
+    residual: Field, apply: Callable[[Field], Field], precondition: Callable[[Field], Field]
+) -> Generator[Field]:
+    """Yield the conjugate gradient steps whose sum solves A x = b; the caller adds them up and stops.
+
+    The flexible form (Notay 2000): a direction is made orthogonal to the last by A itself, so that the preconditioner
+    may be unsymmetric or inexact, such as one cycle of multigrid.
+
+    `residual` is b at first, and b - A x in place after each step. `apply` is x -> A x, symmetric and positive on the
+    directions that `precondition` gives. Both may return buffers of their own: a step is valid until the next one, and
+    no array is allocated in it. Ends where no step reduces the residual any more.
+    """
+    direction, moved, reduced = np.zeros_like(residual), np.zeros_like(residual), 1.0
+    while True:
+        guided = precondition(residual)
+        direction *= -compute_dot(guided, moved) / reduced
+        direction += guided
+        moved = apply(direction)
+        reduced, curvature = compute_dot(direction, residual), compute_dot(direction, moved)
+        if not (reduced > 0.0 and curvature > 0.0):
+            return
+        moved *= reduced / curvature
+        residual -= moved
+        np.multiply(direction, reduced / curvature, out=guided)
+        yield guided
+
+
+def compute_dot(a: Doubles | Floats, b: Doubles | Floats) -> float:
+    """The dot product of two fields in double precision and in a fixed order; BLAS distributes it over threads."""
+    return float(np.einsum("i,i->", a.ravel(), b.ravel(), dtype=np.float64))
 
 
 def refine(v: Doubles) -> Doubles:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pipeline.base.arrays import Doubles, Floats, Image, Indices, Mask, freeze
 from pipeline.engine.derived import derive_once
 from pipeline.geometry.camera import Camera
-from pipeline.geometry.meshes import Mesh
+from pipeline.geometry.meshes import Mesh, make_grid_triangles
 from pipeline.geometry.normals import compute_area_vectors
 from pipeline.previews.colours import MEMBRANE_COLOUR, OBJECT_COLOUR, ColourMapName, Rgb, repeat_colour
 from pipeline.previews.preview import Preview, compute_rest_depth_mm
@@ -179,7 +179,7 @@ def _surface(points: NDArray[np.floating], stride: int) -> _Surface:
     grid = np.asarray(points[::stride, ::stride], dtype=np.float32)
     rows, cols = grid.shape[:2]
     finite: Mask = np.asarray(np.isfinite(grid).all(axis=-1), dtype=np.bool_)
-    triangles = _grid_triangles(rows, cols)
+    triangles = make_grid_triangles(rows, cols)
     across = compute_area_vectors(grid)
     length = np.linalg.norm(across, axis=-1, keepdims=True)
     # A point without neighbours in a row or column faces the camera, which looks along +z.
@@ -189,12 +189,3 @@ def _surface(points: NDArray[np.floating], stride: int) -> _Surface:
         grid = np.where(finite[..., None], grid, np.float32(np.nanmean(grid) if finite.any() else 0.0))
     flat = normals.reshape(-1, 3).astype(np.float32)
     return freeze(np.ascontiguousarray(grid.reshape(-1, 3))), triangles, freeze(flat)
-
-
-@derive_once
-def _grid_triangles(rows: int, cols: int) -> NDArray[np.int32]:
-    first = (np.arange(rows - 1)[:, None] * cols + np.arange(cols - 1)[None, :]).ravel()
-    # Front faces are wound toward the camera: OpenGL flips normals of back faces.
-    upper = np.stack([first, first + cols, first + 1], axis=-1)
-    lower = np.stack([first + 1, first + cols, first + cols + 1], axis=-1)
-    return freeze(np.concatenate([upper, lower]).astype(np.int32))

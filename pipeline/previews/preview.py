@@ -12,6 +12,7 @@ from pipeline.geometry.camera import Camera
 from pipeline.previews.colours import ColourScale, apply_colour_map
 from pipeline.previews.display_params import DisplayParams
 from pipeline.sensors.spec import SensorSpec
+from pipeline.values.frames import TactileFrame
 
 INDENTATION_LABEL = "indentation, + toward camera"
 DEVIATION_LABEL = "deviation from rest, + toward camera"
@@ -182,6 +183,12 @@ def make_frame_preview(
         positions_mm=None if depth_mm is None else PixelPositions(camera, depth_mm), outline_px=border,
         caption=f"rgb image, {camera.cols} x {camera.rows} px",
     )  # fmt: skip
+
+
+def make_recorded_preview(frame: TactileFrame, sensor: SensorSpec, display: DisplayParams) -> tuple[Preview, Camera]:
+    """The preview of a recorded frame of a sensor, and the camera that took it."""
+    camera = match_camera(frame.camera or sensor.camera, frame.image.shape)
+    return make_frame_preview(frame.shown_image, camera, sensor, display, reference=frame.reference), camera
 
 
 def add_observed_outline(picture: Preview, observed_outline_px: Floats | None) -> Preview:

@@ -45,35 +45,14 @@ def accumulate_normal_equations(points, poses, n, grid, radius, scale, reach, bi
             sums[28] += d * d
             sums[29] += 1.0
             bins[min(int(math.sqrt(far * to_bin) * N_BINS), N_BINS - 1)] += 1
-        j0, j1, j2 = (ay * gz - az * gy) * per_mm, (az * gx - ax * gz) * per_mm, (ax * gy - ay * gx) * per_mm
-        w0, w1, w2, w3, w4, w5 = weight * j0, weight * j1, weight * j2, weight * gx, weight * gy, weight * gz
-        sums[0] += w0 * j0
-        sums[1] += w0 * j1
-        sums[2] += w0 * j2
-        sums[3] += w0 * gx
-        sums[4] += w0 * gy
-        sums[5] += w0 * gz
-        sums[6] += w1 * j1
-        sums[7] += w1 * j2
-        sums[8] += w1 * gx
-        sums[9] += w1 * gy
-        sums[10] += w1 * gz
-        sums[11] += w2 * j2
-        sums[12] += w2 * gx
-        sums[13] += w2 * gy
-        sums[14] += w2 * gz
-        sums[15] += w3 * gx
-        sums[16] += w3 * gy
-        sums[17] += w3 * gz
-        sums[18] += w4 * gy
-        sums[19] += w4 * gz
-        sums[20] += w5 * gz
-        sums[21] += w0 * d
-        sums[22] += w1 * d
-        sums[23] += w2 * d
-        sums[24] += w3 * d
-        sums[25] += w4 * d
-        sums[26] += w5 * d
+        row = (ay * gz - az * gy) * per_mm, (az * gx - ax * gz) * per_mm, (ax * gy - ay * gx) * per_mm, gx, gy, gz
+        at = 0
+        for i in range(6):
+            weighted = weight * row[i]
+            for j in range(i, 6):
+                sums[at] += weighted * row[j]
+                at += 1
+            sums[21 + i] += weighted * d
         sums[27] += weight
 
 

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.base.arrays import Doubles
+from pipeline.geometry import rigid
 from pipeline.geometry.screws import describe_motions
 from pipeline.values.results import DepthErrorModel
 
@@ -173,7 +174,7 @@ def _along_surface(arms: Doubles, information: Doubles) -> Doubles:
     carried[:3, :3] = np.trace(spread) * np.eye(3) - spread
     carried[3:, 3:] = np.eye(3)
     # (w x a) . t = w . (a x t)
-    carried[:3, 3:] = np.array([[0.0, -middle[2], middle[1]], [middle[2], 0.0, -middle[0]], [-middle[1], middle[0], 0]])
+    carried[:3, 3:] = rigid.cross_matrix(middle)
     carried[3:, :3] = carried[:3, 3:].T
     return carried - information
 

@@ -25,6 +25,7 @@ from pipeline.values.results import ObjectPose, PoseStep
 N_MODEL = 5000  # points sampled on the model's surface
 MIN_POINTS = 4  # contact points; with fewer the start is returned
 INLIER_MM = 15.0  # distance up to which fitness and rmse count a pair: wide enough for nearly all
+_IN_PLANE = (1.0, 1.0, 0.0)
 SWEEP_DEG = tuple(-22.5 + 5.0 * k for k in range(10))
 
 
@@ -67,9 +68,8 @@ def register_planar(
     best: tuple[float, float, Doubles, list[tuple[Doubles, float]]] | None = None
     for k, start_deg in enumerate(starts_deg):
         progress.step(k / len(starts_deg), f"planar start {k + 1} of {len(starts_deg)}")
-        start = _motion(math.radians(start_deg), np.zeros(2))
-        found, steps = _iterate(model_mm[:, :2], scene_points_mm[:, :2], start, n_iterations)
-        pose = _lift_to_3d(found)
+        start = rigid.rotation((0.0, 0.0, math.radians(start_deg)))
+        pose, steps = _iterate(model_mm * _IN_PLANE, scene_points_mm * _IN_PLANE, start, n_iterations)
         fitness, rmse_mm = _evaluate(rigid.apply(pose, model_mm), contact_tree)
         if best is None or rmse_mm < best[0]:
             best = (rmse_mm, fitness, pose, steps)
@@ -80,7 +80,7 @@ def register_planar(
         scene_from_model=freeze(pose @ placed), fitness=fitness, inlier_rmse_mm=rmse_mm,
         stop_reason=_describe_stop(len(steps), n_iterations),
         steps=tuple(
-            PoseStep(sensor_from_object=freeze(_lift_to_3d(motion) @ placed), rmse_mm=off_mm, fitness=fitness)
+            PoseStep(sensor_from_object=freeze(motion @ placed), rmse_mm=off_mm, fitness=fitness)
             for motion, off_mm in kept
         ),
     )  # fmt: skip
@@ -99,17 +99,16 @@ def _check(model: Doubles, scene: Doubles, n_iterations: int) -> None:
 def _iterate(
     model: Doubles, scene: Doubles, start: Doubles, n_iterations: int
 ) -> tuple[Doubles, list[tuple[Doubles, float]]]:
-    """Return the motion (3, 3) of the model's plane after all iterations; and each iteration with its rmse (mm)."""
+    """Return the motion (4, 4) of the model in its plane after all iterations; and each with its rmse (mm)."""
     from scipy.spatial import KDTree
 
     # Nearest neighbours do not depend on which cloud moves: the model's tree is built once.
-    tree: Any = KDTree(model)
+    tree: Any = KDTree(model[:, :2])
     motion, steps = start, list[tuple[Doubles, float]]()
     for _ in range(n_iterations):
-        back = _inverse(motion)
-        _, index = tree.query(scene @ back[:2, :2].T + back[:2, 2])
+        _, index = tree.query(rigid.apply(rigid.invert(motion), scene)[:, :2])
         before, motion = motion, _kabsch(model[index], scene)
-        off = model[index] @ motion[:2, :2].T + motion[:2, 2] - scene
+        off = rigid.apply(motion, model[index]) - scene
         steps.append((motion, float(np.sqrt((off**2).sum(axis=1).mean()))))
         if np.array_equal(before, motion):
             break  # equal pairs give equal motions from here on
@@ -123,11 +122,11 @@ def _describe_stop(n: int, most: int) -> str:
 
 
 def _kabsch(model: Doubles, scene: Doubles) -> Doubles:
-    """Return the motion (3, 3) that takes paired points (n, 2) of the model closest to those of the scene."""
+    """Return the motion (4, 4) that takes paired points (n, 3) of the model's plane closest to the scene's."""
     middle_m, middle_s = model.mean(axis=0), scene.mean(axis=0)
     w = (scene - middle_s).T @ (model - middle_m)
-    turned = _motion(math.atan2(w[1, 0] - w[0, 1], w[0, 0] + w[1, 1]), np.zeros(2))
-    turned[:2, 2] = middle_s - turned[:2, :2] @ middle_m
+    turned = rigid.rotation((0.0, 0.0, math.atan2(w[1, 0] - w[0, 1], w[0, 0] + w[1, 1])))
+    turned[:3, 3] = middle_s - turned[:3, :3] @ middle_m
     return turned
 
 
@@ -136,25 +135,6 @@ def _evaluate(model_mm: Doubles, contact_tree: Any) -> tuple[float, float]:
     distance, _ = contact_tree.query(model_mm, distance_upper_bound=INLIER_MM)
     near = np.isfinite(distance)
     return float(near.mean()), float(np.sqrt((distance[near] ** 2).mean())) if near.any() else math.inf
-
-
-def _motion(angle_rad: float, shift: Doubles) -> Doubles:
-    c, s = math.cos(angle_rad), math.sin(angle_rad)
-    return np.array([[c, -s, shift[0]], [s, c, shift[1]], [0.0, 0.0, 1.0]])
-
-
-def _inverse(motion: Doubles) -> Doubles:
-    inverse = np.eye(3)
-    inverse[:2, :2] = motion[:2, :2].T
-    inverse[:2, 2] = -motion[:2, :2].T @ motion[:2, 2]
-    return inverse
-
-
-def _lift_to_3d(motion: Doubles) -> Doubles:
-    """Return the motion of the plane as a motion of space."""
-    pose = np.eye(4)
-    pose[:2, :2], pose[:2, 3] = motion[:2, :2], motion[:2, 2]
-    return pose
 
 
 NOTE = "paper 2D: in-plane turn and shift only; height and tilt keep their initial values, no uncertainty is known"

@@ -14,7 +14,7 @@ from pipeline.base.figures import make_figure
 from pipeline.engine.graph import StageResult
 from pipeline.previews.difference import compute_difference
 from pipeline.previews.display_params import DisplayParams
-from pipeline.previews.preview import PixelPositions, Preview, compute_rest_depth_mm, make_frame_preview, match_camera
+from pipeline.previews.preview import PixelPositions, Preview, compute_rest_depth_mm, make_recorded_preview
 from pipeline.reporting.export_request import SOURCE, PaneContent
 from pipeline.translation.translate import Translation
 from pipeline.values.frames import TactileFrame
@@ -50,14 +50,15 @@ def render_pane(
         return _reading(frame, translation, display)
     stage = translation.catalogue.stage(name)
     seen, value = translation.make_preview_context(results, display), results[name].output
-    picture = stage.make_preview(value, seen)
+    view = translation.catalogue.views[name]
+    picture = view.make_preview(value, seen)
     title = ", ".join(filter(None, (f"{stage.title} · {results[name].answered_by}", translation.truth_label)))
     if shown != "computed":
         truths = translation.read_true_outputs(frame.index)
         if name not in truths:
             raise SettingProblem(f"the truth of {name} is not known of frame {frame.index} of this recording")
         value, title = truths[name], f"{title}, {shown}"
-        true = stage.make_preview(value, replace(seen, outputs={**seen.outputs, **truths}))
+        true = view.make_preview(value, replace(seen, outputs={**seen.outputs, **truths}))
         picture = true if shown == "truth" else _less(picture, true, name)
     points_mm, rgb = _points(value, picture)
     return RenderedPane(title=title, preview=picture, points_mm=points_mm, rgb=rgb)
@@ -74,8 +75,7 @@ def draw_pane_figure(shown: RenderedPane, about: str) -> Figure:
 
 def _reading(frame: TactileFrame, translation: Translation, display: DisplayParams) -> RenderedPane:
     sensor = translation.source
-    camera = match_camera(frame.camera or sensor.camera, frame.image.shape)
-    picture = make_frame_preview(frame.shown_image, camera, sensor, display, reference=frame.reference)
+    picture, camera = make_recorded_preview(frame, sensor, display)
     surface = frame.image if frame.is_depth else compute_rest_depth_mm(sensor, camera)
     laid = replace(picture, positions_mm=PixelPositions(camera, np.asarray(surface, np.float32)))
     points_mm, rgb = _points(None, laid)

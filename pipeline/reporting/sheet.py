@@ -5,13 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from pipeline.base.figures import make_figure, save_figure
 from pipeline.engine.graph import StageResult
 from pipeline.previews.colours import ColourScale, get_colour_table
 from pipeline.previews.display_params import DisplayParams
-from pipeline.previews.preview import Preview, make_frame_preview, match_camera
+from pipeline.previews.drawing import Line, list_outlines, make_scale_bar
+from pipeline.previews.preview import Preview, make_recorded_preview
 from pipeline.reporting.frame_report import FrameReport
 from pipeline.translation.translate import Translation
 from pipeline.values.frames import TactileFrame
@@ -20,10 +19,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_BAR_LENGTHS_MM = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
+_POINTS_PER_PX = 72.0 / 96.0
 _PANEL_IN = 3.5  # width of a panel
 DEFAULT_DISPLAY = DisplayParams()
-_CONTACT, _FELT = "#E6550D", "#FFFFFF"
 
 
 def write_sheet(path: Path, frame: TactileFrame, report: FrameReport, translation: Translation) -> None:
@@ -44,9 +42,7 @@ def draw_sheet(
     figure = make_figure(figsize=(_PANEL_IN * n, 4.3), dpi=90)
     # Fixed positions: an automatic layout costs more time than all the drawing.
     axes = [figure.add_axes(((0.07 + i) / n, 0.2, 0.76 / n, 0.6)) for i in range(n)]
-    camera = match_camera(frame.camera or source.camera, frame.image.shape)
-    reading = make_frame_preview(frame.shown_image, camera, source, display, reference=frame.reference)
-    draw_panel(figure, axes[0], reading, f"Source · {source.title}")
+    draw_panel(figure, axes[0], make_recorded_preview(frame, source, display)[0], f"Source · {source.title}")
     seen = translation.make_preview_context(report.results, display)
     for ax, name in zip(axes[1:], translation.stages, strict=True):
         stage, result = translation.catalogue.stage(name), report.results.get(name)
@@ -54,7 +50,7 @@ def draw_sheet(
             ax.set_axis_off()
             continue
         title = stage.title if result.method is None else f"{stage.title} · {result.answered_by}"
-        draw_panel(figure, ax, stage.make_preview(result.output, seen), title)
+        draw_panel(figure, ax, translation.catalogue.views[name].make_preview(result.output, seen), title)
         _footer(ax, result, timed=timed)
     sensors = f"{source.name} → {translation.target.name}"
     words = "   ".join(filter(None, (f"frame {report.index}", sensors, translation.truth_label)))
@@ -67,12 +63,19 @@ def draw_panel(figure: Figure, ax: Axes, picture: Preview, title: str) -> None:
     """Draw a preview with outlines, scale bar, caption and colour bar."""
     ax.imshow(picture.pixels, interpolation="nearest")
     ax.set_title(title, fontsize=10)
-    for border, colour in ((picture.outline_px, _CONTACT), (picture.observed_outline_px, _FELT)):
-        if border is not None and len(border):
-            ax.plot(border[:, 0] - 0.5, border[:, 1] - 0.5, color=colour, lw=1.0)
-    ax.set_xlim(-0.5, picture.pixels.shape[1] - 0.5)
-    ax.set_ylim(picture.pixels.shape[0] - 0.5, -0.5)
-    _scale_bar(ax, picture)
+    ax.set(xticks=[], yticks=[])
+    rows, cols = picture.pixels.shape[:2]
+    for line in list_outlines(picture):
+        _draw_line(ax, line)
+    bar = make_scale_bar(picture, (0.0, 0.0, cols, rows))
+    if bar is not None:
+        _draw_line(ax, bar.line)
+        x, y = bar.line.points_px.mean(axis=0) - 0.5
+        ax.annotate(
+            bar.text, (x, y), (0, 2), textcoords="offset points", ha="center", fontsize=8, color=_to_hex(bar.line)
+        )
+    ax.set_xlim(-0.5, cols - 0.5)
+    ax.set_ylim(rows - 0.5, -0.5)
     ax.text(0.0, -0.06, picture.caption[:64], transform=ax.transAxes, fontsize=7.5, va="top", color="0.3")
     if picture.scale is not None:
         _colour_bar(figure, ax, picture.scale)
@@ -89,17 +92,13 @@ def _colour_bar(figure: Figure, ax: Axes, scale: ColourScale) -> None:
     bar.tick_params(labelsize=7)
 
 
-def _scale_bar(ax: Axes, picture: Preview) -> None:
-    """Draw a bar of a round length, about a fifth of the image wide, under the image."""
-    ax.set_xticks([])
-    ax.set_yticks([])
-    width_mm = picture.pixels.shape[1] * picture.pixel_mm
-    if not np.isfinite(width_mm):
-        return
-    length_mm = min(_BAR_LENGTHS_MM, key=lambda length: abs(length - width_mm / 5.0))
-    share = length_mm / width_mm
-    ax.plot([0.0, share], [-0.035, -0.035], transform=ax.transAxes, color="black", lw=2, clip_on=False)
-    ax.text(share + 0.02, -0.035, f"{length_mm:g} mm", transform=ax.transAxes, fontsize=8, va="center")
+def _draw_line(ax: Axes, line: Line) -> None:
+    x, y = line.points_px.T - 0.5
+    ax.plot(x, y, color=_to_hex(line), alpha=line.opacity, lw=_POINTS_PER_PX * line.width, solid_capstyle="butt")
+
+
+def _to_hex(line: Line) -> str:
+    return "#{:02x}{:02x}{:02x}".format(*line.rgb)
 
 
 def _footer(ax: Axes, result: StageResult, *, timed: bool) -> None:

@@ -55,10 +55,10 @@ def _build_views(report: FrameReport, translation: Translation, truths: Mapping[
     seen = translation.make_preview_context(report.results)
     views: dict[str, TruthView] = {}
     for name, value in seen.outputs.items():
-        stage = translation.catalogue.stage(name)
-        view = build_truth_view(stage, stage.make_preview(value, seen), truths, seen)
-        if view is not None:
-            views[name] = view
+        view = translation.catalogue.views[name]
+        truth_view = build_truth_view(name, view, view.make_preview(value, seen), truths, seen)
+        if truth_view is not None:
+            views[name] = truth_view
     return views
 
 

@@ -18,7 +18,7 @@ from pipeline.reporting.pane_figures import render_pane
 from pipeline.reporting.video import write_video
 from pipeline.tasks.rerun import describe_error
 from pipeline.tasks.rollout_file import read_rollout
-from pipeline.tasks.scene_image import SceneCamera, SceneDrawing
+from pipeline.tasks.scene_image import SceneDrawing, make_view
 from pipeline.tasks.scene_view import (
     ESTIMATE_COLOUR,
     ESTIMATE_NAME,
@@ -66,7 +66,7 @@ def draw_ticks(rollout: RecordedRollout, progress: Progress = SILENT) -> Iterato
     except TouchError:
         scene = make_plain_scene(rollout)
     left, top, width, height = _SCENE_PX
-    drawing = SceneDrawing(make_scene_layers(scene), SceneCamera(compute_bounds(scene), width, height))
+    drawing = SceneDrawing(make_scene_layers(scene), *make_view(compute_bounds(scene), width, height))
     shown, background = -1, None
     for tick in range(rollout.n_ticks):
         progress.step(tick / rollout.n_ticks, f"tick {tick}")

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from pipeline.stages.stage import StepCurve
+from pipeline.previews.view import StepCurve
 from pipeline.tasks.task import RecordedRollout
 
 _DIGITS = 6  # of a curve: rounding is no motion

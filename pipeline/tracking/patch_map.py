@@ -21,7 +21,7 @@ from pipeline.base.arrays import Doubles, Floats, Mask, freeze
 from pipeline.geometry import rigid
 from pipeline.geometry.camera import Camera
 from pipeline.geometry.meshes import Mesh
-from pipeline.tracking.surface_registration import SurfaceFit, measure_overlap, orthonormalise, register_surfaces
+from pipeline.tracking.surface_registration import SurfaceFit, measure_overlap, register_surfaces
 from pipeline.tracking.tracker import KeyFrame, TrackedFrame, is_accepted
 from pipeline.values.results import DepthMap
 
@@ -113,15 +113,14 @@ def close_loops(keys: Sequence[KeyFrame]) -> tuple[tuple[KeyFrame, ...], int]:
             max_correspondence_distance=0.5, edge_prune_threshold=0.25, reference_node=0
         ),
     )  # fmt: skip
-    poses = [orthonormalise(rigid.invert(np.asarray(node.pose))) for node in graph.nodes]
+    poses = [rigid.orthonormalise(rigid.invert(np.asarray(node.pose))) for node in graph.nodes]
     return tuple(replace(key, sensor_from_start=freeze(pose)) for key, pose in zip(keys, poses, strict=True)), n_loops
 
 
 def _to_information(fit: SurfaceFit) -> Doubles:
     """The information matrix (6, 6) of an edge: of rotation and translation about the frame's origin, as in Open3D."""
     about_origin = np.eye(6)  # t0 = t + c x w
-    x, y, z = fit.centre_mm
-    about_origin[3:, :3] = [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]
+    about_origin[3:, :3] = rigid.cross_matrix(fit.centre_mm)
     covariance = about_origin @ (fit.covariance + _LEAST_STD**2 * np.eye(6)) @ about_origin.T
     return np.asarray(np.linalg.inv(covariance), np.float64)
 

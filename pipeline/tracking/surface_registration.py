@@ -95,15 +95,7 @@ def _move(motion: Doubles, step: Doubles, centre_mm: Doubles) -> Doubles:
     """`motion` followed by a small motion about a centre; its rotation stays orthonormal."""
     moved = rigid.rotation(step[:3])
     moved[:3, 3] = centre_mm + step[3:] - moved[:3, :3] @ centre_mm
-    return orthonormalise(moved @ motion)
-
-
-def orthonormalise(motion: Doubles) -> Doubles:
-    """The nearest rigid transform (4, 4): products of many lose their orthonormality."""
-    u, _, vt = np.linalg.svd(motion[:3, :3])
-    out = motion.copy()
-    out[:3, :3] = u @ vt
-    return out
+    return rigid.orthonormalise(moved @ motion)
 
 
 def _radius_mm(residuals: Residuals) -> float:

@@ -103,7 +103,7 @@ def compute_residuals(key: KeyPoints, current: MembraneSurface, level: int, moti
     by_motion[:, 0] = -np.concatenate([_cross(points - centre, here.normals), here.normals], axis=1).T
     errors[1:4] = (here.normals - turned).T
     by_motion[:, 1:4] = here.normals_along_x.T * by_x[:, None] + here.normals_along_y.T * by_y[:, None]
-    by_motion[:3, 1:4] += _cross_matrices(turned)  # R n turns along
+    by_motion[:3, 1:4] += rigid.cross_matrix(turned).T  # R n turns along
     errors[4] = outline_mm - key.outline_mm[usable]
     by_motion[:, 4] = outline_change[:, 0] * by_x + outline_change[:, 1] * by_y
     scale = key.expected[[0, 1, 1, 1, 2], None]
@@ -137,10 +137,3 @@ def _find_outline_normals(outline_mm: Doubles, change: Doubles) -> Doubles:
     steep = np.linalg.norm(change, axis=1)
     near = (np.abs(outline_mm) < 0.5 * OUTLINE_REACH_MM) & (steep > _DISTINCT)
     return np.where(near[:, None], change / np.maximum(steep, _DISTINCT)[:, None], np.nan)
-
-
-def _cross_matrices(vectors: Doubles) -> Doubles:
-    """Matrices (3, 3, n), columns first, of the cross product with each vector (n, 3)."""
-    x, y, z = vectors.T
-    zero = np.zeros_like(x)
-    return np.stack([zero, z, -y, -z, zero, x, y, -x, zero]).reshape(3, 3, -1)

@@ -19,7 +19,7 @@ from pipeline.base.arrays import Doubles, freeze
 from pipeline.geometry import rigid
 from pipeline.tracking.mean_surface import average_surfaces
 from pipeline.tracking.membrane_surface import MembraneSurface
-from pipeline.tracking.surface_registration import SurfaceFit, measure_overlap, orthonormalise, register_surfaces
+from pipeline.tracking.surface_registration import SurfaceFit, measure_overlap, register_surfaces
 from pipeline.tracking.track_record import TrackState
 
 NEW_KEY_OVERLAP = 0.7  # less overlap with its key frame makes a frame a key frame
@@ -141,7 +141,7 @@ class Tracker:
     def _register(self, surface: MembraneSurface) -> tuple[int, SurfaceFit] | None:
         """The key frame that agrees with a surface, and the motion from it, near the predicted or the last pose."""
         assert self._last is not None
-        for guess in (orthonormalise(self._velocity @ self._last), self._last):
+        for guess in (rigid.orthonormalise(self._velocity @ self._last), self._last):
             for number in self._rank_keys(guess):
                 key = self.keys[number]
                 start = guess @ rigid.invert(key.sensor_from_start)
@@ -165,12 +165,12 @@ class Tracker:
     def _accept(self, index: int, number: int, fit: SurfaceFit) -> TrackedFrame:
         assert self._last is not None
         key = self.keys[number]
-        now = freeze(orthonormalise(fit.current_from_key @ key.sensor_from_start))
+        now = freeze(rigid.orthonormalise(fit.current_from_key @ key.sensor_from_start))
         # Nothing measures a motion along a weak direction: extrapolated, noise would become a drift.
         is_known = not (self._n_lost or fit.weak_directions)
         step = now @ rigid.invert(self._last)
         self._velocity = (
-            orthonormalise(self._velocity + _SMOOTHING * (step - self._velocity)) if is_known else np.eye(4)
+            rigid.orthonormalise(self._velocity + _SMOOTHING * (step - self._velocity)) if is_known else np.eye(4)
         )
         self._last, self._n_lost = now, 0
         covariance = freeze(key.covariance + fit.covariance)
@@ -208,12 +208,12 @@ class Tracker:
         if own is None or not is_accepted(own):
             return
         # The key frame's own pose stays: the mean's is where that frame finds it.
-        start = orthonormalise(rigid.invert(own.current_from_key) @ key.sensor_from_start)
+        start = rigid.orthonormalise(rigid.invert(own.current_from_key) @ key.sensor_from_start)
         covariance = key.covariance + own.covariance
         self.keys[-1] = replace(key, surface=mean, sensor_from_start=freeze(start), covariance=freeze(covariance))
         for (place, _), fit in zip(following[1:], fits[1:], strict=True):
             if fit is not None and is_accepted(fit):
                 self.frames[place] = replace(
-                    self.frames[place], sensor_from_start=freeze(orthonormalise(fit.current_from_key @ start)),
+                    self.frames[place], sensor_from_start=freeze(rigid.orthonormalise(fit.current_from_key @ start)),
                     covariance=freeze(covariance + fit.covariance), centre_mm=fit.centre_mm,
                 )  # fmt: skip

@@ -11,7 +11,8 @@ from pipeline.base.arrays import Floats, Mask, freeze
 from pipeline.engine.derived import derive_once
 from pipeline.geometry import membrane, rigid
 from pipeline.geometry.meshes import Mesh
-from pipeline.physics import bubble_camera, lattice
+from pipeline.geometry.rasterisation import render_mesh
+from pipeline.physics import bubble_camera
 from pipeline.sensors.parts import Bubble
 from pipeline.sensors.spec import DepthCamera, SensorSpec, load_sensor
 from pipeline.simulation import poses, variation
@@ -87,7 +88,7 @@ def _simulate_press(mesh: Mesh, rng: np.random.Generator, sensor: SensorSpec, *,
         pose = poses.sample_press_pose(mesh, rng, spread_mm=30.0, angle_deg=180.0, tilt_deg=12.0)
     press = simulate_press(mesh, pose, move_bubble_closer(sensor, deeper), seed=None)
     vertices = rigid.apply(press.sensor_from_object, mesh.vertices_mm)
-    surface = lattice.render_mesh_depth(vertices, mesh.triangles, sensor.camera)
+    surface = render_mesh(vertices, mesh.triangles, sensor.camera)[0]
     depth = sensor.rest_depth_mm - press.indentation_mm
     gap = np.nan_to_num(np.maximum(surface - depth, 0.0), nan=MAX_GAP_MM)
     return BubblePress(

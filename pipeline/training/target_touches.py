@@ -11,7 +11,7 @@ import numpy as np
 from pipeline.base.arrays import Floats, Mask, freeze
 from pipeline.engine.derived import derive_once
 from pipeline.geometry import rigid
-from pipeline.physics import lattice
+from pipeline.geometry.rasterisation import render_mesh
 from pipeline.sensors.spec import SensorSpec, load_sensor
 from pipeline.simulation import poses, variation
 from pipeline.simulation.datasets import BUBBLE_DEEPER_MM
@@ -65,7 +65,7 @@ def _simulate_sample(target: str, split: DataSplit, seed: int, index: int) -> Ta
     depth_mm = TRAINING_DEPTH_MM if split == "training" else poses.DEPTH_RANGE_MM
     press = simulate_press(mesh, poses.sample_press_pose(mesh, rng, depth_mm=depth_mm), instance, seed=None)
     vertices = rigid.apply(press.sensor_from_object, mesh.vertices_mm)
-    surface = lattice.render_mesh_depth(vertices, mesh.triangles, instance.camera)
+    surface = render_mesh(vertices, mesh.triangles, instance.camera)[0]
     observation = simulate_source_observation(rng, surface, nominal, gel_share=_GEL_SHARE[nominal.kind])
     view = make_target_depth(nominal, observation)
     rendered = render_touch(view, nominal, PhysicalRenderParams(tolerance_um=_TOLERANCE_UM)).membrane

@@ -20,8 +20,8 @@ from pipeline.base.errors import SettingProblem
 from pipeline.base.params import setting
 from pipeline.engine.derived import derive_once
 from pipeline.geometry import rigid
+from pipeline.geometry.rasterisation import render_mesh
 from pipeline.networks.square_images import normalise, resize_to_square
-from pipeline.physics import lattice
 from pipeline.sensors.spec import SensorSpec
 from pipeline.simulation import poses, shapes
 from pipeline.stages.touch.depth_condition import make_working_sensor
@@ -220,7 +220,7 @@ def _simulate_part(split: DataSplit, seed: int, index: int, folder: str) -> Part
     touch = simulate_touch_squares(split, seed, index, folder)
     bubble, mesh = _load_working_bubble(), shapes.make_shape(touch.object_name).mesh
     vertices = rigid.apply(rigid.invert(bubble.alignment_from_sensor) @ touch.alignment_from_object, mesh.vertices_mm)
-    surface = lattice.render_mesh_depth(vertices, mesh.triangles, bubble.camera)
+    surface = render_mesh(vertices, mesh.triangles, bubble.camera)[0]
     view = make_target_depth(bubble, simulate_source_observation(rng, surface, bubble, gel_share=1.0))
     membrane = render_touch(view, bubble, PhysicalRenderParams(tolerance_um=_TOLERANCE_UM)).membrane
     assert membrane is not None

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -16,6 +16,8 @@ from pipeline.base.entry_points import load_entry_points
 from pipeline.base.errors import SettingProblem
 from pipeline.base.params import list_settings, replace_value
 from pipeline.engine.graph import Method
+from pipeline.previews.view import View
+from pipeline.previews.views import VIEWS
 from pipeline.stages.cloud.stage import STAGE as CLOUD
 from pipeline.stages.depth.stage import STAGE as DEPTH
 from pipeline.stages.pose.stage import STAGE as POSE
@@ -51,6 +53,7 @@ class Catalogue:
 
     stages: tuple[Stage, ...]
     routes: tuple[Route, ...]
+    views: Mapping[str, View] = field(default_factory=lambda: VIEWS)  # stage -> how its value is shown
 
     def stage(self, name: str) -> Stage:
         """The stage of that name; raises SettingProblem."""

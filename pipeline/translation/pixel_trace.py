@@ -3,7 +3,8 @@
 from collections.abc import Mapping
 
 from pipeline.engine.graph import StageResult
-from pipeline.stages.stage import GroundTruth, ProbePoint, Stage
+from pipeline.previews.view import ProbePoint
+from pipeline.stages.stage import GroundTruth, Stage
 from pipeline.translation.catalogue import BUILT_IN, Catalogue
 
 SOURCE = "source"
@@ -15,10 +16,9 @@ def trace_forward(
     """Return the points of source pixel (row, col) of an image `cols` wide, in every evaluated stage."""
     marks = {SOURCE: ProbePoint(stage=SOURCE, index=row * cols + col, row=row, col=col, text=f"({col}, {row})")}
     for name, result in results.items():
-        stage = catalogue.stage(name)
-        before = marks.get(_made_from(result, stage))
+        before = marks.get(_made_from(result, catalogue.stage(name)))
         if before is not None and before.index >= 0:
-            marks[name] = stage.trace_point(result.output, before)
+            marks[name] = catalogue.views[name].trace_point(result.output, before)
     return tuple(marks.values())
 
 

@@ -26,6 +26,7 @@ from pipeline.engine.graph import Graph, Method, StageResult
 from pipeline.geometry.meshes import Mesh, load_mesh
 from pipeline.networks.weights import NoWeights
 from pipeline.previews.display_params import DisplayParams
+from pipeline.previews.view import PreviewContext
 from pipeline.recordings import open_recording
 from pipeline.recordings.depth_arrays import DepthUnit
 from pipeline.sensors import alignment as alignments
@@ -33,7 +34,7 @@ from pipeline.sensors.alignment import Alignment, Offsets, shift_alignment_along
 from pipeline.sensors.alignment_files import load_alignment
 from pipeline.sensors.depth_unit import describe_unit_problem
 from pipeline.sensors.spec import SensorSpec, load_sensor
-from pipeline.stages.stage import GroundTruth, PreviewContext, SensorRole, Stage
+from pipeline.stages.stage import GroundTruth, SensorRole, Stage
 from pipeline.stages.truth_method import TRUTH, get_input_name
 from pipeline.translation.catalogue import BUILT_IN, Catalogue, with_settings
 from pipeline.translation.frame_selection import select_context_frames
@@ -373,7 +374,8 @@ class Translation:
         """
         facts = self.read_ground_truth(index)
         stages = [self.catalogue.stage(name) for name in self.stages]
-        needed = {*shown, *(other for stage in stages if stage.name in shown for other in stage.preview_stages)}
+        views = [self.catalogue.views[name] for name in self.stages if name in shown]
+        needed = {*shown, *(other for view in views for other in view.preview_stages)}
         stages = [stage for stage in stages if not shown or stage.name in needed]
         values = {
             s.name: s.make_ground_truth(facts, self.source if s.sensor_role == "source" else self.target)

@@ -12,8 +12,9 @@ from pipeline.previews.difference import compute_difference
 from pipeline.previews.display_params import DisplayParams
 from pipeline.previews.layers import Layer
 from pipeline.previews.preview import Preview, make_indentation_preview
+from pipeline.previews.view import PreviewContext, View
 from pipeline.sensors.spec import SensorSpec
-from pipeline.stages.stage import GroundTruth, PreviewContext, Stage
+from pipeline.stages.stage import GroundTruth
 from pipeline.values.results import DepthMap, TargetDepth
 
 ComparisonMode = Literal["", "truth", "difference", "wipe", "blink"]
@@ -40,16 +41,16 @@ def build_observation_view(
 
 
 def build_truth_view(
-    stage: Stage, preview: Preview, truths: Mapping[str, Any], context: PreviewContext
+    name: str, view: View, preview: Preview, truths: Mapping[str, Any], context: PreviewContext
 ) -> TruthView | None:
-    """Ground truth drawn as the stage's value is; None if the recording does not hold it."""
-    if stage.name not in truths:
+    """Ground truth of the stage `name`, drawn as its value is; None if the recording does not hold it."""
+    if name not in truths:
         return None
     true_context = replace(context, outputs={**context.outputs, **truths})
-    true = stage.make_preview(truths[stage.name], true_context)
+    true = view.make_preview(truths[name], true_context)
     return TruthView(
         truth=replace(true, caption=f"truth: {true.caption}"), difference_to_truth=compute_difference(preview, true),
-        layers=stage.make_layers(truths[stage.name], true_context, true),
+        layers=view.make_layers(truths[name], true_context, true),
     )  # fmt: skip
 
 

@@ -15,6 +15,8 @@ from pipeline.engine.derived import derive_once
 from pipeline.engine.digests import UNDIGESTED
 from pipeline.geometry.camera import Camera
 
+SAME_SURFACE_MM = 0.2  # mm; a point this close behind the depth of its pixel counts as visible
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DepthErrorModel:

@@ -60,7 +60,6 @@ UNET = Method(
 STAGE = make_depth_stage(
     name="depth",
     title="Depth",
-    legend="measured surface",
     sensor_role="source",
     methods=(NETWORK, PHYSICS, DEPTH_ANYTHING, UNET),
 )

@@ -16,6 +16,7 @@ from __future__ import annotations
 import numpy as np
 
 from pipeline.base.cached_kernels import inner_kernel, kernel
+from pipeline.geometry.membrane_kernels import sample_height
 
 MIN_INVERSE_Z = 1.0 / float(np.finfo(np.float32).max)  # 1/mm
 
@@ -115,11 +116,7 @@ def sample_rest_surface(x, y, rest):
     """Rest surface at (x, y): bilinear, constant beyond the border."""
     x0, y0, per_mm, z = rest
     ny, nx = z.shape
-    u = min(max((x - x0) * per_mm, 0.0), nx - 1.0)
-    v = min(max((y - y0) * per_mm, 0.0), ny - 1.0)
-    i, j = min(int(u), nx - 2), min(int(v), ny - 2)
-    a, b = u - i, v - j
-    return (z[j, i] * (1 - a) + z[j, i + 1] * a) * (1 - b) + (z[j + 1, i] * (1 - a) + z[j + 1, i + 1] * a) * b
+    return sample_height(z.reshape(-1), nx, ny, (x - x0) * per_mm, (y - y0) * per_mm)[0]
 
 
 @kernel()

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 from pipeline.base.arrays import Doubles, Floats, Indices, Mask, freeze
 from pipeline.geometry.camera import MIN_DEPTH_MM, Camera
 from pipeline.geometry.membrane import Membrane
-from pipeline.values.results import Cloud
+from pipeline.values.results import SAME_SURFACE_MM, Cloud
 
-SAME_SURFACE_MM = 0.2  # mm; a point this close behind the depth of its pixel counts as visible
 _CELLS_PER_STRIP = 8192  # cells processed at once, so that they stay in cache
 _SPACING_SAMPLES = 1024  # neighbour pairs that the point spacing is estimated from
 

@@ -17,7 +17,6 @@ from pipeline.geometry.camera import MIN_DEPTH_MM, Camera
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.target_depth import projection_notes
 from pipeline.stages.target_depth.rasterisation import (
-    SAME_SURFACE_MM,
     Rasterisation,
     assign_pixels,
     flatten_read_only,
@@ -25,7 +24,7 @@ from pipeline.stages.target_depth.rasterisation import (
     rasterise_surface,
     splat_cloud,
 )
-from pipeline.values.results import Cloud, TargetDepth
+from pipeline.values.results import SAME_SURFACE_MM, Cloud, TargetDepth
 
 _EMPTY = "the target depth is empty"
 _NEXT_CORNER = [1, 2, 3, 0]  # next corner of a quadrilateral

@@ -3,28 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
-from itertools import pairwise
 
-import numpy as np
-
-from pipeline.base.arrays import Floats
 from pipeline.base.params import NoParams
 from pipeline.engine.graph import Method, skip_if_exact
 from pipeline.metrics.stage_metrics import compute_image_metrics
-from pipeline.previews.layers import Layer, make_frame_layer, make_surface_layer
-from pipeline.previews.preview import Preview, make_frame_preview
 from pipeline.stages import ground_truth
 from pipeline.stages.network_fallback import fall_back_without_weights
-from pipeline.stages.stage import (
-    GroundTruth,
-    PreviewContext,
-    ProbePoint,
-    Stage,
-    StepCurve,
-    StepHistory,
-    look_up_element,
-)
+from pipeline.stages.stage import GroundTruth, Stage
 from pipeline.stages.touch import latent_diffusion, physical_render, t2d2, t2t, vqvae
 from pipeline.stages.touch.frame_chain import DEFAULTS, GUARDED_READS, RENDER, guard_contact
 from pipeline.stages.touch.latent_diffusion import LatentParams
@@ -110,75 +95,6 @@ VQVAE = Method(
 )
 
 
-def _make_preview(touch: GeneratedTouch, context: PreviewContext) -> Preview:
-    membrane = touch.membrane
-    return make_frame_preview(
-        touch.image, touch.camera, context.target, context.display,
-        depth_mm=None if membrane is None else membrane.depth_mm,
-        contact=None if membrane is None else membrane.contact, reference=touch.reference, is_recorded=False,
-    )  # fmt: skip
-
-
-def _make_layers(touch: GeneratedTouch, context: PreviewContext, preview: Preview) -> tuple[Layer, ...]:
-    """The target's membrane, textured with the generated image."""
-    at = touch.membrane
-    if at is None:
-        return (make_frame_layer("touch", touch.image, touch.camera, preview, context.target),)
-    times = context.display.get_depth_stretch(context.target)
-    return (make_surface_layer("touch", at.depth_mm, at.indentation_mm, touch.camera, preview, times),)
-
-
-def _trace_point(touch: GeneratedTouch, before: ProbePoint) -> ProbePoint:
-    index = look_up_element(touch.source_index, before.index)
-    if index < 0:
-        has_no_contact = touch.membrane is not None and not touch.membrane.contact.any()
-        text = "generated without contact" if has_no_contact else "source pixel unknown for this method"
-        return ProbePoint(stage="touch", index=-1, text=text)
-    row, col = divmod(index, touch.camera.cols)
-    if touch.image.ndim == 2:
-        text = f"{_describe_displacement(touch, row, col)}{float(touch.image[row, col]):.2f} mm from the camera"
-    else:
-        text = "generated rgb {} {} {}".format(*(int(v) for v in touch.image[row, col]))
-    return ProbePoint(stage="touch", index=index, row=row, col=col, point_mm=before.point_mm, text=text)
-
-
-def _describe_displacement(touch: GeneratedTouch, row: int, col: int) -> str:
-    """Displacement of a bubble's membrane and its direction, where it is known."""
-    if touch.membrane is None:
-        return ""
-    moved_mm = float(touch.membrane.indentation_mm[row, col])
-    return f"{abs(moved_mm):.2f} mm {'out' if moved_mm < 0 else 'in'}, "
-
-
-def _split_steps(touch: GeneratedTouch) -> tuple[GeneratedTouch, ...]:
-    return tuple(replace(touch, image=step.image, membrane=step.membrane, steps=()) for step in touch.steps)
-
-
-def _summarise_steps(touch: GeneratedTouch) -> StepHistory | None:
-    """Change per step and distance from the last step, and the step of convergence."""
-    if not touch.steps:
-        return None
-    heights = [np.nan_to_num(step.membrane.indentation_mm) for step in touch.steps]
-    changes = [heights[0] * 0, *(b - a for a, b in pairwise(heights))]
-    last_mm = tuple(_rms_mm(h - heights[-1]) for h in heights)
-    span_mm = max(float(np.ptp(heights[-1])), 1e-9)
-    settled = next(k for k, h in enumerate(heights) if np.percentile(np.abs(h - heights[-1]), 99.0) <= span_mm / 255)
-    return StepHistory(
-        curves=(
-            StepCurve(name="changed", unit="mm", values=tuple(_rms_mm(o) for o in changes)),
-            StepCurve(name="from the last", unit="mm", values=last_mm),
-        ),
-        stop_reason=f"converged at step {settled + 1} of {len(heights)}: after it 99 % of the pixels "
-        "change by less than 1/255 of the indentation range",
-        descriptions=tuple(f"noise level {s.sigma:.3g}, {d:.3g} mm (rms) from the last step"
-                    for s, d in zip(touch.steps, last_mm, strict=True)),
-    )  # fmt: skip
-
-
-def _rms_mm(gap: Floats) -> float:
-    return float(np.sqrt((gap.astype(np.float64) ** 2).mean()))
-
-
 def _compute_metrics(touch: GeneratedTouch, facts: GroundTruth) -> Mapping[str, float]:
     return {} if facts.target_observation is None else compute_image_metrics(touch.image, facts.target_observation)
 
@@ -186,15 +102,9 @@ def _compute_metrics(touch: GeneratedTouch, facts: GroundTruth) -> Mapping[str, 
 STAGE = Stage(
     name="touch",
     title="Generated touch",
-    legend="target's membrane",
     sensor_role="target",
     methods=(PHYSICS, T2D2, LATENT_T2D2, T2T, LATENT, VQVAE),
-    make_preview=_make_preview,
-    make_layers=_make_layers,
-    trace_point=_trace_point,
     compute_metrics=_compute_metrics,
     make_ground_truth=ground_truth.build_touch,
     has_steps=True,
-    split_steps=_split_steps,
-    summarise_steps=_summarise_steps,
 )

@@ -81,7 +81,6 @@ FROM_IMAGE = Method(
 STAGE = make_depth_stage(
     name="touch_depth",
     title="Touch depth",
-    legend="depth of the generated touch",
     sensor_role="target",
     methods=(MEMBRANE, FROM_IMAGE),
 )

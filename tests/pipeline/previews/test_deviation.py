@@ -9,12 +9,13 @@ import pytest
 
 from pipeline.previews.difference import compute_difference
 from pipeline.previews.display_params import DisplayParams
+from pipeline.previews.image_views import TOUCH
 from pipeline.previews.preview import DEVIATION_LABEL, make_frame_preview
+from pipeline.previews.view import PreviewContext, ProbePoint
 from pipeline.sensors.spec import load_sensor
 from pipeline.stages import ground_truth
-from pipeline.stages.stage import GroundTruth, PreviewContext, ProbePoint
+from pipeline.stages.stage import GroundTruth
 from pipeline.stages.touch.physical_render import make_reference_touch
-from pipeline.stages.touch.stage import STAGE
 from pipeline.values.frames import TactileFrame
 
 DISPLAY = DisplayParams()
@@ -68,8 +69,8 @@ def test_a_generated_bubble_and_its_truth_have_one_scale_and_a_difference(bubble
     seen = PreviewContext(outputs={}, source=bubble, target=bubble, mesh=None, display=DISPLAY)
     unit = bubble.rest_depth_mm.astype(np.float32) + 2.0
     frame = TactileFrame(sensor="soft_bubble", image=pressed + np.float32(2.0), reference=unit)
-    true = STAGE.make_preview(ground_truth.build_touch(GroundTruth(target_observation=frame), bubble), seen)
-    made = STAGE.make_preview(replace(make_reference_touch(bubble), image=pressed), seen)
+    true = TOUCH.make_preview(ground_truth.build_touch(GroundTruth(target_observation=frame), bubble), seen)
+    made = TOUCH.make_preview(replace(make_reference_touch(bubble), image=pressed), seen)
     assert true.scale == made.scale
     gap = compute_difference(made, true)  # both moved as far from their own rest
     np.testing.assert_allclose(gap.values[np.isfinite(gap.values)], 0.0, atol=1e-4)
@@ -81,8 +82,8 @@ def test_a_trace_says_which_way_the_membrane_went(bubble):
     moved[0, 1] = -0.5
     touch = replace(rest, membrane=replace(rest.membrane, indentation_mm=moved),
                     source_index=np.arange(moved.size, dtype=np.int32).reshape(moved.shape))  # fmt: skip
-    assert "0.50 mm out" in STAGE.trace_point(touch, ProbePoint(stage="target_depth", index=1, text="")).text
-    assert "0.00 mm in" in STAGE.trace_point(touch, ProbePoint(stage="target_depth", index=2, text="")).text
+    assert "0.50 mm out" in TOUCH.trace_point(touch, ProbePoint(stage="target_depth", index=1, text="")).text
+    assert "0.00 mm in" in TOUCH.trace_point(touch, ProbePoint(stage="target_depth", index=2, text="")).text
 
 
 def test_a_difference_that_fits_its_scale_takes_a_round_limit_and_says_so(bubble, pressed):

@@ -3,7 +3,8 @@ import pytest
 from scipy import ndimage
 
 from pipeline.geometry import rigid
-from pipeline.physics.lattice import Lattice, rasterise_mesh, render_mesh_depth
+from pipeline.geometry.rasterisation import render_mesh
+from pipeline.physics.lattice import Lattice, rasterise_mesh
 from pipeline.sensors.spec import load_sensor
 from pipeline.simulation.random_bodies import STEP_MM, make_random_body
 
@@ -57,7 +58,7 @@ def test_a_mesh_seen_through_a_camera_lies_where_its_rays_meet_it():
     tilt[2, 3] = 70.0
     square = np.array([(-15.0, -15.0, 0.0), (15.0, -15.0, 0.0), (15.0, 15.0, 0.0), (-15.0, 15.0, 0.0)])
     corners = rigid.apply(tilt, square)
-    seen = render_mesh_depth(corners, np.array([(0, 1, 2), (0, 2, 3)], np.int32), camera)
+    seen = render_mesh(corners, np.array([(0, 1, 2), (0, 2, 3)], np.int32), camera)[0]
     x, y = camera.rays()
     n = tilt[:3, 2]
     exact = n @ tilt[:3, 3] / (n[0] * x[None, :] + n[1] * y[:, None] + n[2])

@@ -5,7 +5,8 @@ import pytest
 
 from pipeline.base.errors import ShapeError
 from pipeline.geometry import rigid
-from pipeline.physics import gel, lattice, optics
+from pipeline.geometry.rasterisation import render_mesh
+from pipeline.physics import gel, optics
 from pipeline.sensors.spec import load_sensor
 from pipeline.simulation.press import simulate_press
 from pipeline.simulation.shapes.solids import make_chamfered_prism
@@ -79,9 +80,8 @@ def test_a_bubble_covers_the_object_up_to_its_edge(side_mm):
     spec, half = load_sensor("soft_bubble"), side_mm / 2
     plate = make_chamfered_prism(((-half, -half), (half, -half), (half, half), (-half, half)), 8.0, 0.05, "plate")
     truth = simulate_press(plate, rigid.translation(0.4, -0.3, -4.0), spec, seed=None).truth
-    seen = lattice.render_mesh_depth(
-        rigid.apply(truth.sensor_from_object, plate.vertices_mm), plate.triangles, spec.camera
-    )
+    vertices_mm = rigid.apply(truth.sensor_from_object, plate.vertices_mm)
+    seen, _ = render_mesh(vertices_mm, plate.triangles, spec.camera)
     with np.errstate(invalid="ignore"):
         view = view_of(spec, seen < spec.rest_depth_mm, np.nan_to_num(spec.rest_depth_mm - seen))
     membrane = render_touch(view, spec, PhysicalRenderParams()).membrane

@@ -11,6 +11,7 @@ from pipeline.engine.digests import compute_cached_digest
 from pipeline.geometry import rigid
 from pipeline.geometry.distance_grid_store import load_distance_grid
 from pipeline.geometry.meshes import Mesh
+from pipeline.previews import point_views
 from pipeline.registration.model import prepare_object
 from pipeline.registration.observability import assess_observability
 from pipeline.registration.pose_selection import MISSING_CONTACT_WARNING
@@ -19,7 +20,6 @@ from pipeline.registration.scene import extract_scene
 from pipeline.sensors.spec import load_sensor
 from pipeline.simulation.press import simulate_press
 from pipeline.simulation.shapes import make_shape
-from pipeline.stages.pose import step_history
 from pipeline.stages.pose.signed_distances import (
     PoseParams,
     estimate_or_track_pose,
@@ -154,14 +154,14 @@ def test_keeping_steps_does_not_change_the_pose():
 def test_the_step_history_begins_at_a_start():
     touch = observe_depth(notched_wedge(), lying(0.3, 0.2, 0.8, 2.0, 30.0))
     found = estimate_pose(touch, notched_wedge().mesh, PoseParams(keep_steps=True))
-    result = step_history.summarise_steps(found)
+    result = point_views.summarise_steps(found)
     first, last = found.steps[0], found.steps[-1]
     assert first.rmse_mm > 3 * last.rmse_mm, "a first guess lies farther off than the answer"
     assert (first.max_correspondence_mm, last.max_correspondence_mm) == (2.0, 0.5)
     assert all(len(curve.values) == len(found.steps) == len(result.descriptions) for curve in result.curves)
     assert result.phase_starts, "the search reaches farther than the registration after it"
     assert found.stop_reason in result.stop_reason
-    assert step_history.summarise_steps(estimate_pose(touch, notched_wedge().mesh, PoseParams())) is None
+    assert point_views.summarise_steps(estimate_pose(touch, notched_wedge().mesh, PoseParams())) is None
 
 
 def test_correspondences_lie_on_the_object_and_outliers_are_marked():
@@ -169,8 +169,8 @@ def test_correspondences_lie_on_the_object_and_outliers_are_marked():
     found = estimate_pose(touch, notched_wedge().mesh, PoseParams(keep_steps=True))
     at, radius_mm = np.array([0.3, -0.2, 26.0]), 6.0
     step = PoseStep(sensor_from_object=rigid.translation(*at), rmse_mm=1.0, fitness=1.0, max_correspondence_mm=0.4)
-    (state,) = step_history.split_steps(replace(found, steps=(step,)))
-    correspondences = step_history.compute_correspondences(state, load_distance_grid(ball(radius_mm)))
+    (state,) = point_views.split_steps(replace(found, steps=(step,)))
+    correspondences = point_views.compute_correspondences(state, load_distance_grid(ball(radius_mm)))
     near = np.abs(correspondences.distance_mm) < 1.0  # farther off the lattice is coarser: 0.024 mm there
     assert near.sum() > 20
     from_middle_mm = np.linalg.norm(correspondences.nearest_mm[near] - at, axis=1)

@@ -152,3 +152,7 @@ def test_every_parameter_says_meaning_unit_range_and_where_it_comes_from(key):
         assert -math.inf < setting.low <= value <= setting.high < math.inf
         assert setting.unit or name in _NO_UNIT
         assert setting.unit == _UNITS.get(name.rpartition("_")[2], setting.unit), "the name says the unit"
+
+
+def test_every_stage_has_a_view():
+    assert set(BUILT_IN.views) == {stage.name for stage in BUILT_IN.stages}

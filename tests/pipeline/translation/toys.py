@@ -12,7 +12,9 @@ from pipeline.engine.graph import Method, Skipped
 from pipeline.previews.colours import ColourScale, apply_colour_map
 from pipeline.previews.layers import make_grid_layer
 from pipeline.previews.preview import Preview
-from pipeline.stages.stage import ProbePoint, Stage
+from pipeline.previews.view import ProbePoint, View
+from pipeline.previews.views import VIEWS
+from pipeline.stages.stage import Stage
 from pipeline.translation.catalogue import BUILT_IN, Catalogue, Route
 from pipeline.values.results import GeneratedTouch, make_pixel_index
 
@@ -76,18 +78,18 @@ def _follow(value, before):
 BRIGHTNESS = Stage(
     name="brightness",
     title="Brightness",
-    legend="a hill of light",
     sensor_role="source",
     methods=(Method(stage="brightness", name="mean", title="Mean", run=brightness, params=NoParams, reads=("frame",)),),
-    make_preview=_picture,
-    make_layers=_layers,
-    trace_point=_follow,
     compute_metrics=lambda value, facts: {"contact_mae_mm": 0.0} if facts.source_truth is not None else {},
 )
 MELT = Method(stage="touch", name="melt", title="Melt", run=melt, params=MeltParams, reads=("brightness", "target"))
 TOUCH = replace(BUILT_IN.stage("touch"), methods=(*BUILT_IN.stage("touch").methods, MELT))
 SLOTS = [TOUCH if column.name == "touch" else column for column in BUILT_IN.stages]
 TOYS = Catalogue(
+    views={
+        **VIEWS,
+        "brightness": View(legend="a hill of light", make_preview=_picture, make_layers=_layers, trace_point=_follow),
+    },
     stages=(SLOTS[0], BRIGHTNESS, *SLOTS[1:]),
     routes=(
         *BUILT_IN.routes,
