@@ -171,6 +171,8 @@ def _summarise_steps(touch: GeneratedTouch) -> StepHistory | None:
     """Change per step and distance from the last step, and the step of convergence."""
     if not touch.steps:
         return None
+    if np.isnan(touch.steps[0].sigma):
+        return _summarise_poses(touch)
     heights = [np.nan_to_num(step.membrane.indentation_mm) for step in touch.steps]
     changes = [heights[0] * 0, *(b - a for a, b in pairwise(heights))]
     last_mm = tuple(_rms_mm(h - heights[-1]) for h in heights)
@@ -186,6 +188,17 @@ def _summarise_steps(touch: GeneratedTouch) -> StepHistory | None:
         descriptions=tuple(f"noise level {s.sigma:.3g}, {d:.3g} mm (rms) from the last step"
                     for s, d in zip(touch.steps, last_mm, strict=True)),
     )  # fmt: skip
+
+
+def _summarise_poses(touch: GeneratedTouch) -> StepHistory:
+    """Distance of every pose's touch from the best one's."""
+    best = touch.steps[-1].membrane.indentation_mm
+    off_mm = tuple(_rms_mm(step.membrane.indentation_mm - best) for step in touch.steps)
+    return StepHistory(
+        curves=(StepCurve(name="from the best pose", unit="mm", values=off_mm),),
+        stop_reason=f"{len(off_mm)} poses of the object that explain the source, each pressed into the target",
+        descriptions=tuple(f"pose {k + 1}, {mm:.3g} mm (rms) from the best one" for k, mm in enumerate(off_mm)),
+    )
 
 
 def _rms_mm(gap: Floats) -> float:

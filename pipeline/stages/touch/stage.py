@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from typing import Any
 
 from pipeline.base.params import NoParams
-from pipeline.engine.graph import Method, skip_if_exact
+from pipeline.base.progress import SILENT, Progress
+from pipeline.engine.graph import Fallback, Method, Skipped, skip_if_exact
+from pipeline.geometry.meshes import Mesh
 from pipeline.metrics.stage_metrics import compute_image_metrics
+from pipeline.sensors.alignment import Alignment
+from pipeline.sensors.spec import SensorSpec
 from pipeline.stages import ground_truth
 from pipeline.stages.network_fallback import fall_back_without_weights
 from pipeline.stages.stage import GroundTruth, Stage
-from pipeline.stages.touch import latent_diffusion, physical_render, t2d2, t2t, vqvae
+from pipeline.stages.touch import latent_diffusion, object_touch, physical_render, t2d2, t2t, vqvae
 from pipeline.stages.touch.frame_chain import DEFAULTS, GUARDED_READS, RENDER, guard_contact
 from pipeline.stages.touch.latent_diffusion import LatentParams
 from pipeline.stages.touch.residual_diffusion import DiffusionParams, make_draft_params
 from pipeline.stages.touch.t2d2 import T2D2Params
-from pipeline.values.results import GeneratedTouch
+from pipeline.values.results import DepthMap, GeneratedTouch, ObjectPose, TargetDepth
 
 PHYSICS = Method(
     stage="touch",
@@ -40,6 +45,32 @@ T2D2 = Method(
     weights=t2d2.select_weights,
     draft=make_draft_params,
     version=8,
+)
+
+
+def _press_object_or_fall_back(
+    view: TargetDepth, target: SensorSpec, depth: DepthMap, source: SensorSpec, alignment: Alignment, mesh: Mesh | None,
+    previous: ObjectPose | None, params: object_touch.ObjectParams, progress: Progress = SILENT,
+) -> GeneratedTouch | Skipped[GeneratedTouch] | Fallback[GeneratedTouch]:  # fmt: skip
+    """The object's touch; T2D2's, with the reason, where no pose of the object explains the source."""
+    touch = object_touch.press_object(depth, source, alignment, target, mesh, previous, params, progress)
+    if isinstance(touch, GeneratedTouch):
+        return touch
+    by_t2d2: Callable[..., Any] = T2D2.run
+    answer = by_t2d2(view, target, t2d2.select_weights(target, target, None), T2D2.params(), progress)
+    if isinstance(answer, Fallback):
+        return Fallback(result=answer.result, reason=f"physics: {touch}")
+    return Fallback(result=answer, reason=f"T2D2: {touch}")
+
+
+OBJECT = Method(
+    stage="touch",
+    name="object",
+    title="Object",
+    help="the object's mesh, registered on the source and pressed into the target; needs a mesh",
+    run=skip_if_exact(physical_render.skip_without_contact, _press_object_or_fall_back),
+    params=object_touch.ObjectParams,
+    reads=(*PHYSICS.reads, "depth", "source", "alignment", "mesh", "previous"),
 )
 T2T = Method(
     stage="touch",
@@ -103,7 +134,7 @@ STAGE = Stage(
     name="touch",
     title="Generated touch",
     sensor_role="target",
-    methods=(PHYSICS, T2D2, LATENT_T2D2, T2T, LATENT, VQVAE),
+    methods=(PHYSICS, T2D2, LATENT_T2D2, T2T, LATENT, VQVAE, OBJECT),
     compute_metrics=_compute_metrics,
     make_ground_truth=ground_truth.build_touch,
     has_steps=True,
