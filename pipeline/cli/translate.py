@@ -4,6 +4,7 @@ import os
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Annotated
 
@@ -15,6 +16,8 @@ from pipeline.base import compiling, error_log
 from pipeline.base.cluster import connect_cluster
 from pipeline.base.errors import SettingProblem, TouchError, escape_text
 from pipeline.base.files import check_folder
+from pipeline.base.params import check_range
+from pipeline.base.processes import WorkerPool
 from pipeline.base.progress import SILENT, Progress, SubProgress
 from pipeline.calibration.force_scale import UNKNOWN_SCALE
 from pipeline.cli.terminal import open_progress_bar, print_error, print_line
@@ -36,6 +39,8 @@ from pipeline.values.results import ObjectPose
 
 CACHE_BYTES = 32 * 1024 * 1024  # a few frames: a run does not return to earlier ones
 _FORCE_SKIPPED = "force: skipped; give --force, or a --calibration that 'tactoscope calibrate force' wrote"
+_MAX_JOBS, _MAX_CORES = 64, 8  # processes, as requested and unasked
+_FRAMES_PER_WORKER = 24  # a process takes as long to start as some twenty frames with contact
 _LISTED_FRAMES = 8  # frame numbers listed behind a warning
 
 
@@ -61,6 +66,7 @@ def translate(
     follow: Flag = False,
     force: Flag = False,
     settings: StageSettings = (),
+    jobs: int = 0,
     scheduler: str = "",
     meshes: Path | None = None,
 ) -> int:
@@ -74,18 +80,13 @@ def translate(
         all_frames: Translate every frame.
         follow: With --all, start each pose at that of the previous frame: several times as fast, for moving sequences.
         force: Compute the normal force of frames as well; done anyway with the scale of `tactoscope calibrate force`.
+        jobs: With --all, processes that translate frames at once, each with some 400 MB; 0 = one a core where there
+            are frames enough to be worth their start.
         scheduler: With --all, address of a Dask scheduler whose workers translate the frames, such as
             `tcp://host:8786`. It must be trusted: what it sends is run on this machine.
-        meshes: Folder of meshes; the likeliest one by the first translated frame is the object, and its margin is noted.
+        meshes: Folder of meshes; the likeliest one by the first translated frame is the object, with its margin noted.
     """
-    if meshes is not None and (options.mesh is not None or scheduler):
-        raise SettingProblem("--meshes chooses the mesh; give it without --mesh and --scheduler")
-    if frame is not None and all_frames:
-        raise SettingProblem("give either --frame or --all, not both")
-    if follow and not all_frames:
-        raise SettingProblem("--follow uses the previous frame's pose; give it with --all")
-    if scheduler and (follow or not all_frames):
-        raise SettingProblem("--scheduler distributes single frames; give it with --all, and without --follow")
+    _check_options(options, meshes, frame, jobs, scheduler, all_frames=all_frames, follow=follow)
     request = options.build_request(recording, target)
     console, request = Console(stderr=True), _with_absolute_paths(request) if scheduler else request
     translation = open_translation(request, settings=settings, cache_bytes=CACHE_BYTES)
@@ -94,22 +95,19 @@ def translate(
     check_folder(out)
     with console.status("looking for a contact") as status, compiling.report_compiling(status.update):
         indices = range(translation.n_frames) if all_frames else [_select_frame(translation, frame)]
-    if meshes is not None:
-        with open_progress_bar(1, console) as bar:
-            depth = translation.evaluate(indices[0], ["depth"])["depth"].output
-            translation = take_likeliest_mesh(translation, depth, meshes, bar)
+    translation = _identify_object(translation, indices[0], meshes, console)
     reports: list[FrameReport] = []
     last: FinishedFrame | None = None
-    n_resumed = 0
+    n_resumed = n_workers = 0
     try:
         with open_progress_bar(len(indices), console) as bar:
-            if scheduler:
-                jobs = [
+            n_workers = 0 if follow or scheduler or meshes else _choose_workers(jobs, len(indices))
+            if scheduler or n_workers > 1:
+                pieces = [
                     _FrameJob(request=request, settings=tuple(settings), force=force, out=out.resolve(), index=k)
                     for k in indices
                 ]
-                with connect_cluster(scheduler) as workers:
-                    workers.map(_run_job, jobs, bar)
+                _translate_elsewhere(pieces, scheduler, n_workers, bar)
             for done, index in enumerate(indices):
                 part = SubProgress(bar, done / len(indices), 1.0 / len(indices), f"frame {index}")
                 part.step(0.0, "")
@@ -138,10 +136,37 @@ def translate(
         *_describe_force(reports, translation, force=force),
     ):
         print_line(line)
-    if n_resumed and not scheduler:
+    if n_resumed and n_workers < 2 and not scheduler:
         print_line(f"{n_resumed} of them were finished by an earlier run and are kept")
     print_line(f"{len(reports) - len(failed)} of {len(reports)} frames written to {os.fspath(out)}")
     return _exit_code(failed)
+
+
+def _identify_object(translation: Translation, index: int, meshes: Path | None, console: Console) -> Translation:
+    """The translation with the likeliest mesh of a folder as its object, by the frame `index`."""
+    if meshes is None:
+        return translation
+    with open_progress_bar(1, console) as bar:
+        depth = translation.evaluate(index, ["depth"])["depth"].output
+        return take_likeliest_mesh(translation, depth, meshes, bar)
+
+
+def _check_options(
+    options: TranslationOptions, meshes: Path | None, frame: int | None, jobs: int, scheduler: str, *,
+    all_frames: bool, follow: bool,
+) -> None:  # fmt: skip
+    """Raise SettingProblem for options that exclude each other."""
+    if meshes is not None and (options.mesh is not None or scheduler or jobs):
+        raise SettingProblem("--meshes chooses the mesh; give it without --mesh, --jobs and --scheduler")
+    if frame is not None and all_frames:
+        raise SettingProblem("give either --frame or --all, not both")
+    if follow and not all_frames:
+        raise SettingProblem("--follow uses the previous frame's pose; give it with --all")
+    if scheduler and (follow or not all_frames):
+        raise SettingProblem("--scheduler distributes single frames; give it with --all, and without --follow")
+    if jobs and (follow or scheduler or not all_frames):
+        raise SettingProblem("--jobs share single frames; give it with --all, without --follow and --scheduler")
+    check_range("--jobs", jobs, 0, _MAX_JOBS)
 
 
 def print_stage_table(reports: Sequence[FrameReport]) -> None:
@@ -210,6 +235,36 @@ def _describe_force(reports: Sequence[FrameReport], translation: Translation, *,
             low, high = f"{min(forces):.2f}", f"{max(forces):.2f}"
             out.append(f"{title} {high if low == high else f'{low} to {high}'} N{remark}")
     return out
+
+
+def _choose_workers(jobs: int, n_frames: int) -> int:
+    """How many processes translate `n_frames`: as requested, else one a core, each with some frames to do."""
+    return min(n_frames, jobs or min(os.cpu_count() or 1, _MAX_CORES, n_frames // _FRAMES_PER_WORKER))
+
+
+def _translate_elsewhere(jobs: Sequence[_FrameJob], scheduler: str, n_workers: int, progress: Progress) -> None:
+    """Have frames translated and written by the workers of a scheduler, or by processes of this machine."""
+    if scheduler:
+        with connect_cluster(scheduler) as workers:
+            workers.map(_run_job, jobs, progress)
+        return
+    from concurrent.futures import as_completed
+
+    with WorkerPool(n_workers) as pool:
+        futures = [pool.submit(_run_job_here, job) for job in jobs]
+        for n_done, future in enumerate(as_completed(futures), 1):
+            future.result()
+            progress.step(n_done / len(jobs), f"{n_done} of {len(jobs)} frames by {n_workers} processes")
+
+
+def _run_job_here(job: _FrameJob) -> None:
+    """Translate one frame in a process of this machine, which keeps the recording and the weights open."""
+    _translate_frame(_open_once(job.request, job.settings), job.index, job.out, None, SILENT, force=job.force)
+
+
+@lru_cache(maxsize=1)
+def _open_once(request: Request, settings: tuple[str, ...]) -> Translation:
+    return open_translation(request, settings=settings, cache_bytes=CACHE_BYTES)
 
 
 def _run_job(job: _FrameJob) -> None:
