@@ -18,7 +18,7 @@ from PyQt6.QtWidgets import (
 from widgets.base import ChoiceBox, NumberBox
 from widgets.styling import fill, make_bold, make_button, set_spacing
 
-_SIMULATED, _FOLDER = "simulated", "folder"  # sources that are not the name of a camera
+_SIMULATED, _FOLDER, _ADDRESS = "simulated", "folder", "address"  # sources that are not the name of a camera
 
 
 class LiveDialog(QDialog):
@@ -39,10 +39,13 @@ class LiveDialog(QDialog):
         self.rate.setSuffix(" Hz")
         self.rate.setValue(15.0)
         self.rate.setToolTip("frame rate of a simulated sensor, Hz")
-        self.folder.setToolTip("a folder that another program writes images into")
+        self.folder.setToolTip(
+            "a folder that another program writes images into, or an address: http://... or rtsp://... of a video "
+            "stream, ws://HOST:PORT TOPIC of a Foxglove bridge (ROS)"
+        )
         form = QFormLayout(self)
         form.addRow("source", fill(QHBoxLayout(), (self.source, 1), self.search_button))
-        form.addRow("folder", fill(QHBoxLayout(), (self.folder, 1), self.browse_button))
+        form.addRow("folder or address", fill(QHBoxLayout(), (self.folder, 1), self.browse_button))
         for label, widget in (("sensor", self.sensor), ("object", self.object_box), ("rate", self.rate)):
             form.addRow(label, widget)
         for label, widget in (("rate", self.rate), ("folder", self.folder)):
@@ -65,7 +68,9 @@ class LiveDialog(QDialog):
 
     def show_cameras(self, cameras: Sequence[tuple[str, str]]) -> None:
         """Offer the connected cameras as (name, source)."""
-        self.source.offer({_SIMULATED: "simulated sensor", **dict(cameras), _FOLDER: "growing folder"})
+        self.source.offer(
+            {_SIMULATED: "simulated sensor", **dict(cameras), _FOLDER: "growing folder", _ADDRESS: "network address"}
+        )
         self._told.setText("" if cameras else "no camera is connected")
         self._fit()
 
@@ -76,16 +81,19 @@ class LiveDialog(QDialog):
 
     def _fit(self) -> None:
         source = self.source.choice
-        self.folder.setEnabled(source == _FOLDER)
+        is_written = source in {_FOLDER, _ADDRESS}
+        self.folder.setEnabled(is_written)
+        self.browse_button.setEnabled(source != _ADDRESS)
         for widget in (self.object_box, self.rate):
             widget.setEnabled(source == _SIMULATED)
-        self.watch.setEnabled(source != _FOLDER or bool(self.folder.text().strip()))
+        self.watch.setEnabled(not is_written or bool(self.folder.text().strip()))
 
     def _watch(self) -> None:
         source = self.source.choice
-        words = {_SIMULATED: [_SIMULATED], _FOLDER: [_FOLDER, self.folder.text().strip()]}.get(
-            source, ["device", source]
-        )
+        written = self.folder.text().strip()
+        words = {
+            _SIMULATED: [_SIMULATED], _FOLDER: [_FOLDER, written], _ADDRESS: written.split(maxsplit=1)
+        }.get(source, ["device", source])  # fmt: skip
         self.watch_requested.emit(words, self.sensor.choice, self.object_box.choice, self.rate.value())
         self.accept()
 

@@ -35,8 +35,10 @@ def live(
     """Print a sensor's status every second; returns the exit code.
 
     Args:
-        source: `simulated`, `folder DIR` into which another program writes images, or `device NAME`: a part of a
-            camera's name or serial number, or the path of a camera or of a recorded stream.
+        source: `simulated`, `folder DIR` into which another program writes images, `device NAME`: a part of a
+            camera's name or serial number, or the path of a camera or of a recorded stream, `camera:0` by number,
+            `http://...` or `rtsp://...`: a video stream of a network, or `ws://HOST:PORT TOPIC`: images or depth that
+            a Foxglove bridge (ROS 1 and 2) publishes.
         sensor: Sensor type, if neither device name nor image size identifies it; for `simulated` the sensor to
             simulate.
         object_source: Object pressed into a simulated sensor: an object of `tactoscope simulate`, or a mesh file.
@@ -84,9 +86,11 @@ def _watch_sensor(source: LiveSource, record: Path | None, seconds: float) -> in
 def _print_status(reader: LiveReader, recorder: LiveRecorder | None) -> None:
     status = reader.status()
     written = "" if recorder is None else f", {recorder.n_written} recorded, {recorder.n_dropped} left out"
+    clock = f", {status.n_doubled} doubled" if status.n_doubled else ""
+    clock += f", {status.n_clock_jumps} jumps of its clock" if status.n_clock_jumps else ""
     problem = status.message or ("" if recorder is None else recorder.problem)
     print_line(
-        f"{status.state}: {status.rate_hz:.1f} Hz, {status.n_frames} frames, {status.n_lost} lost{written}"
+        f"{status.state}: {status.rate_hz:.1f} Hz, {status.n_frames} frames, {status.n_lost} lost{clock}{written}"
         f"{'' if reader.has_reference else ', no reference yet'}{f'; {problem}' if problem else ''}"
     )
 

@@ -1,5 +1,6 @@
 """The thread that reads a live sensor and buffers its last frames."""
 
+import math
 import threading
 import time
 from collections import deque
@@ -18,6 +19,7 @@ from pipeline.values.frames import Recording, Stream, TactileFrame, Truth
 MAX_BYTES = 192 << 20  # of the buffered images
 RETRY_S = 0.3  # before a lost sensor is opened again
 _RATE_WINDOW_S = 2.0  # over which the frame rate is measured
+_CLOCK_JUMP_S = 2.0  # by which stamps and arrivals may differ from one frame to the next
 _DRIFT_CHECK_S = 1.0  # between two checks of the reference
 
 ReaderState = Literal["looking", "running", "lost", "stopped"]
@@ -32,6 +34,8 @@ class ReaderStatus:
     n_frames: int
     rate_hz: float  # of arriving frames, over the last two seconds
     n_lost: int  # frames that the sensor counted but that did not arrive
+    n_doubled: int = 0  # frames with the stamp of the one before
+    n_clock_jumps: int = 0  # steps of the sensor's clock that its rate does not explain
     message: str = ""  # what is wrong: sensor lost, or reference does not fit
 
 
@@ -42,7 +46,7 @@ class LiveReader:
         self.source, self._max_bytes = source, max_bytes
         self._lock = threading.Lock()
         self._buffer: deque[tuple[TactileFrame, Truth | None]] = deque()
-        self._first_index = self._n_bytes = self._n_lost = 0
+        self._first_index = self._n_bytes = self._n_lost = self._n_doubled = self._n_jumps = 0
         self._arrivals_s: deque[float] = deque()
         self._reference: Image | Floats | None = None
         self._first_reference: Image | Floats | None = None
@@ -51,6 +55,7 @@ class LiveReader:
         self._state: ReaderState = "looking"
         self._problem = self._drift = ""
         self._number, self._began_s, self._checked_s = -1, 0.0, 0.0
+        self._last: LiveFrame | None = None
         self._listeners: tuple[Listener, ...] = ()
         self._stop_event = threading.Event()
         self._thread = threading.Thread(target=self._read_frames, name="live", daemon=True)
@@ -122,8 +127,9 @@ class LiveReader:
         window_s = min(_RATE_WINDOW_S, now_s - self._began_s)
         rate = len(arrived) / window_s if window_s > 0 and self._state == "running" else 0.0
         return ReaderStatus(
-            state=self._state, n_frames=n, rate_hz=rate, n_lost=n_lost, message=self._problem or self._drift
-        )
+            state=self._state, n_frames=n, rate_hz=rate, n_lost=n_lost, n_doubled=self._n_doubled,
+            n_clock_jumps=self._n_jumps, message=self._problem or self._drift,
+        )  # fmt: skip
 
     def make_recording(self, path: Path) -> Recording:
         """The frames so far as a recording that grows, named `path`."""
@@ -153,7 +159,7 @@ class LiveReader:
             try:
                 if not opened:
                     self.source.open()
-                    opened, self._number, self._began_s = True, -1, time.monotonic()
+                    opened, self._number, self._began_s, self._last = True, -1, time.monotonic(), None
                 live_frame = self.source.read()
                 if live_frame is not None:
                     self._add_frame(live_frame)
@@ -170,6 +176,7 @@ class LiveReader:
 
     def _add_frame(self, live_frame: LiveFrame) -> None:
         image = freeze(live_frame.image)
+        self._check_clock(live_frame)
         if self._state != "running":
             self._state, self._problem = "running", ""
         if self._reference is not None and image.shape != self._reference.shape:
@@ -181,6 +188,7 @@ class LiveReader:
             frame = TactileFrame(
                 sensor=self.source.sensor, image=image, reference=self._reference, index=index,
                 time_s=live_frame.time_s - self._start_s, origin=f"{self.source.title} [frame {index}]",
+                camera=live_frame.camera,
             )  # fmt: skip
             self._buffer.append((frame, live_frame.truth))
             self._n_bytes += image.nbytes
@@ -196,6 +204,14 @@ class LiveReader:
         self._check_reference(frame)
         for listener in self._listeners:
             listener(frame, live_frame.truth)
+
+    def _check_clock(self, frame: LiveFrame) -> None:
+        """Count frames that came twice and jumps of the sensor's clock; frames are timed by their arrival."""
+        if self._last is not None and math.isfinite(frame.stamp_s - self._last.stamp_s):
+            step_s = frame.stamp_s - self._last.stamp_s
+            self._n_doubled += step_s == 0
+            self._n_jumps += abs(step_s - (frame.time_s - self._last.time_s)) > _CLOCK_JUMP_S
+        self._last = frame
 
     def _check_reference(self, frame: TactileFrame) -> None:
         """Capture the first reference automatically; check it for drift every `_DRIFT_CHECK_S`."""

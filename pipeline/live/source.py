@@ -1,10 +1,12 @@
 """Live sources: sensors that are opened, read, lost and opened again."""
 
+import math
 from dataclasses import dataclass
 from typing import Protocol
 
 from pipeline.base.arrays import Floats, Image
 from pipeline.base.errors import TouchError
+from pipeline.geometry.camera import Camera
 from pipeline.geometry.meshes import Mesh
 from pipeline.geometry.symmetry import Symmetry
 from pipeline.values.frames import Truth
@@ -21,6 +23,8 @@ class LiveFrame:
     image: Image | Floats  # of the sensor's size
     time_s: float  # of the monotonic clock, when taken
     sequence_number: int = -1  # of the sensor, whose gaps are lost frames; -1 = not counted
+    stamp_s: float = math.nan  # of the sensor's own clock, which may jump; NaN = none
+    camera: Camera | None = None  # intrinsics that came with the image; None = those of the sensor's description
     truth: Truth | None = None  # of a simulated touch
 
 

@@ -12,8 +12,9 @@ from pipeline.base.errors import FileProblem, SettingProblem
 from pipeline.base.params import check_range
 from pipeline.geometry.meshes import Mesh
 from pipeline.geometry.symmetry import Symmetry
+from pipeline.live.foxglove_stream import FoxgloveSource
 from pipeline.live.source import LiveFrame, LiveSource, LiveSourceLost
-from pipeline.live.usb_camera import UsbCameraSource
+from pipeline.live.usb_camera import UsbCameraSource, is_address
 from pipeline.physics.sensor_images import render_sensor_image
 from pipeline.recordings import image_files
 from pipeline.recordings.gel_images import GelImageConverter, make_gel_converter
@@ -197,7 +198,7 @@ DEFAULT_SENSOR = "gelslim"  # of the simulated source
 
 
 def parse_source(words: Sequence[str], *, sensor: str = "", tool: str = "sphere", rate_hz: float = 15.0) -> LiveSource:
-    """The source for `simulated`, `folder DIR` or `device NAME`, as words or one text; raises SettingProblem."""
+    """The source for words or one text as `tactoscope live --source` takes them; raises SettingProblem."""
     if sensor:
         sensor = sensor if sensor.endswith(".toml") else load_sensor(sensor).name
     match words[0].split(maxsplit=1) if len(words) == 1 else list(words):
@@ -207,5 +208,12 @@ def parse_source(words: Sequence[str], *, sensor: str = "", tool: str = "sphere"
             return FolderSource(Path(name), sensor=sensor)
         case ["device", name]:
             return UsbCameraSource(name, sensor=sensor)
+        case [name] if name.startswith("camera:") and name != "camera:":
+            return UsbCameraSource(name.removeprefix("camera:"), sensor=sensor)
+        case [name] if is_address(name):
+            return UsbCameraSource(name, sensor=sensor)
+        case [name, *topic] if name.startswith(("ws://", "wss://")) and len(topic) < 2:
+            return FoxgloveSource(name, *topic, sensor=sensor)
         case _:
-            raise SettingProblem(f"a source is simulated, folder DIR or device NAME, got {' '.join(words)!r}")
+            kinds = "simulated, folder DIR, device NAME, camera:0, http://..., rtsp://... or ws://HOST:PORT TOPIC"
+            raise SettingProblem(f"a source is {kinds}, got {' '.join(words)!r}")

@@ -1,4 +1,7 @@
-"""Live source: USB cameras such as DIGIT and GelSight Mini, read as their own drivers read them."""
+"""Live source: cameras and video streams of a network.
+
+USB cameras such as DIGIT and GelSight Mini are read as their own drivers read them.
+"""
 
 import re
 import time
@@ -11,10 +14,12 @@ import numpy as np
 
 from pipeline.base.arrays import Image
 from pipeline.base.errors import SettingProblem
+from pipeline.base.native_stderr import silence_native_libraries
 from pipeline.live.source import LiveFrame, LiveSourceLost
 from pipeline.recordings.gel_images import GelImageConverter, make_gel_converter
 
 CAMERAS_BY_ID = Path("/dev/v4l/by-id")
+_ADDRESSES = ("http://", "https://", "rtsp://", "rtsps://")
 _NODE = re.compile(r"(?:usb-)?(?P<name>.+)-video-index0")  # index1 is a metadata node
 
 
@@ -30,6 +35,7 @@ class UsbCameraProfile:
     led_setting: int = -1  # CAP_PROP_ZOOM, DIGIT's LED intensity of 0 to 15 per colour; -1 = as it is
 
 
+_OPEN_MS, _READ_MS = 3000, 2000  # without an answer of a network stream
 _FULL_INTENSITY = 15 << 8 | 15 << 4 | 15
 USB_CAMERA_PROFILES = (  # digit-interface: QVGA at 60 Hz; gsrobotics: full image at 25 Hz, cropped by a seventh
     UsbCameraProfile(
@@ -64,10 +70,14 @@ def list_usb_cameras(by_id: Path = CAMERAS_BY_ID) -> tuple[UsbCamera, ...]:
     return tuple(sorted(cameras, key=lambda camera: camera.profile is _UNKNOWN))
 
 
-def open_capture(node: Path, profile: UsbCameraProfile) -> Any:
-    """OpenCV's capture of a camera with the settings of `profile`, or of a recorded stream."""
+def open_capture(node: Path | str, profile: UsbCameraProfile) -> Any:
+    """OpenCV's capture of a camera with the settings of `profile`, of a recorded stream, or of a network address."""
     import cv2
 
+    if isinstance(node, str):
+        limits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, _OPEN_MS, cv2.CAP_PROP_READ_TIMEOUT_MSEC, _READ_MS]
+        with silence_native_libraries():
+            return cv2.VideoCapture(node, cv2.CAP_FFMPEG, limits)
     if not node.is_char_device():
         return cv2.VideoCapture(str(node))
     capture: Any = cv2.VideoCapture(str(node.resolve()), cv2.CAP_V4L2)
@@ -82,7 +92,10 @@ def open_capture(node: Path, profile: UsbCameraProfile) -> Any:
 
 
 class UsbCameraSource:
-    """A camera by a part of its name or serial number, or by a path; after a loss it is searched on every port."""
+    """A camera by its number, by a part of its name or serial number, or by a path or network address.
+
+    After a loss a named camera is searched on every port.
+    """
 
     touching_object = None  # not known
 
@@ -92,7 +105,7 @@ class UsbCameraSource:
         *,
         sensor: str = "",
         by_id: Path = CAMERAS_BY_ID,
-        opener: Callable[[Path, UsbCameraProfile], Any] = open_capture,
+        opener: Callable[[Path | str, UsbCameraProfile], Any] = open_capture,
     ) -> None:
         self._name, self._sensor, self._by_id, self._open = name_or_path, sensor, by_id, opener
         of_sensor = next((p for p in USB_CAMERA_PROFILES if p.sensor == sensor), _UNKNOWN)
@@ -117,13 +130,15 @@ class UsbCameraSource:
         self._capture = self._open(node, self._profile)
         if not self._capture.isOpened():
             self.close()
-            raise LiveSourceLost(f"{self._name!r} cannot be opened; close other programs that use it")
+            remedy = "check address and network" if isinstance(node, str) else "close other programs that use it"
+            raise LiveSourceLost(f"{self._name!r} cannot be opened; {remedy}")
 
     def read(self) -> LiveFrame | None:
         """The next image as the sensor's driver gives it; raises LiveSourceLost."""
         ok, raw = self._capture.read()
         if not ok or raw is None:
-            raise LiveSourceLost(f"no image comes from {self._name!r}; check the cable")
+            at = "network" if is_address(self._name) else "cable"
+            raise LiveSourceLost(f"no image comes from {self._name!r}; check the {at}")
         return LiveFrame(image=self._convert_image(np.asarray(raw)), time_s=time.monotonic())
 
     def close(self) -> None:
@@ -132,8 +147,10 @@ class UsbCameraSource:
             self._capture.release()
             self._capture = None
 
-    def _find_node(self) -> Path:
-        path = Path(self._name)
+    def _find_node(self) -> Path | str:
+        if is_address(self._name):
+            return self._name
+        path = Path(f"/dev/video{self._name}" if self._name.isdecimal() else self._name)
         if path.is_absolute() or path.exists():
             if not path.exists():
                 raise LiveSourceLost(f"there is no '{path}'; trying again")
@@ -158,6 +175,11 @@ class UsbCameraSource:
                 size = f"{rgb.shape[1]} x {rgb.shape[0]} px"
                 raise SettingProblem(f"no known sensor has images of {size}; give --sensor")
         return self._converter.convert_image(rgb)
+
+
+def is_address(name: str) -> bool:
+    """Whether a camera is named by a network address that OpenCV can open."""
+    return name.startswith(_ADDRESSES)
 
 
 def _find_profile(name: str) -> UsbCameraProfile:

@@ -26,7 +26,7 @@ from pipeline.recordings.stream_choice import make_streams
 from pipeline.values.frames import Recording
 
 PREVIEW_PROFILE = "tactoscope previews"  # profile of the files that are exported for viewers
-_SCHEMAS = frozenset({
+IMAGE_SCHEMAS = frozenset({
     "foxglove.CompressedImage", "foxglove.RawImage", "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Image",
 })  # fmt: skip
 _VIDEO = "CompressedVideo"  # end of the names of video schemas
@@ -50,7 +50,7 @@ def read(files: RecordingFiles, options: ReadOptions) -> Recording:
     """
     path = files.path
     require_file(path, "the MCAP file", most_bytes=1 << 50)
-    decoders, file = _make_decoders(), McapFile(path)
+    decoders, file = make_decoders(), McapFile(path)
     try:
         topics, others = _list_images(file, decoders)
         if file.profile == PREVIEW_PROFILE:
@@ -80,8 +80,8 @@ def read(files: RecordingFiles, options: ReadOptions) -> Recording:
                      notes=(*files.notes, *file.notes, *notes, *about))  # fmt: skip
 
 
-class _Decoders:
-    """Decoders of the packages that are installed."""
+class Decoders:
+    """Decoders of messages, by the packages that are installed."""
 
     def __init__(self, factories: Sequence[Any]) -> None:
         self._factories, self._of_channel = factories, dict[int, Any]()
@@ -97,12 +97,13 @@ class _Decoders:
         return decoder(content)
 
 
-def _make_decoders() -> _Decoders:
+def make_decoders() -> Decoders:
+    """Decoders of JSON, protobuf and ROS 2 messages; raises SettingProblem without the package `mcap`."""
     try:
         import mcap.reader as _  # noqa: F401 # the packages below need it, and it brings what unfolds chunks
     except ImportError as error:
         raise SettingProblem(
-            "MCAP files are read by mcap, which is not installed; pip install mcap-protobuf-support"
+            "messages are read by mcap, which is not installed; pip install mcap-protobuf-support"
         ) from error
     factories: list[Any] = [_JsonDecoders()]
     try:
@@ -117,7 +118,7 @@ def _make_decoders() -> _Decoders:
         factories.append(RosDecoderFactory())
     except ImportError:
         pass
-    return _Decoders(factories)
+    return Decoders(factories)
 
 
 class _JsonDecoders:
@@ -133,20 +134,20 @@ def _decode_json(content: bytes) -> Any:
     return SimpleNamespace(**{**fields, "data": base64.b64decode(fields["data"])})
 
 
-def _list_images(file: McapFile, decoders: _Decoders) -> tuple[dict[str, list[_StampedImage]], dict[str, str]]:
+def _list_images(file: McapFile, decoders: Decoders) -> tuple[dict[str, list[_StampedImage]], dict[str, str]]:
     """(topic -> its images in the order of the file, topic -> schema of everything else)."""
     topics, others = dict[str, list[_StampedImage]](), dict[str, str]()
     for message, content in file.iterate():
         schema = "" if message.channel.schema is None else message.channel.schema.name
-        if schema in _SCHEMAS:
-            stamp_ns = _read_stamp_ns(message.channel, content, decoders)
+        if schema in IMAGE_SCHEMAS:
+            stamp_ns = read_stamp_ns(message.channel, content, decoders)
             topics.setdefault(message.channel.topic, []).append(_StampedImage(message=message, stamp_ns=stamp_ns))
         else:
             others[message.channel.topic] = schema
     return topics, others
 
 
-def _read_stamp_ns(channel: McapChannel, content: bytes, decoders: _Decoders) -> int:
+def read_stamp_ns(channel: McapChannel, content: bytes, decoders: Decoders) -> int:
     """The time in the header of an image; 0 where it has none or cannot be decoded."""
     try:
         if channel.message_encoding == "cdr":  # the header comes first; to decode all would take a copy of the pixels
@@ -229,11 +230,21 @@ def _describe_lack(others: Mapping[str, str], notes: Sequence[str]) -> str:
     return f"the MCAP file has no topic of images{f'; {notes[0]}' if notes else ''}"
 
 
+def decode_image(message: Any, where: str, path: Path) -> Image:
+    """(rows, cols, 3) RGB of a decoded image message, compressed or plain; raises FileProblem."""
+    if hasattr(message, "format"):
+        if "compresseddepth" in str(message.format).lower():
+            raise FileProblem(f"{where} holds depth: {NO_DEPTH}", path, field=where)
+        return decode_rgb(bytes(message.data), where, path)
+    shape = int(message.height), int(message.width)
+    return unpack_rgb(bytes(message.data), shape, int(message.step), str(message.encoding), where, path)
+
+
 class _Topic:
     """The images of one topic."""
 
     def __init__(
-        self, file: McapFile, messages: Sequence[McapMessage], times_s: Mapping[int, float], decoders: _Decoders,
+        self, file: McapFile, messages: Sequence[McapMessage], times_s: Mapping[int, float], decoders: Decoders,
         path: Path,
     ) -> None:  # fmt: skip
         self._file, self._messages, self._decoders, self._path = file, messages, decoders, path
@@ -249,12 +260,7 @@ class _Topic:
         message, where = self._messages[index], f"frame {index}"
         try:
             image = self._decoders.decode(message.channel, self._file.read_content(message))
-            if hasattr(image, "format"):
-                if "compresseddepth" in str(image.format).lower():
-                    raise FileProblem(f"{where} holds depth: {NO_DEPTH}", self._path, field=where)
-                return decode_rgb(bytes(image.data), where, self._path)
-            shape = int(image.height), int(image.width)
-            return unpack_rgb(bytes(image.data), shape, int(image.step), str(image.encoding), where, self._path)
+            return decode_image(image, where, self._path)
         except TouchError:
             raise
         except Exception as error:
