@@ -22,7 +22,7 @@ from pipeline.geometry.camera import Camera
 from pipeline.live.source import LiveFrame, LiveSourceLost
 from pipeline.recordings.gel_images import GelImageConverter, make_gel_converter
 from pipeline.recordings.mcap_images import IMAGE_SCHEMAS, Decoders, decode_image, make_decoders, read_stamp_ns
-from pipeline.recordings.mcap_records import McapChannel, McapSchema
+from pipeline.recordings.mcap_records import McapChannel
 from pipeline.recordings.resampling import infer_depth_camera
 from pipeline.recordings.sensor_guess import resolve_sensor_name
 from pipeline.sensors.spec import load_sensor
@@ -228,11 +228,13 @@ class FoxgloveSource:
 
 def _parse_channel(told: dict[str, Any]) -> _Channel:
     """A channel as the server describes it; raises KeyError, TypeError or ValueError for other JSON."""
+    from mcap.records import Schema
+
     encoding = str(told["encoding"])
     text = str(told.get("schema", ""))
     kind = str(told.get("schemaEncoding") or {"cdr": "ros2msg", "ros1": "ros1msg"}.get(encoding, encoding))
     data = base64.b64decode(text) if kind == "protobuf" else text.encode()
-    schema = McapSchema(id=int(told["id"]), name=str(told["schemaName"]), encoding=kind, data=data)
+    schema = Schema(id=int(told["id"]), name=str(told["schemaName"]), encoding=kind, data=data)
     channel = McapChannel(topic=str(told["topic"]), message_encoding=encoding, schema=schema)
     return _Channel(id=int(told["id"]), mcap=channel)
 
