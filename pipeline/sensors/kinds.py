@@ -40,7 +40,7 @@ class SensorKind:
     reference_renderer: str  # (SensorSpec) -> image without contact and noise
     image_checker: str  # (image) -> what is wrong with it as a clause, "" = nothing
     contact_checker: str  # (frame, sensor, calibration, limit) -> notes without contact, None = maybe contact
-    depth_estimator: str  # (frame, SensorSpec, Calibration | None, DepthParams, Progress) -> DepthMap
+    depth_estimator: str  # (frame, SensorSpec, Calibration | None, DepthParams, Progress) -> DepthMap; "" = as a gel
     touch_renderer: str = ""  # of the physical render; "" = the kind cannot be a target of it
     press_simulator: str = ""  # of the simulator; "" = the kind is not simulated
     image_simulator: str = ""

@@ -57,7 +57,7 @@ def compute_largest_change(image: NDArray[Any], reference: NDArray[Any]) -> floa
 
 
 def estimate_depth(frame: TactileFrame, source: SensorSpec, *, smoothing_px: float, least_mm: float) -> DepthMap:
-    """The depth of one bubble frame that `photometric.check_frame` has accepted.
+    """The depth of one bubble frame that `check_frame` has accepted.
 
     The rest surface is the reference depth without its noise, so no shape of the bubble is assumed; with `smoothing_px`
     0 it is the reference itself. Small gaps are filled; in larger ones indentation and depth are NaN.

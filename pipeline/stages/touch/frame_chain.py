@@ -22,6 +22,7 @@ from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.cloud import back_projection
 from pipeline.stages.depth import bubble_network, photometric
+from pipeline.stages.depth.frame_checks import check_frame
 from pipeline.stages.target_depth import surface_projection
 from pipeline.stages.touch import physical_render
 from pipeline.values.frames import TactileFrame
@@ -52,8 +53,7 @@ def project_frame(
     weights = bubble_network.select_weights(source, source, None) if is_network else NoWeights(why="")
 
     def project() -> tuple[DepthMap, TargetDepth]:
-        at_rest = photometric.skip_without_contact(frame, source, calibration, photometric.DepthParams())
-        depth = at_rest or _estimate_depth(frame, source, calibration, weights, progress)
+        depth = _estimate_depth(frame, source, calibration, weights, progress)
         cloud = back_projection.back_project_depth(depth, alignment, back_projection.BackProjectionParams())
         params = surface_projection.SurfaceProjectionParams()
         view = surface_projection.skip_without_contact(cloud, target, params)
@@ -79,7 +79,7 @@ def guard_contact(
     def run_in_contact(*args: *tuple[*Reads, Params, Progress]) -> _Answer:
         values: Any = args  # by position, as the graph passes them
         frame, source, calibration, alignment, target, weights, _, progress = values
-        photometric.check_frame(frame, source)
+        check_frame(frame, source)
         reads = frame, source, calibration, alignment, target
         depth, view = project_frame(*reads, progress)
         reference_touch = physical_render.skip_without_contact(view, target)
@@ -134,9 +134,11 @@ def _estimate_depth(
     progress: Progress,
 ) -> DepthMap:
     if isinstance(weights, NoWeights):
-        return photometric.estimate_depth_with_notes(frame, source, calibration, photometric.DepthParams(), progress)
-    return bubble_network.estimate_frame(
-        frame, source, calibration, network_factory.load_predictor(weights), bubble_network.NetworkParams(), progress
+        return photometric.estimate_depth(frame, source, calibration, photometric.DepthParams(), progress)
+    params = bubble_network.NetworkParams()
+    at_rest = photometric.skip_without_contact(frame, source, calibration, params)
+    return at_rest or bubble_network.estimate_frame(
+        frame, source, calibration, network_factory.load_predictor(weights), params, progress
     )
 
 

@@ -325,7 +325,7 @@ def test_the_fallback_of_t2t_uses_the_default_depth_method(ball_frames, monkeypa
     by_network = bubble_network.estimate_frame(
         frame, BUBBLE, None, load_predictor(bubble_network.select_weights(BUBBLE, BUBBLE, None)), NetworkParams()
     )
-    for seen in (by_network, depth.estimate_depth_with_notes(frame, BUBBLE, None, depth.DepthParams())):
+    for seen in (by_network, depth.estimate_depth(frame, BUBBLE, None, depth.DepthParams())):
         view = project_cloud(back_project_depth(seen, between, BackProjectionParams()), GEL, SurfaceProjectionParams())
         expected = physical_render.render_touch(view, GEL, physical_render.PhysicalRenderParams()).membrane
         assert np.array_equal(frame_chain.render_from_frame(*reads).membrane.contact, expected.contact)

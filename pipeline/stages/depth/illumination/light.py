@@ -166,6 +166,15 @@ class Illumination:
         return self.model == "leds" and any(self.parameters)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FrameLight:
+    """What a frame is measured by: its light and its calibration table."""
+
+    illumination: Illumination | None  # None where the calibration table contains its own light
+    calibration: Calibration  # the description's where presses cover no part of the touch
+    notes: tuple[str, ...] = ()
+
+
 class RenderedChange(NamedTuple):
     """Change of the light of a surface against the reference image, before the lens, each (rows, cols, 3)."""
 
