@@ -23,6 +23,7 @@ from pipeline.base.arrays import Doubles, Floats, Image, Mask, freeze
 from pipeline.base.errors import UNCERTAIN_CONTACT
 from pipeline.base.memo import Memo
 from pipeline.base.progress import Progress
+from pipeline.calibration.markers import detect_markers
 from pipeline.engine.digests import compute_cached_digest
 from pipeline.engine.graph import EarlyAnswer, Skipped
 from pipeline.sensors.spec import SensorSpec
@@ -133,6 +134,7 @@ class FrameChange:
 
     press: Change
     rest: drift.RestImage
+    markers: Mask | None = None  # (rows, cols) what printed markers hide of the image; None = not known
 
 
 _SMOOTH_DENT = "the touch is wide and smooth: measured on blocks of the image, by the pressure that explains it"
@@ -170,9 +172,12 @@ def observe_change(image: Image, reference: Image, rest: RestState) -> FrameChan
         window = change_detection.detect_change(image, still.image_8bit, limit_grey, rest.pixel_mm)
         return FrameChange(press=make_unexplained_change("none" if window is None else "press"), rest=still)
     exposed = drift.remove_exposure(image, drift.estimate_exposure(image, reference))
-    press = explain_change(exposed, reference, rest.source, rest.light, rest.pixel_mm)
+    printed = rest.source.markers
+    markers = None if printed is None else freeze(detect_markers(exposed, printed, rest.pixel_mm))
+    press = explain_change(exposed, reference, rest.source, rest.light, rest.pixel_mm, markers)
     dent_grey = press.dent_grey if press.is_smooth else None
-    return FrameChange(press=press, rest=drift.estimate_rest_image(image, reference, dent_grey))
+    still = drift.estimate_rest_image(image, reference, dent_grey)
+    return FrameChange(press=press, rest=still, markers=markers)
 
 
 def _upsample_dent(press: Change, shape: tuple[int, int], least_mm: float) -> tuple[Floats, Mask]:
@@ -191,10 +196,15 @@ def _upsample_dent(press: Change, shape: tuple[int, int], least_mm: float) -> tu
     return np.asarray(indentation, np.float32), (load > CHANGE.load_share * weighted_mean) & deep
 
 
-def explain_change(image: Image, reference: Image, source: SensorSpec, light: Floats, pixel_mm: float) -> Change:
-    """Whether the change between two images (rows, cols, 3) is a press, in this coarse light (rows, cols, 3, 2)."""
+def explain_change(
+    image: Image, reference: Image, source: SensorSpec, light: Floats, pixel_mm: float, markers: Mask | None = None
+) -> Change:
+    """Whether the change between two images (rows, cols, 3) is a press, in this coarse light (rows, cols, 3, 2).
+
+    `markers` (rows, cols), what printed markers hide of the first, is computed where it is None.
+    """
     model = make_model(reference, source, light, pixel_mm)
-    change = coarse_light.compute_block_change(image, reference, source.markers, pixel_mm).ravel()
+    change = coarse_light.compute_block_change(image, reference, source.markers, pixel_mm, markers).ravel()
     return compare_explanations(change, model)
 
 

@@ -1,13 +1,13 @@
 """Node *slopes*: the slopes of a gel where its image has changed, by the calibration table."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import cast
 
 import numpy as np
 
-from pipeline.base.arrays import Floats, Image, median
+from pipeline.base.arrays import Floats, Image, Mask, median
 from pipeline.base.errors import CalibrationError, StageWarning
 from pipeline.base.progress import Progress
 from pipeline.calibration.calibration_table import Calibration, compute_slopes
@@ -28,6 +28,7 @@ from pipeline.stages.depth.poisson import Boundary, Integrator, SideBoundaries, 
 from pipeline.values.frames import TactileFrame
 
 _SATURATED_GREY = 254  # noise of one grey level moves what is clipped at 255 down to here
+_LEVEL_PIXELS = 1000  # outside the changed region, whose median is the level of a surface
 _MAX_SATURATED_SHARE = 0.01  # of the changed region; more is warned of
 
 
@@ -51,41 +52,45 @@ class ChangedImage:
     calibration: Calibration
     smoothing_px: float
     boundary: Boundary
+    markers: Mask | None = None  # (rows, cols) what printed markers hide of the image; None = not known
 
     @cached_property
     def patches(self) -> tuple[ImagePatch, ImagePatch]:
         """The window at image resolution, and on the refinement grid."""
         patch = extract_patch(
             self.image, self.reference.image, self.window, self.smoothing_px, self.source.markers,
-            self.calibration.pixel_mm,
+            self.calibration.pixel_mm, self.markers,
         )  # fmt: skip
         return patch, downsample_patch(patch, self.image.shape)
 
     def make_integrator(self, patch: ImagePatch, progress: Progress, fraction: float = 0.4) -> Integrator:
-        """The integrator of a patch's slopes; it can be cancelled at every use."""
-        window = replace(self.window, changed=patch.changed)
+        """The integrator of a patch's slopes (..., rows, cols); it can be cancelled at every use.
+
+        The surfaces in mm are 0 in the median outside the changed region.
+        """
+        ends = self._find_boundaries()
+        outside = np.flatnonzero(~patch.changed)
+        outside = outside[:: max(1, len(outside) // _LEVEL_PIXELS)]
 
         def integrate(gx: Floats, gy: Floats) -> Floats:
             progress.step(fraction, "integrating slopes")
-            return self.integrate_window(gx, gy, window, patch.pixel_mm)
+            z = integrate_slopes(gx, gy, patch.pixel_mm, ends)
+            if not len(outside):
+                return z - z.min(axis=(-2, -1), keepdims=True)
+            images = z.reshape(-1, z.shape[-2] * z.shape[-1])
+            level = np.array([median(image[outside]) for image in images], np.float32)
+            return (images - level[:, None]).reshape(z.shape)
 
         return integrate
 
-    def integrate_window(self, gx: Floats, gy: Floats, window: ImageWindow, pixel_mm: float) -> Floats:
-        """The indentations (..., rows, cols) in mm of the window, 0 in the median outside the changed region.
+    def _find_boundaries(self) -> SideBoundaries:
+        """The boundary condition on each side of the window.
 
         A touch at the image border is free there: the gel beyond is not visible, and not known to be at rest.
         """
-        rows, cols = self.image.shape[:2]
+        (rows, cols), window = self.image.shape[:2], self.window
         inside = (window.cols.start > 0, window.cols.stop < cols, window.rows.start > 0, window.rows.stop < rows)
-        ends: list[Boundary] = [self.boundary if is_inside else "free" for is_inside in inside]
-        z = integrate_slopes(gx, gy, pixel_mm, SideBoundaries(*ends))
-        outside = ~window.changed
-        if not outside.any():
-            return z - z.min(axis=(-2, -1), keepdims=True)
-        images = z.reshape(-1, *z.shape[-2:])
-        level = np.array([median(image, outside) for image in images], np.float32)
-        return (images - level[:, None, None]).reshape(z.shape)
+        return SideBoundaries(*(self.boundary if is_inside else "free" for is_inside in inside))
 
     def guess_surface(self, patch: ImagePatch, integrate: Integrator) -> Floats:
         """The surface (rows, cols) in mm by the calibration table alone."""
@@ -132,7 +137,7 @@ def make_changed_image(
     )
     return ChangedImage(
         image=image, reference=change.rest, window=window, source=rest.source, calibration=calibration,
-        smoothing_px=params.smoothing_px, boundary=params.boundary,
+        smoothing_px=params.smoothing_px, boundary=params.boundary, markers=change.markers,
     )  # fmt: skip
 
 

@@ -43,9 +43,9 @@ def estimate_surface(slopes: FrameSlopes, light: FrameLight, params: SurfacePara
 
 def _integrate(slopes: FrameSlopes, illumination: Illumination | None, progress: Progress, *, draft: bool) -> Floats:
     changed = slopes.changed
-    if illumination is None:
-        return changed.integrate_window(slopes.gx, slopes.gy, changed.window, changed.calibration.pixel_mm)
     patch, cells = changed.patches
+    if illumination is None:
+        return changed.make_integrator(patch, progress)(slopes.gx, slopes.gy)
     integrate = changed.make_integrator(cells, progress)
     guess = integrate(slopes.gx, slopes.gy)
     surface = selection.correct_surface(guess, cells, changed.source, illumination, integrate)
