@@ -16,7 +16,7 @@ from pipeline.physics.slopes import compute_slopes
 from pipeline.sensors.spec import load_sensor
 from pipeline.simulation import shapes, variation
 from pipeline.simulation.press import simulate_press
-from pipeline.stages.depth.illumination import frame_illumination, selection, shadow_light
+from pipeline.stages.depth.illumination import selection, shadow_light
 from pipeline.stages.depth.illumination.light import ImagePatch, simulate_recorded_change
 from pipeline.stages.depth.photometric import DepthParams, estimate_depth, estimate_gel_depth, make_draft_params
 from pipeline.values.frames import TactileFrame
@@ -67,7 +67,7 @@ def mean_error_mm(depth, truth):
 def test_a_ball_is_measured_with_shadow_leds():
     frame, truth, _ = ball()
     depth, measured = estimate_gel_depth(frame, load_sensor("digit"), None, PARAMS)
-    assert measured.illumination.model == "shadow_leds"
+    assert measured.model == "shadow_leds"
     assert any("low LEDs" in note for note in depth.notes)
     assert mean_error_mm(depth, truth) < MAX_ERROR_MM
     assert iou(depth.contact, truth.contact) > 0.8
@@ -78,7 +78,7 @@ def test_the_fit_recovers_the_azimuths_of_the_leds():
     source = load_sensor("digit")
     _, measured = estimate_gel_depth(frame, source, None, PARAMS)
     described = shadow_light.make_described_leds(source)
-    fitted = shadow_light.shift_leds(described, np.array(measured.illumination.parameters))
+    fitted = shadow_light.shift_leds(described, np.array(measured.parameters))
     off = np.degrees(np.abs(fitted.azimuth_rad - leds.azimuth_rad))
     assert off.max() < 0.5 * max(map(abs, AZIMUTH_DEG))
 
@@ -97,16 +97,14 @@ def test_no_shadow_leds_are_fitted_where_usual_leds_explain_the_image(seed, monk
     frame = TactileFrame(sensor="digit", image=press.image, reference=optics.render_reference(source))
     monkeypatch.setattr(selection, "fit_shadow_leds", None)
     _, measured = estimate_gel_depth(frame, load_sensor("digit"), None, PARAMS)
-    assert measured.illumination.is_trusted
+    assert measured.is_trusted
 
 
 def test_the_described_light_stands_where_shadow_leds_are_rejected(monkeypatch):
     frame, _, _ = ball()
-    frame_illumination._cache.clear()
     monkeypatch.setattr(selection, "fit_shadow_leds", lambda *_: None)
     _, measured = estimate_gel_depth(frame, load_sensor("digit"), None, PARAMS)
-    frame_illumination._cache.clear()
-    assert measured.illumination == selection.DESCRIBED
+    assert measured == selection.DESCRIBED
 
 
 def test_a_shadow_is_as_long_as_the_led_is_low():

@@ -14,7 +14,6 @@ class IlluminationConstants:
 
     # Surface refinement
     iterations: int = 4  # two leave 20 % more error on a GelSlim, whose LEDs are low
-    draft_iterations: int = 2  # two thirds of the time; 23 um instead of 21 um from the full result in contact
     trusted_iteration_factor: int = 2  # walls rise for longer in light that explains the image
     settled_mm: float = 0.005  # largest change of an iteration that is the last: noise makes the next ones worse
     settled_share: float = 0.02  # the same as a share of the largest indentation, where that is less

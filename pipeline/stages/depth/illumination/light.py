@@ -33,9 +33,13 @@ class ImagePatch:
 
 
 def extract_patch(
-    image: Image, reference: Floats, window: ImageWindow, smoothing_px: float, markers: Markers | None, pixel_mm: float
-) -> ImagePatch:
-    """The window of an image (rows, cols, 3); printed markers, now and in the reference, are inpainted."""
+    image: Image, reference: Floats, window: ImageWindow, smoothing_px: float, markers: Markers | None, pixel_mm: float,
+    detected: Mask | None = None,
+) -> ImagePatch:  # fmt: skip
+    """The window of an image (rows, cols, 3); printed markers, now and in the reference, are inpainted.
+
+    `detected` (rows, cols), what markers hide of the image, is computed where it is None.
+    """
     import cv2
 
     here = (window.rows, window.cols)
@@ -43,7 +47,8 @@ def extract_patch(
     change, unmarked = image[here].astype(np.float32) - light, np.ones(window.changed.shape, np.float32)
     if markers is not None:
         printed, bright = remove_printed_markers(reference, markers, pixel_mm)
-        hidden = printed[here] | detect_markers(image[here], markers, pixel_mm)
+        now = detect_markers(image[here], markers, pixel_mm) if detected is None else detected[here]
+        hidden = printed[here] | now
         change = inpaint_markers(change, hidden, markers, pixel_mm)
         light, unmarked = np.array(bright[here]), (~hidden).astype(np.float32)
     if smoothing_px > 0:
@@ -164,6 +169,15 @@ class Illumination:
     def is_fitted_leds(self) -> bool:
         """Whether the LEDs differ from the description."""
         return self.model == "leds" and any(self.parameters)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FrameLight:
+    """What a frame is measured by: its light and its calibration table."""
+
+    illumination: Illumination | None  # None where the calibration table contains its own light
+    calibration: Calibration  # the description's where presses cover no part of the touch
+    notes: tuple[str, ...] = ()
 
 
 class RenderedChange(NamedTuple):

@@ -171,13 +171,12 @@ def make_light(illumination: Illumination, patch: ImagePatch, source: SensorSpec
 
 
 def correct_surface(
-    surface_mm: Floats, patch: ImagePatch, source: SensorSpec, illumination: Illumination, integrate: Integrator, *,
-    draft: bool,
-) -> Floats:  # fmt: skip
+    surface_mm: Floats, patch: ImagePatch, source: SensorSpec, illumination: Illumination, integrate: Integrator
+) -> Floats:
     """The surface (rows, cols) in mm of a patch, corrected in an illumination from a first guess."""
-    iterations = CONSTANTS.draft_iterations if draft else CONSTANTS.iterations
+    iterations = CONSTANTS.iterations
     light = make_light(illumination, patch, source)
-    if illumination.is_trusted and not draft:
+    if illumination.is_trusted:
         plain = led_light.make_led_light(source, get_optics(illumination, source), patch, trusted=False)
         surface_mm, _ = refine_surface(surface_mm, patch, plain, integrate, iterations, until_settled=True)
         iterations *= CONSTANTS.trusted_iteration_factor
