@@ -35,7 +35,7 @@ from pipeline.simulation.press import simulate_press
 from pipeline.simulation.variation import vary_sensor
 from pipeline.stages.depth import contact
 from pipeline.stages.depth.photometric import DepthParams
-from pipeline.translation.frame_selection import select_context_images
+from pipeline.translation.frame_selection import select_context_frames
 from pipeline.values.frames import Stream, TactileFrame
 
 _SENSORS = ("gelslim", "gelsight_mini", "digit")
@@ -137,7 +137,7 @@ def recordings(read, name: str):
         frames = [TactileFrame(sensor=name, image=one.image, reference=optics.render_reference(unit), index=index)
                   for index, (_, one) in enumerate(touched)]  # fmt: skip
         stream = Stream(name=name, sensor=name, n_frames=len(frames), frame=frames.__getitem__)
-        outside = select_context_images(stream)
+        outside = [frame.image for frame in select_context_frames(stream)]
         for frame, (depth_mm, one) in zip(frames, touched, strict=True):
             inside = one.truth.contact
             for of, touches in ((alone, ()), (pooled, outside)):

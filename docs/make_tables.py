@@ -43,7 +43,7 @@ Mini became steadier, all other rows kept their errors within 0.5 %; the VQ-VAE 
 bubble to a GelSlim all was run again on 27 November 2026, after the bubble's network was trained further and T2D2 and
 T2T onto a gel kept their edges; so were poses registered on a bubble in grasps, with the search that finds wide
 contacts. Rows of T2D2 from a DIGIT and a Mini, and poses registered on a bubble in tools, are from before that.
-Samples, steps and a few real pairs: [samples.md](samples.md).
+Samples and steps: [samples.md](samples.md).
 """
 COLUMNS = (
     "transfer", "by", "PSNR, dB", "SSIM", "Frechet (floor; FID)", "error, mm", "in contact, mm", "IoU",

@@ -32,7 +32,7 @@ def rollout_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
     folder = tmp_path_factory.mktemp("rollouts")
     jobs = make_jobs(
-        "insertion", cases=("hex_key",), touches=("none", "t2t"), tolerances_mm=(0.1, 2.0), n_trials=1, folder=folder
+        "insertion", cases=("hex_key",), touches=("none", "t2t"), tolerances_mm=(0.1, 2.0), n_trials=4, folder=folder
     )
-    run_job(jobs[0])
+    run_job(jobs[3])
     return folder

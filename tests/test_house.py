@@ -24,7 +24,7 @@ def test_every_test_and_picture_of_the_features_exists():
     text = (ROOT / "docs" / "features.md").read_text()
     tables = [part.split("\n\n")[-1] for part in text.split("\n## ")[1:]]
     rows = [[line for line in table.splitlines()[2:] if line.startswith("|")] for table in tables]
-    assert [len(table) for table in rows[:2]] == [42, 15]
+    assert [len(table) for table in rows[:2]] == [41, 15]
     for row in (row for table in rows for row in table):
         tests, pictures = re.findall(r"`([\w/]+\.py)::(\w+)`", row), re.findall(r"`(tour/\w+\.png)`", row)
         assert tests or pictures or row.endswith("| no |"), row

@@ -101,8 +101,8 @@ def refine_alignment(
     free, lost = _split_determined(information, tolerance)
     if lost.shape[1]:
         motion, converged = solver.solve_within(motion, free)
-    information = free.T @ solver.build_final_equations(motion).information @ free
-    spread = np.sqrt(np.diag(free @ np.linalg.inv(information) @ free.T)) if free.shape[1] else np.zeros(6)
+    certain = free.T @ solver.build_final_equations(motion).information @ free
+    spread = np.sqrt(np.diag(free @ np.linalg.inv(certain) @ free.T)) if free.shape[1] else np.zeros(6)
     after = motion @ start
     progress.step(1.0, "refined")
     return Refinement(

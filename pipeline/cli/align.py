@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from pipeline.alignment import refine as refinement
+from pipeline.alignment.coarse_start import estimate_alignment
 from pipeline.alignment.refine import AlignmentFit, Refinement
 from pipeline.alignment.score import (
     UNIT_STEP,
@@ -45,7 +46,7 @@ class PairedTouchOptions:
 
     Args:
         target: Target sensor.
-        sensor: Source sensor; default: the recording's first, gelslim for tiles.
+        sensor: Source sensor; default: the recording's first.
         stream: Name of the source's stream, if one sensor has several.
         frames: Frames of a recording, such as `0,3-7`; default: all.
         truth: Use the recording's ground-truth depth and contact, not the depth stage's.
@@ -103,17 +104,14 @@ def refine_alignment(
         recording: Recording of both sensors.
         out: The .toml to write.
         alignment: Initial alignment, a .toml; default: the recording's, or that of the sensor descriptions.
-        hold_out: SubProgress of the touches that are not fitted to, only scored before and after.
+        hold_out: Share of the touches that are not fitted to, only scored before and after.
         into: Which of the two transforms takes the change.
         tolerance: Directions with a predicted standard deviation above this times 0.2 mm or 1 degree stay unchanged.
     """
-    prepare_alignment_file(out)
-    if not 0.0 <= hold_out < 1.0:
-        raise SettingProblem(f"--hold-out is a share of the frames, at least 0 and below 1, got {hold_out:g}")
     if not tolerance > 0:
         raise SettingProblem(f"--tolerance must be above 0, got {tolerance:g}")
     with (
-        closing(open_translation(touches.build_request(recording, alignment))) as translation,
+        closing(_open_pairs(recording, touches, out, hold_out, alignment)) as translation,
         open_progress_bar() as progress,
     ):
         used, held_out = split_held_out(_load_touches(translation, touches, progress), hold_out)
@@ -121,27 +119,47 @@ def refine_alignment(
             used, translation.alignment, held_out=held_out, into=into, tolerance=tolerance,
             progress=progress,
         )  # fmt: skip
-    print_refinement(fit)
-    file = AlignmentFile(
-        alignment=fit.alignment, source=translation.source.name, target=translation.target.name,
-        origin=f"refined on {len(used)} touches of {recording.name}, change stored in {into}",
-    )  # fmt: skip
-    write_alignment(out, file)
+    _write_refinement(
+        out, translation, fit, f"refined on {len(used)} touches of {recording.name}, change stored in {into}"
+    )
     return 0
 
 
-def prepare_alignment_file(out: Path) -> None:
-    """Make sure that an alignment can be written to `out`; raises FileProblem if it exists or is not named .toml."""
+def fit_alignment(recording: Path, *, touches: PairedTouchOptions, out: Path, hold_out: float = 0.2) -> int:
+    """Search all orientations in the plane, refine the best one, print the fit and write the alignment; returns 0.
+
+    Args:
+        recording: Recording of both sensors; optical axes are within about 20 degrees of parallel.
+        out: The .toml to write.
+        hold_out: Share of the touches that are not fitted to, only scored before and after.
+    """
+    with closing(_open_pairs(recording, touches, out, hold_out)) as translation, open_progress_bar() as progress:
+        used, held_out = split_held_out(_load_touches(translation, touches, progress), hold_out)
+        start = estimate_alignment(used, translation.alignment, progress)
+        fit = refinement.refine_alignment(used, start, held_out=held_out, progress=progress)
+    origin = f"fitted to {len(used)} touches of {recording.name}, without an initial alignment"
+    _write_refinement(out, translation, fit, origin)
+    return 0
+
+
+def _open_pairs(
+    recording: Path, touches: PairedTouchOptions, out: Path, hold_out: float, alignment: Path | None = None
+) -> Translation:
+    """Check where to write and what to hold out before a recording is opened."""
+    if not 0.0 <= hold_out < 1.0:
+        raise SettingProblem(f"--hold-out is a share of the frames, at least 0 and below 1, got {hold_out:g}")
     if out.suffix != ALIGNMENT_SUFFIX:
         raise FileProblem("an alignment is written as TOML; give --out a name that ends in .toml", out)
     if out.exists():
         raise FileProblem("this alignment exists already and is kept; choose another --out", out)
     check_folder_for(out)
+    return open_translation(touches.build_request(recording, alignment))
 
 
-def write_alignment(out: Path, file: AlignmentFile) -> None:
-    """Write an alignment and print where; raises FileProblem."""
-    save_alignment(out, file)
+def _write_refinement(out: Path, translation: Translation, fit: Refinement, origin: str) -> None:
+    print_refinement(fit)
+    names = {"source": translation.source.name, "target": translation.target.name}
+    save_alignment(out, AlignmentFile(alignment=fit.alignment, origin=origin, **names))
     print_line(f"alignment written to {os.fspath(out)}; use it with --alignment")
 
 

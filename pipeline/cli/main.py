@@ -102,7 +102,7 @@ _CALIBRATE = {
 _ALIGN = {
     "score": ("align:score", "Score how well touches agree with the target's own recording, and which axis matters."),
     "refine": ("align:refine_alignment", "Refine an alignment on many touches and write it with its uncertainty."),
-    "fit": ("align_fit:fit", "Fit an alignment to a few paired touches without an initial one."),
+    "fit": ("align:fit_alignment", "Fit an alignment to paired touches without an initial one."),
 }
 _ROLLOUT = {
     "list": ("rollout:list_rollouts", "List the recorded rollouts of a folder with outcome, error and cause."),

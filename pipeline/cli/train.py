@@ -14,7 +14,6 @@ from rich.table import Table
 from pipeline.base.errors import FileProblem, SettingProblem
 from pipeline.cli.terminal import open_progress_bar, print_line
 from pipeline.cli.translation_options import Flag
-from pipeline.imprints.tiles import is_tile_folder
 from pipeline.networks.weights import SUFFIX, Weights
 from pipeline.training.export import export_run
 from pipeline.training.loop import TrainingRun
@@ -53,8 +52,8 @@ def train(
         recipe: Name of a shipped recipe, or a .toml file; with --pairs the default starts from shipped weights.
         out: Folder for the state, `curve.csv`, `figures.csv`, `curve.png` and `weights.safetensors`.
         initial_weights: Weights to start from, a file or the name of shipped ones, instead of the recipe's.
-        pairs: Recording or folder of both sensors, such as touch2touch's `data`, or of paired tiles (`*_gelslim.png`
-            and `*_bubble_gt.png`): trained on instead of simulated touches.
+        pairs: Recording or folder of both sensors, such as touch2touch's `data`: trained on instead of
+            simulated touches.
         hold_out: Pairs that only validate: `tool` for a quarter of the tools, names of tools separated by commas, `lab`
             or `paper` for published lists of tools, or a split.json; default: the splits of the folder, else `tool`.
         share: Share of the pairs to train on that is used, such as 0.1 to adapt a network to another sensor.
@@ -75,8 +74,7 @@ def train(
         raise SettingProblem(f"name a recipe with --recipe: {', '.join(list_shipped_recipes(what))}")
     if (hold_out or share != 1.0) and pairs is None:
         raise SettingProblem(f"{'--hold-out' if hold_out else '--share'} needs --pairs")
-    default = f"{what}_{'tiles' if pairs is not None and is_tile_folder(pairs) else 'pairs'}"
-    chosen = load_recipe(recipe or default, what, initial_weights)
+    chosen = load_recipe(recipe or f"{what}_pairs", what, initial_weights)
     if pairs is not None:
         chosen = override_pairs(chosen, os.fspath(pairs), hold_out, share)
     pace = {name: value for name, value in (("steps", steps), ("seed", seed)) if value is not None}

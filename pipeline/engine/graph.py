@@ -2,7 +2,7 @@
 
 A stage produces a value that people look at (a depth map, a touch, a pose); a method is one implementation of it. A
 method runs only if its stage is requested, not cached, and needed by the scene. Its key is a digest of stage, method,
-version, parameters and the *contents* of its inputs, so an equal output after a change stops the recomputation below it
+parameters and the *contents* of its inputs, so an equal output after a change stops the recomputation below it
 (early cutoff, Salsa's backdating), whichever method produced it.
 
 A method may be a chain of nodes: methods that no column shows, each with a key of its own, so that a change repeats
@@ -75,7 +75,7 @@ class Method(Generic[Params, Output, *Reads]):
     # Of stages in `reads` that a route may leave out: there the first that fits the source is evaluated with default
     # parameters, as a node that no column shows.
     defaults: tuple[Method, ...] = ()
-    version: int = 1  # raised when equal inputs give another output
+    version: int = 1  # raised when equal inputs give another output: frames on disk are then made again
     help: str = ""  # what it does, in half a sentence
     kinds: tuple[str, ...] = ()  # of the sensors that it is for; () = all
     weights: Callable[..., object] | None = None  # (source, target, file) -> input `weights_name`; None = no weights
@@ -349,5 +349,5 @@ def _make_given_result(stage: str, value: object, made: str) -> StageResult:
 
 
 def _key(method: Method, params: object, reads: Sequence[str]) -> str:
-    text = f"{method.stage}|{method.name}|{method.version}|{params!r}|{'|'.join(reads)}"
+    text = f"{method.stage}|{method.name}|{params!r}|{'|'.join(reads)}"
     return xxhash.xxh3_128_hexdigest(text.encode())

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 Split = Literal["unseen_grasps", "unseen_tools"]
-SPLITS: tuple[Split, ...] = ("unseen_grasps", "unseen_tools")
 MeanStd = tuple[float, float]  # mean and standard deviation
 
 COMPARISON_NOTE = (

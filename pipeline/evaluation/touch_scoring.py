@@ -30,7 +30,7 @@ from pipeline.geometry.meshes import Mesh
 from pipeline.recordings import open_recording
 from pipeline.stages.touch.physical_render import make_reference_touch
 from pipeline.stages.touch.touch_from_change import make_touch_from_change
-from pipeline.training.recorded_touches import derive_contact
+from pipeline.training.recorded_pairs import derive_contact
 from pipeline.translation.catalogue import default_params, with_setting
 from pipeline.translation.translate import Request, Translation, open_translation
 from pipeline.values.frames import TactileFrame, Truth

@@ -14,7 +14,7 @@ from pipeline.base.arrays import Floats
 from pipeline.base.errors import FileProblem
 from pipeline.base.progress import report_reading
 from pipeline.base.read_budget import MOST_NETWORK_BYTES, require_budget
-from pipeline.base.torch_archive import StoredTensor, TorchArchive, open_torch_archive
+from pipeline.base.torch_archive import load_torch_file, require_checksums
 from pipeline.networks.weights import is_safetensors, load_tensors
 
 _SHARED_BY = 0.9  # share of the names; the largest part of a network that is read, an encoder, holds 0.83
@@ -45,23 +45,24 @@ def read_tensors(path: Path, select: Selection = select_all) -> TensorTable:
     """
     if is_safetensors(path):
         return _take(_drop_prefix(load_tensors(path)[1]), select, frozenset(), path)
-    with open_torch_archive(path) as archive:
-        table, others = _find_table(archive.content, path)
-        return TensorTable(tensors=_read_selected(archive, table, select(table.keys())), other_keys=others)
+    require_checksums(path)
+    table, others = _find_table(load_torch_file(path), path)
+    return TensorTable(tensors=_read_selected(table, select(table.keys()), path), other_keys=others)
 
 
-def _read_selected(
-    archive: TorchArchive, table: Mapping[str, StoredTensor], wanted: Mapping[str, str]
-) -> dict[str, Floats]:
-    total, done = sum(table[stored].n_stored for stored in wanted.values()), 0
-    require_budget(4 * total, "the weights", archive.path, most=MOST_NETWORK_BYTES)
+def _read_selected(table: Mapping[str, Any], wanted: Mapping[str, str], path: Path) -> dict[str, Floats]:
+    total, done = sum(table[stored].numel() for stored in wanted.values()), 0
+    require_budget(4 * total, "the weights", path, most=MOST_NETWORK_BYTES)
     for stored in wanted.values():
-        require_budget(4 * table[stored].n_stored, f"the tensor {stored!r}", archive.path, most=_MOST_TENSOR_BYTES)
+        require_budget(4 * table[stored].numel(), f"the tensor {stored!r}", path, most=_MOST_TENSOR_BYTES)
     tensors: dict[str, Floats] = {}
     for name, stored in wanted.items():
-        tensors[name] = _convert(archive.read(table[stored]), archive.path)
-        done += table[stored].n_stored
-        report_reading(done / max(total, 1), f"reading {archive.path.name}")
+        tensor = table[stored].detach()
+        if tensor.is_complex() or tensor.is_sparse or tensor.is_quantized:
+            raise FileProblem("a tensor has a type of numbers that is not supported", path)
+        tensors[name] = _convert(tensor.float().numpy(), path)
+        done += tensor.numel()
+        report_reading(done / max(total, 1), f"reading {path.name}")
     return tensors
 
 

@@ -20,9 +20,6 @@ class TouchFormat:
     means: tuple[float, ...]  # of `SensorKind.compute_relative_change` over the paper's data, per channel
     stds: tuple[float, ...]
     image_range: tuple[float, float] | None  # of changes that latent diffusion maps to -1..1; None = is -1..1
-    upsampling: int  # as source: samples per pixel of the target's working grid, in each direction
-    change_unit: float  # of the resampled change: grey levels or mm
-    resampled_channels: int  # of `image_condition.build_image_condition`
     reprojected_channels: int  # of `image_condition.build_reprojected_square`
     grid_factor: int  # as target: target pixels per pixel of the working grid
     trained_pixel_mm: float  # of the working grid that the shipped weights were trained on
@@ -35,13 +32,13 @@ class TouchFormat:
 
 GEL = TouchFormat(
     means=(-0.0082, -0.0059, -0.0066), stds=(0.0989, 0.0746, 0.0731), image_range=None,
-    upsampling=2, change_unit=48.0, resampled_channels=13, reprojected_channels=5,
+    reprojected_channels=5,
     grid_factor=2, trained_pixel_mm=0.0843, indentation_unit_mm=0.6, relief_unit_mm=0.25, max_relief_mm=1.0,
     residual_unit_mm=0.2, t2d2_weights="t2d2_gelslim",
 )  # fmt: skip
 BUBBLE = TouchFormat(
     means=(3.82,), stds=(4.24,), image_range=(-11.6, 22.5),  # in mm, as published
-    upsampling=1, change_unit=6.0, resampled_channels=3, reprojected_channels=3,
+    reprojected_channels=3,
     grid_factor=1, trained_pixel_mm=0.43, indentation_unit_mm=6.0, relief_unit_mm=0.5, max_relief_mm=2.0,
     residual_unit_mm=3.0, t2d2_weights="t2d2_bubble",
 )  # fmt: skip

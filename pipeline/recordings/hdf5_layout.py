@@ -35,7 +35,6 @@ from numpy.typing import NDArray
 from pipeline.base.arrays import Floats
 from pipeline.base.errors import FileProblem, ShapeError
 
-SIGNATURE = b"\x89HDF\r\n\x1a\n"
 FORMAT = "tactoscope recording"
 VERSION = 1
 METADATA_BYTES = 1 << 16  # reserved at the front, so that a truncated file keeps its table of contents

@@ -4,6 +4,7 @@ import math
 import os
 import re
 from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from dataclasses import replace
 from pathlib import Path
 
@@ -41,7 +42,8 @@ def read(files: RecordingFiles, options: ReadOptions) -> Recording:
     path = files.path
     excluded = {os.path.realpath(p) for p in (*files.references, *((options.reference,) if options.reference else ()))}
     images = [p for p in files.images if os.path.realpath(p) not in excluded]
-    images, notes = select_colour_series(images)
+    found = images
+    images, notes = select_colour_series(found)
     if not images:
         raise FileProblem(
             "the folder has no images to show" if path.is_dir() else "the only image is the reference", path
@@ -51,7 +53,10 @@ def read(files: RecordingFiles, options: ReadOptions) -> Recording:
         _require_one_light(file_names.find_subseries(images), path)
         times_s = file_names.parse_times_s(images)
         stream, about = _read_series("", images, files.references, path, options, times_s)
-        streams = (stream,)
+        grey = set(found).difference(images)
+        partners = _find_partners(images, grey)
+        streams = (stream, *partners)
+        notes = () if partners and len(partners) * len(images) == len(grey) else notes
     else:
         asked = options.stream if options.stream in groups else ""
         if options.reference is not None and not asked:
@@ -202,6 +207,7 @@ def _describe_reference(reference: Path | None, references: Sequence[Path], n_av
 
 
 _PATTERN = re.compile(r"^(\D*)(?:\d.*\d|\d)?(\D*)$", re.DOTALL)  # words before the first digit and after the last one
+_PARTNER = re.compile(r"_(bubble|gelslim|digit|mini)(_|$)")  # in what follows the name of a touch
 _MAX_SERIES = 32  # more patterns than these are names of their own
 
 
@@ -225,6 +231,31 @@ def select_colour_series(images: Sequence[Path]) -> tuple[list[Path], tuple[str,
     name = escape_text(grey[0][0].name)
     note = f"{len(left_out)} grey images such as {name} are left out: a gel's camera records colour"
     return [image for image in images if image not in left_out], (note,)
+
+
+def _find_partners(images: Sequence[Path], grey: AbstractSet[Path]) -> list[Stream]:
+    """Grey images whose names end in another sensor's, one for every image: its partners, without millimetres."""
+    touches = [image.stem.removesuffix(_find_ending(images[0])) for image in images]
+    partners: list[Stream] = []
+    for name in {_find_ending(file) for file in grey}:
+        files = [image.with_name(f"{touch}{name}{image.suffix}") for image, touch in zip(images, touches, strict=True)]
+        sensor = _PARTNER.search(name)
+        if sensor and grey.issuperset(files):
+            partners.append(_make_partner(name[sensor.start() :].strip("_"), files))
+    return sorted(partners, key=lambda stream: stream.name)
+
+
+def _find_ending(file: Path) -> str:
+    found = _PATTERN.match(file.stem)
+    return found[2] if found else ""
+
+
+def _make_partner(name: str, files: Sequence[Path]) -> Stream:
+    def frame(index: int) -> TactileFrame:
+        image = image_files.read_rgb(files[index])
+        return TactileFrame(sensor="", image=image, reference=None, index=index, origin=str(files[index]))
+
+    return Stream(name=name, sensor="", n_frames=len(files), frame=with_index_check(frame, len(files), files[0].parent))
 
 
 def _is_grey(file: Path) -> bool:

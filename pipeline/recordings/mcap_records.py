@@ -1,10 +1,10 @@
 """The messages of an MCAP file: one pass over its records finds each, with or without the file's own index.
 
-A file that was cut short or never closed has no footer and no index; what is there up to its end is read. Records of
-chunks are checked against their checksums. Layout: https://mcap.dev/spec.
+The package `mcap` reads the records. A file that was cut short or never closed has no footer and no index; what is
+there up to its end is read. A chunk is unfolded here, up to the size that it states, and one that is damaged left out.
 """
 
-import struct
+import contextlib
 import threading
 import zlib
 from collections.abc import Iterator
@@ -15,26 +15,11 @@ from typing import IO, Any
 from pipeline.base.errors import FileProblem, StageWarning
 
 MAGIC = b"\x89MCAP0\r\n"
-_HEADER, _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _DATA_END = 1, 2, 3, 4, 5, 6, 15
-_HEAD = struct.Struct("<BQ")  # opcode and length of a record
-_MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
-_CHUNK_HEAD = struct.Struct("<QQQI")  # first and last time, unfolded size, its checksum
-_FOOTER_TAIL = struct.Struct("<BQQQI")  # opcode and length, then where the summary is, and its checksum
 _MAX_RECORD_BYTES = 1 << 30  # as stated, of a chunk unfolded and of any record that is read
 _MAX_UNFOLDED = 200  # times the size of the file, for all chunks together
 _MIN_BUDGET_BYTES = 1 << 28
-_BLOCK_BYTES = 1 << 20
+_CHUNK_HEAD_BYTES = 40  # before its compressed records, without the name of the compression
 _IN_FILE = -1
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class McapSchema:
-    """The type of a channel's messages, with the names that decoders of the package `mcap` expect."""
-
-    id: int
-    name: str
-    encoding: str
-    data: bytes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,7 +28,7 @@ class McapChannel:
 
     topic: str
     message_encoding: str
-    schema: McapSchema | None
+    schema: Any  # a `mcap.records.Schema`, or None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,7 +39,7 @@ class McapMessage:
     sequence: int
     log_time_ns: int
     chunk: int  # offset of its chunk in the file; -1 = it lies in the file itself
-    offset: int  # of its content in the chunk or file
+    place: int  # number of the record in its chunk, or offset of its content in the file
     n_bytes: int
 
 
@@ -65,9 +50,9 @@ class McapFile:
         """Raises FileProblem for a file that begins otherwise."""
         self._path, self._lock = path, threading.Lock()
         self._file: IO[bytes] = path.open("rb")
-        self._n_bytes = path.stat().st_size
-        self._unfolded: tuple[int, bytes] = _IN_FILE, b""
-        self._budget = max(_MIN_BUDGET_BYTES, _MAX_UNFOLDED * self._n_bytes)
+        self._unfolded: tuple[int, list[Any]] = _IN_FILE, []
+        self._budget = max(_MIN_BUDGET_BYTES, _MAX_UNFOLDED * path.stat().st_size)
+        self._schemas, self._channels = dict[int, Any](), dict[int, McapChannel]()
         self.notes = list[str]()
         self.profile = ""
         if self._file.read(len(MAGIC)) != MAGIC:
@@ -80,151 +65,113 @@ class McapFile:
 
     def read_content(self, message: McapMessage) -> bytes:
         """The encoded content of a message; raises FileProblem."""
+        from mcap.data_stream import ReadDataStream
+        from mcap.records import Chunk
+
         with self._lock:
             if message.chunk == _IN_FILE:
-                self._file.seek(message.offset)
+                self._file.seek(message.place)
                 return self._file.read(message.n_bytes)
             if self._unfolded[0] != message.chunk:
                 self._file.seek(message.chunk)
-                self._unfolded = message.chunk, self._unfold(self._file.read(self._read_head()[1]), message.chunk)
-            return self._unfolded[1][message.offset : message.offset + message.n_bytes]
+                self._unfold(Chunk.read(ReadDataStream(self._file)), message.chunk)
+            return self._unfolded[1][message.place].data
 
     def iterate(self) -> Iterator[tuple[McapMessage, bytes]]:
         """Every message in the order of the file, with its content; adds notes about what is lost.
 
         Raises FileProblem for sizes beyond all bounds, and for a checksum that does not fit the file as a whole.
         """
-        self._schemas, self._channels = dict[int, McapSchema](), dict[int, McapChannel]()
+        from mcap.exceptions import EndOfFile, InvalidMagic, RecordLengthLimitExceeded
+        from mcap.records import Chunk, Header
+        from mcap.stream_reader import CRCValidationError, StreamReader
+
         self._read_summary()
-        checksum, is_chunk_damaged = zlib.crc32(MAGIC), False
-        at = len(MAGIC)
-        while True:
-            self._file.seek(at)
-            head = self._file.read(_HEAD.size)
-            opcode, length = _HEAD.unpack(head) if len(head) == _HEAD.size else (0, 0)
-            if not opcode or at + _HEAD.size + length > self._n_bytes:
-                self.notes.append(
-                    StageWarning(
-                        "the MCAP file has no end: it was cut short or not closed; what is there up to then is read"
-                    )
-                )
-                return
-            if opcode == _FOOTER:
-                return
-            if opcode in (_CHUNK, _MESSAGE, _SCHEMA, _CHANNEL, _HEADER, _DATA_END):
-                content = self._file.read(self._check_size(length, at))
-                if opcode == _DATA_END:
-                    (stated,) = struct.unpack_from("<I", content)
-                    if stated not in (0, checksum) and not is_chunk_damaged:
-                        raise FileProblem(
-                            "the MCAP file is damaged: its checksum does not fit; copy it again, or mend it with "
-                            "`mcap recover`", self._path,
-                        )  # fmt: skip
-                checksum = zlib.crc32(content, zlib.crc32(head, checksum))
-            else:
-                content, checksum = b"", self._skip(length, zlib.crc32(head, checksum))
-            if opcode == _HEADER:
-                self.profile = _read_text(content, 0)[0]
-            elif opcode == _CHUNK:
-                try:
-                    unfolded = self._unfold(content, at)
-                except FileProblem as problem:
-                    is_chunk_damaged = True
-                    self.notes.append(StageWarning(f"{str(problem).rsplit(': ', 1)[0]}; its images are left out"))
+        self._file.seek(0)
+        reader = StreamReader(
+            self._file, emit_chunks=True, validate_crcs=True, record_size_limit=_MAX_RECORD_BYTES
+        )  # fmt: skip
+        is_chunk_damaged = False
+        try:
+            for record in reader.records:
+                end = self._file.tell()
+                if isinstance(record, Header):
+                    self.profile = record.profile
+                elif isinstance(record, Chunk):
+                    at = end - len(record.data) - len(record.compression.encode()) - _CHUNK_HEAD_BYTES
+                    try:
+                        self._unfold(record, at)
+                    except FileProblem as problem:
+                        is_chunk_damaged = True
+                        self.notes.append(StageWarning(f"{str(problem).rsplit(': ', 1)[0]}; its images are left out"))
+                        continue
+                    for place, one in enumerate(self._unfolded[1]):
+                        yield from self._take(one, at, place)
+                    self._file.seek(end)
                 else:
-                    self._unfolded = at, unfolded
-                    yield from self._list_records(unfolded, at)
-            else:
-                yield from self._parse_record(opcode, content, _IN_FILE, at + _HEAD.size)
-            at += _HEAD.size + length
+                    yield from self._take(record, _IN_FILE, end - len(getattr(record, "data", b"")))
+                    self._file.seek(end)
+        except CRCValidationError as error:
+            if not is_chunk_damaged:
+                raise FileProblem(
+                    "the MCAP file is damaged: its checksum does not fit; copy it again, or mend it with "
+                    "`mcap recover`", self._path,
+                ) from error  # fmt: skip
+        except RecordLengthLimitExceeded as error:
+            raise FileProblem(f"the MCAP file is damaged: a {error}", self._path) from error
+        except (EndOfFile, InvalidMagic):
+            self.notes.append(
+                StageWarning(
+                    "the MCAP file has no end: it was cut short or not closed; what is there up to then is read"
+                )
+            )
 
     def _read_summary(self) -> None:
         """Read the types and topics that a closed file repeats at its end: the chunk that holds them may be damaged."""
-        self._file.seek(-min(_FOOTER_TAIL.size + len(MAGIC), self._n_bytes), 2)
-        tail = self._file.read(_FOOTER_TAIL.size)
-        if len(tail) < _FOOTER_TAIL.size or _FOOTER_TAIL.unpack(tail)[:2] != (_FOOTER, 20):
-            return
-        at = _FOOTER_TAIL.unpack(tail)[2]
-        while 0 < at < self._n_bytes:
-            self._file.seek(at)
-            opcode, length = self._read_head()
-            if opcode not in (_SCHEMA, _CHANNEL) or length > self._n_bytes:
-                return
-            for _ in self._parse_record(opcode, self._file.read(length), _IN_FILE, at):
-                pass
-            at += _HEAD.size + length
+        from mcap.reader import SeekingReader
 
-    def _read_head(self) -> tuple[int, int]:
-        return _HEAD.unpack(self._file.read(_HEAD.size))
+        self._file.seek(0)
+        with contextlib.suppress(Exception):  # a file without an end is read without it
+            summary = SeekingReader(self._file, record_size_limit=_MAX_RECORD_BYTES).get_summary()
+            for record in (*summary.schemas.values(), *summary.channels.values()) if summary else ():
+                list(self._take(record, _IN_FILE, 0))
 
-    def _skip(self, length: int, checksum: int) -> int:
-        """The checksum after a record that is not needed."""
-        while length > 0:
-            block = self._file.read(min(length, _BLOCK_BYTES))
-            checksum, length = zlib.crc32(block, checksum), length - max(len(block), 1)
-        return checksum
+    def _take(self, record: Any, chunk: int, place: int) -> Iterator[tuple[McapMessage, bytes]]:
+        """Keep a type or a topic; yield a message."""
+        from mcap.records import Channel, Message, Schema
 
-    def _list_records(self, unfolded: bytes, chunk: int) -> Iterator[tuple[McapMessage, bytes]]:
-        at = 0
-        while at + _HEAD.size <= len(unfolded):
-            opcode, length = _HEAD.unpack_from(unfolded, at)
-            at += _HEAD.size
-            if at + length > len(unfolded):
-                self.notes.append(StageWarning(f"the chunk at byte {chunk} ends within a record; the rest is left out"))
-                return
-            yield from self._parse_record(opcode, unfolded[at : at + length], chunk, at)
-            at += length
+        if isinstance(record, Schema):
+            self._schemas[record.id] = record
+        elif isinstance(record, Channel):
+            self._channels[record.id] = McapChannel(
+                topic=record.topic, message_encoding=record.message_encoding,
+                schema=self._schemas.get(record.schema_id),
+            )  # fmt: skip
+        elif isinstance(record, Message) and record.channel_id in self._channels:
+            yield (
+                McapMessage(
+                    channel=self._channels[record.channel_id], sequence=record.sequence, log_time_ns=record.log_time,
+                    chunk=chunk, place=place, n_bytes=len(record.data),
+                ),
+                record.data,
+            )  # fmt: skip
 
-    def _parse_record(self, opcode: int, content: bytes, chunk: int, at: int) -> Iterator[tuple[McapMessage, bytes]]:
-        if opcode == _SCHEMA:
-            (number,) = struct.unpack_from("<H", content)
-            name, after = _read_text(content, 2)
-            encoding, after = _read_text(content, after)
-            self._schemas[number] = McapSchema(id=number, name=name, encoding=encoding, data=content[after + 4 :])
-        elif opcode == _CHANNEL:
-            number, schema = struct.unpack_from("<HH", content)
-            topic, after = _read_text(content, 4)
-            encoding, _ = _read_text(content, after)
-            self._channels[number] = McapChannel(
-                topic=topic, message_encoding=encoding, schema=self._schemas.get(schema)
-            )
-        elif opcode == _MESSAGE:
-            number, sequence, log_time_ns, _ = _MESSAGE_HEAD.unpack_from(content)
-            if number in self._channels:
-                yield (
-                    McapMessage(
-                        channel=self._channels[number], sequence=sequence, log_time_ns=log_time_ns, chunk=chunk,
-                        offset=at + _MESSAGE_HEAD.size, n_bytes=len(content) - _MESSAGE_HEAD.size,
-                    ),
-                    content[_MESSAGE_HEAD.size :],
-                )  # fmt: skip
+    def _unfold(self, chunk: Any, at: int) -> None:
+        """Keep the records of a chunk; raises FileProblem where its size or checksum does not fit."""
+        from mcap.stream_reader import breakup_chunk
 
-    def _check_size(self, n_bytes: int, at: int) -> int:
-        if n_bytes > _MAX_RECORD_BYTES:
-            raise FileProblem(f"the record at byte {at} states {n_bytes / 1e9:.1f} GB", self._path)
-        return n_bytes
-
-    def _unfold(self, content: bytes, at: int) -> bytes:
-        """The records of a chunk; raises FileProblem where its size or checksum does not fit."""
-        _, _, size, checksum = _CHUNK_HEAD.unpack_from(content)
-        compression, after = _read_text(content, _CHUNK_HEAD.size)
-        (n_stored,) = struct.unpack_from("<Q", content, after)
-        stored = content[after + 8 : after + 8 + n_stored]
+        size = chunk.uncompressed_size
         if size > min(_MAX_RECORD_BYTES, self._budget):
             raise FileProblem(f"the chunk at byte {at} states {size / 1e9:.1f} GB", self._path)
         try:
-            unfolded = _decompress(stored, compression, size)
+            chunk.data, chunk.compression = _decompress(chunk.data, chunk.compression, size), ""
+            checksum = zlib.crc32(chunk.data)
+            if len(chunk.data) == size and chunk.uncompressed_crc in (0, checksum):
+                self._unfolded = at, breakup_chunk(chunk)
+                return
         except Exception as error:
             raise FileProblem(f"the chunk at byte {at} is damaged and cannot be unfolded", self._path) from error
-        if len(unfolded) != size or (checksum and zlib.crc32(unfolded) != checksum):
-            raise FileProblem(f"the chunk at byte {at} is damaged: its checksum does not fit", self._path)
-        return unfolded
-
-
-def _read_text(content: bytes, at: int) -> tuple[str, int]:
-    """(text, offset after it) of a text with its length before it."""
-    (length,) = struct.unpack_from("<I", content, at)
-    return content[at + 4 : at + 4 + length].decode("utf-8"), at + 4 + length
+        raise FileProblem(f"the chunk at byte {at} is damaged: its checksum does not fit", self._path)
 
 
 def _decompress(stored: bytes, compression: str, size: int) -> bytes:

@@ -79,7 +79,10 @@ def fit_resampling(spec: SensorSpec, shape: tuple[int, int], image: Image | None
         note = f"images of {stored} lie on their side; rotated by 90 degrees to the left and {to}"
         return ResamplingFit(shape=size, crop_share=0.0, is_rotated=True, note=note)
     if ratio == 1.0 and max(shape) <= _MAX_TILE_PX:
-        note = f"tiles of {stored} are taken as whole images squeezed to a square, and {to}"
+        note = StageWarning(
+            f"tiles of {stored} have no millimetres: they are taken as whole images squeezed to a square and resampled "
+            f"to the {size[1]} x {size[0]} px of {spec.name}, so that lengths and depths are not to scale"
+        )
         return ResamplingFit(shape=size, crop_share=0.0, is_rotated=False, note=note)
     return None
 

@@ -9,21 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.arrays import Image, freeze
-from pipeline.base.errors import FileProblem, is_utf8_encodable
-from pipeline.base.files import describe_os_error, require_file
+from pipeline.base.errors import FileProblem
 from pipeline.base.read_budget import require_budget
-from pipeline.base.torch_archive import ZIP_ERRORS, require_short_description
+from pipeline.base.torch_archive import PICKLE_SIGNATURE, SIGNATURE, ZIP_ERRORS, load_torch_file
 from pipeline.recordings.formats import RecordingFiles
-
-_ZIP_SIGNATURE, _PICKLE_SIGNATURE = b"PK\x03\x04", b"\x80"  # first bytes; the second is a pickle's protocol mark
 
 
 def is_torch_file(files: RecordingFiles) -> bool:
     """Whether the file is a PyTorch archive, or a pickle named `.pt` or `.pth`."""
     with files.path.open("rb") as file:
         head = file.read(4)
-    if not head.startswith(_ZIP_SIGNATURE):
-        return head[:1] == _PICKLE_SIGNATURE and files.path.suffix.lower() in (".pt", ".pth")
+    if not head.startswith(SIGNATURE):
+        return head[:1] == PICKLE_SIGNATURE and files.path.suffix.lower() in (".pt", ".pth")
     try:
         with zipfile.ZipFile(files.path) as archive:
             return any(name.endswith("/data.pkl") for name in archive.namelist())
@@ -36,29 +33,7 @@ def load_tensors(path: Path) -> Mapping[str, Any]:
 
     Raises FileProblem for another kind of file, or one with objects that only unpickling restores.
     """
-    import torch
-
-    require_file(path, "the tensors", most_bytes=1 << 50)
-    try:
-        with path.open("rb") as file:
-            head = file.read(4)
-    except OSError as error:
-        raise FileProblem(f"cannot read the tensors ({describe_os_error(error)})", path) from error
-    if head != _ZIP_SIGNATURE and head[:1] != _PICKLE_SIGNATURE:
-        raise FileProblem("this is not a PyTorch file, or it is cut short", path)
-    is_mapped = head == _ZIP_SIGNATURE and is_utf8_encodable(str(path))
-    if not is_mapped:
-        require_budget(path.stat().st_size, "the tensors", path)
-    require_short_description(path)
-    try:
-        tensors = torch.load(path, map_location="cpu", weights_only=True, mmap=is_mapped)
-    except Exception as error:  # torch raises many unrelated classes for damaged files
-        if "weights_only" in str(error) or "Unsupported" in str(error):
-            raise FileProblem(
-                "the file holds more than tensors and loading it could run code; save plain tensors",
-                path,
-            ) from error
-        raise FileProblem("this is not a PyTorch file, or it is cut short", path) from error
+    tensors = load_torch_file(path, only_tensors=True)
     if not isinstance(tensors, dict):
         raise FileProblem(f"the file must hold a dictionary of tensors, it holds a {type(tensors).__name__}", path)
     return cast("Mapping[str, Any]", tensors)

@@ -9,6 +9,7 @@ squared errors of slopes make one step the mean of all images, without edges at 
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
@@ -18,7 +19,6 @@ import numpy as np
 from pipeline.base.params import setting
 from pipeline.networks.samplers import make_sigma_schedule, sample
 from pipeline.networks.touch_formats import get_touch_format
-from pipeline.sensors.spec import load_sensor
 from pipeline.stages.touch.confidence_weighting import compute_wiener_gain
 from pipeline.stages.touch.residual_diffusion import LOG_ERROR_RANGE
 from pipeline.training.distributed import unwrap_network
@@ -42,7 +42,6 @@ TargetSensor = Literal["soft_bubble", "gelslim"]
 class DenoisingTask(SimulatedPresses):
     """Settings of every task whose network denoises a residual of the target's touch."""
 
-    target: TargetSensor = setting("soft_bubble", "Target", choices=TargetSensor)
     contact_weight: float = setting(1.0, "Contact weight", low=0.0, high=100.0)
     slope_weight: float = setting(0.0, "Slope weight", low=0.0, high=1000.0, help="of the slopes a gel's image shows")
     uncertainty_only: bool = setting(
@@ -50,9 +49,9 @@ class DenoisingTask(SimulatedPresses):
     )
 
     @property
+    @abstractmethod
     def kind(self) -> str:
         """Kind of the target."""
-        return load_sensor(self.target).kind
 
     def compute_loss(self, network: nn.Module, batch: Mapping[str, Tensor]) -> tuple[Tensor, dict[str, Any]]:
         """See `compute_denoising_loss` and `compute_uncertainty_loss`."""

@@ -23,8 +23,7 @@ from pipeline.sensors.spec import SensorSpec, load_sensor
 from pipeline.simulation import poses, shapes, variation
 from pipeline.simulation.press import simulate_press
 from pipeline.training.distributed import unwrap_network
-from pipeline.training.recorded_pairs import RecordedPair
-from pipeline.training.recorded_touches import LabelledTouch, derive_contact
+from pipeline.training.recorded_pairs import RecordedPair, derive_contact
 
 if TYPE_CHECKING:
     from torch import Tensor, nn
@@ -59,12 +58,6 @@ class DepthAnythingTask:
     def sample(self, rng: np.random.Generator) -> Example:
         """A training object in one of the paper's poses, on another sensor instance."""
         return self._simulate_example(rng, shapes.list_shapes("training"))
-
-    def make_touch_example(self, known: LabelledTouch, rng: np.random.Generator) -> Example:  # noqa: ARG002 - deterministic
-        """A touch that the user recorded."""
-        reference = known.frame.reference
-        assert reference is not None
-        return self._make_example(known.source, known.frame.image, reference, known.indentation_mm, known.contact)
 
     @property
     def pair_sensors(self) -> tuple[str, str]:

@@ -24,10 +24,8 @@ from pipeline.training.distributed import ProcessGroup, join_process_group, wrap
 from pipeline.training.examples import ExampleSource, open_example_source
 from pipeline.training.recipe import Recipe, load_initial_weights
 from pipeline.training.recorded_pairs import use_pairs
-from pipeline.training.recorded_touches import mix_recordings
 from pipeline.training.state import TrainingState
 from pipeline.training.task import HasNotes, Task
-from pipeline.training.tile_pairs import holds_tiles, use_tiles
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -70,8 +68,7 @@ def train(run: TrainingRun, progress: Progress = SILENT) -> TrainingState:
         )
     check_folder(run.folder)
     settings = run.recipe.training
-    task = mix_recordings(run.recipe.settings, run.recipe.recordings, run.recipe.recorded_share)
-    task = use_tiles(task, run.recipe.pairs) if holds_tiles(run.recipe.pairs) else use_pairs(task, run.recipe.pairs)
+    task = use_pairs(run.recipe.settings, run.recipe.pairs)
     for note in task.collect_notes() if isinstance(task, HasNotes) else ():
         log.warning("%s", note)
     with (

@@ -17,7 +17,6 @@ from pipeline.networks.published_weights import READERS
 from pipeline.networks.weights import NoWeights, Weights, load_weights
 from pipeline.training.hold_out import HOLD_OUT_HELP
 from pipeline.training.recorded_pairs import PairFolder
-from pipeline.training.recorded_touches import RecordingSource
 from pipeline.training.task import TASKS, Task, import_task_class
 
 Precision = Literal["float32", "bf16"]
@@ -73,7 +72,6 @@ class Validation:
 class _Data:
     """[data]."""
 
-    recorded_share: float = setting(0.2, "Recorded share", low=0.0, high=1.0)
     pairs: str = setting("", "Pairs", help="file or folder of recorded pairs, which replace simulated ones")
     hold_out: str = setting("", "Held out", help=HOLD_OUT_HELP)
     share: float = setting(1.0, "Share", low=0.001, high=1.0, help="of the grasps to train on that is used")
@@ -104,8 +102,6 @@ class Recipe:
         default_factory=dict
     )  # prefix of parameter names -> factor of the learning rate
     validation: Validation = field(default_factory=Validation)
-    recordings: tuple[RecordingSource, ...] = ()  # of the user, a share of the examples
-    recorded_share: float = 0.0
     pairs: PairFolder = field(default_factory=PairFolder)
 
     @property
@@ -114,9 +110,6 @@ class Recipe:
         parts = {"training": self.training, "optimiser": self.optimiser, "settings": self.settings}
         plain: dict[str, Any] = {name: _list_values(part) for name, part in parts.items()}
         plain |= {"task": self.task, "network": dict(self.network), "rate_factors": dict(self.rate_factors)}
-        if self.recordings:
-            recordings = [_list_values(recording) for recording in self.recordings]
-            plain["data"] = {"recorded_share": self.recorded_share, "recordings": recordings}
         if self.pairs.path:
             part = {} if self.pairs.share == 1.0 else {"share": self.pairs.share}
             plain["data"] = {"pairs": self.pairs.path, "hold_out": self.pairs.hold_out, **part}
@@ -174,14 +167,12 @@ def _make_recipe(name: str, data: Mapping[str, Any], folder: Path) -> Recipe:
     if not isinstance(network.get("kind"), str):
         raise SettingProblem("[network] must name its kind, or be left out for that of initial_weights")
     factors = check(tables.optimiser.pop("rate_factors", {}), dict[str, _Factor], "optimiser.rate_factors")
-    recordings = _pop_recordings(tables.data, folder)
     values = _fill(_Data(), tables.data, "[data] ")
     recipe = Recipe(
         name=name, task=tables.task, settings=_fill(settings, tables.settings, "[settings] "),
         network=network, training=_fill(TrainingSettings(), top, ""),
         optimiser=_fill(Optimiser(), tables.optimiser, "[optimiser] "), rate_factors=factors,
         validation=_fill(Validation(), tables.validation, "[validation] "),
-        recordings=recordings, recorded_share=values.recorded_share,
     )  # fmt: skip
     if not values.pairs:
         return recipe
@@ -208,18 +199,6 @@ def load_initial_weights(name: str, kind: str = "") -> Weights:
     if isinstance(weights, NoWeights):
         raise SettingProblem(weights.why)
     return weights
-
-
-def _pop_recordings(table: dict[str, Any], folder: Path) -> tuple[RecordingSource, ...]:
-    """Take [[data.recordings]] out of [data]; their paths are relative to the recipe's folder."""
-    recordings: list[RecordingSource] = []
-    for one in check(table.pop("recordings", []), list[dict[str, Any]], "data.recordings"):
-        recording = _fill(RecordingSource(), one, "[[data.recordings]] ")
-        if not recording.path:
-            raise SettingProblem("every one of [[data.recordings]] must name its path")
-        paths = {"path": recording.path, "reference": recording.reference}
-        recordings.append(replace(recording, **{key: str(folder / name) for key, name in paths.items() if name}))
-    return tuple(recordings)
 
 
 def _check_plain(table: Mapping[str, Any]) -> Mapping[str, Value]:

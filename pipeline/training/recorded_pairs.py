@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
+from pipeline.base.arrays import Mask, freeze
 from pipeline.base.errors import FileProblem, SettingProblem
 from pipeline.base.memo import Memo
 from pipeline.inspection.synchrony import compare_streams
@@ -256,6 +257,17 @@ class PairTask:
         raise FileProblem(
             "no pair that was tried is touched on both sides and has what is trained on", self.folder.path
         )
+
+
+def derive_contact(truth: Truth, sensor: SensorSpec) -> Mask:
+    """The contact of a truth; where none is stored, the indentation beyond the sensor's smallest.
+
+    Public sets store the overlap of object and gel, which is 0 outside the contact.
+    """
+    if truth.contact is not None:
+        return truth.contact
+    assert truth.indentation_mm is not None
+    return freeze(np.nan_to_num(truth.indentation_mm) > sensor.limits.contact_min_mm)
 
 
 _prepared: Memo[tuple[Any, ...], tuple[Any]] = Memo(most_bytes=1 << 30)

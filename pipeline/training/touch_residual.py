@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.base.arrays import Floats
+from pipeline.base.params import setting
 from pipeline.networks.touch_formats import get_touch_format
+from pipeline.sensors.spec import load_sensor
 from pipeline.stages.touch.depth_condition import build_depth_condition
-from pipeline.training.denoising import DenoisingTask
+from pipeline.training.denoising import DenoisingTask, TargetSensor
 from pipeline.training.object_sampling import DataSplit, find_next_contact
 from pipeline.training.target_touches import TargetTouchSample, simulate_target_touch
 from pipeline.training.task import VALIDATION_SEED, augmentation_setting
@@ -23,7 +25,13 @@ if TYPE_CHECKING:
 class TouchResidualTask(DenoisingTask):
     """Settings of the examples and weights of the loss."""
 
+    target: TargetSensor = setting("soft_bubble", "Target", choices=TargetSensor)
     augmentation_share: float = augmentation_setting()
+
+    @property
+    def kind(self) -> str:
+        """Kind of the target."""
+        return load_sensor(self.target).kind
 
     def sample(self, rng: np.random.Generator) -> Example:
         """A touch, rotated by 180 degrees or mirrored in a share of the examples."""

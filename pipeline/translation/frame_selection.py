@@ -1,12 +1,11 @@
 """Frames of a recording to look at first: one with contact, and those that determine its illumination."""
 
 from collections.abc import Iterator
-from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.base.arrays import Floats, Image
+from pipeline.base.arrays import Floats
 from pipeline.base.errors import TouchError
 from pipeline.engine.digests import compute_cached_digest
 from pipeline.values.frames import Stream, TactileFrame
@@ -28,11 +27,6 @@ def find_contact_frame(stream: Stream) -> int:
         if change > most:
             best, most = frame.index, change
     return best
-
-
-def select_context_images(stream: Stream) -> tuple[Image, ...]:
-    """Return the images (rows, cols, 3) of `select_context_frames`."""
-    return tuple(cast("Image", frame.image) for frame in select_context_frames(stream))
 
 
 def select_context_frames(stream: Stream) -> tuple[TactileFrame, ...]:

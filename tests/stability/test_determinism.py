@@ -44,12 +44,6 @@ def test_again(pair, seed):
     assert chain(*pair, seed) == chain(*pair, seed)
 
 
-@row(15, "a pose twice: the same bytes", share=0.001)
-@given(st.integers(0, 20))
-def test_pose_again(seed):
-    assert chain("gelslim", "digit", seed, posed=True) == chain("gelslim", "digit", seed, posed=True)
-
-
 def in_a_process(threads: int, *asked: str) -> str:
     names = ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
     done = subprocess.run(

@@ -24,6 +24,7 @@ from pipeline.stages.pose.signed_distances import PoseParams, estimate_pose_icp,
 from pipeline.stages.touch import latent_diffusion, t2d2, t2t, vqvae
 from pipeline.stages.touch.latent_diffusion import LatentParams
 from pipeline.stages.touch.residual_diffusion import DiffusionParams
+from pipeline.stages.touch.t2d2 import T2D2Params
 from pipeline.values.frames import TactileFrame
 from tests.pipeline.stages.target_views import estimate_views
 from tests.stability.checks import outcome, sound
@@ -99,7 +100,7 @@ def sound_touch(result, spec) -> None:
 
 
 params = st.builds(
-    DiffusionParams,
+    T2D2Params,
     steps=st.sampled_from(STEPS), guidance=st.sampled_from(GUIDANCE), sampler=st.sampled_from(SOLVERS),
     confidence_weighting=st.floats(0.0, 1.0), seed=st.integers(0, 2**31 - 1), keep_states=st.booleans(), add_noise=st.booleans(),
 )  # fmt: skip
@@ -123,7 +124,7 @@ def test_t2d2(target, kind, how, seed):
     refused=0.35,
 )
 @given(st.sampled_from(PICTURES), params, seeds, st.floats(0.0, variation.MAX_STRENGTH))
-@example("noise", DiffusionParams(steps=8, guidance=MAX_WEIGHT, confidence_weighting=0.0), 0, 0.0)
+@example("noise", DiffusionParams(steps=8, guidance=MAX_WEIGHT), 0, 0.0)
 def test_t2t(picture, how, seed, strength):
     source, target = variation.vary_sensor(small(GEL), seed % 2**31, strength), small(BUBBLE)
     result, _ = outcome(
@@ -232,4 +233,4 @@ def test_what_is_out_of_range_is_refused_in_a_sentence(wrong):
     spec = small(BUBBLE)
     shown = view(spec, indentation_mm(spec, "sphere", np.random.default_rng(3)))
     with pytest.raises(SettingProblem):
-        t2d2.generate_touch(shown, spec, shipped("t2d2_bubble"), replace(DiffusionParams(steps=2), **wrong))
+        t2d2.generate_touch(shown, spec, shipped("t2d2_bubble"), replace(T2D2Params(steps=2), **wrong))

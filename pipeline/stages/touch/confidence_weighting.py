@@ -16,7 +16,6 @@ import numpy as np
 from pipeline.base.arrays import Floats, Mask, freeze
 from pipeline.stages.touch.residual_diffusion import DenoisingState, ResidualSample
 from pipeline.stages.touch.residual_render import resample_to_grid
-from pipeline.values.results import DepthMap
 
 _BLUR_PX = 4.0  # px; a share with finer structure would create edges
 _HALF = 0.5
@@ -88,15 +87,6 @@ def shrink_to_prior(
     )
 
 
-def compute_error_ratio(sample: ResidualSample, contact: Mask) -> float:
-    """Ratio of the network's deviation from the source's contact to its expected error; 0 without contact."""
-    deviation, expected = np.abs(sample.final.residual_mm), sample.expected_error_mm
-    in_contact = resample_to_grid(contact, deviation.shape) > _HALF
-    return (
-        float(deviation[in_contact].mean() / max(float(expected[in_contact].mean()), 1e-9)) if in_contact.any() else 0.0
-    )
-
-
 def compute_wiener_gain(correction_mm: Floats, error_mm: Floats) -> Floats:
     """Share 0..1 (rows, cols) of a correction with this expected error: m^2 / (m^2 + s^2), smoothed."""
     signal, noise = (_blur(np.square(f, dtype=np.float32)) for f in (correction_mm, error_mm))
@@ -107,19 +97,3 @@ def _blur(field: Floats) -> Floats:
     import cv2
 
     return np.asarray(cv2.GaussianBlur(field, (0, 0), _BLUR_PX), np.float32)
-
-
-def express_as_correction(sample: ResidualSample, first: DepthMap) -> ResidualSample:
-    """The same touch as a correction of `first` instead of the target at rest."""
-    shape = sample.expected_error_mm.shape
-    deep, touched = resample_to_grid(first.indentation_mm, shape), resample_to_grid(first.contact, shape)
-
-    def subtract_first(state: DenoisingState) -> DenoisingState:
-        return replace(
-            state, residual_mm=freeze(state.residual_mm - deep),
-            contact_correction=freeze(state.contact_correction - touched)
-        )  # fmt: skip
-
-    return replace(
-        sample, final=subtract_first(sample.final), states=tuple(subtract_first(state) for state in sample.states)
-    )

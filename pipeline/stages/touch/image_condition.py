@@ -18,33 +18,29 @@ from pipeline.engine.derived import derive_once
 from pipeline.geometry import rigid
 from pipeline.geometry.camera import MIN_DEPTH_MM, Camera
 from pipeline.networks.square_images import normalise
-from pipeline.networks.touch_formats import get_touch_format
 from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import SensorSpec
 
 _OVERLAP_UNIT_MM, _RELIEF_UNIT_MM = np.float32(6.0), np.float32(1.0)
 _SMOOTHING_PX, _TOP_PERCENTILE = 1.2, 99.5  # of a bubble's relief: smoothing; percentile that is its top
 _MAX_HEIGHT_MM = np.float32(3.0)  # of a bubble's surface above a gel's
+_UPSAMPLING = 2  # samples per pixel of the target's working grid, in each direction
+_CHANGE_UNIT_GREY = np.float32(48.0)
+IMAGE_CHANNELS = 3 * _UPSAMPLING**2 + 1  # of `build_image_condition`: three colours, and the view
 _SOURCE_PX_MM = 0.085  # a gel's image is averaged to about this pixel size before resampling
 
 
 def build_image_condition(
     image_change: NDArray[Any], source_camera: Camera, source: SensorSpec, target: SensorSpec, alignment: Alignment
 ) -> Floats:
-    """(channels, rows, cols) on the camera grid of `target`, the working grid.
+    """(IMAGE_CHANNELS, rows, cols) on the camera grid of `target`, the working grid.
 
-    `image_change` is frame minus reference of `source_camera`: (rows, cols, 3) in grey levels of a gel, (rows, cols) in
-    mm toward the camera of a bubble; NaN (not measured) counts as no change.
+    `image_change` is frame minus reference of a gel's `source_camera`: (rows, cols, 3) in grey levels.
     """
-    known = get_touch_format(source.kind)
-    upsampling = known.upsampling
-    sampling_map = _compute_sampling_map(source, source_camera, target, alignment, upsampling)
-    field = np.nan_to_num(np.asarray(image_change, np.float32))
-    resampled = _resample(field, sampling_map) / np.float32(known.change_unit)
-    channels = [_fold_pixels(np.ascontiguousarray(c), upsampling) for c in np.moveaxis(np.atleast_3d(resampled), -1, 0)]
-    in_view = sampling_map.inside[::upsampling, ::upsampling].astype(np.float32)
-    if source.sensor_kind.is_depth:
-        channels.append(_compute_relief(field, sampling_map)[None])
+    sampling_map = _compute_sampling_map(source, source_camera, target, alignment, _UPSAMPLING)
+    resampled = _resample(np.asarray(image_change, np.float32), sampling_map) / _CHANGE_UNIT_GREY
+    channels = [_fold_pixels(np.ascontiguousarray(c), _UPSAMPLING) for c in np.moveaxis(resampled, -1, 0)]
+    in_view = sampling_map.inside[::_UPSAMPLING, ::_UPSAMPLING].astype(np.float32)
     return freeze(np.concatenate([*channels, in_view[None]]).astype(np.float32))
 
 

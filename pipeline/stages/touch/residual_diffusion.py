@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -59,11 +59,6 @@ class DiffusionParams:
         0, "Seed", low=0, high=2**31 - 1, step=1, help="random seed of the sample and the sensor noise", pinned="Seed",
         source="torch.Generator and numpy PCG64",
     )  # fmt: skip
-    confidence_weighting: float = setting(
-        1.0, "Confidence weighting", unit="share", low=0.0, high=1.0, step=0.1,
-        help="one step only: 1 shrinks uncertain corrections toward physics; 0 takes the network as it is",
-        source="Wiener gain m^2 / (m^2 + s^2) of mean m and expected error s",
-    )  # fmt: skip
     keep_states: bool = setting(
         False, "Keep states", help="keep the denoising states for the step view; does not change the result",
         source="Tactoscope"
@@ -75,7 +70,10 @@ class DiffusionParams:
     draft: bool = False  # fewer steps than requested
 
 
-def make_draft_params(params: DiffusionParams) -> DiffusionParams:
+AnyParams = TypeVar("AnyParams", bound=DiffusionParams)
+
+
+def make_draft_params(params: AnyParams) -> AnyParams:
     """Parameters while one is dragged: the fewest steps in which guidance has an effect, no kept states."""
     return replace(params, steps=min(params.steps, _DRAFT_STEPS), keep_states=False, draft=params.steps > _DRAFT_STEPS)
 

@@ -29,6 +29,7 @@ from pipeline.stages.touch import latent_diffusion, physical_render, t2d2, t2t, 
 from pipeline.stages.touch.frame_chain import DEFAULTS, GUARDED_READS, RENDER, guard_contact
 from pipeline.stages.touch.latent_diffusion import LatentParams
 from pipeline.stages.touch.residual_diffusion import DiffusionParams, make_draft_params
+from pipeline.stages.touch.t2d2 import T2D2Params
 from pipeline.values.results import GeneratedTouch
 
 PHYSICS = Method(
@@ -49,7 +50,7 @@ T2D2 = Method(
     run=skip_if_exact(
         physical_render.skip_without_contact, fall_back_without_weights(t2d2.generate_touch, fallback=PHYSICS)
     ),
-    params=DiffusionParams,
+    params=T2D2Params,
     reads=(*PHYSICS.reads, "touch_weights"),
     weights=t2d2.select_weights,
     draft=make_draft_params,
@@ -59,14 +60,14 @@ T2T = Method(
     stage="touch",
     name="t2t",
     title="T2T diffusion",
-    help="image-to-image diffusion trained on pairs; falls back to the physical render where uncertain",
+    help="image-to-image diffusion trained on pairs of a gel and a bubble",
     run=guard_contact(fall_back_without_weights(t2t.generate_touch, fallback=RENDER)),
     params=DiffusionParams,
     reads=(*GUARDED_READS, "touch_weights"),
     defaults=DEFAULTS,
     weights=t2t.select_weights,
     draft=make_draft_params,
-    version=10,
+    version=11,
 )
 LATENT_T2D2 = Method(
     stage="touch",

@@ -7,13 +7,14 @@ render, to the byte.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from pipeline.base.arrays import Floats
 from pipeline.base.memo import Memo
+from pipeline.base.params import setting
 from pipeline.base.progress import SILENT, Progress, SubProgress
 from pipeline.engine.digests import compute_cached_digest
 from pipeline.engine.graph import Fallback
@@ -40,9 +41,22 @@ MAX_PIXEL_RATIO = 1.25  # allowed ratio to the trained pixel size
 _HALF = 0.5
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class T2D2Params(DiffusionParams):
+    """Sampling settings, and how far an uncertain mean is shrunk toward the physical render."""
+
+    confidence_weighting: float = setting(
+        1.0, "Confidence weighting", unit="share", low=0.0, high=1.0, step=0.1,
+        help="one step only: 1 shrinks uncertain corrections toward physics; 0 takes the network as it is",
+        source="Wiener gain m^2 / (m^2 + s^2) of mean m and expected error s",
+    )  # fmt: skip
+
+
 @answer_for_known_kinds
-def select_weights(source: SensorSpec, target: SensorSpec, file: Path | None) -> Weights | NoWeights:  # noqa: ARG001 - any source
-    """The weights of a target sensor kind, for any source."""
+def select_weights(source: SensorSpec, target: SensorSpec, file: Path | None) -> Weights | NoWeights:
+    """The weights of a target sensor kind; from a bubble to a gel physics is as near as a compact network."""
+    if file is None and source.sensor_kind.is_depth and not target.sensor_kind.is_depth:
+        return NoWeights(why="from a bubble to a gel a network changes less than the bubble's own error")
     shipped = get_touch_format(target.kind).t2d2_weights
     if file is None and not has_trained_pixel_size(target):
         return NoWeights(why=explain_misfit(target))
@@ -66,7 +80,7 @@ def generate_touch(
     view: TargetDepth,
     target: SensorSpec,
     network: ResidualNetwork,
-    params: DiffusionParams,
+    params: T2D2Params,
     progress: Progress = SILENT,
 ) -> GeneratedTouch | Fallback[GeneratedTouch]:
     """Generate what `target` would record of `view`; raises ShapeError for a view of another image size."""

@@ -15,7 +15,7 @@ from app.window.tour import wait_until_shown
 from pipeline.engine.graph import Graph
 from pipeline.networks.weights import Weights, save_weights
 from pipeline.stages.touch.depth_condition import CONDITION_CHANNELS
-from pipeline.stages.touch.residual_diffusion import DiffusionParams
+from pipeline.stages.touch.t2d2 import T2D2Params
 from widgets.command_palette import CommandPalette
 
 LIMIT_S = 240
@@ -46,7 +46,7 @@ def sampling(open_window, touch_file, weights_file):
     """A bubble's touch as a GelSlim's, eight kept steps."""
     made = open_window(
         touch_file, target="gelslim", frame=2, methods={"touch": "t2d2"}, weights={"touch": weights_file},
-        params={KEY: DiffusionParams(steps=8, guidance=2.0, keep_states=True)},
+        params={KEY: T2D2Params(steps=8, guidance=2.0, keep_states=True)},
     )  # fmt: skip
     assert wait_until_shown(made, LIMIT_S), made.window.banner.text
     return made
@@ -69,7 +69,7 @@ def test_dragging_a_slider_shows_a_draft_and_releasing_it_the_full_result(sampli
     slider.sliderPressed.emit()
     slider.setValue(slider.maximum())
     assert wait_until_shown(sampling, LIMIT_S)
-    assert sampling.session.params[KEY] == DiffusionParams(steps=8, guidance=15.0, keep_states=True)
+    assert sampling.session.params[KEY] == T2D2Params(steps=8, guidance=15.0, keep_states=True)
     assert not window.steps["touch"].slider.isEnabled(), "a draft keeps no states"
     assert [window.columns[name].state for name in ("touch", "touch_depth")] == ["draft", "draft"]
     assert window.columns["depth"].state == "cached", "what stands above it is as it was"
@@ -86,7 +86,7 @@ def test_steps_and_guidance_are_set_in_the_column(sampling):
     assert column.pinned.names == ("steps", "guidance", "seed")
     assert all(column.pinned.get_control(name).isVisible() for name in column.pinned.names)
     assert column.findChild(QLabel, "note_touch").text().startswith("network changed ")
-    sampling.choose_params(KEY, DiffusionParams())
+    sampling.choose_params(KEY, T2D2Params())
     column.pinned.get_control("guidance").findChild(QSlider).setValue(200)
     assert sampling.session.params[KEY].steps == 8
     assert "raised to 8" in sampling.window.readout.text()
@@ -105,7 +105,7 @@ def test_what_cannot_act_is_grey_with_the_reason(sampling):
     assert (column.findChild(QLabel, "note_touch").text(), column.state) == (
         "physics: no network for this pair", "warning",
     )  # fmt: skip
-    assert "0.106 mm" in pinned.get_control("steps").toolTip()
+    assert "from a bubble to a gel" in pinned.get_control("steps").toolTip()
 
 
 def test_a_parameter_is_found_by_its_name(sampling, qtbot):

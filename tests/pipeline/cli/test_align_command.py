@@ -8,21 +8,15 @@ import numpy as np
 import pytest
 
 from app.session.state import Session, load_session, save_session
-from pipeline.alignment.coarse_start import align_tiles, find_view_middle
 from pipeline.alignment.nudge import nudge
 from pipeline.base.errors import SettingProblem
 from pipeline.cli.align import parse_frames
-from pipeline.cli.align_fit import is_consistent
 from pipeline.cli.main import EXIT_USER_ERROR, build_app, run_app
 from pipeline.geometry import rigid
-from pipeline.imprints.transfer import TransferModel
-from pipeline.sensors.alignment import resolve_alignment
 from pipeline.sensors.alignment_files import AlignmentFile, load_alignment, save_alignment
-from pipeline.sensors.spec import load_sensor
 from pipeline.translation.translate import Request, open_translation
 from sample_data import make_alignments
 from sample_data.make_samples import RECORDINGS_FOLDER
-from tests.pipeline.training.test_tile_pairs import write_tiles
 
 SAMPLE = RECORDINGS_FOLDER / "digit_gelslim.h5"
 EXACT = load_alignment(make_alignments.alignment_path("digit", "gelslim"), source="digit", target="gelslim")
@@ -134,7 +128,7 @@ def test_frames_are_numbers_and_ranges():
 def test_fit_writes_an_alignment_without_an_initial_one(typed, tmp_path):
     out = tmp_path / "fitted.toml"
     recording = SAMPLE.with_name("grasps_lines_120.h5")
-    words = ("--sensor", "gelslim", "--target", "soft_bubble", "--truth", "--use", "2", "--out", out)
+    words = ("--sensor", "gelslim", "--target", "soft_bubble", "--truth", "--out", out)
     code, said, error = typed("fit", recording, *words)
     assert code == 0, error
     assert "held out" in said
@@ -146,39 +140,8 @@ def test_fit_writes_an_alignment_without_an_initial_one(typed, tmp_path):
     assert fitted[:3, 3] == pytest.approx((0.0, 0.0, 47.0), abs=0.3)
 
 
-def test_shuffled_pairs_are_recognised_by_those_held_out():
-    assert is_consistent([0.54, 0.6], [0.63, 0.5])
-    assert is_consistent([0.9, 0.8], [])
-    assert not is_consistent([0.35, 0.34], [-0.76, 0.57])  # shuffled: the few that are fitted to are learned by heart
-    assert not is_consistent([0.1, 0.15], [])
-
-
-def test_fit_of_a_recording_asks_for_a_place_to_write(typed):
-    code, _, error = typed("fit", SAMPLE, "--target", "soft_bubble")
-    assert code == EXIT_USER_ERROR
-    assert "name the .toml" in error
-
-
-def test_fit_to_tiles_writes_the_in_plane_motion(typed, tmp_path):
-    write_tiles(tmp_path, orientations=range(8))
-    out = tmp_path / "tiles.toml"
-    words = ("--sensor", "gelslim", "--target", "soft_bubble", "--use", "6", "--out", out)
-    code, said, error = typed("fit", tmp_path, *words)
+def test_fit_names_the_directions_that_touches_of_one_curve_do_not_determine(typed, tmp_path):
+    words = ("--sensor", "gelslim", "--target", "soft_bubble", "--out", tmp_path / "fitted.toml")
+    code, said, error = typed("fit", SAMPLE.with_name("grasps_curve.h5"), *words)
     assert code == 0, error
-    assert "those of the descriptions" in said
-    fitted = load_alignment(out, source="gelslim", target="soft_bubble").alignment.target_from_source
-    described = resolve_alignment(load_sensor("gelslim"), load_sensor("soft_bubble")).target_from_source
-    assert fitted[2, 3] == pytest.approx(described[2, 3])  # distance along the view
-    assert np.degrees(np.arctan2(fitted[1, 0], fitted[0, 0])) == pytest.approx(0.0, abs=6.0)
-
-
-def test_shares_of_a_tile_become_millimetres_of_the_view():
-    gel, bubble = load_sensor("gelslim"), load_sensor("soft_bubble")
-    described = resolve_alignment(gel, bubble)
-    how = TransferModel(rotation_rad=0.3, right=0.1, down=-0.2)
-    moved = align_tiles(how, gel, bubble, described).target_from_source
-    point = rigid.apply(moved, find_view_middle(gel.camera, 20.0)[None])[0]
-    camera = bubble.camera
-    x_px, y_px = (camera.fx_px * point[0] / point[2] + camera.cx_px, camera.fy_px * point[1] / point[2] + camera.cy_px)
-    assert x_px == pytest.approx((camera.cols - 1) / 2 + 0.1 * camera.cols)
-    assert y_px == pytest.approx((camera.rows - 1) / 2 - 0.2 * camera.rows)
+    assert "not observable" in said

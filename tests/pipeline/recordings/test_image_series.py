@@ -48,6 +48,11 @@ def test_the_sensor_is_the_one_that_all_file_names_hold(tmp_path: Path):
         write(tmp_path / f"{i}_pattern_bubble_gt.png", 90)
     recording = open_recording(tmp_path)
     assert (recording.streams[0].sensor, recording.streams[0].n_frames) == ("gelslim", N_TOUCHES)
+    partner = recording.streams[1]  # a picture of the same touch, and no measurement of a bubble
+    assert (partner.name, partner.sensor, partner.n_frames) == ("bubble_gt", "", N_TOUCHES)
+    assert partner.frame(1).origin.endswith("1_pattern_bubble_gt.png")
+    assert partner.frame(1).image[0, 0].tolist() == [90, 90, 90]
+    assert not any("left out" in note for note in recording.notes)
     write(tmp_path / "9_pattern.png", 10, 60, 120)
     assert open_recording(tmp_path).streams[0].sensor == ""
 

@@ -4,15 +4,12 @@ import numpy as np
 import pytest
 
 from pipeline.networks.residual_denoiser import ResidualDenoiser
-from pipeline.sensors.spec import load_sensor
 from pipeline.stages.touch.confidence_weighting import (
     ErrorCalibration,
     compute_wiener_gain,
-    express_as_correction,
     read_error_calibration,
     shrink_to_prior,
 )
-from pipeline.stages.touch.physical_render import make_reference_touch
 from pipeline.stages.touch.residual_diffusion import DenoisingState, ResidualSample
 
 SHAPE = (24, 32)
@@ -95,20 +92,3 @@ def test_contact_in_view_can_be_kept_from_physics():
         found(2.0, 0.01), LEFT, 0.0, ErrorCalibration(factor_in_view=1.0, factor_outside=1.0), shrinks_contact=False
     )
     assert (unweighted.final.contact_correction == 1.0).all(), "full correction of the network"
-
-
-def test_a_change_of_prior_keeps_the_touch():
-    rest = make_reference_touch(load_sensor("soft_bubble")).membrane
-    shape = rest.indentation_mm.shape
-    state = DenoisingState(
-        sigma=0.0, residual_mm=np.full(shape, np.float32(2.0)), contact_correction=np.ones(shape, np.float32)
-    )
-    one = ResidualSample(final=state, expected_error_mm=np.ones(shape, np.float32), passes=1, states=(state,), notes=())
-    deeper = type(rest)(
-        indentation_mm=np.full(shape, np.float32(0.5)), depth_mm=rest.depth_mm, contact=np.ones(shape, bool),
-        camera=rest.camera, source_index=rest.source_index,
-    )  # fmt: skip
-    predicted = express_as_correction(one, deeper)
-    assert np.allclose(predicted.final.residual_mm, 1.5)
-    assert not predicted.final.contact_correction.any()
-    assert np.allclose(predicted.states[0].residual_mm, 1.5)

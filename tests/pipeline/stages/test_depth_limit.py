@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from pipeline.base.errors import select_warnings
+from pipeline.engine.graph import Fallback
 from pipeline.physics import optics
 from pipeline.sensors import alignment
 from pipeline.sensors.spec import load_sensor
@@ -56,7 +57,7 @@ def test_sensors_without_common_view_have_no_warning():
     assert check_depth_limit(imprint(13.0), GEL, BUBBLE, far) == ()
 
 
-def test_t2t_samples_carry_the_warning():
+def test_physics_answers_for_t2t_that_is_deeper_than_the_source_can_be_pressed():
     still = optics.render_reference(GEL)
     touched = still.copy()
     touched[120:200, 170:250] = 255 - touched[120:200, 170:250]
@@ -66,6 +67,7 @@ def test_t2t_samples_carry_the_warning():
     )
     reads = frame, GEL, None, stand, BUBBLE, estimate_views(frame, GEL, stand, BUBBLE)[0]
     made = t2t.generate_touch(*reads, ConstantDenoiser(13.0), DiffusionParams(steps=2))
-    assert any("deeper than the source" in note for note in select_warnings(made.notes))
+    assert isinstance(made, Fallback)
+    assert "deeper than the source" in made.reason
     fair = t2t.generate_touch(*reads, ConstantDenoiser(2.0), DiffusionParams(steps=2))
     assert not any("deeper than the source" in note for note in fair.notes)

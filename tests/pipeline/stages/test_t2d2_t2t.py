@@ -11,7 +11,6 @@ from pipeline.engine.graph import Fallback, Graph, Skipped
 from pipeline.geometry import rigid
 from pipeline.networks import weights_registry
 from pipeline.networks.network_factory import load_network, load_predictor
-from pipeline.networks.touch_formats import get_touch_format
 from pipeline.networks.weights import NoWeights, load_weights, save_weights
 from pipeline.physics import optics
 from pipeline.sensors import alignment
@@ -25,8 +24,10 @@ from pipeline.stages.depth.bubble_network import NetworkParams
 from pipeline.stages.target_depth.surface_projection import SurfaceProjectionParams, project_cloud
 from pipeline.stages.touch import frame_chain, physical_render, t2d2, t2t
 from pipeline.stages.touch.depth_condition import CONDITION_CHANNELS, make_working_sensor
+from pipeline.stages.touch.image_condition import IMAGE_CHANNELS
 from pipeline.stages.touch.residual_diffusion import DiffusionParams
 from pipeline.stages.touch.stage import PHYSICS, T2D2, T2T
+from pipeline.stages.touch.t2d2 import T2D2Params
 from pipeline.training.touch_residual import TouchResidualTask
 from pipeline.translation.catalogue import BUILT_IN
 from pipeline.values.frames import TactileFrame
@@ -38,7 +39,7 @@ GEL, BUBBLE = load_sensor("gelslim"), load_sensor("soft_bubble")
 
 def unweighted(**how):
     """Parameters without confidence weighting by default."""
-    return DiffusionParams(**{"confidence_weighting": 0.0, **how})
+    return T2D2Params(**{"confidence_weighting": 0.0, **how})
 
 
 class ConstantDenoiser(torch.nn.Module):
@@ -197,20 +198,14 @@ def list_reads_in_contact(frame):
 
 
 def test_the_condition_is_aligned_with_the_target(ball_frames):
-    gel_frame, gel_truth, bubble_frame, bubble_truth = ball_frames
-    for frame, source, target, truth in (
-        (gel_frame, GEL, BUBBLE, bubble_truth), (bubble_frame, BUBBLE, GEL, gel_truth),
-    ):  # fmt: skip
-        shown = t2t.build_condition(frame, source, alignment.resolve_alignment(source, target), target)
-        assert shown.shape == (
-            get_touch_format(source.kind).resampled_channels,
-            *make_working_sensor(target).camera.shape,
-        )
-        change, known = np.abs(shown[: -1 if source is GEL else 1]).sum(0), shown[-1] > 0
-        at = np.argwhere(truth.contact).mean(0) * np.array(change.shape) / truth.contact.shape
-        weight = change * known * (change > 0.5 * change[known].max())
-        found = (np.argwhere(weight > 0) * weight[weight > 0][:, None]).sum(0) / weight.sum()
-        assert np.hypot(*(found - at)) * make_working_sensor(target).pixel_mm < 1.0, (source.name, found, at)
+    shown = t2t.build_condition(ball_frames[0], GEL, alignment.resolve_alignment(GEL, BUBBLE), BUBBLE)
+    truth = ball_frames[3]
+    assert shown.shape == (IMAGE_CHANNELS, *make_working_sensor(BUBBLE).camera.shape)
+    change, known = np.abs(shown[:-1]).sum(0), shown[-1] > 0
+    at = np.argwhere(truth.contact).mean(0) * np.array(change.shape) / truth.contact.shape
+    weight = change * known * (change > 0.5 * change[known].max())
+    found = (np.argwhere(weight > 0) * weight[weight > 0][:, None]).sum(0) / weight.sum()
+    assert np.hypot(*(found - at)) * make_working_sensor(BUBBLE).pixel_mm < 1.0, (found, at)
 
 
 def test_a_translated_alignment_translates_the_condition(ball_frames):
@@ -222,50 +217,16 @@ def test_a_translated_alignment_translates_the_condition(ball_frames):
     assert abs(shift[0]) < 0.3
 
 
-def test_unweighted_t2t_is_the_network_alone(ball_frames):
-    touch = t2t.generate_touch(*list_reads_in_contact(ball_frames[0]), ConstantDenoiser(1.0, contact=1.0), unweighted())
+def test_t2t_is_the_network_alone_and_physics_without_steps(ball_frames):
+    reads = list_reads_in_contact(ball_frames[0])
+    touch = t2t.generate_touch(*reads, ConstantDenoiser(1.0, contact=1.0), DiffusionParams())
     assert np.allclose(touch.membrane.indentation_mm, 1.0)
     assert touch.membrane.contact.all()
-
-
-def test_weights_of_recorded_pairs_answer_alone(ball_frames):
-    net = ConstantDenoiser(1.0, contact=1.0, spread=0.01)
-    net.trained_on_recordings = True
-    reads = list_reads_in_contact(ball_frames[0])
-    touch = t2t.generate_touch(*reads, net, DiffusionParams())
-    assert np.allclose(touch.membrane.indentation_mm, 1.0), "physics contradicts it and replaces it"
-
-
-def test_t2t_uses_physics_where_uncertain_and_with_zero_steps(ball_frames):
-    reads = list_reads_in_contact(ball_frames[0])
-
-    def generated(net, **how):
-        return t2t.generate_touch(*reads, net, DiffusionParams(**how))
-
-    physics = generated(ConstantDenoiser(1.0), steps=0).result
-    assert physics.membrane.indentation_mm.max() > 2.0
-    uncertain = ConstantDenoiser(1.0, contact=1.0)
-    uncertain.error_factors = 1e3, 1e3
-    trusted = ConstantDenoiser(1.0, contact=1.0, spread=4.0)
-    trusted.error_factors = 0.0, 0.0
-    uncertain.said, trusted.said = (trusted.said,) * 2
-    unsure, sure = generated(uncertain), generated(trusted)
-    assert np.abs(unsure.membrane.indentation_mm - physics.membrane.indentation_mm).max() < 0.1
-    assert np.abs(sure.membrane.indentation_mm - 1.0).max() < 0.05
-    assert sure.membrane.contact.all()
-    sample = generated(uncertain, steps=2)
-    assert np.abs(sample.membrane.indentation_mm - 1.0).max() < 5 * ConstantDenoiser.sigma_min, (
-        "a sample is one of many, and all of it"
-    )
-
-
-def test_t2t_uses_physics_where_it_contradicts_the_contact(ball_frames):
-    reads = list_reads_in_contact(ball_frames[0])
-    physics = t2t.generate_touch(*reads, ConstantDenoiser(1.0), DiffusionParams(steps=0)).result
-    answer = t2t.generate_touch(*reads, ConstantDenoiser(1.0, contact=1.0, spread=0.01), DiffusionParams())
-    assert isinstance(answer, Fallback)
-    assert answer.result.image.tobytes() == physics.image.tobytes()
-    assert "times its expected error" in answer.reason
+    physics = t2t.generate_touch(*reads, ConstantDenoiser(1.0), DiffusionParams(steps=0))
+    assert isinstance(physics, Fallback)
+    assert physics.result.membrane.indentation_mm.max() > 2.0
+    sample = t2t.generate_touch(*reads, ConstantDenoiser(1.0), DiffusionParams(steps=2))
+    assert np.abs(sample.membrane.indentation_mm - 1.0).max() < 5 * ConstantDenoiser.sigma_min
 
 
 def test_t2t_skips_a_frame_without_contact(ball_frames):
@@ -293,18 +254,18 @@ def test_weights_are_selected_by_sensors():
 
 
 @pytest.mark.parametrize(("method", "file", "source", "target", "problem"), [
-    ("t2t", "t2t_gelslim", "gelslim", "gelslim", "do not translate from a gel"),
-    ("t2t", "t2t_bubble", "soft_bubble", "soft_bubble", "do not translate from a bubble"),
-    ("t2t", "t2t_gelslim", "gelslim", "soft_bubble", "touches of a gel, not of a bubble"),
+    ("t2t", "t2t_bubble", "gelslim", "gelslim", "not from a gel to a gel"),
+    ("t2t", "t2t_bubble", "soft_bubble", "soft_bubble", "not from a bubble to a bubble"),
+    ("t2d2", "", "soft_bubble", "gelslim", "less than the bubble's own error"),
     ("t2d2", "t2d2_bubble", "gelslim", "gelslim", "touches of a bubble, not of a gel"),
     ("t2t", "mine", "gelslim", "soft_bubble", "touches of a gel, not of a bubble"),
     ("t2d2", "mine", "gelslim", "soft_bubble", "touches of a gel, not of a bubble"),
     ("latent_t2d2", "mine", "gelslim", "soft_bubble", "touches of a gel, not of a bubble"),
 ])  # fmt: skip
 def test_weights_of_another_direction_are_not_used(tmp_path, method, file, source, target, problem):
-    path = weights_registry.WEIGHTS_FOLDER / f"{file}.safetensors"
+    path = weights_registry.WEIGHTS_FOLDER / f"{file}.safetensors" if file else None
     if file == "mine":
-        shipped = load_weights(weights_registry.WEIGHTS_FOLDER / "t2t_gelslim.safetensors")
+        shipped = load_weights(weights_registry.WEIGHTS_FOLDER / "t2d2_gelslim.safetensors")
         task = {"t2t": "touch_to_touch", "t2d2": "touch_residual", "latent_t2d2": "latent"}[method]
         path = tmp_path / "mine.safetensors"
         kind = task if task == "latent" else shipped.kind

@@ -60,7 +60,7 @@ def test_better_than_the_mean_touch_or_warned(recording, frame, source, target):
         mean_mm = compute_mae_mm(compute_mean_touch(recording, target), truth.indentation_mm, truth.contact)
         untouched_mm = compute_mae_mm(np.zeros_like(truth.indentation_mm), truth.indentation_mm, truth.contact)
         variants, _ = list_method_variants(translation, {}, "touch")
-        assert len(variants) > 2
+        assert len(variants) >= 2
         for variant in variants:
             touch, depth = generate(variant, frame)
             error_mm = compute_mae_mm(depth.indentation_mm, truth.indentation_mm, truth.contact)

@@ -20,7 +20,7 @@ from pipeline.tasks.task import load_task
 from pipeline.tasks.trial_rows import compute_error_deg, is_rollout_folder, list_trials
 
 pytestmark = pytest.mark.timeout(600)  # the first grasp compiles kernels where `tactoscope prepare` has not
-FAILS = "hex_key_t2t_0.1mm_000.h5"
+FAILS = "hex_key_t2t_0.1mm_003.h5"
 
 
 @pytest.fixture(scope="module")
@@ -31,11 +31,11 @@ def failed(rollout_folder):
 def test_rows_of_a_folder_hold_outcome_and_errors(rollout_folder):
     rows = {row.path.name: row for row in list_trials(rollout_folder)}
     assert [row.outcome for row in rows.values()] == ["fails", "fails", "fails", "succeeds"]
-    assert {(row.task, row.case, row.trial) for row in rows.values()} == {("insertion", "hex_key", 0)}
+    assert {(row.task, row.case, row.trial) for row in rows.values()} == {("insertion", "hex_key", 3)}
     row = rows[FAILS]
     assert (row.touch, row.tolerance_mm) == ("t2t", 0.1)
-    assert row.error_mm == pytest.approx(0.3277, abs=0.01)
-    assert row.error_deg == pytest.approx(1.810, abs=0.05)
+    assert row.error_mm == pytest.approx(0.2977, abs=0.01)
+    assert row.error_deg == pytest.approx(2.234, abs=0.05)
     assert row.cause.startswith("jams")
     assert list_trials(rollout_folder / FAILS) == tuple(rows.values())
 

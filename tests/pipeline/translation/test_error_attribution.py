@@ -62,7 +62,9 @@ def test_the_error_of_a_wrong_stage_is_attributed_to_it(to_bubble, monkeypatch):
         more = np.where(made.contact, made.indentation_mm + 1.0, made.indentation_mm).astype(np.float32)
         return replace(made, indentation_mm=freeze(more), depth_mm=freeze(made.depth_mm - 1.0 * made.contact))
 
-    wrong_methods = tuple(replace(m, run=deeper, version=99) if m.stage == "depth" else m for m in translation.methods)
+    wrong_methods = tuple(
+        replace(m, run=deeper, name="deeper") if m.stage == "depth" else m for m in translation.methods
+    )
     found = attribute_error(translation, graph.with_methods(wrong_methods), params, TOUCHED, "touch_depth.mae_mm")
     shares = {part.title: part.share for part in found.shares}
     assert shares["depth"] > clean["depth"] + 0.002

@@ -16,7 +16,7 @@ from pipeline.engine.graph import StageResult
 from pipeline.geometry.camera import Camera
 from pipeline.recordings import open_recording
 from pipeline.stages.stage import GroundTruth
-from pipeline.translation.frame_selection import find_contact_frame, select_context_images
+from pipeline.translation.frame_selection import find_contact_frame, select_context_frames
 from pipeline.translation.translate import Request, open_translation
 from pipeline.translation.truth_view import add_truth_warnings
 from pipeline.values.frames import TactileFrame, Truth
@@ -71,11 +71,11 @@ def test_touches_that_tell_of_the_light_are_strong_and_in_different_places():
         return replace(base, image=image, index=index)
 
     stream = replace(open_recording(SAMPLE_RECORDING).stream("gelslim"), n_frames=5, frame=frame)
-    chosen = select_context_images(stream)
+    chosen = [frame.image for frame in select_context_frames(stream)]
     assert [image.tobytes() for image in chosen[:2]] == [frame(1).image.tobytes(), frame(2).image.tobytes()]
     assert frame(4).image.tobytes() not in [image.tobytes() for image in chosen]
     bubble = open_recording(SAMPLE_RECORDING, sensor="soft_bubble").stream("soft_bubble")
-    assert select_context_images(bubble) == ()
+    assert select_context_frames(bubble) == ()
 
 
 def test_every_frame_of_a_recording_brings_the_touches_that_tell_of_its_light():
