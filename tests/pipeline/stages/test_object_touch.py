@@ -93,7 +93,7 @@ def test_no_contact_is_the_reference_image(graph, frame):
     untouched = replace(frame, image=frame.reference)
     result = translate(graph, untouched, shapes.make_shape(SHAPE).mesh)
     assert result.state == "skipped"
-    assert np.array_equal(result.output.image, BUBBLE.render_reference())
+    assert np.array_equal(result.output.image, render_reference(BUBBLE))
 
 
 def test_the_method_is_for_any_pair_of_sensors():
