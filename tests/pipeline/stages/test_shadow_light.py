@@ -18,7 +18,7 @@ from pipeline.simulation import shapes, variation
 from pipeline.simulation.press import simulate_press
 from pipeline.stages.depth.illumination import selection, shadow_light
 from pipeline.stages.depth.illumination.light import ImagePatch, simulate_recorded_change
-from pipeline.stages.depth.photometric import DepthParams, estimate_depth, estimate_gel_depth, make_draft_params
+from pipeline.stages.depth.photometric import DepthParams, estimate_gel_depth
 from pipeline.values.frames import TactileFrame
 
 PARAMS = DepthParams()
@@ -81,12 +81,6 @@ def test_the_fit_recovers_the_azimuths_of_the_leds():
     fitted = shadow_light.shift_leds(described, np.array(measured.parameters))
     off = np.degrees(np.abs(fitted.azimuth_rad - leds.azimuth_rad))
     assert off.max() < 0.5 * max(map(abs, AZIMUTH_DEG))
-
-
-def test_a_draft_is_measured_with_the_same_leds():
-    frame, truth, _ = ball()
-    draft = estimate_depth(frame, load_sensor("digit"), None, make_draft_params(PARAMS))
-    assert mean_error_mm(draft, truth) < 1.5 * MAX_ERROR_MM
 
 
 @pytest.mark.parametrize("seed", [None, 4])

@@ -1,7 +1,7 @@
 """Node *light*: the illumination of a frame, from its image, its rest image and the context frames of the recording.
 
-It depends on nothing else: settings of the stage are at their defaults, so that a draft and a full result of one frame
-rest on the same light. That of a recording is cached on disk, as its fit takes as long as several frames.
+It depends on nothing else: settings of the stage are at their defaults, so that a slider does not change the light.
+That of a recording is cached on disk, as its fit takes as long as several frames.
 """
 
 from dataclasses import replace

@@ -5,18 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.base.arrays import Floats, freeze
+from pipeline.base.params import NoParams
 from pipeline.base.progress import Progress
 from pipeline.stages.depth.gel.result import NOT_SCALED
 from pipeline.stages.depth.gel.slopes import FrameSlopes
 from pipeline.stages.depth.illumination import selection
 from pipeline.stages.depth.illumination.light import FrameLight, Illumination, upsample_surface
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SurfaceParams:
-    """Parameters of the node."""
-
-    draft: bool  # no iteration at full resolution
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -27,12 +21,12 @@ class FrameSurface:
     notes: tuple[str, ...]
 
 
-def estimate_surface(slopes: FrameSlopes, light: FrameLight, params: SurfaceParams, progress: Progress) -> FrameSurface:
+def estimate_surface(slopes: FrameSlopes, light: FrameLight, _params: NoParams, progress: Progress) -> FrameSurface:
     """The surface of slopes in a light; it can be cancelled at every iteration."""
     progress.step(0.0, "integrating slopes")
     changed = slopes.changed
     window, calibration, notes = changed.window, changed.calibration, tuple[str, ...]()
-    surface = _integrate(slopes, light.illumination, progress, draft=params.draft)
+    surface = _integrate(slopes, light.illumination, progress)
     if light.illumination is not None and light.illumination.is_bound_to_place:
         corner = (window.rows.start, window.cols.start)
         surface = surface * np.float32(calibration.compute_depth_scale(surface, corner))
@@ -41,7 +35,7 @@ def estimate_surface(slopes: FrameSlopes, light: FrameLight, params: SurfacePara
     return FrameSurface(surface_mm=freeze(surface), notes=notes)
 
 
-def _integrate(slopes: FrameSlopes, illumination: Illumination | None, progress: Progress, *, draft: bool) -> Floats:
+def _integrate(slopes: FrameSlopes, illumination: Illumination | None, progress: Progress) -> Floats:
     changed = slopes.changed
     patch, cells = changed.patches
     if illumination is None:
@@ -52,7 +46,5 @@ def _integrate(slopes: FrameSlopes, illumination: Illumination | None, progress:
     if cells is patch:
         return surface
     surface = upsample_surface(surface, cells.downsampling, changed.window.changed.shape)
-    if draft:
-        return surface
     integrate = changed.make_integrator(patch, progress, 0.6)
     return selection.add_detail(surface, patch, changed.source, illumination, integrate)
