@@ -39,7 +39,7 @@ NODES = (
         "slopes", ("frame", _REST, _CHANGE, _LIGHT), measure_slopes, SlopeParams,
         lambda p: SlopeParams(sensitivity=p.sensitivity, smoothing_px=p.smoothing_px, boundary=p.boundary),
     ),
-    _make_node("surface", (_SLOPES, _LIGHT), estimate_surface, NoParams, lambda _: NoParams()),
+    _make_node("surface", (_CHANGE, _SLOPES, _LIGHT), estimate_surface, NoParams, lambda _: NoParams()),
     _make_node(
         "contact", ("frame", _REST, _CHANGE, _LIGHT, _SLOPES, _SURFACE), detect_contact, ContactParams,
         lambda p: ContactParams(contact_limit=p.contact_limit, pressure_share=p.pressure_share),

@@ -75,7 +75,7 @@ def detect_contact(
     touched, indentation = np.zeros(shape, np.bool_), np.zeros(shape, np.float32)
     touched[here] = contact.remove_border_artifacts(pressed, z, *here, shape, narrow_px)
     distance = None if source.gel is None else _compute_distance(touched[here], pixel_mm, source.gel)
-    if used is not None and (used.is_trusted or used.model == "shadow_leds"):
+    if used is not None and used.is_trusted:
         z = _level_far_field(z, touched[here], distance, window, source, pixel_mm)
     indentation[here] = _relax_surface(z, touched[here], distance, window, source, pixel_mm)
     by_near_leds = used is not None and used.model in {"field", "near"}

@@ -33,12 +33,6 @@ from pipeline.stages.depth.illumination.light import (
     simulate_recorded_change,
     sum_change_grey,
 )
-from pipeline.stages.depth.illumination.shadow_light import (
-    compute_shadow_prior_root,
-    make_described_leds,
-    make_shadow_light,
-    shift_leds,
-)
 from pipeline.stages.depth.illumination.surface_refinement import clip_surface, refine_surface
 from pipeline.stages.depth.poisson import Integrator, solve_weighted_slopes
 
@@ -64,9 +58,7 @@ class FitRule:
     max_excess: float
     noise_grey: float = 0.0  # grey levels of misfit per pixel that are noise
     hopeless: tuple[float, ...] = ()  # this sum beyond which a fit ends: as described, after one step, two, ...
-    max_misfit: float = math.inf  # share of the change that may be left at all
     as_described: float = 0.0  # share of the deviance of random instances below which the description stands
-    stops_when_worse: bool = False  # take the smallest misfit of all iterations, not the last
 
 
 # Simulated instances reach up to 0.99 of the limit, one in fifty more; single balls on a real Mini from 1.19, other
@@ -77,11 +69,6 @@ LED_RULE = FitRule(
     independent_pixels=800.0, max_deviance=70.0, max_excess=0.28, noise_grey=1.5, hopeless=(2.32, 1.9, 1.9, 1.4),
     as_described=0.2,
 )  # fmt: skip
-# Half of the presses on a real DIGIT have up to 0.98 of the limit and leave up to 0.52. Of 1,050 simulated presses on
-# other instances that no usual LEDs explain, 5 leave so little: three are measured better by these LEDs, two worse.
-SHADOW_RULE = FitRule(
-    independent_pixels=200.0, max_deviance=95.0, max_excess=0.88, max_misfit=0.55, stops_when_worse=True
-)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -109,23 +96,11 @@ def fit_leds(source: SensorSpec, touches: Sequence[LedObservation]) -> Doubles |
     return _fit(model, touches, LED_RULE)
 
 
-def fit_shadow_leds(source: SensorSpec, touch: LedObservation) -> Doubles | None:
-    """Deviations (m,) of low LEDs (`shadow_light.shift_leds`); None where no such LEDs explain the image."""
-    described = make_described_leds(source)
-
-    def make_light(deviations: Doubles, patch: ImagePatch) -> Light:
-        return make_shadow_light(source, shift_leds(described, deviations), patch)
-
-    root = compute_shadow_prior_root(described)
-    model = _ParameterModel(make_light=make_light, prior_root=root, effective=tuple(range(len(root))))
-    return _fit(model, [touch], SHADOW_RULE)
-
-
 def _fit(model: _ParameterModel, touches: Sequence[LedObservation], rule: FitRule) -> Doubles | None:
-    """Deviations (m,) of the last or best iteration; None where `rule` rejects them."""
+    """Deviations (m,) of the last iteration; None where `rule` rejects them."""
     precision = np.linalg.inv(model.prior_root @ model.prior_root.T)
-    deviations = best = np.zeros(len(precision))
-    normal, least, noise, change = precision, math.inf, 0.0, 0.0
+    deviations = np.zeros(len(precision))
+    normal, misfit, noise, change = precision, math.inf, 0.0, 0.0
     for touch in touches:
         confidence = model.make_light(deviations, touch.patch).confidence
         noise += rule.noise_grey * float((touch.patch.unmarked_share[..., 0] * touch.patch.changed).sum())
@@ -140,9 +115,6 @@ def _fit(model: _ParameterModel, touches: Sequence[LedObservation], rule: FitRul
         touches, misfit = _refine_surfaces(model, deviations, touches)
         if iteration < len(rule.hopeless) and compute_score(deviations, misfit) > rule.hopeless[iteration]:
             return None
-        if rule.stops_when_worse and misfit >= least:
-            break
-        least, best = misfit, deviations
         if iteration < CONSTANTS.fit_iterations:
             systems = [_linearise(model, deviations, touch, rule) for touch in touches]
             normal = precision + sum(system[0] for system in systems)
@@ -150,9 +122,10 @@ def _fit(model: _ParameterModel, touches: Sequence[LedObservation], rule: FitRul
             length = math.sqrt(float(step @ precision @ step))
             deviations = deviations + step * min(1.0, CONSTANTS.max_fit_step / max(length, 1e-9))
     determined = float(np.trace(np.linalg.solve(normal, normal - precision)))
-    if compute_score(best, least) > 1.0 or least > rule.max_misfit * change:
+    if compute_score(deviations, misfit) > 1.0:
         return None
-    return np.zeros_like(best) if float(best @ precision @ best) < rule.as_described * determined else best
+    is_as_described = float(deviations @ precision @ deviations) < rule.as_described * determined
+    return np.zeros_like(deviations) if is_as_described else deviations
 
 
 def _refine_surfaces(

@@ -74,8 +74,6 @@ def refine_surface(
             surface_mm = solve_weighted_slopes(raised, slopes, weights, patch.pixel_mm, integrate, cg_steps)
         else:
             surface_mm = integrate(*slopes)
-        if rule.blurred:
-            surface_mm = before + blur_change(surface_mm - before, patch, light.blur_px)
         moved_mm, depth_mm = cv2.norm(surface_mm, before, cv2.NORM_INF), cv2.norm(surface_mm, cv2.NORM_INF)
         if until_settled and moved_mm < min(CONSTANTS.settled_mm, CONSTANTS.settled_share * depth_mm):
             break
