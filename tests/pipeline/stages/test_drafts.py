@@ -26,10 +26,7 @@ def test_settings_do_not_change_the_light(frame):
     graph, inputs = Graph((PHYSICS,)), {"frame": frame, "source": load_sensor("gelslim"), "calibration": None}
     results = [
         graph.evaluate(("depth",), inputs, {"depth": params})["depth"]
-        for params in (
-            photometric.make_draft_params(photometric.DepthParams(sensitivity=1.2)),
-            photometric.DepthParams(),
-        )
+        for params in (photometric.DepthParams(sensitivity=1.2), photometric.DepthParams())
     ]
     names = [node.name for node in results[0].nodes]
     assert names == [f"depth.{name}" for name in ("rest", "change", "light", "slopes", "surface", "contact")]

@@ -110,7 +110,7 @@ def test_a_real_digit_fits_a_field_to_each_touch_and_asks_it_near_the_dent_alone
     y, x = np.nonzero(depth.contact)
     assert len(y) > 1000
     far = np.hypot(*np.indices(depth.contact.shape) - np.array([y.mean(), x.mean()])[:, None, None]) > 100
-    assert np.abs(depth.indentation_mm[far]).max() < 0.03
+    assert np.abs(depth.indentation_mm[far]).max() < 0.05
 
 
 def test_a_real_gelslim_is_read_by_near_leds_that_its_recording_chose(real_data):

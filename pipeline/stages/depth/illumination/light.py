@@ -124,9 +124,9 @@ def simulate_recorded_change(change: Floats, patch: ImagePatch, lens_blur_px: fl
     return np.asarray(recorded - patch.reference, np.float32)
 
 
-def sum_change_grey(patch: ImagePatch, confidence: Floats) -> float:
+def sum_change_grey(patch: ImagePatch) -> float:
     """Sum of the absolute change in grey levels, cut and weighted as misfits are."""
-    change = np.minimum(np.abs(patch.change * confidence), np.float32(2.0 * CONSTANTS.huber_grey))
+    change = np.minimum(np.abs(patch.change * patch.unmarked_share), np.float32(2.0 * CONSTANTS.huber_grey))
     return float(change[patch.changed].sum())
 
 
@@ -195,9 +195,7 @@ class Light:
     source: SensorSpec
     patch: ImagePatch
     step_rule: StepRule  # how an iteration moves the slopes
-    confidence: Floats  # (rows, cols, 3) weight of each colour, at most 1
     blur_px: float  # standard deviation of the lens blur, in image pixels
-    max_depth_mm: float  # largest indentation that is rendered
 
     def render(self, surface_mm: Floats, gx: Floats, gy: Floats) -> RenderedChange:
         """Render the light of a surface (rows, cols) with these slopes."""

@@ -112,7 +112,7 @@ def _fit_field(touch: Touch, described_misfit: float = math.inf) -> tuple[Double
 
 def _is_explained(touches: Sequence[Touch], misfit: float) -> bool:
     """Whether a misfit is a small part of the touches' change."""
-    change = sum(sum_change_grey(touch.patch, touch.patch.unmarked_share) for touch in touches)
+    change = sum(sum_change_grey(touch.patch) for touch in touches)
     return misfit <= CONSTANTS.explained_share * change
 
 

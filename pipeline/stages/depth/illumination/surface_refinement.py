@@ -65,7 +65,7 @@ def refine_surface(
         slopes = compute_slopes(surface, patch.pixel_mm)
         change, *rates = light.render(surface, *slopes)
         misfit = update_slopes(
-            blur_change(change, patch, light.blur_px), (patch.change, patch.reference), light.confidence,
+            blur_change(change, patch, light.blur_px), (patch.change, patch.reference), patch.unmarked_share,
             patch.changed, *rates, limits, scratch, *slopes, weights,
         )  # fmt: skip
         before = surface_mm
@@ -82,7 +82,7 @@ def refine_surface(
 
 def clip_surface(surface_mm: Floats, patch: ImagePatch, light: Light) -> Floats:
     """The surface (rows, cols) within the range of the gel; 0 where nothing has changed."""
-    return np.clip(surface_mm, CONSTANTS.bulge_mm, light.max_depth_mm) * patch.changed
+    return np.clip(surface_mm, CONSTANTS.bulge_mm, light.source.limits.indentation_max_mm) * patch.changed
 
 
 def raise_walls(surface_mm: Floats, slopes: tuple[Floats, Floats], weights: Floats, pixel_mm: float) -> Floats:
