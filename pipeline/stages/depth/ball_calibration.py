@@ -18,7 +18,7 @@ from pipeline.base.progress import SILENT, Progress
 from pipeline.calibration.balls import calibrate_balls
 from pipeline.calibration.calibration_table import BallFit, Calibration, ExpectedError, make_built_in
 from pipeline.calibration.contact_circles import find_largest_part, fit_sphere
-from pipeline.calibration.expected_error import summarise_errors
+from pipeline.calibration.corrections import summarise_errors
 from pipeline.physics.slopes import compute_slopes
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth.illumination.light import Illumination

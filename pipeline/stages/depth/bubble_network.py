@@ -76,7 +76,7 @@ def estimate_frame(
     _progress: Progress = SILENT,
 ) -> DepthMap:
     """The depth of a frame with the physical estimate's error in contact; raises ShapeError for an invalid frame."""
-    check_frame(frame, source)  # a draft is the full result: fewer pixels are no faster here
+    check_frame(frame, source)
     seen_by = see_by_frame(source, frame)
     least_mm = params.contact_limit * source.limits.contact_min_mm
     depth = estimate_depth(frame, seen_by, network, certainty=params.certainty, least_mm=least_mm)

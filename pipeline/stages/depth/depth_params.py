@@ -1,7 +1,6 @@
 """Parameters of the photometric depth, and of a bubble's."""
 
-from dataclasses import dataclass, replace
-from typing import TypeVar
+from dataclasses import dataclass
 
 from pipeline.base.params import setting
 from pipeline.stages.depth.poisson import Boundary
@@ -34,12 +33,3 @@ class DepthParams:
         help="larger detects weaker touches: divides the sensor's limit of change without contact",
         source="our own; the limit is in the sensor's description",
     )  # fmt: skip
-    draft: bool = False  # a gel's image is downsampled and refined less
-
-
-AnyDepthParams = TypeVar("AnyDepthParams", bound=DepthParams)
-
-
-def make_draft_params(params: AnyDepthParams) -> AnyDepthParams:
-    """The parameters of a draft, for while a slider is dragged."""
-    return replace(params, draft=True)

@@ -13,7 +13,7 @@ from pipeline.calibration.calibration_table import Calibration
 from pipeline.engine.graph import Skipped, chain_nodes, run_nodes
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import mirror_check
-from pipeline.stages.depth.depth_params import DepthParams, make_draft_params
+from pipeline.stages.depth.depth_params import DepthParams
 from pipeline.stages.depth.frame_checks import see_by_frame
 from pipeline.stages.depth.gel.chain import NODES, READS
 from pipeline.stages.depth.gel.result import describe_reference_mismatch
@@ -21,8 +21,6 @@ from pipeline.stages.depth.gel.slopes import make_changed_image
 from pipeline.stages.depth.illumination.light import FrameLight, Illumination
 from pipeline.values.frames import TactileFrame
 from pipeline.values.results import DepthMap
-
-__all__ = ["DepthParams", "estimate_depth", "make_draft_params", "run_physics", "skip_without_contact"]
 
 _run_chain = chain_nodes(NODES, READS)
 

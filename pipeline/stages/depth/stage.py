@@ -18,7 +18,6 @@ PHYSICS = Method(
     reads=READS,
     nodes=NODES,
     version=20,
-    draft=photometric.make_draft_params,
 )
 NETWORK = Method(
     stage="depth",
@@ -33,7 +32,6 @@ NETWORK = Method(
     params=bubble_network.NetworkParams,
     reads=(*PHYSICS.reads, "depth_weights"),
     version=11,
-    draft=photometric.make_draft_params,
     weights=bubble_network.select_weights,
 )
 DEPTH_ANYTHING = Method(

@@ -72,7 +72,6 @@ FROM_IMAGE = Method(
     run=skip_if_exact(skip_without_contact, estimate_from_image),
     params=DepthParams,
     reads=("touch", "target"),
-    draft=depth.make_draft_params,
 )
 
 

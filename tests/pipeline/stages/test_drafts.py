@@ -1,16 +1,13 @@
-"""Drafts: close to the full result, and marked as drafts in all that rests on them."""
+"""Nodes of a gel's depth are repeated only where they read what changed; drafts are marked in all that rests on them."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import numpy as np
 import pytest
 
 from app.session.sample import SAMPLE_RECORDING
-from pipeline.base.progress import SILENT
 from pipeline.engine.graph import Graph, Method
-from pipeline.metrics.stage_metrics import iou
 from pipeline.recordings import open_recording
 from pipeline.sensors.spec import load_sensor
 from pipeline.stages.depth import photometric
@@ -25,49 +22,16 @@ def frame():
     return open_recording(SAMPLE_RECORDING, sensor="gelslim").stream("gelslim").frame(TOUCHED)
 
 
-def test_a_draft_of_a_gel_is_close_to_the_full_result_on_the_same_pixels(frame):
-    gel = load_sensor("gelslim")
-    whole, draft = (
-        PHYSICS.run(frame, gel, None, params, SILENT) for params in (PHYSICS.params(), PHYSICS.draft(PHYSICS.params()))
-    )
-    assert draft.indentation_mm.shape == whole.indentation_mm.shape == draft.contact.shape
-    assert draft.camera == whole.camera
-    assert iou(draft.contact, whole.contact) > 0.85
-    inside = whole.contact
-    assert draft.indentation_mm[inside].mean() == pytest.approx(whole.indentation_mm[inside].mean(), rel=0.06)
-    np.testing.assert_allclose(draft.depth_mm, gel.rest_depth_mm - draft.indentation_mm, atol=1e-4)
-    assert any(note.startswith("a draft") for note in draft.notes)
-    assert not any("draft" in note for note in whole.notes)
-
-
-@pytest.mark.parametrize("index", [3, 8, 9, 13])
-def test_a_draft_keeps_touches_that_fill_the_view(index):
-    stream, spec = open_recording(SAMPLE_RECORDING, sensor="digit").stream("digit"), load_sensor("digit")
-    draft = photometric.estimate_depth(
-        stream.frame(index), spec, None, photometric.make_draft_params(photometric.DepthParams())
-    )
-    whole = photometric.estimate_depth(stream.frame(index), spec, None, photometric.DepthParams())
-    assert iou(draft.contact, whole.contact) > 0.8
-    for untouched in (1, 2, 14):
-        assert not photometric.estimate_depth(
-            stream.frame(untouched), spec, None, photometric.make_draft_params(photometric.DepthParams())
-        ).contact.any()
-
-
-def test_a_draft_takes_the_light_of_the_full_frame(frame):
+def test_settings_do_not_change_the_light(frame):
     graph, inputs = Graph((PHYSICS,)), {"frame": frame, "source": load_sensor("gelslim"), "calibration": None}
     results = [
         graph.evaluate(("depth",), inputs, {"depth": params})["depth"]
-        for params in (
-            photometric.make_draft_params(photometric.DepthParams(sensitivity=1.2)),
-            photometric.DepthParams(),
-        )
+        for params in (photometric.DepthParams(sensitivity=1.2), photometric.DepthParams())
     ]
     names = [node.name for node in results[0].nodes]
     assert names == [f"depth.{name}" for name in ("rest", "change", "light", "slopes", "surface", "contact")]
     assert [node.state for node in results[1].nodes[1:3]] == ["unchanged", "unchanged"]
     assert results[0].nodes[2].output.illumination.model == "leds"
-    assert results[0].draft
 
 
 def test_a_changed_parameter_of_the_contact_repeats_the_contact_alone(frame):

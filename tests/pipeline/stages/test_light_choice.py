@@ -91,22 +91,26 @@ def test_several_touches_leave_the_field_of_each_open():
     source, frames = draw_touches()
     touches = find_touches(source, frames)
     assert not selection.choose_illumination(touches).is_complete
-    assert selection.choose_illumination(touches[:1]) == selection.fit_touch("field", touches[0])
+    assert selection.choose_illumination(touches[:1]) == selection.fit_touch(touches[0])
 
 
 def read_image(path):
     return np.ascontiguousarray(cv2.imread(str(path))[..., ::-1])
 
 
-def test_a_real_digit_fits_low_leds_to_each_touch_of_a_recording(real_data):
+def test_a_real_digit_fits_a_field_to_each_touch_and_asks_it_near_the_dent_alone(real_data):
     source, folder = load_sensor("digit"), real_data / "digit_balls"
     reference = read_image(folder / "background.png")
     images = [read_image(folder / f"{index:04d}.png") for index in DIGIT_PRESSES]
     frame = TactileFrame(sensor="digit", image=images[2], reference=reference)
-    _, alone = estimate_gel_depth(frame, source, None, DepthParams())
+    depth, alone = estimate_gel_depth(frame, source, None, DepthParams())
     _, among = estimate_gel_depth(replace(frame, context_frames=tuple(images[:2])), source, None, DepthParams())
-    assert alone.model == "shadow_leds"
+    assert alone.model == "field"
     assert alone == among
+    y, x = np.nonzero(depth.contact)
+    assert len(y) > 1000
+    far = np.hypot(*np.indices(depth.contact.shape) - np.array([y.mean(), x.mean()])[:, None, None]) > 100
+    assert np.abs(depth.indentation_mm[far]).max() < 0.05
 
 
 def test_a_real_gelslim_is_read_by_near_leds_that_its_recording_chose(real_data):

@@ -14,7 +14,7 @@ from pipeline.stages.depth.gel.contact import ContactParams, detect_contact
 from pipeline.stages.depth.gel.light import estimate_light
 from pipeline.stages.depth.gel.rest import describe_rest
 from pipeline.stages.depth.gel.slopes import SlopeParams, measure_slopes
-from pipeline.stages.depth.gel.surface import SurfaceParams, estimate_surface
+from pipeline.stages.depth.gel.surface import estimate_surface
 
 READS = ("frame", "source", "calibration")
 
@@ -39,11 +39,9 @@ NODES = (
         "slopes", ("frame", _REST, _CHANGE, _LIGHT), measure_slopes, SlopeParams,
         lambda p: SlopeParams(sensitivity=p.sensitivity, smoothing_px=p.smoothing_px, boundary=p.boundary),
     ),
-    _make_node(
-        "surface", (_SLOPES, _LIGHT), estimate_surface, SurfaceParams, lambda p: SurfaceParams(draft=p.draft)
-    ),
+    _make_node("surface", (_CHANGE, _SLOPES, _LIGHT), estimate_surface, NoParams, lambda _: NoParams()),
     _make_node(
         "contact", ("frame", _REST, _CHANGE, _LIGHT, _SLOPES, _SURFACE), detect_contact, ContactParams,
-        lambda p: ContactParams(contact_limit=p.contact_limit, pressure_share=p.pressure_share, draft=p.draft),
+        lambda p: ContactParams(contact_limit=p.contact_limit, pressure_share=p.pressure_share),
     ),
 )  # fmt: skip

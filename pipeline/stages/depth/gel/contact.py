@@ -34,7 +34,6 @@ _BORDER_GEL = 0.5  # gel thicknesses, within which the gel beyond the border aff
 _WEAK_SHADING = StageWarning(
     "the LEDs hardly shade slopes where the sensor is touched: sizes and depths may be wrong by half; calibrate"
 )
-_DRAFT = "a draft, as long as a slider is held: without detail at full resolution"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,7 +42,6 @@ class ContactParams:
 
     contact_limit: float  # times the sensor's smallest indentation
     pressure_share: float  # of the peak nearby
-    draft: bool
 
 
 def detect_contact(
@@ -61,7 +59,7 @@ def detect_contact(
     source, changed, used, calibration = rest.source, slopes.changed, light.illumination, light.calibration
     window, pixel_mm, shape = changed.window, calibration.pixel_mm, source.camera.shape
     here = (window.rows, window.cols)
-    notes = [*change.rest.notes, *slopes.notes, *light.notes, *surface.notes, *([_DRAFT] if params.draft else [])]
+    notes = [*change.rest.notes, *slopes.notes, *light.notes, *surface.notes]
     z, inside = _level_surface(surface.surface_mm, window, source, pixel_mm)
     pressed = inside | contact.detect_contact(
         z, pixel_mm, least_mm=params.contact_limit * source.limits.contact_min_mm,
@@ -77,7 +75,7 @@ def detect_contact(
     touched, indentation = np.zeros(shape, np.bool_), np.zeros(shape, np.float32)
     touched[here] = contact.remove_border_artifacts(pressed, z, *here, shape, narrow_px)
     distance = None if source.gel is None else _compute_distance(touched[here], pixel_mm, source.gel)
-    if used is not None and (used.is_trusted or used.model == "shadow_leds"):
+    if used is not None and used.is_trusted:
         z = _level_far_field(z, touched[here], distance, window, source, pixel_mm)
     indentation[here] = _relax_surface(z, touched[here], distance, window, source, pixel_mm)
     by_near_leds = used is not None and used.model in {"field", "near"}

@@ -16,8 +16,11 @@ small drift. So a small one is left alone, a large one removed, and one in betwe
 gradually.
 """
 
+from __future__ import annotations
+
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -121,6 +124,43 @@ class _Blocks:
     by_y: Floats
 
 
+@dataclass(frozen=True, kw_only=True)  # without slots, which a cached property needs
+class _ReferenceSums:
+    """Sums of a reference image over all rectangles: block means for any shift without moving an image."""
+
+    sums: Doubles  # (rows + 1, cols + 1, 3) of the image with its margin
+    margin: int  # px
+    block: int
+    shape: tuple[int, int]  # of the blocks
+
+    @cached_property
+    def still(self) -> _Blocks:
+        """The blocks without a shift."""
+        return self.compute_blocks(np.zeros(2), 1.0)
+
+    def compute_blocks(self, shift_px: Doubles, gain: float) -> _Blocks:
+        """The blocks of the image moved by a shift (right, down) of at most the margin, times a gain."""
+        (n, m), x = self.shape, float(shift_px[0])
+        y = float(shift_px[1])
+        rows = {dy: self._take(self.sums, n, y + dy, axis=0) for dy in (-1.0, 0.0, 1.0)}
+        scale = gain / self.block**2
+        before, after = (self._take(rows[0.0], m, x + dx, axis=1) for dx in (-1.0, 1.0))
+        above, here, below = (self._take(rows[dy], m, x, axis=1) for dy in (-1.0, 0.0, 1.0))
+        mean, by_x, by_y = (
+            freeze((scale * a).astype(np.float32).reshape(-1, 3))
+            for a in (here, 0.5 * (before - after), 0.5 * (above - below))
+        )
+        return _Blocks(mean=mean, by_x=by_x, by_y=by_y)
+
+    def _take(self, sums: Doubles, n: int, shift_px: float, axis: int) -> Doubles:
+        """Sums over n blocks along an axis, for an image moved along it."""
+        at = self.margin - min(max(shift_px, -self.margin + 2.0), self.margin - 3.0) + self.block * np.arange(n + 1)
+        low = at.astype(np.intp)
+        share = (at - low).reshape((-1, 1, 1) if axis == 0 else (1, -1, 1))
+        ends = sums.take(low, axis) * (1.0 - share) + sums.take(low + 1, axis) * share
+        return np.diff(ends, axis=axis)
+
+
 def estimate_rest_image(image: Image, reference: Image, dent_grey: Floats | None = None) -> RestImage:
     """The reference (rows, cols, 3) in the light and place of `image`, as far as what no dent explains shows them.
 
@@ -160,7 +200,8 @@ def fit_drift(image: Image, reference: Image, dent_grey: Floats | None = None) -
     if dent_grey is not None and dent_grey.any():
         now = now - np.float32(exposure) * cv2.resize(dent_grey, now.shape[1::-1], interpolation=cv2.INTER_LINEAR)
     change = np.abs(now - still.mean.reshape(now.shape)).max(axis=2)
-    still = still if exposure == 1.0 else _make_blocks(reference.astype(np.float32) * np.float32(exposure), block)
+    sums = _sum_reference(reference, block)
+    still = still if exposure == 1.0 else sums.compute_blocks(np.zeros(2), exposure)
     residual = now - still.mean.reshape(now.shape)
     agrees = _compute_agreement_grey(residual)
     foreign = float(np.percentile(np.abs(residual).max(axis=2), 25)) > DRIFT.foreign_grey
@@ -173,7 +214,7 @@ def fit_drift(image: Image, reference: Image, dent_grey: Floats | None = None) -
         shift = shift + solution[12:]
         if float(np.abs(solution[12:]).max()) < DRIFT.shift_tolerance_px or math.hypot(*shift) > DRIFT.shift_max_px:
             break
-        still = _make_blocks(_shift_image(reference, shift) * np.float32(exposure), block)
+        still = sums.compute_blocks(shift, exposure)
     agrees = _compute_agreement_grey(residual)  # texture that has moved looks like noise before
     alike, agree = (float((a < agrees).mean()) for a in (change, np.abs(residual).max(axis=2)))
     own = solution[:12].reshape(3, 4)
@@ -204,9 +245,7 @@ def _compute_block_px(image: Image) -> int:
 def _compute_blocks(image: Image, reference: Image) -> tuple[Floats, _Blocks]:
     """Block means (rows, cols, 3) of an image, and the blocks of its reference."""
     block = _compute_block_px(image)
-    return compute_block_means(image, block), _references.get_or_make(
-        (compute_cached_digest(reference), block), lambda: _make_blocks(reference.astype(np.float32), block)
-    )
+    return compute_block_means(image, block), _sum_reference(reference, block).still
 
 
 def _compare_exposure(means: Floats, reference: _Blocks) -> float:
@@ -261,17 +300,20 @@ def apply_drift(reference: Image, drift: Drift) -> Floats:
     return np.minimum(moved, np.float32(255.0)) if float(drift.gain.min()) > 1.0 + DRIFT.exposure_min else moved
 
 
-_references: Memo[tuple[str, int], _Blocks] = Memo(4)
+_references: Memo[tuple[str, int], _ReferenceSums] = Memo(4)
 
 
-def _make_blocks(picture: Floats, block: int) -> _Blocks:
+def _sum_reference(reference: Image, block: int) -> _ReferenceSums:
+    """The sums of a reference image (rows, cols, 3), cached; its border is replicated."""
     import cv2
 
-    by_x, by_y = (0.5 * cv2.Sobel(picture, cv2.CV_32F, *axis, ksize=1) for axis in ((1, 0), (0, 1)))
-    mean, by_x, by_y = (
-        compute_block_means(np.asarray(a, np.float32), block).reshape(-1, 3) for a in (picture, by_x, by_y)
-    )
-    return _Blocks(mean=freeze(mean), by_x=freeze(by_x), by_y=freeze(by_y))
+    def make() -> _ReferenceSums:
+        margin = math.ceil(2 * DRIFT.shift_max_px) + 2
+        sums = cv2.integral(cv2.copyMakeBorder(reference, *[margin] * 4, cv2.BORDER_REPLICATE), sdepth=cv2.CV_64F)
+        shape = (reference.shape[0] // block, reference.shape[1] // block)
+        return _ReferenceSums(sums=freeze(np.asarray(sums)), margin=margin, block=block, shape=shape)
+
+    return _references.get_or_make((compute_cached_digest(reference), block), make)
 
 
 def _shift_image(reference: Image, shift_px: Doubles) -> Floats:

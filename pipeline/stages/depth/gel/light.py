@@ -1,7 +1,7 @@
 """Node *light*: the illumination of a frame, from its image, its rest image and the context frames of the recording.
 
-It depends on nothing else: settings of the stage are at their defaults, so that a draft and a full result of one frame
-rest on the same light. That of a recording is cached on disk, as its fit takes as long as several frames.
+It depends on nothing else: settings of the stage are at their defaults, so that a slider does not change the light.
+That of a recording is cached on disk, as its fit takes as long as several frames.
 """
 
 from dataclasses import replace
@@ -24,7 +24,6 @@ from pipeline.stages.depth.poisson import Integrator
 from pipeline.values.frames import TactileFrame
 
 _NOT_COVERED = StageWarning("no indentation of the calibration covers this touch: it is measured without calibration")
-_SHADOW_LEDS = "no usual LEDs explain the image: measured with low LEDs that cast shadows, fitted to this touch"
 _MIN_CONTEXT_TOUCHES = 2  # one tells no more than the frame itself
 _CODE = (
     "pipeline.stages.depth", "pipeline.stages.depth.gel", "pipeline.stages.depth.illumination", "pipeline.calibration",
@@ -55,7 +54,7 @@ def estimate_light(
     if model is None:
         model = selection.choose_illumination([make_touch(changed, progress)])
     elif not model.is_complete:
-        model = selection.fit_touch(model.model, make_touch(changed, progress))
+        model = selection.fit_touch(make_touch(changed, progress))
     notes = (*notes, *_describe_illumination(model, len(frame.context_frames)))
     return FrameLight(illumination=model, calibration=calibration, notes=notes)
 
@@ -73,7 +72,7 @@ def _describe_illumination(illumination: Illumination, n_context_frames: int) ->
     if illumination.is_fitted_leds:
         to = f"{n_context_frames} touches of the recording" if illumination.from_context else "this touch"
         return [f"measured with this sensor's LEDs, fitted to {to}"]
-    return [_SHADOW_LEDS] if illumination.model == "shadow_leds" else []
+    return []
 
 
 def choose_for_recording(
