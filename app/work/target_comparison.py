@@ -15,7 +15,7 @@ from pipeline.previews.preview import trace_outline
 from pipeline.sensors.alignment import Alignment, shift_alignment_along_z
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.cloud.back_projection import BackProjectionParams, back_project_depth
-from pipeline.stages.depth.photometric import DepthParams, estimate_depth, skip_without_contact
+from pipeline.stages.depth.photometric import DepthParams, estimate_depth
 from pipeline.stages.target_depth.surface_projection import ProjectionParams, project_cloud
 from pipeline.translation.translate import Translation, estimate_camera_shift_mm
 from pipeline.values.results import DepthMap, TargetDepth
@@ -105,7 +105,7 @@ def _pair_touches(
     if other is None:
         return None, f"the recording has no {spec.name} touch to compare with"
     frame = other[0]
-    depth = skip_without_contact(frame, spec, None, params) or estimate_depth(frame, spec, None, params)
+    depth = estimate_depth(frame, spec, None, params)
     touch = AlignmentTouch(
         index=index, source=source, target=depth, source_shift_mm=shift_mm,
         target_shift_mm=estimate_camera_shift_mm(frame, spec),

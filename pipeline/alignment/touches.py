@@ -12,7 +12,7 @@ from pipeline.base.progress import SILENT, Progress
 from pipeline.calibration.calibration_table import Calibration
 from pipeline.sensors.alignment import Alignment, shift_alignment_along_z
 from pipeline.sensors.spec import SensorSpec
-from pipeline.stages.depth.photometric import DepthParams, estimate_depth, skip_without_contact
+from pipeline.stages.depth.photometric import DepthParams, estimate_depth
 from pipeline.translation.translate import Translation, estimate_camera_shift_mm
 from pipeline.values.frames import TactileFrame, Truth
 from pipeline.values.results import DepthMap, make_depth_map
@@ -107,7 +107,7 @@ def load_paired_touches(
 
 
 def _measure(frame: TactileFrame, spec: SensorSpec, look_up: Calibration | None, params: DepthParams) -> DepthMap:
-    return skip_without_contact(frame, spec, look_up, params) or estimate_depth(frame, spec, look_up, params)
+    return estimate_depth(frame, spec, look_up, params)
 
 
 def _make_exact(frame: TactileFrame, spec: SensorSpec, truth: Truth | None) -> DepthMap:

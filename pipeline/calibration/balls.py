@@ -19,8 +19,13 @@ from pipeline.base.arrays import Image, Mask
 from pipeline.base.errors import CalibrationError, ShapeError
 from pipeline.base.progress import SILENT, Progress
 from pipeline.calibration import near_led_prior
-from pipeline.calibration.ball_samples import sample_contact
-from pipeline.calibration.ball_slopes import BallPress, BallSlopeProfile, estimate_common_profile, refine_circle
+from pipeline.calibration.ball_presses import (
+    BallPress,
+    BallSlopeProfile,
+    estimate_common_profile,
+    refine_circle,
+    sample_contact,
+)
 from pipeline.calibration.calibration_table import (
     BallFit,
     Calibration,
@@ -34,21 +39,19 @@ from pipeline.calibration.corrections import (
     SlopeReader,
     choose_candidate,
     clip_errors,
+    compute_coverage_map,
     compute_slope_error,
     cross_validate,
+    estimate_expected_error,
     fit_candidates,
     fit_quick_table,
     has_enough_for_polynomials,
+    has_low_coverage,
     is_significantly_better,
     measure_uncalibrated_errors,
-)  # fmt: skip
-from pipeline.calibration.expected_error import (
-    compute_coverage_map,
-    estimate_expected_error,
-    has_low_coverage,
     simulate_errors,
     summarise_errors,
-)
+)  # fmt: skip
 from pipeline.calibration.slope_model import SlopeModel
 from pipeline.sensors.spec import SensorSpec
 

@@ -71,10 +71,14 @@ def evaluate(model: SlopeModel, change: Floats, u: Floats, v: Floats, where: Mas
 
     gx, gy = np.zeros(where.shape, np.float32), np.zeros(where.shape, np.float32)
     of_colour = list_exponents(model.colour_degree)
-    row = np.empty((len(model.coefficients), len(of_colour), 2), np.float32)
-    ladder = np.ones((3, model.colour_degree + 1), np.float32)
-    limit = np.float32(model.slope_max)
-    evaluate_polynomial(change, u, v, where, of_colour, model.coefficients, limit, row, ladder, gx, gy)
+    n_place, cols = len(model.coefficients), where.shape[1]
+    places = np.ascontiguousarray(np.vander(u, n_place, increasing=True).T, np.float32)
+    row = np.empty((n_place, len(of_colour), 2), np.float32)
+    ladder, product = np.ones((3, model.colour_degree + 1, cols), np.float32), np.empty(cols, np.float32)
+    evaluate_polynomial(
+        change, places, v, where, of_colour, model.coefficients, np.float32(model.slope_max), row, ladder, product,
+        gx, gy,
+    )  # fmt: skip
     return gx, gy
 
 

@@ -16,6 +16,7 @@ class CacheEntry:
     n_bytes: int
     skip_reason: str = ""  # why nothing had to be computed; "" = it was
     fallback: str = ""  # why another method gave the result; "" = it did not
+    ends_chain: bool = False  # of a node: whether its output is that of the whole chain
 
 
 class Cache(Memo[str, CacheEntry]):

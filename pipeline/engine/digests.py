@@ -105,6 +105,8 @@ def _feed(state: xxhash.xxh3_128, value: object) -> None:
     elif value is None or isinstance(value, (bool, int, float, str, Path)):
         # repr of a float is exact; the type's name keeps 1, 1.0, True and "1" apart.
         state.update(f"{type(value).__name__}:{value!r};".encode())
+    elif isinstance(value, slice):
+        _feed(state, ("slice", value.start, value.stop, value.step))
     elif isinstance(value, bytes):
         state.update(f"b{len(value)}:".encode() + value)
     elif isinstance(value, (tuple, list)):

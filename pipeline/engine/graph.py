@@ -14,7 +14,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar, TypeVarTuple, Unpack
+from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar, TypeVarTuple, Unpack, cast
 
 import xxhash
 
@@ -56,13 +56,20 @@ class Fallback(Generic[Output]):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class EarlyAnswer(Generic[Output]):
+    """What a node returns when its output is already the value of the whole chain: later nodes do not run."""
+
+    output: Output
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Method(Generic[Params, Output, *Reads]):
     """One implementation of a stage: a function without side effects, its parameters, and its inputs."""
 
     stage: str
     name: str  # unique within its stage
     title: str
-    run: Callable[[Unpack[Reads], Params, Progress], Output | Skipped[Output] | Fallback[Output]]
+    run: Callable[[Unpack[Reads], Params, Progress], Output | Skipped[Output] | Fallback[Output] | EarlyAnswer[Any]]
     params: type[Params]
     reads: tuple[str, ...]  # stages above it or inputs, in the order of `run`'s arguments
     # Of stages in `reads` that a route may leave out: there the first that fits the source is evaluated with default
@@ -105,6 +112,7 @@ class StageResult:
     fallback: str = ""  # why another method gave the result; "" = it did not
     draft: bool = False  # whether it or one of its inputs was computed with draft parameters
     nodes: tuple[StageResult, ...] = ()  # of a chain, as far as it had to be evaluated
+    ends_chain: bool = False  # of a node: whether its output is that of the whole chain
 
     @property
     def answered_by(self) -> str:
@@ -146,22 +154,35 @@ def chain_nodes(nodes: Sequence[Method], reads: Sequence[str]) -> Callable[..., 
     """Return the function (*reads, params, progress) of a chain: its nodes in order, without a cache.
 
     A node reads what the chain reads, under the names `reads`, and the outputs of earlier nodes. One that returns
-    Skipped or Fallback gives the value of the whole chain, and later nodes do not run.
+    Skipped, Fallback or EarlyAnswer gives the value of the whole chain, and later nodes do not run.
     """
 
     def run_chain(*args: Any) -> Any:
         *given, params, progress = args
-        values, answer = dict(zip(reads, given, strict=True)), None
-        for node in nodes:
-            run: Callable[..., Any] = node.run
-            own = params if node.select_params is None else node.select_params(params)
-            answer = run(*(values[name] for name in node.reads), own, progress)
-            if isinstance(answer, Skipped | Fallback):
-                break
-            values[node.stage] = answer
-        return answer
+        return run_nodes(nodes, dict(zip(reads, given, strict=True)), params, progress)
 
     return run_chain
+
+
+def run_nodes(nodes: Sequence[Method], values: dict[str, Any], params: Any, progress: Progress) -> Any:
+    """Run the nodes of a chain in order, without a cache; returns its value, and adds those of its nodes to `values`.
+
+    A node whose value is among `values` does not run.
+    """
+    answer = None
+    for index, node in enumerate(nodes):
+        if node.stage in values:
+            continue
+        run: Callable[..., Any] = node.run
+        own = params if node.select_params is None else node.select_params(params)
+        part = SubProgress(progress, index / len(nodes), 1.0 / len(nodes), node.title)
+        answer = run(*(values[name] for name in node.reads), own, part)
+        if isinstance(answer, EarlyAnswer):
+            return cast("Any", answer).output
+        if isinstance(answer, Skipped | Fallback):
+            break
+        values[node.stage] = answer
+    return answer
 
 
 @dataclass(slots=True)
@@ -274,7 +295,7 @@ class Graph:
         ms = 1e3 * (time.perf_counter() - compiling.spent_s() - started)
         return StageResult(
             name=method.stage, method=method, output=entry.output, state=state, ms=ms, notes=notes, digest=entry.digest,
-            fallback=entry.fallback,
+            fallback=entry.fallback, ends_chain=entry.ends_chain,
         )  # fmt: skip
 
     def _evaluate_chain(
@@ -292,7 +313,7 @@ class Graph:
             part = SubProgress(progress, index / len(method.nodes), 1.0 / len(method.nodes), node.title)
             result = self._evaluate_method(node, values, digests, own, fresh, part)
             results.append(result)
-            if result.state == "skipped" or result.fallback:
+            if result.state == "skipped" or result.fallback or result.ends_chain:
                 break
             values[node.stage], digests[node.stage] = result.output, result.digest
             if result.state != "cached":
@@ -307,11 +328,14 @@ class Graph:
         instead = answer.reason if isinstance(answer, Fallback) else ""
         answer = answer.result if isinstance(answer, Fallback) else answer
         why = answer.reason if isinstance(answer, Skipped) else ""
-        output = answer.output if isinstance(answer, Skipped) else answer
+        output = answer.output if isinstance(answer, Skipped | EarlyAnswer) else answer
         # a skipped result may be the object that was returned before
         made = self._digests.compute_digest(output) if why else compute_digest(output)
         n_bytes = measure_bytes(output, reads)  # shared arrays are counted where they were made
-        return CacheEntry(output=output, digest=made, n_bytes=n_bytes, skip_reason=why, fallback=instead)
+        return CacheEntry(
+            output=output, digest=made, n_bytes=n_bytes, skip_reason=why, fallback=instead,
+            ends_chain=isinstance(answer, EarlyAnswer),
+        )  # fmt: skip
 
 
 def _select_params(params: Mapping[str, object], method: Method) -> object:

@@ -18,10 +18,10 @@ from pipeline.base.progress import SILENT, Progress
 from pipeline.calibration.balls import calibrate_balls
 from pipeline.calibration.calibration_table import BallFit, Calibration, ExpectedError, make_built_in
 from pipeline.calibration.contact_circles import find_largest_part, fit_sphere
-from pipeline.calibration.expected_error import summarise_errors
+from pipeline.calibration.corrections import summarise_errors
 from pipeline.physics.slopes import compute_slopes
 from pipeline.sensors.spec import SensorSpec
-from pipeline.stages.depth.gel_depth import MeasuredSurface
+from pipeline.stages.depth.illumination.light import Illumination
 from pipeline.stages.depth.photometric import DepthParams, estimate_depth, estimate_gel_depth
 from pipeline.values.frames import TactileFrame
 from pipeline.values.results import DepthMap
@@ -49,7 +49,7 @@ def calibrate_sensor(
         plain = replace(plain, pixel_mm=pixel_mm)
 
     @functools.cache
-    def read(index: int) -> tuple[DepthMap, MeasuredSurface | None]:
+    def read(index: int) -> tuple[DepthMap, Illumination | None]:
         frame = TactileFrame(sensor=sensor.name, image=images[index], reference=reference, index=index)
         return estimate_gel_depth(frame, sensor, plain, DepthParams())
 
@@ -107,10 +107,9 @@ def _select_presses(found: Calibration) -> list[BallFit]:
     return fits[:: max(1, len(fits) // _PRESSES_MAX)]
 
 
-def _measure_diameter(depth: DepthMap, surface: MeasuredSurface | None, pixel_mm: float) -> tuple[float, float]:
+def _measure_diameter(depth: DepthMap, light: Illumination | None, pixel_mm: float) -> tuple[float, float]:
     """Diameter in mm of a press, and again if its light errs by places, as a depth scale assumes; NaN = not known."""
     diameter_mm, _ = fit_sphere(depth.indentation_mm, find_largest_part(depth.contact), pixel_mm)
-    light = None if surface is None else surface.illumination
     return diameter_mm, diameter_mm if light is not None and light.is_bound_to_place else math.nan
 
 

@@ -9,11 +9,15 @@ from numpy.typing import NDArray
 
 from pipeline.base.arrays import Floats, Mask, freeze
 from pipeline.base.errors import AT_BORDER, StageWarning
+from pipeline.base.progress import Progress
+from pipeline.calibration.calibration_table import Calibration
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import bubble_contact
 from pipeline.stages.depth.bubble_network_input import estimate_rest_surface
+from pipeline.stages.depth.depth_params import DepthParams
+from pipeline.stages.depth.frame_checks import see_by_frame
 from pipeline.values.frames import TactileFrame
-from pipeline.values.results import DepthMap, make_depth_map
+from pipeline.values.results import DepthErrorModel, DepthMap, make_depth_map
 
 _BLOCK_PX = 8
 _MEASURED_SHARE_MIN = 0.5  # share of measured pixels below which a frame is not called untouched
@@ -56,8 +60,23 @@ def compute_largest_change(image: NDArray[Any], reference: NDArray[Any]) -> floa
     return float(np.abs(total / np.maximum(share, 0.25)).max())
 
 
+def estimate_bubble_frame(
+    frame: TactileFrame, source: SensorSpec, _calibration: Calibration | None, params: DepthParams, _progress: Progress
+) -> DepthMap:
+    """Depth of a frame that has been checked, by parameters of the stage, with its error."""
+    least_mm = params.contact_limit * source.limits.contact_min_mm
+    found = estimate_depth(frame, see_by_frame(source, frame), smoothing_px=params.smoothing_px, least_mm=least_mm)
+    return replace(found, error=make_bubble_error(source))
+
+
+def make_bubble_error(source: SensorSpec) -> DepthErrorModel | None:
+    """Depth error in contact of a bubble sensor; None if not measured."""
+    rms_mm = source.limits.depth_rms_mm
+    return DepthErrorModel(rms_mm=rms_mm, correlation_mm=source.limits.depth_correlation_mm) if rms_mm else None
+
+
 def estimate_depth(frame: TactileFrame, source: SensorSpec, *, smoothing_px: float, least_mm: float) -> DepthMap:
-    """The depth of one bubble frame that `photometric.check_frame` has accepted.
+    """The depth of one bubble frame that `check_frame` has accepted.
 
     The rest surface is the reference depth without its noise, so no shape of the bubble is assumed; with `smoothing_px`
     0 it is the reference itself. Small gaps are filled; in larger ones indentation and depth are NaN.

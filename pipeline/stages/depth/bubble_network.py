@@ -19,9 +19,10 @@ from pipeline.networks import weights_registry
 from pipeline.networks.weights import NoWeights, Weights
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import contact, photometric
-from pipeline.stages.depth.bubble_depth import compute_displacement
+from pipeline.stages.depth.bubble_depth import compute_displacement, make_bubble_error
 from pipeline.stages.depth.bubble_network_input import WORKING_PIXEL_MM, estimate_rest_surface, make_network_input
 from pipeline.stages.depth.bubble_network_output import BubblePrediction, decode_prediction
+from pipeline.stages.depth.frame_checks import check_frame, see_by_frame
 from pipeline.values.frames import TactileFrame
 from pipeline.values.results import DepthMap, make_pixel_index
 
@@ -75,11 +76,11 @@ def estimate_frame(
     _progress: Progress = SILENT,
 ) -> DepthMap:
     """The depth of a frame with the physical estimate's error in contact; raises ShapeError for an invalid frame."""
-    photometric.check_frame(frame, source)  # a draft is the full result: fewer pixels are no faster here
-    seen_by = photometric.see_by_frame(source, frame)
+    check_frame(frame, source)
+    seen_by = see_by_frame(source, frame)
     least_mm = params.contact_limit * source.limits.contact_min_mm
     depth = estimate_depth(frame, seen_by, network, certainty=params.certainty, least_mm=least_mm)
-    return replace(depth, error=photometric.make_bubble_error(source))
+    return replace(depth, error=make_bubble_error(source))
 
 
 def estimate_depth(

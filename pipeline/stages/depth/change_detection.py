@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.base.arrays import Floats, Image, Mask, freeze
+from pipeline.base.arrays import Floats, Image, Mask
 from pipeline.stages.depth.contact import fill_holes
 from pipeline.stages.depth.gel.coarse_light import compute_block_means
 
@@ -34,23 +34,11 @@ def compute_block_change(image: Image, reference: Image) -> Image:
     """Mean absolute change of every whole block (rows // 8, cols // 8, 3), rounded; the last few pixels are dropped."""
     import cv2
 
-    from pipeline.stages.depth import change_detection_kernels
-
     rows, cols = (n // _BLOCK_PX for n in image.shape[:2])
-    if not (rows and cols):  # smaller than a block
-        change = cv2.absdiff(image, reference)
-        return np.asarray(cv2.resize(change, (max(1, cols), max(1, rows)), interpolation=cv2.INTER_AREA), np.uint8)
-    out = np.empty((rows, cols, 3), np.uint8)
-    of_rows = np.empty(3 * image.shape[1], np.uint16)
-    change_detection_kernels.compute_block_change(
-        _flatten_rows(image), _flatten_rows(reference), _BLOCK_PX, of_rows, out
-    )
-    return out
-
-
-def _flatten_rows(image: Image) -> Image:
-    """Image rows as the kernel takes them; read-only, since writable arrays would compile it again."""
-    return freeze(np.ascontiguousarray(image).reshape(image.shape[0], -1).view())
+    change = cv2.absdiff(image, reference)
+    if rows and cols:  # else smaller than a block
+        change = change[: rows * _BLOCK_PX, : cols * _BLOCK_PX]
+    return np.asarray(cv2.resize(change, (max(1, cols), max(1, rows)), interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def detect_change(image: Image, reference: Image, no_touch_grey: float, pixel_mm: float) -> ImageWindow | None:

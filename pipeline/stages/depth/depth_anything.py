@@ -75,10 +75,9 @@ def estimate_depth(
     The membrane at rest comes from the physical estimate, and so does the scale of a relative output. Raises what the
     physical estimate raises.
     """
-    still = photometric.skip_without_contact(frame, source, calibration, photometric.DepthParams())
-    if still is not None:
-        return Skipped(output=still, reason=still.notes[0])
-    physical = photometric.estimate_depth(frame, source, calibration, photometric.DepthParams(), progress)
+    physical = photometric.run_physics(frame, source, calibration, photometric.DepthParams(), progress)
+    if isinstance(physical, Skipped):
+        return physical
     progress.step(0.5, "running the network")
     assert frame.reference is not None  # checked by the physical estimate
     image = resize_to_patches(

@@ -1,7 +1,7 @@
 """Whether a recording is of the sensor instance that its calibration was made on, by the reference images of both.
 
 LEDs, paint and glue differ between instances, and with them the image of a gel at rest, by far more than the light and
-the lens of one instance drift. The check measures what drift (`gel.rest`) cannot explain of the one image by the other.
+the lens of one instance drift. The check measures what `gel.drift` cannot explain of the one image by the other.
 """
 
 import numpy as np
@@ -11,7 +11,7 @@ from pipeline.base.errors import StageWarning
 from pipeline.base.memo import Memo
 from pipeline.calibration.calibration_table import Calibration, make_thumbnail
 from pipeline.engine.digests import compute_cached_digest
-from pipeline.stages.depth.gel import coarse_light, rest
+from pipeline.stages.depth.gel import coarse_light, drift
 
 # Median difference in grey levels. One simulated instance after drift: 0.2; two: 1.2 to 1.8 (Minis with equal LEDs, one
 # pair in ten), others from 4; one real Mini in six recordings, maybe of several days: 0.3 to 2.5; another real Mini: 8
@@ -51,8 +51,8 @@ def _compare_references(now: Image, calibrated: Image) -> tuple[float, bool]:
 
     if now.shape != calibrated.shape:
         now = np.asarray(cv2.resize(now, calibrated.shape[1::-1], interpolation=cv2.INTER_AREA), np.uint8)
-    fitted, _ = rest.fit_drift(now, calibrated)
-    drifted = calibrated.astype(np.float32) if fitted is None else rest.apply_drift(calibrated, fitted)
+    fitted, _ = drift.fit_drift(now, calibrated)
+    drifted = calibrated.astype(np.float32) if fitted is None else drift.apply_drift(calibrated, fitted)
     means = (coarse_light.compute_block_means(image, _BLOCK_PX) for image in (now, drifted))
     difference = np.abs(next(means) - next(means)).max(axis=2)
     mean_grey = float(calibrated.mean())

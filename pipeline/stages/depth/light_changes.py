@@ -4,8 +4,8 @@ import numpy as np
 
 from pipeline.base.arrays import Doubles, Floats, Indices, Mask
 from pipeline.physics.slopes import compute_slopes
+from pipeline.stages.depth.gel.slopes import ChangedImage
 from pipeline.stages.depth.illumination import selection
-from pipeline.stages.depth.illumination.gel_surface import ChangedImage
 from pipeline.stages.depth.illumination.light import (
     Illumination,
     ImagePatch,

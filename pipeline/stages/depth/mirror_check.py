@@ -6,46 +6,44 @@ belongs to no surface.
 """
 
 from dataclasses import replace
-from typing import cast
 
 import numpy as np
 
 from pipeline.base.arrays import Floats, Image
-from pipeline.calibration.calibration_table import Calibration
-from pipeline.physics.reference_colours import MirrorDirection, mirror_image
+from pipeline.physics.reference_colours import MirrorDirection, compare_colours, mirror_image
 from pipeline.physics.slopes import compute_slopes
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth.change_detection import ImageWindow
-from pipeline.stages.depth.illumination.gel_surface import DEFAULT_SMOOTHING_PX, detect_changed_image
+from pipeline.stages.depth.gel.slopes import ChangedImage
 from pipeline.stages.depth.illumination.light import downsample_patch, extract_patch, look_up_slopes
 from pipeline.stages.depth.poisson import SideBoundaries, integrate_slopes
-from pipeline.values.frames import TactileFrame
 
 _LESS_RESIDUAL = 0.8  # mirrored / plain: identifies 9 of 10 balls on a real Mini
 
 
-def looks_mirrored(
-    frame: TactileFrame, source: SensorSpec, calibration: Calibration, direction: MirrorDirection
-) -> bool:
-    """Whether a touch's slopes are closer to those of a surface when the images are mirrored; False without a touch."""
-    image, reference = cast("Image", frame.image), cast("Image", frame.reference)
-    changed = detect_changed_image(image, reference, source, calibration)
-    if changed is None:
-        return False
+def describe_mirroring(reference: Image, source: SensorSpec, changed: ChangedImage) -> str:
+    """How a touch shows that the images are mirrored, as a clause; "" where it does not, or they are not."""
+    how = None if source.optics is None else compare_colours(reference, source).possible_mirroring
+    if how is None or not looks_mirrored(changed, how):
+        return ""
+    return f"the images look mirrored {how}: only then are the touch's slopes those of a surface"
+
+
+def looks_mirrored(changed: ChangedImage, direction: MirrorDirection) -> bool:
+    """Whether a touch's slopes are closer to those of a surface when the images are mirrored."""
     still, window = changed.reference.image, changed.window
-    plain = _compute_curl_share(image, still, window, source, calibration)
+    plain = _compute_curl_share(changed.image, still, window, changed)
     mirrored = _compute_curl_share(
-        mirror_image(image, direction), mirror_image(still, direction),
-        _mirror_window(window, direction, image.shape), source, calibration,
+        mirror_image(changed.image, direction), mirror_image(still, direction),
+        _mirror_window(window, direction, changed.image.shape), changed,
     )  # fmt: skip
     return mirrored < _LESS_RESIDUAL * plain
 
 
-def _compute_curl_share(
-    image: Image, reference: Floats, window: ImageWindow, source: SensorSpec, calibration: Calibration
-) -> float:
+def _compute_curl_share(image: Image, reference: Floats, window: ImageWindow, changed: ChangedImage) -> float:
     """The share of the squared slopes that belongs to no surface."""
-    patch = extract_patch(image, reference, window, DEFAULT_SMOOTHING_PX, source.markers, calibration.pixel_mm)
+    calibration = changed.calibration
+    patch = extract_patch(image, reference, window, changed.smoothing_px, changed.source.markers, calibration.pixel_mm)
     cells = downsample_patch(patch, image.shape)
     gx, gy = look_up_slopes(cells, calibration)
     surface_mm = integrate_slopes(gx, gy, cells.pixel_mm, SideBoundaries("free", "free", "free", "free"))

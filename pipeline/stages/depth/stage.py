@@ -3,6 +3,7 @@
 from pipeline.base.params import NoParams
 from pipeline.engine.graph import Method, skip_if_exact
 from pipeline.stages.depth import bubble_network, depth_anything, photometric, unet
+from pipeline.stages.depth.gel.chain import NODES, READS
 from pipeline.stages.depth_map_stage import make_depth_stage
 from pipeline.stages.network_fallback import fall_back_without_weights
 
@@ -12,11 +13,11 @@ PHYSICS = Method(
     name="physics",
     title="Physics",
     help="photometric stereo and integration for a gel, load on the membrane for a bubble",
-    run=skip_if_exact(photometric.skip_without_contact, photometric.estimate_depth_with_notes),
+    run=photometric.run_physics,
     params=photometric.DepthParams,
-    reads=("frame", "source", "calibration"),
-    version=19,
-    draft=photometric.make_draft_params,
+    reads=READS,
+    nodes=NODES,
+    version=20,
 )
 NETWORK = Method(
     stage="depth",
@@ -31,7 +32,6 @@ NETWORK = Method(
     params=bubble_network.NetworkParams,
     reads=(*PHYSICS.reads, "depth_weights"),
     version=11,
-    draft=photometric.make_draft_params,
     weights=bubble_network.select_weights,
 )
 DEPTH_ANYTHING = Method(

@@ -22,6 +22,7 @@ from pipeline.networks.touch_formats import BUBBLE
 from pipeline.networks.weights import NoWeights, Weights
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import photometric
+from pipeline.stages.depth.frame_checks import see_by_frame
 from pipeline.values.frames import TactileFrame
 from pipeline.values.results import DepthMap, make_depth_map
 
@@ -49,9 +50,8 @@ def estimate_depth(
     still = photometric.skip_without_contact(frame, source, calibration, photometric.DepthParams())
     if still is not None:
         return Skipped(output=still, reason=still.notes[0])
-    photometric.check_frame(frame, source)
     assert frame.reference is not None  # checked
-    seen_by = photometric.see_by_frame(source, frame)
+    seen_by = see_by_frame(source, frame)
     if frame.is_depth:
         physical = photometric.estimate_depth(frame, source, calibration, photometric.DepthParams(), progress)
         touches = predict_contact(

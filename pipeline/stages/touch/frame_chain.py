@@ -18,7 +18,7 @@ from pipeline.networks.weights import Weights
 from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.cloud.stage import BACK_PROJECTION
-from pipeline.stages.depth import photometric
+from pipeline.stages.depth.frame_checks import check_frame
 from pipeline.stages.depth.stage import NETWORK
 from pipeline.stages.depth.stage import PHYSICS as DEPTH_BY_PHYSICS
 from pipeline.stages.target_depth.stage import SURFACE
@@ -46,7 +46,7 @@ def guard_contact(
     def run_in_contact(frame: TactileFrame, depth: DepthMap, *args: *tuple[*Reads, Params, Progress]) -> _Answer:
         values: Any = args  # by position, as the graph passes them
         source, calibration, alignment, target, view, weights, params, progress = values
-        photometric.check_frame(frame, source)
+        check_frame(frame, source)
         view = replace(view, notes=(*select_warnings(depth.notes), *view.notes))
         reference_touch = physical_render.skip_without_contact(view, target)
         if reference_touch is not None and not depth.contact.any():

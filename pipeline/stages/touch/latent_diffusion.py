@@ -34,6 +34,7 @@ from pipeline.networks.weights import NoWeights, Weights
 from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import photometric as depth
+from pipeline.stages.depth.frame_checks import check_frame
 from pipeline.stages.touch import frame_chain, physical_render
 from pipeline.stages.touch.depth_condition import build_depth_square
 from pipeline.stages.touch.image_condition import build_reprojected_square
@@ -156,7 +157,7 @@ def generate_touch(
     shows them: where they are deeper than the source can be pressed, physics answers and nothing is sampled. Raises
     ShapeError without a reference image.
     """
-    depth.check_frame(frame, source)
+    check_frame(frame, source)
     assert frame.reference is not None  # checked
     net: Any = network
     square = resize_to_square(source.sensor_kind.compute_relative_change(frame.image, frame.reference), net.side)

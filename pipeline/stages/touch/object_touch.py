@@ -18,11 +18,12 @@ from pipeline.base.params import setting
 from pipeline.base.progress import SILENT, Progress, SubProgress
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh
+from pipeline.physics.sensor_images import render_sensor_image
 from pipeline.registration.search import PoseSearch
 from pipeline.registration.starts import list_starts
 from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import SensorSpec
-from pipeline.simulation.press import PressedSurface, press_membrane, render_sensor_image
+from pipeline.simulation.press import PressedSurface, press_membrane
 from pipeline.stages.pose.signed_distances import PoseParams, estimate_or_track_pose, prepare_search
 from pipeline.stages.touch.membrane_fit import MembraneFit, fit_membrane, measure_residuals_mm
 from pipeline.stages.touch.object_posterior import PosePosterior, sample_poses

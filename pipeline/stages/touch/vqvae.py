@@ -27,6 +27,7 @@ from pipeline.networks.weights import NoWeights, Weights
 from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import photometric as depth
+from pipeline.stages.depth.frame_checks import check_frame
 from pipeline.stages.touch.image_condition import reproject_square
 from pipeline.stages.touch.touch_from_change import check_depth_limit, make_touch_from_change
 from pipeline.values.frames import TactileFrame
@@ -68,7 +69,7 @@ def generate_touch(
     progress: Progress = SILENT,
 ) -> GeneratedTouch:
     """Generate what `target` would record of a frame in contact, at 128 x 128 pixels; raises as `check_frame`."""
-    depth.check_frame(frame, source)
+    check_frame(frame, source)
     assert frame.reference is not None  # checked
     square = resize_to_square(source.sensor_kind.compute_relative_change(frame.image, frame.reference))
     reprojects = getattr(network, "reprojects_input", False)

@@ -46,9 +46,7 @@ def estimate_from_image(
 ) -> DepthMap:
     """Depth of the generated image by the target's depth method and reference image; raises as the depth stage does."""
     frame = _make_frame(touch, target)
-    touch_depth = depth.skip_without_contact(frame, target, None, params) or depth.estimate_depth(
-        frame, target, None, params, progress
-    )
+    touch_depth = depth.estimate_depth(frame, target, None, params, progress)
     return replace(touch_depth, in_view=touch.in_view)
 
 
@@ -74,7 +72,6 @@ FROM_IMAGE = Method(
     run=skip_if_exact(skip_without_contact, estimate_from_image),
     params=DepthParams,
     reads=("touch", "target"),
-    draft=depth.make_draft_params,
 )
 
 

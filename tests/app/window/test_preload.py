@@ -6,15 +6,15 @@ from app.session.sample import SAMPLE_RECORDING
 from app.window import preload
 from app.window.preload import PreloadController, preload_depth
 from pipeline.base.progress import Cancelled
-from pipeline.stages.depth.illumination import gel_surface
+from pipeline.stages.depth.gel import slopes
 
 
 def test_an_empty_window_preloads(monkeypatch, qtbot, open_window):
     integrated = []
     monkeypatch.setattr(
-        gel_surface,
+        slopes,
         "integrate_slopes",
-        lambda *given, whole=gel_surface.integrate_slopes: integrated.append(1) or whole(*given),
+        lambda *given, whole=slopes.integrate_slopes: integrated.append(1) or whole(*given),
     )
     own = PreloadController(open_window())
     with qtbot.waitSignal(own.job.finished, timeout=240_000):

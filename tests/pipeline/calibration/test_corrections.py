@@ -7,13 +7,18 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from pipeline.calibration import corrections, slope_model
-from pipeline.calibration.ball_samples import sample_contact
-from pipeline.calibration.ball_slopes import BallPress, BallSlopeProfile
+from pipeline.calibration.ball_presses import BallPress, BallSlopeProfile, sample_contact
 from pipeline.calibration.balls import calibrate_balls
 from pipeline.calibration.calibration_table import compute_relative_change, make_built_in
 from pipeline.calibration.contact_circles import Circle
-from pipeline.calibration.corrections import HeldOutErrors, choose_candidate, measure_diameter_error
-from pipeline.calibration.expected_error import compute_coverage_map, has_low_coverage, summarise_errors
+from pipeline.calibration.corrections import (
+    HeldOutErrors,
+    choose_candidate,
+    compute_coverage_map,
+    has_low_coverage,
+    measure_diameter_error,
+    summarise_errors,
+)
 from pipeline.calibration.shading_field import ShadingFieldPrior
 from pipeline.physics import optics
 from pipeline.sensors.spec import load_sensor

@@ -24,9 +24,10 @@ from pipeline.sensors import kinds
 from pipeline.sensors.kinds import GEL, GelSensor, SensorKind, register_kind
 from pipeline.sensors.spec import SensorSpec, load_sensor
 from pipeline.simulation.press import simulate_press
-from pipeline.stages.depth import photometric
+from pipeline.stages.depth import frame_checks, photometric
 from pipeline.stages.depth.contact_force import FORCE_MODELS
-from pipeline.stages.depth.photometric import DEPTH_ESTIMATORS, NO_CONTACT_CHECKS, DepthParams
+from pipeline.stages.depth.gel.rest import DEPTH_ESTIMATORS, NO_CONTACT_CHECKS
+from pipeline.stages.depth.photometric import DepthParams
 from pipeline.stages.touch import latent_diffusion, t2d2, t2t, vqvae
 from pipeline.translation.translate import Request, open_translation
 from pipeline.values.frames import TactileFrame
@@ -129,7 +130,7 @@ def test_another_package_adds_a_kind_by_an_entry_point(path: Path, monkeypatch):
 
 
 def test_a_frame_of_the_third_kind_goes_through_depth(sensor: SensorSpec):
-    depth = photometric.estimate_depth_with_notes(make_frame(sensor, 0.8), sensor, None, DepthParams())
+    depth = photometric.estimate_depth(make_frame(sensor, 0.8), sensor, None, DepthParams())
     assert depth.contact.sum() == 12
     assert depth.indentation_mm.max() == pytest.approx(0.8)
     assert depth.depth_mm.min() == pytest.approx(19.2)
@@ -145,7 +146,7 @@ def test_a_frame_without_contact_needs_no_estimate(sensor: SensorSpec):
 
 def test_the_kind_checks_its_frames(sensor: SensorSpec):
     with pytest.raises(ShapeError, match="negative taxels"):
-        photometric.check_frame(make_frame(sensor, -2.0), sensor)
+        frame_checks.check_frame(make_frame(sensor, -2.0), sensor)
 
 
 def test_the_third_kind_has_a_preview_with_its_scale(sensor: SensorSpec):

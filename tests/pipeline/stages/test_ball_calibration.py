@@ -13,9 +13,10 @@ from pipeline.physics import optics
 from pipeline.physics.slopes import compute_slopes
 from pipeline.sensors.spec import load_sensor
 from pipeline.simulation.variation import vary_sensor
-from pipeline.stages.depth import ball_calibration, gel_depth, photometric
+from pipeline.stages.depth import ball_calibration
 from pipeline.stages.depth.ball_calibration import add_depth_scale, calibrate_sensor, fit_contact_limit
-from pipeline.stages.depth.illumination import frame_illumination
+from pipeline.stages.depth.gel.result import NOT_SCALED
+from pipeline.stages.depth.illumination import selection
 from pipeline.stages.depth.illumination.light import Illumination
 from pipeline.stages.depth.photometric import DepthParams, estimate_depth
 from pipeline.values.frames import TactileFrame
@@ -144,7 +145,7 @@ def test_depth_is_scaled_by_places_where_the_light_is_not_fitted_to_the_touch_it
     described = load_sensor("gelsight_mini")
     prior = near_led_prior.compute_prior(described, described.pixel_mm, described.camera.shape)
     light = Illumination(model=model, parameters=tuple(prior.mean) if model == "field" else ())
-    monkeypatch.setattr(frame_illumination, "estimate_illumination", lambda *_: light)
+    monkeypatch.setattr(selection, "choose_illumination", lambda *_: light)
     frame = TactileFrame(
         sensor=described.name, image=presses(described)[0], reference=optics.render_reference(described)
     )
@@ -155,11 +156,11 @@ def test_depth_is_scaled_by_places_where_the_light_is_not_fitted_to_the_touch_it
     assert inside.sum() > 100
     assert more.indentation_mm[inside].sum() == pytest.approx(factor * plain.indentation_mm[inside].sum(), rel=0.03)
     is_scaled = factor != 1.0
-    assert (gel_depth.NOT_SCALED in more.notes) is not is_scaled
+    assert (NOT_SCALED in more.notes) is not is_scaled
     known = replace(
         scaled, presses=of_presses().presses, uses_built_in=True, expected_error=of_presses().expected_error
     )
-    promised = photometric.add_calibration_notes(more, frame, described, known).notes[0]
+    promised = estimate_depth(frame, described, known, DepthParams()).notes[0]
     assert ("depth scaled by" in promised) is is_scaled
     assert promised.startswith("sensor not calibrated") is not is_scaled
 
@@ -204,8 +205,8 @@ def test_the_calibration_that_measures_its_own_presses_best_is_taken(
         x, y = PLACES[frame.index]
         inside = np.hypot(np.arange(shape[1]) - x, (np.arange(shape[0]) - y)[:, None]) * described.pixel_mm < 1.2
         depth_mm = hertz(shape, described.pixel_mm, x, y, off * DIAMETER_MM, 0.6)
-        surface = SimpleNamespace(illumination=SimpleNamespace(is_bound_to_place=True))
-        return SimpleNamespace(indentation_mm=depth_mm, contact=inside), surface
+        light = SimpleNamespace(is_bound_to_place=True)
+        return SimpleNamespace(indentation_mm=depth_mm, contact=inside), light
 
     def measure(look_up, *_):
         share = table_error if look_up.depth_scale_map is None else scaled_error

@@ -80,7 +80,7 @@ def test_a_touch_errs_as_its_light_and_its_slopes_have_it():
     assert told_of(other, steep=0.001) > 0.1 * other_std_mm  # no touch is without an error
 
 
-@pytest.mark.parametrize("model", ["described", "field", "near", "shadow_leds", None])
+@pytest.mark.parametrize("model", ["described", "field", "near", None])
 def test_depth_as_a_whole_errs_by_what_the_calibration_expects_unless_usual_leds_explain_the_image(model):
     light, flat = None if model is None else Illumination(model=model), {"steep": 1e-3}
     for level_mm in (1.0, 2.0):

@@ -7,11 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pipeline.base.progress import SILENT
 from pipeline.physics import optics
 from pipeline.sensors.spec import load_sensor
 from pipeline.simulation.variation import vary_sensor
-from pipeline.stages.depth.gel import rest
-from pipeline.stages.depth.illumination import gel_surface
+from pipeline.stages.depth.gel import drift, rest
+from pipeline.stages.depth.gel.change import observe_change
 from pipeline.stages.depth.photometric import DepthParams, estimate_depth, skip_without_contact
 from pipeline.values.frames import TactileFrame
 from tests.pipeline.stages.test_depth import contact_of, press
@@ -61,7 +62,7 @@ def test_removed_drift_is_noted():
 
 def test_shift_gain_and_ramp_are_measured():
     still = optics.render_reference(load_sensor("gelslim"))
-    found, foreign = rest.fit_drift(drifted(still, gain=1.04, ramp_grey=10.0, shift_px=(1.6, -0.7)), still)
+    found, foreign = drift.fit_drift(drifted(still, gain=1.04, ramp_grey=10.0, shift_px=(1.6, -0.7)), still)
     assert not foreign
     assert found.shift_px == pytest.approx((1.6, -0.7), abs=0.1)
     assert found.gain == pytest.approx([1.04] * 3, abs=0.01)
@@ -70,7 +71,7 @@ def test_shift_gain_and_ramp_are_measured():
 
 def test_what_is_removed_grows_with_the_drift_without_a_jump():
     still = optics.render_reference(load_sensor("gelsight_mini"))
-    fits = [rest.fit_drift(drifted(still, ramp_grey=ramp), still)[0] for ramp in np.arange(3.0, 6.0, 0.1)]
+    fits = [drift.fit_drift(drifted(still, ramp_grey=ramp), still)[0] for ramp in np.arange(3.0, 6.0, 0.1)]
     removed = np.array([0.0 if fit is None else fit.ramp_grey[:, 0].mean() for fit in fits])
     assert removed[0] == 0.0  # as little is what a touch does to the light far from it
     assert removed[-1] == pytest.approx(5.9 / 2, abs=0.3)
@@ -80,7 +81,8 @@ def test_what_is_removed_grows_with_the_drift_without_a_jump():
 @pytest.mark.parametrize("name", ["digit", "gelsight_mini"])
 def test_a_touch_is_no_drift_and_is_found_through_one(name):
     source, touch, truth = press(name, depth_mm=0.4)
-    assert gel_surface.observe(touch.image, touch.reference, source, source.pixel_mm).rest.drift is None
+    state = rest.describe_rest(touch, source, None, PARAMS, SILENT)
+    assert observe_change(touch.image, touch.reference, state).rest.drift is None
     image = drifted(touch.image, gain=1.03, ramp_grey=12.0, shift_px=(0.0, 1.0))
     found, wanted = estimate_depth(replace(touch, image=image), source, None, PARAMS), contact_of(truth)
     assert (found.contact & wanted).sum() / (found.contact | wanted).sum() > 0.75
@@ -95,7 +97,7 @@ def test_the_reference_of_another_unit_is_noticed():
 
 def test_a_picture_all_white_is_no_drift():
     still = optics.render_reference(load_sensor("gelsight_mini"))
-    assert rest.fit_drift(np.full_like(still, 255), still)[0] is None
+    assert drift.fit_drift(np.full_like(still, 255), still)[0] is None
 
 
 def test_a_picture_with_large_markers_that_has_moved_is_put_back():
@@ -103,7 +105,7 @@ def test_a_picture_with_large_markers_that_has_moved_is_put_back():
     assert source.markers is not None
     markers = replace(source.markers, pitch_mm=0.9, radius_mm=0.2, darkness=0.95)
     still = optics.render_reference(replace(source, markers=markers))
-    found, _ = rest.fit_drift(drifted(still, shift_px=(-2.0, 2.0)), still)
+    found, _ = drift.fit_drift(drifted(still, shift_px=(-2.0, 2.0)), still)
     assert found is not None
     assert found.shift_px == pytest.approx((-2.0, 2.0), abs=0.1)
 
@@ -119,7 +121,7 @@ def test_a_face_that_fills_the_view_is_not_taken_for_drift_nor_drift_for_a_face(
     assert any("fills the view" in note for note in found.notes)
     assert any("the light has drifted" in note for note in found.notes)
     alone = frame(source, drifted(optics.render_reference(source), **how))
-    found = skip_without_contact(alone, source, None, PARAMS) or estimate_depth(alone, source, None, PARAMS)
+    found = estimate_depth(alone, source, None, PARAMS)
     assert not found.contact.any()
     assert any("larger than the view" in note for note in found.notes)  # which shows no rim
 
@@ -130,7 +132,7 @@ def test_a_real_reference_that_has_moved_far_is_put_back(real_data):
 
     still = np.ascontiguousarray(cv2.imread(str(real_data / "digit_balls" / "background.png"))[..., ::-1])
     for seed in range(3):
-        found, _ = rest.fit_drift(drifted(still, shift_px=(3.0, -4.0), seed=seed), still)
+        found, _ = drift.fit_drift(drifted(still, shift_px=(3.0, -4.0), seed=seed), still)
         assert found is not None
         assert found.shift_px == pytest.approx((3.0, -4.0), abs=0.1)
 
@@ -138,9 +140,9 @@ def test_a_real_reference_that_has_moved_far_is_put_back(real_data):
 def test_the_prior_pulls_the_whole_shift_to_none_and_not_its_last_step():
     """Blocks without texture tell nothing of a shift: what earlier steps have moved is taken back."""
     flat = np.full((12, 3), 90.0, np.float32)
-    place = rest._make_positions(3, 4)
-    still = rest._Blocks(mean=flat, by_x=np.zeros_like(flat), by_y=np.zeros_like(flat))
-    solution, _ = rest._solve(flat, still, place, np.array([1.5, -0.5]), 1.0)
+    place = drift._make_positions(3, 4)
+    still = drift._Blocks(mean=flat, by_x=np.zeros_like(flat), by_y=np.zeros_like(flat))
+    solution, _ = drift._solve(flat, still, place, np.array([1.5, -0.5]), 1.0)
     np.testing.assert_allclose(solution[12:], [-1.5, 0.5], atol=1e-9)
 
 
@@ -152,6 +154,6 @@ def test_another_exposure_is_taken_out_and_hides_no_touch(name, exposure):
     found = estimate_depth(replace(touch, image=drifted(touch.image, gain=exposure)), source, None, PARAMS)
     assert (found.contact & wanted).sum() / (found.contact | wanted).sum() > 0.6
     still = frame(source, drifted(touch.reference, gain=exposure), touch.reference)
-    found = skip_without_contact(still, source, None, PARAMS) or estimate_depth(still, source, None, PARAMS)
+    found = estimate_depth(still, source, None, PARAMS)
     assert not found.contact.any()
     assert any("the light has drifted" in note for note in found.notes)

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from pipeline.base.progress import SILENT
-from pipeline.calibration.calibration_table import make_built_in
 from pipeline.engine import disk_store
 from pipeline.sensors.spec import load_sensor
-from pipeline.stages.depth.illumination import frame_illumination, selection
+from pipeline.stages.depth.gel import light, rest
+from pipeline.stages.depth.illumination import selection
 from pipeline.stages.depth.illumination.light import Illumination
 from pipeline.stages.depth.illumination.parameter_fit import fit_leds
-from pipeline.stages.depth.photometric import DepthParams, estimate_depth, estimate_gel_depth, make_draft_params
+from pipeline.stages.depth.photometric import DepthParams, estimate_depth, estimate_gel_depth
 from tests.pipeline.stages.test_surface_refinement import mean_error_mm, touch_another_gelslim
 
 PARAMS = DepthParams()
@@ -39,15 +39,14 @@ def fits(tmp_path, monkeypatch):
 
 def clear_caches():
     """Forget all illuminations, as a new process has."""
-    frame_illumination._cache.clear()
-    frame_illumination._recordings.clear()
+    light._recordings.clear()
 
 
 def read(frame, context_frames=()):
     depth, measured = estimate_gel_depth(
         replace(frame, context_frames=context_frames), load_sensor("gelslim"), None, PARAMS
     )
-    return depth.indentation_mm.tobytes(), depth.notes, measured.illumination
+    return depth.indentation_mm.tobytes(), depth.notes, measured
 
 
 def test_a_new_process_takes_the_leds_of_a_recording_from_disk(fits):
@@ -84,9 +83,9 @@ def test_all_frames_of_a_recording_share_its_leds():
     source, context = load_sensor("gelslim"), tuple(frame.image for frame in frames)
     results = [estimate_gel_depth(replace(frame, context_frames=context), source, None, PARAMS) for frame in frames]
     assert all("fitted to 2 touches of the recording" in " ".join(depth.notes) for depth, _ in results)
-    first, second = (measured.illumination for _, measured in results)
-    table = make_built_in(source)
-    touches = [frame_illumination.find_touch(f.image, f.reference, source, table, context, SILENT) for f in frames]
+    first, second = (measured for _, measured in results)
+    state = rest.describe_rest(replace(frames[0], context_frames=context), source, None, PARAMS, SILENT)
+    touches = [light.find_touch(f.image, f.reference, state, SILENT) for f in frames]
     assert first == second
     assert first.parameters == tuple(fit_leds(source, [touch.observe(touch.described[0]) for touch in touches]))
     for frame, truth, (depth, _) in zip(frames, truths, results, strict=True):
@@ -103,20 +102,15 @@ def test_one_context_frame_changes_nothing():
 def test_results_do_not_depend_on_what_was_asked_before(name):
     (frame, _), _, _ = touch_another_gelslim(name)
     source, other = load_sensor(name), DepthParams(smoothing_px=2.0, sensitivity=1.5)
-    requests = {
-        "full": PARAMS,
-        "draft": make_draft_params(PARAMS),
-        "other": other,
-        "draft of other": make_draft_params(other),
-    }
-    orders = (list(requests), list(requests)[::-1], ["other", "draft", "full", "draft of other"])
+    requests = {"default": PARAMS, "other": other}
+    orders = (list(requests), list(requests)[::-1])
     results = []
     for order in orders:
         clear_caches()
         results.append(
             {key: estimate_depth(frame, source, None, requests[key]).indentation_mm.tobytes() for key in order}
         )
-    assert results[0] == results[1] == results[2]
+    assert results[0] == results[1]
     for key, params in requests.items():
         clear_caches()
         assert estimate_depth(frame, source, None, params).indentation_mm.tobytes() == results[0][key]

@@ -13,7 +13,8 @@ from pipeline.sensors.spec import Gel, load_sensor
 from pipeline.simulation import shapes
 from pipeline.simulation.press import simulate_press
 from pipeline.simulation.variation import vary_sensor
-from pipeline.stages.depth import change_detection, gel_depth, rest_level
+from pipeline.stages.depth import change_detection, rest_level
+from pipeline.stages.depth.gel import contact as gel_contact
 from pipeline.stages.depth.photometric import DepthParams, estimate_depth
 from pipeline.values.frames import TactileFrame
 
@@ -103,7 +104,7 @@ def test_specks_of_noise_on_gel_that_lies_too_high_enclose_no_face():
         rows=slice(0, rows), cols=slice(0, cols), changed=np.ones((rows, cols), np.bool_),
         blend_weight=np.ones((rows, cols), np.float32),
     )  # fmt: skip
-    settled, inside = gel_depth._level_surface(surface, whole, source, source.pixel_mm)
+    settled, inside = gel_contact._level_surface(surface, whole, source, source.pixel_mm)
     assert not inside.any()
     assert np.abs(settled[:, -40:]).max() < 0.05
 

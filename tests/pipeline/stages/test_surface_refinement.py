@@ -18,8 +18,9 @@ from pipeline.physics.slopes import compute_slopes
 from pipeline.sensors.spec import load_sensor
 from pipeline.simulation import shapes, variation
 from pipeline.simulation.press import simulate_press
-from pipeline.stages.depth.illumination import field_light, frame_illumination, gel_surface, selection
-from pipeline.stages.depth.illumination.gel_surface import uses_illumination
+from pipeline.stages.depth.gel import rest, slopes
+from pipeline.stages.depth.gel.change import observe_change
+from pipeline.stages.depth.illumination import field_light, selection
 from pipeline.stages.depth.illumination.light import Illumination
 from pipeline.stages.depth.illumination.surface_refinement import refine_surface
 from pipeline.stages.depth.photometric import DepthParams, estimate_depth, estimate_gel_depth
@@ -136,7 +137,7 @@ def test_light_that_does_not_explain_the_image_is_not_trusted():
         frame, image=np.ascontiguousarray(frame.image[:, :, ::-1]),
         reference=np.ascontiguousarray(frame.reference[:, :, ::-1]),
     )  # fmt: skip
-    plain, odd = (estimate_gel_depth(one, source, None, PARAMS)[1].illumination for one in (frame, swapped))
+    plain, odd = (estimate_gel_depth(one, source, None, PARAMS)[1] for one in (frame, swapped))
     assert plain.is_trusted
     assert odd == DESCRIBED
 
@@ -147,7 +148,7 @@ def test_the_leds_of_another_instance_are_fitted_to_its_touch():
     depth, measured = estimate_gel_depth(frame, source, None, PARAMS)
     trusted, _ = estimate_gel_depth(frame, source, None, PARAMS, illumination=TRUSTED)
     assert mean_error_mm(depth, truth) < 0.5 * mean_error_mm(trusted, truth)
-    fitted = selection.get_optics(measured.illumination, source)
+    fitted = selection.get_optics(measured, source)
     off = [
         max(abs(led.azimuth_deg - true.azimuth_deg) for led, true in zip(some.leds, instance.optics.leds, strict=True))
         for some in (fitted, source.optics)
@@ -158,8 +159,9 @@ def test_the_leds_of_another_instance_are_fitted_to_its_touch():
 @pytest.mark.parametrize(("depth_mm", "settles"), [(0.05, True), (0.8, False)])
 def test_iterations_end_where_the_surface_hardly_moves_any_more(depth_mm, settles):
     source, frame, _ = press_digit(depth_mm)
-    changed = gel_surface.detect_changed_image(frame.image, frame.reference, source, make_built_in(source))
-    assert changed is not None
+    state = rest.describe_rest(frame, source, None, PARAMS, SILENT)
+    change = observe_change(frame.image, frame.reference, state)
+    changed = slopes.make_changed_image(frame.image, state, change, state.calibration)
     _, cells = changed.patches
     light, n_integrated = selection.make_light(DESCRIBED, cells, source), 0
     integrate = changed.make_integrator(cells, SILENT)
@@ -177,7 +179,6 @@ def test_the_same_image_gives_the_same_bytes():
     source, frame, _ = press_digit(0.6)
     results = []
     for _ in range(2):
-        frame_illumination._cache.clear()
         results.append(estimate_depth(frame, source, None, PARAMS).indentation_mm.tobytes())
     assert results[0] == results[1]
 
@@ -185,15 +186,16 @@ def test_the_same_image_gives_the_same_bytes():
 @pytest.mark.parametrize("name", ["digit", "gelslim", "gelslim_dotless", "gelsight_mini"])
 def test_each_gel_with_described_optics_is_corrected(name):
     source = load_sensor(name)
-    assert uses_illumination(source, make_built_in(source))
-    assert not uses_illumination(replace(source, optics=None), make_built_in(source))
+    state = rest.RestState(source=source, calibration=make_built_in(source), light=None, notes=())
+    assert state.uses_illumination
+    assert not replace(state, source=replace(source, optics=None)).uses_illumination
 
 
 def test_a_table_fitted_to_indentations_is_not_corrected():
     fit = BallFit(index=0, x_px=9.0, y_px=9.0, radius_px=5.0, residual=0.01, used=True)
     fitted = replace(make_built_in(load_sensor("digit")), presses=(fit,))
     source, frame, _ = press_digit(0.6)
-    assert not uses_illumination(source, fitted)
+    assert not rest.RestState(source=source, calibration=fitted, light=None, notes=()).uses_illumination
     plain = estimate_depth(frame, use_table_alone(source), fitted, PARAMS)
     assert estimate_depth(frame, source, fitted, PARAMS).indentation_mm.tobytes() == plain.indentation_mm.tobytes()
 
@@ -212,7 +214,7 @@ def test_drifted_colours_are_no_second_contact():
 def test_the_model_that_explains_the_image_is_chosen(near):
     frame, truth = press_mini(near=near)
     depth, measured = estimate_gel_depth(frame, load_sensor("gelsight_mini"), None, PARAMS)
-    assert measured.illumination.model == ("field" if near else "leds")
+    assert measured.model == ("field" if near else "leds")
     # No usual instance has these near LEDs: one touch does not determine its depth exactly in their light.
     assert mean_error_mm(depth, truth) < (UNUSUAL_MM if near else EITHER_MM)
 

@@ -300,7 +300,7 @@ def test_a_route_without_depth_evaluates_the_default_depth_method_unseen(ball_fr
     by_network = bubble_network.estimate_frame(
         frame, BUBBLE, None, load_predictor(bubble_network.select_weights(BUBBLE, BUBBLE, None)), NetworkParams()
     )
-    by_physics = depth.estimate_depth_with_notes(frame, BUBBLE, None, depth.DepthParams())
+    by_physics = depth.estimate_depth(frame, BUBBLE, None, depth.DepthParams())
     for seen, weights in (
         (by_network, bubble_network.select_weights(BUBBLE, GEL, None)), (by_physics, NoWeights(why="none")),
     ):  # fmt: skip

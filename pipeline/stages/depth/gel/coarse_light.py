@@ -89,12 +89,18 @@ def compute_block_means(picture: Image | Floats, block: int) -> Floats:
     return np.asarray(wide, np.float32).reshape(rows, cols, *picture.shape[2:]) / np.float32(block)
 
 
-def compute_block_change(image: Image, reference: Image, markers: Markers | None, pixel_mm: float) -> Floats:
-    """Mean change (rows, cols, 3) of each block in grey levels; without markers, 0 where they hide nearly all."""
+def compute_block_change(
+    image: Image, reference: Image, markers: Markers | None, pixel_mm: float, detected: Mask | None = None
+) -> Floats:
+    """Mean change (rows, cols, 3) of each block in grey levels; without markers, 0 where they hide nearly all.
+
+    `detected` (rows, cols), what markers hide of the image, is computed where it is None.
+    """
     block = compute_block_px(image.shape)
     if markers is None:
         return compute_block_means(image, block) - compute_block_means(reference, block)
-    hidden = detect_markers(image, markers, pixel_mm) | _detect_reference_markers(reference, markers, pixel_mm)
+    detected = detect_markers(image, markers, pixel_mm) if detected is None else detected
+    hidden = detected | _detect_reference_markers(reference, markers, pixel_mm)
     seen = (~hidden).astype(np.float32)
     share = compute_block_means(seen, block)[..., None]
     change = compute_block_means((image.astype(np.float32) - reference) * seen[..., None], block)

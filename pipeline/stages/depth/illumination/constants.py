@@ -14,7 +14,6 @@ class IlluminationConstants:
 
     # Surface refinement
     iterations: int = 4  # two leave 20 % more error on a GelSlim, whose LEDs are low
-    draft_iterations: int = 2  # two thirds of the time; 23 um instead of 21 um from the full result in contact
     trusted_iteration_factor: int = 2  # walls rise for longer in light that explains the image
     settled_mm: float = 0.005  # largest change of an iteration that is the last: noise makes the next ones worse
     settled_share: float = 0.02  # the same as a share of the largest indentation, where that is less
@@ -67,7 +66,6 @@ class StepRule:
     pull: float  # grey^2 per squared slope: holds a step back where the colours determine little
     max_slope: float  # mm/mm
     weighted: bool  # solve for the surface nearest to the slopes, each weighted by its certainty
-    blurred: bool = False  # remove what the lens cannot show from the step
 
     def pack_limits(self) -> tuple[np.float32, np.float32, np.float32, np.float32]:
         """(pull, Huber limit, steepest slope, outside weight) as the kernel takes them."""
@@ -79,5 +77,4 @@ class StepRule:
 # not the instance's own, colours are less certain than they are clear, so that slopes count alike and are shrunk.
 DESCRIBED_STEP = StepRule(pull=500.0, max_slope=1.43, weighted=False)
 TRUSTED_STEP = StepRule(pull=100.0, max_slope=4.0, weighted=True)
-SHADOW_STEP = StepRule(pull=100.0, max_slope=1.43, weighted=True, blurred=True)
 FIELD_STEP = StepRule(pull=20.0, max_slope=1.43, weighted=False)

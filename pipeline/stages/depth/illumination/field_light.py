@@ -63,8 +63,7 @@ def make_field_light(coefficients: Doubles, patch: ImagePatch, source: SensorSpe
     field /= slope_model.compute_gain(patch.reference)[..., None]
     return FieldLight(
         source=source, patch=patch, step_rule=FIELD_STEP, field=field,
-        confidence=patch.unmarked_share,
-        blur_px=optics.require_optics(source).blur_px, max_depth_mm=source.limits.indentation_max_mm,
+        blur_px=optics.require_optics(source).blur_px,
     )  # fmt: skip
 
 

@@ -86,35 +86,6 @@ def render_led_light(gx, gy, place, light, line, change, rate_x, rate_y):
 
 
 @kernel(fastmath=FAST)
-def render_shadow_light(gx, gy, level, visible, leds, share, change, rate_x, rate_y):
-    """Render slopes in the light of low LEDs of which shading and shadow take the light only once.
-
-    level (rows, cols, 3): light on level gel; visible (n, rows, cols): share of each LED's light that passes the
-    surface; leds (n, 3): unit vectors toward them; share (3, n): their share of each colour's light on level gel.
-    """
-    rows, cols = gx.shape
-    one, zero = np.float32(1.0), np.float32(0.0)
-    for r in range(rows):
-        for c in range(cols):
-            sx, sy = gx[r, c], gy[r, c]
-            slant = one / np.sqrt(one + sx * sx + sy * sy)
-            for k in range(3):
-                more, across, down = zero, zero, zero
-                for n in range(leds.shape[0]):
-                    facing, by = (leds[n, 2] - sx * leds[n, 0] - sy * leds[n, 1]) * slant, share[k, n] / leds[n, 2]
-                    if facing > zero:
-                        by *= visible[n, r, c]
-                        more += facing * by - share[k, n]
-                        bent = facing * slant * slant
-                        across -= (leds[n, 0] * slant + bent * sx) * by
-                        down -= (leds[n, 1] * slant + bent * sy) * by
-                    else:
-                        more -= share[k, n]
-                change[r, c, k] = more * level[r, c, k]
-                rate_x[r, c, k], rate_y[r, c, k] = across * level[r, c, k], down * level[r, c, k]
-
-
-@kernel(fastmath=FAST)
 def render_field_light(gx, gy, surface_mm, field, change, rate_x, rate_y):
     """Render slopes and indentations in a shading field.
 

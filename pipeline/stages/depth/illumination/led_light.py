@@ -59,8 +59,7 @@ def make_led_light(
     return LedLight(
         source=source, optics=optics, patch=patch, step_rule=TRUSTED_STEP if trusted else DESCRIBED_STEP,
         gain=_compute_near_gain(source, patch) if near else np.ones_like(patch.reference),
-        confidence=patch.unmarked_share,
-        blur_px=optics.blur_px, max_depth_mm=source.limits.indentation_max_mm,
+        blur_px=optics.blur_px,
     )  # fmt: skip
 
 

@@ -33,9 +33,13 @@ class ImagePatch:
 
 
 def extract_patch(
-    image: Image, reference: Floats, window: ImageWindow, smoothing_px: float, markers: Markers | None, pixel_mm: float
-) -> ImagePatch:
-    """The window of an image (rows, cols, 3); printed markers, now and in the reference, are inpainted."""
+    image: Image, reference: Floats, window: ImageWindow, smoothing_px: float, markers: Markers | None, pixel_mm: float,
+    detected: Mask | None = None,
+) -> ImagePatch:  # fmt: skip
+    """The window of an image (rows, cols, 3); printed markers, now and in the reference, are inpainted.
+
+    `detected` (rows, cols), what markers hide of the image, is computed where it is None.
+    """
     import cv2
 
     here = (window.rows, window.cols)
@@ -43,7 +47,8 @@ def extract_patch(
     change, unmarked = image[here].astype(np.float32) - light, np.ones(window.changed.shape, np.float32)
     if markers is not None:
         printed, bright = remove_printed_markers(reference, markers, pixel_mm)
-        hidden = printed[here] | detect_markers(image[here], markers, pixel_mm)
+        now = detect_markers(image[here], markers, pixel_mm) if detected is None else detected[here]
+        hidden = printed[here] | now
         change = inpaint_markers(change, hidden, markers, pixel_mm)
         light, unmarked = np.array(bright[here]), (~hidden).astype(np.float32)
     if smoothing_px > 0:
@@ -119,13 +124,13 @@ def simulate_recorded_change(change: Floats, patch: ImagePatch, lens_blur_px: fl
     return np.asarray(recorded - patch.reference, np.float32)
 
 
-def sum_change_grey(patch: ImagePatch, confidence: Floats) -> float:
+def sum_change_grey(patch: ImagePatch) -> float:
     """Sum of the absolute change in grey levels, cut and weighted as misfits are."""
-    change = np.minimum(np.abs(patch.change * confidence), np.float32(2.0 * CONSTANTS.huber_grey))
+    change = np.minimum(np.abs(patch.change * patch.unmarked_share), np.float32(2.0 * CONSTANTS.huber_grey))
     return float(change[patch.changed].sum())
 
 
-IlluminationModel = Literal["described", "trusted", "near", "leds", "shadow_leds", "field"]
+IlluminationModel = Literal["described", "trusted", "near", "leds", "field"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -133,12 +138,12 @@ class Illumination:
     """Parameters of the light that a frame is read by.
 
     model: "described" and "trusted" are the LEDs of the sensor's description; trusted light is known to explain the
-    image. "near" scales the described light by what LEDs close to the gel change of it. "leds" and "shadow_leds" are
+    image. "near" scales the described light by what LEDs close to the gel change of it. "leds" are
     LEDs fitted to the sensor instance, as deviations from the description. "field" is a smooth shading field.
     """
 
     model: IlluminationModel = "described"
-    parameters: tuple[float, ...] = ()  # of fitted models: deviations (`led_light`, `shadow_light`), or coefficients
+    parameters: tuple[float, ...] = ()  # of fitted models: deviations (`led_light`), or coefficients
     from_context: bool = False  # chosen by the context frames, not by the frame itself
 
     def __post_init__(self) -> None:
@@ -153,17 +158,26 @@ class Illumination:
     @property
     def is_bound_to_place(self) -> bool:
         """Whether touches at one place err alike: the light is not fitted to each by itself, or by LEDs alone."""
-        return self.model in {"described", "trusted", "near", "shadow_leds"}
+        return self.model in {"described", "trusted", "near"}
 
     @property
     def is_complete(self) -> bool:
-        """Whether nothing is left to be fitted to each touch: no field and no low LEDs hold for all places."""
-        return self.model not in {"field", "shadow_leds"} or bool(self.parameters)
+        """Whether nothing is left to be fitted to each touch: no field holds for all places."""
+        return self.model != "field" or bool(self.parameters)
 
     @property
     def is_fitted_leds(self) -> bool:
         """Whether the LEDs differ from the description."""
         return self.model == "leds" and any(self.parameters)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FrameLight:
+    """What a frame is measured by: its light and its calibration table."""
+
+    illumination: Illumination | None  # None where the calibration table contains its own light
+    calibration: Calibration  # the description's where presses cover no part of the touch
+    notes: tuple[str, ...] = ()
 
 
 class RenderedChange(NamedTuple):
@@ -181,9 +195,7 @@ class Light:
     source: SensorSpec
     patch: ImagePatch
     step_rule: StepRule  # how an iteration moves the slopes
-    confidence: Floats  # (rows, cols, 3) weight of each colour, at most 1
     blur_px: float  # standard deviation of the lens blur, in image pixels
-    max_depth_mm: float  # largest indentation that is rendered
 
     def render(self, surface_mm: Floats, gx: Floats, gy: Floats) -> RenderedChange:
         """Render the light of a surface (rows, cols) with these slopes."""

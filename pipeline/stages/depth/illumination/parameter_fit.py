@@ -13,7 +13,7 @@ one: on simulated instances the light fitted to eight is as good as the true one
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from pipeline.base.arrays import Doubles, Floats
 from pipeline.physics import optics
 from pipeline.physics.slopes import compute_slopes
+from pipeline.sensors.parts import Optics
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth.illumination.constants import CONSTANTS
 from pipeline.stages.depth.illumination.led_light import compute_led_prior_root, make_led_light, shift_optics
@@ -32,12 +33,6 @@ from pipeline.stages.depth.illumination.light import (
     blur_change,
     simulate_recorded_change,
     sum_change_grey,
-)
-from pipeline.stages.depth.illumination.shadow_light import (
-    compute_shadow_prior_root,
-    make_described_leds,
-    make_shadow_light,
-    shift_leds,
 )
 from pipeline.stages.depth.illumination.surface_refinement import clip_surface, refine_surface
 from pipeline.stages.depth.poisson import Integrator, solve_weighted_slopes
@@ -59,38 +54,36 @@ class FitRule:
     The deviance is t' C^-1 t, the excess the share of the change that is left beyond noise.
     """
 
-    independent_pixels: float  # of one touch
-    max_deviance: float
-    max_excess: float
-    noise_grey: float = 0.0  # grey levels of misfit per pixel that are noise
-    hopeless: tuple[float, ...] = ()  # this sum beyond which a fit ends: as described, after one step, two, ...
-    max_misfit: float = math.inf  # share of the change that may be left at all
-    as_described: float = 0.0  # share of the deviance of random instances below which the description stands
-    stops_when_worse: bool = False  # take the smallest misfit of all iterations, not the last
+    # Simulated instances reach up to 0.99 of the limit, one in fifty more; single balls on a real Mini from 1.19, other
+    # real instances from 2.1.
+    max_deviance: float = 70.0
+    max_excess: float = 0.28
+    independent_pixels: float = 800.0  # of one touch
+    noise_grey: float = 1.5  # grey levels of misfit per pixel that are noise
+    # This sum beyond which a fit ends: as described, after one step, two, ... 238 accepted fits
+    # (`benchmarks/simulated_depth.py`) have at most 1.97, 1.65, 1.78 and 1.25; all of 15 touches on a real GelSlim have
+    # more than 2 after two steps.
+    hopeless: tuple[float, ...] = (2.32, 1.9, 1.9, 1.4)
+    # Share of the deviance of random instances below which the description stands: walls and shadows on instances as
+    # described have up to this in three touches of four, others 0.22 or more.
+    as_described: float = 0.2
 
 
-# Simulated instances reach up to 0.99 of the limit, one in fifty more; single balls on a real Mini from 1.19, other
-# real instances from 2.1. On the way, 238 accepted fits (`benchmarks/simulated_depth.py`) have at most 1.97, 1.65, 1.78
-# and 1.25 of the limit; all of 15 touches on a real GelSlim have more than 2 after two steps. Walls and shadows on
-# instances as described have up to 0.2 of a random instance's deviance in three touches of four, others 0.22 or more.
-LED_RULE = FitRule(
-    independent_pixels=800.0, max_deviance=70.0, max_excess=0.28, noise_grey=1.5, hopeless=(2.32, 1.9, 1.9, 1.4),
-    as_described=0.2,
-)  # fmt: skip
-# Half of the presses on a real DIGIT have up to 0.98 of the limit and leave up to 0.52. Of 1,050 simulated presses on
-# other instances that no usual LEDs explain, 5 leave so little: three are measured better by these LEDs, two worse.
-SHADOW_RULE = FitRule(
-    independent_pixels=200.0, max_deviance=95.0, max_excess=0.88, max_misfit=0.55, stops_when_worse=True
-)
+LED_RULE = FitRule()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _ParameterModel:
-    """Deviations (m,) as light over a patch."""
+class _LedModel:
+    """Deviations (m,) from a sensor's description as light over a patch."""
 
-    make_light: Callable[[Doubles, ImagePatch], Light]
+    source: SensorSpec
     prior_root: Doubles  # (m, m)
-    effective: tuple[int, ...]  # indices of the deviations that change this sensor's light at all
+
+    def make_light(self, deviations: Doubles, patch: ImagePatch) -> Light:
+        return make_led_light(self.source, self.shift(deviations), patch, trusted=True)
+
+    def shift(self, deviations: Doubles) -> Optics:
+        return shift_optics(optics.require_optics(self.source), deviations)
 
 
 def fit_leds(source: SensorSpec, touches: Sequence[LedObservation]) -> Doubles | None:
@@ -98,65 +91,33 @@ def fit_leds(source: SensorSpec, touches: Sequence[LedObservation]) -> Doubles |
 
     Zero where the touches do not differ from the description.
     """
-    described = optics.require_optics(source)
-
-    def make_light(deviations: Doubles, patch: ImagePatch) -> Light:
-        return make_led_light(source, shift_optics(described, deviations), patch, trusted=True)
-
-    root = compute_led_prior_root(described)
-    effective = tuple(k for k, row in enumerate(root) if shift_optics(described, row) != described)
-    model = _ParameterModel(make_light=make_light, prior_root=root, effective=effective)
-    return _fit(model, touches, LED_RULE)
-
-
-def fit_shadow_leds(source: SensorSpec, touch: LedObservation) -> Doubles | None:
-    """Deviations (m,) of low LEDs (`shadow_light.shift_leds`); None where no such LEDs explain the image."""
-    described = make_described_leds(source)
-
-    def make_light(deviations: Doubles, patch: ImagePatch) -> Light:
-        return make_shadow_light(source, shift_leds(described, deviations), patch)
-
-    root = compute_shadow_prior_root(described)
-    model = _ParameterModel(make_light=make_light, prior_root=root, effective=tuple(range(len(root))))
-    return _fit(model, [touch], SHADOW_RULE)
-
-
-def _fit(model: _ParameterModel, touches: Sequence[LedObservation], rule: FitRule) -> Doubles | None:
-    """Deviations (m,) of the last or best iteration; None where `rule` rejects them."""
+    model = _LedModel(source=source, prior_root=compute_led_prior_root(optics.require_optics(source)))
     precision = np.linalg.inv(model.prior_root @ model.prior_root.T)
-    deviations = best = np.zeros(len(precision))
-    normal, least, noise, change = precision, math.inf, 0.0, 0.0
+    deviations = np.zeros(len(precision))
+    normal, noise, change = precision, 0.0, 0.0
     for touch in touches:
-        confidence = model.make_light(deviations, touch.patch).confidence
-        noise += rule.noise_grey * float((touch.patch.unmarked_share[..., 0] * touch.patch.changed).sum())
-        change += sum_change_grey(touch.patch, confidence)
-    change = max(change, 1.0)
-
-    def compute_score(at: Doubles, misfit: float) -> float:
-        excess = max(0.0, misfit - noise) / change
-        return float(at @ precision @ at) / rule.max_deviance + excess / rule.max_excess
-
+        share = touch.patch.unmarked_share
+        noise += LED_RULE.noise_grey * float((share[..., 0] * touch.patch.changed).sum())
+        change += sum_change_grey(touch.patch)
     for iteration in range(CONSTANTS.fit_iterations + 1):
         touches, misfit = _refine_surfaces(model, deviations, touches)
-        if iteration < len(rule.hopeless) and compute_score(deviations, misfit) > rule.hopeless[iteration]:
+        excess = max(0.0, misfit - noise) / max(change, 1.0)
+        score = float(deviations @ precision @ deviations) / LED_RULE.max_deviance + excess / LED_RULE.max_excess
+        if score > (*LED_RULE.hopeless, 1.0)[iteration]:
             return None
-        if rule.stops_when_worse and misfit >= least:
-            break
-        least, best = misfit, deviations
         if iteration < CONSTANTS.fit_iterations:
-            systems = [_linearise(model, deviations, touch, rule) for touch in touches]
+            systems = [_linearise(model, deviations, touch) for touch in touches]
             normal = precision + sum(system[0] for system in systems)
             step = np.linalg.solve(normal, sum(system[1] for system in systems) - precision @ deviations)
             length = math.sqrt(float(step @ precision @ step))
             deviations = deviations + step * min(1.0, CONSTANTS.max_fit_step / max(length, 1e-9))
     determined = float(np.trace(np.linalg.solve(normal, normal - precision)))
-    if compute_score(best, least) > 1.0 or least > rule.max_misfit * change:
-        return None
-    return np.zeros_like(best) if float(best @ precision @ best) < rule.as_described * determined else best
+    is_as_described = float(deviations @ precision @ deviations) < LED_RULE.as_described * determined
+    return np.zeros_like(deviations) if is_as_described else deviations
 
 
 def _refine_surfaces(
-    model: _ParameterModel, deviations: Doubles, touches: Sequence[LedObservation]
+    model: _LedModel, deviations: Doubles, touches: Sequence[LedObservation]
 ) -> tuple[list[LedObservation], float]:
     """The touches with their surfaces refined in this light, and the sum of their misfits."""
     refined, total = list[LedObservation](), 0.0
@@ -170,28 +131,28 @@ def _refine_surfaces(
     return refined, total
 
 
-def _linearise(
-    model: _ParameterModel, deviations: Doubles, touch: LedObservation, rule: FitRule
-) -> tuple[Doubles, Doubles]:
+def _linearise(model: _LedModel, deviations: Doubles, touch: LedObservation) -> tuple[Doubles, Doubles]:
     """The normal equations (m, m), (m,) of the deviations, from what no change of the surface explains."""
     patch, light = touch.patch, model.make_light(deviations, touch.patch)
     surface = clip_surface(touch.surface_mm, patch, light)
     slopes = compute_slopes(surface, patch.pixel_mm)
     rendered = light.render(surface, *slopes)
     residual = patch.change - simulate_recorded_change(rendered.change, patch, light.blur_px)
-    weight = _compute_colour_weights(residual, patch) * light.confidence**2
+    weight = _compute_colour_weights(residual, patch) * patch.unmarked_share**2
     blurred = blur_change(rendered.change, patch, light.blur_px)
     columns = np.zeros((len(deviations), *blurred.shape), np.float32)
     sizes = CONSTANTS.rate_step * np.sqrt((model.prior_root**2).sum(axis=1))
-    for k in model.effective:
-        shifted, size = deviations.copy(), sizes[k]
+    for k, size in enumerate(sizes):
+        shifted = deviations.copy()
         shifted[k] += size
+        if model.shift(shifted) == model.shift(deviations):  # this sensor's light does not depend on it
+            continue
         other = model.make_light(shifted, patch)
         columns[k] = blur_change(other.render(surface, *slopes).change, patch, other.blur_px) - blurred
         columns[k] /= np.float32(size)
     _project_out_surface(columns, rendered, weight, patch, touch.integrate)
     flat = columns.reshape(len(deviations), -1).astype(np.float64)
-    share = min(1.0, rule.independent_pixels / max(1, np.count_nonzero(patch.changed))) / CONSTANTS.noise_grey**2
+    share = min(1.0, LED_RULE.independent_pixels / max(1, np.count_nonzero(patch.changed))) / CONSTANTS.noise_grey**2
     weighted = flat * (share * weight.ravel().astype(np.float64))
     return weighted @ flat.T, weighted @ residual.ravel()
 

@@ -1,7 +1,6 @@
 """Choice of the light model of a sensor instance from its touches, and correction of a surface in that light.
 
-The candidates are tried in the order of `CANDIDATES`; the first that explains the touches is taken, and the described
-light where none does. `docs/illumination.md` says which recordings need which.
+`docs/illumination.md` says which recordings need which.
 """
 
 import math
@@ -15,7 +14,7 @@ from pipeline.base.arrays import Doubles, Floats
 from pipeline.physics import optics
 from pipeline.sensors.parts import Optics
 from pipeline.sensors.spec import SensorSpec
-from pipeline.stages.depth.illumination import led_light, shadow_light
+from pipeline.stages.depth.illumination import led_light
 from pipeline.stages.depth.illumination.constants import CONSTANTS
 from pipeline.stages.depth.illumination.field_light import fit_field, make_field_light
 from pipeline.stages.depth.illumination.light import (
@@ -27,7 +26,7 @@ from pipeline.stages.depth.illumination.light import (
     downsample_patch,
     sum_change_grey,
 )
-from pipeline.stages.depth.illumination.parameter_fit import LedObservation, fit_leds, fit_shadow_leds
+from pipeline.stages.depth.illumination.parameter_fit import LedObservation, fit_leds
 from pipeline.stages.depth.illumination.surface_refinement import refine_surface
 from pipeline.stages.depth.poisson import Integrator
 
@@ -67,32 +66,39 @@ class Touch:
 
 
 def choose_illumination(touches: Sequence[Touch]) -> Illumination:
-    """The light that explains the touches of one sensor instance: that of the first candidate that does.
+    """The light that explains the touches of one sensor instance; the described light where none does.
 
     A model whose parameters differ from place to place has none for several touches: `fit_touch` finds those of each.
     """
-    return next((light for candidate in CANDIDATES if (light := candidate(touches)) is not None), DESCRIBED)
+    source = touches[0].source
+    leds = pack_leds("leds", fit_leds(source, [touch.observe(touch.described[0]) for touch in touches]))
+    if leds is not None:  # of a usual instance: most simulated touches
+        return leds
+    is_explained = _is_explained(touches, sum(touch.described[1] for touch in touches))
+    field = None if is_explained and casts_shadows(source) else _try_field(touches)
+    if field is not None:
+        return field
+    if is_explained:  # the described LEDs hold, once each pixel counts by its certainty
+        misfit = sum(touch.refine(TRUSTED, touch.described[0])[1] for touch in touches)
+        return TRUSTED if _is_explained(touches, misfit) else DESCRIBED
+    return DESCRIBED if casts_shadows(source) else Illumination(model="near")  # LEDs close to the gel: a real GelSlim
 
 
-def fit_touch(model: IlluminationModel, touch: Touch) -> Illumination:
-    """The light of one touch in the model of its recording; the described light where the touch determines none."""
-    found = _fit_field(touch)[0] if model == "field" else _fit_shadow_leds(touch)
-    return pack_leds(model, found) or DESCRIBED
-
-
-def _try_fitted_leds(touches: Sequence[Touch]) -> Illumination | None:
-    """LEDs of a usual instance: most simulated touches."""
-    return pack_leds("leds", fit_leds(touches[0].source, [touch.observe(touch.described[0]) for touch in touches]))
+def fit_touch(touch: Touch) -> Illumination:
+    """The shading field of one touch of a recording; the described light where the touch determines none."""
+    return pack_leds("field", _fit_field(touch)[0]) or DESCRIBED
 
 
 def _try_field(touches: Sequence[Touch]) -> Illumination | None:
-    """A shading field for each touch, if it explains far more than the described light: a real GelSight Mini."""
-    if casts_shadows(touches[0].source):
-        return None
+    """A shading field for each touch, if it explains far more than the described light: a real GelSight Mini.
+
+    Where LEDs cast shadows, which no field explains, more is enough: a real DIGIT.
+    """
     decisive = touches[: CONSTANTS.field_touches]
     described = sum(touch.described[1] for touch in decisive)
     fits = [_fit_field(touch, touch.described[1] if len(touches) == 1 else math.inf) for touch in decisive]
-    if described <= CONSTANTS.field_gain * sum(fit[1] for fit in fits):
+    gain = 1.0 if casts_shadows(touches[0].source) else CONSTANTS.field_gain
+    if described <= gain * sum(fit[1] for fit in fits):
         return None
     return pack_leds("field", fits[0][0]) if len(touches) == 1 else Illumination(model="field")
 
@@ -104,40 +110,9 @@ def _fit_field(touch: Touch, described_misfit: float = math.inf) -> tuple[Double
     return (None, math.inf) if fit is None else fit
 
 
-def _try_near_leds(touches: Sequence[Touch]) -> Illumination | None:
-    """The described LEDs, close to the gel, where they leave much as described: a real GelSlim."""
-    if casts_shadows(touches[0].source) or _is_explained(touches, sum(touch.described[1] for touch in touches)):
-        return None
-    return Illumination(model="near")
-
-
-def _try_trusted_light(touches: Sequence[Touch]) -> Illumination | None:
-    """The described LEDs, where they explain the touches once each pixel counts by its certainty."""
-    misfit = sum(touch.refine(TRUSTED, touch.described[0])[1] for touch in touches)
-    return TRUSTED if _is_explained(touches, misfit) else None
-
-
-def _try_shadow_leds(touches: Sequence[Touch]) -> Illumination | None:
-    """Low LEDs that cast shadows, if the described light leaves most of the change: a real DIGIT."""
-    described = sum(touch.described[1] for touch in touches)
-    if not casts_shadows(touches[0].source) or _is_explained(touches, described):
-        return None
-    if len(touches) == 1:
-        return pack_leds("shadow_leds", _fit_shadow_leds(touches[0]))
-    return Illumination(model="shadow_leds")
-
-
-def _fit_shadow_leds(touch: Touch) -> Doubles | None:
-    """Deviations (m,) of the low LEDs of one touch."""
-    return fit_shadow_leds(touch.source, touch.observe(touch.guess_mm))
-
-
-CANDIDATES = (_try_fitted_leds, _try_field, _try_near_leds, _try_trusted_light, _try_shadow_leds)
-
-
 def _is_explained(touches: Sequence[Touch], misfit: float) -> bool:
     """Whether a misfit is a small part of the touches' change."""
-    change = sum(sum_change_grey(touch.patch, touch.patch.unmarked_share) for touch in touches)
+    change = sum(sum_change_grey(touch.patch) for touch in touches)
     return misfit <= CONSTANTS.explained_share * change
 
 
@@ -161,9 +136,6 @@ def make_light(illumination: Illumination, patch: ImagePatch, source: SensorSpec
     parameters = np.array(illumination.parameters)
     if illumination.model == "field":
         return make_field_light(parameters, patch, source)
-    if illumination.model == "shadow_leds":
-        leds = shadow_light.shift_leds(shadow_light.make_described_leds(source), parameters)
-        return shadow_light.make_shadow_light(source, leds, patch)
     is_near = illumination.model == "near"
     return led_light.make_led_light(
         source, get_optics(illumination, source), patch, trusted=illumination.is_trusted, near=is_near
@@ -171,13 +143,12 @@ def make_light(illumination: Illumination, patch: ImagePatch, source: SensorSpec
 
 
 def correct_surface(
-    surface_mm: Floats, patch: ImagePatch, source: SensorSpec, illumination: Illumination, integrate: Integrator, *,
-    draft: bool,
-) -> Floats:  # fmt: skip
+    surface_mm: Floats, patch: ImagePatch, source: SensorSpec, illumination: Illumination, integrate: Integrator
+) -> Floats:
     """The surface (rows, cols) in mm of a patch, corrected in an illumination from a first guess."""
-    iterations = CONSTANTS.draft_iterations if draft else CONSTANTS.iterations
+    iterations = CONSTANTS.iterations
     light = make_light(illumination, patch, source)
-    if illumination.is_trusted and not draft:
+    if illumination.is_trusted:
         plain = led_light.make_led_light(source, get_optics(illumination, source), patch, trusted=False)
         surface_mm, _ = refine_surface(surface_mm, patch, plain, integrate, iterations, until_settled=True)
         iterations *= CONSTANTS.trusted_iteration_factor

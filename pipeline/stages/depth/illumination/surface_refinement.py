@@ -65,7 +65,7 @@ def refine_surface(
         slopes = compute_slopes(surface, patch.pixel_mm)
         change, *rates = light.render(surface, *slopes)
         misfit = update_slopes(
-            blur_change(change, patch, light.blur_px), (patch.change, patch.reference), light.confidence,
+            blur_change(change, patch, light.blur_px), (patch.change, patch.reference), patch.unmarked_share,
             patch.changed, *rates, limits, scratch, *slopes, weights,
         )  # fmt: skip
         before = surface_mm
@@ -74,8 +74,6 @@ def refine_surface(
             surface_mm = solve_weighted_slopes(raised, slopes, weights, patch.pixel_mm, integrate, cg_steps)
         else:
             surface_mm = integrate(*slopes)
-        if rule.blurred:
-            surface_mm = before + blur_change(surface_mm - before, patch, light.blur_px)
         moved_mm, depth_mm = cv2.norm(surface_mm, before, cv2.NORM_INF), cv2.norm(surface_mm, cv2.NORM_INF)
         if until_settled and moved_mm < min(CONSTANTS.settled_mm, CONSTANTS.settled_share * depth_mm):
             break
@@ -84,7 +82,7 @@ def refine_surface(
 
 def clip_surface(surface_mm: Floats, patch: ImagePatch, light: Light) -> Floats:
     """The surface (rows, cols) within the range of the gel; 0 where nothing has changed."""
-    return np.clip(surface_mm, CONSTANTS.bulge_mm, light.max_depth_mm) * patch.changed
+    return np.clip(surface_mm, CONSTANTS.bulge_mm, light.source.limits.indentation_max_mm) * patch.changed
 
 
 def raise_walls(surface_mm: Floats, slopes: tuple[Floats, Floats], weights: Floats, pixel_mm: float) -> Floats:

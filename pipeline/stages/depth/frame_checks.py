@@ -1,0 +1,76 @@
+"""What every method of the stage checks of a frame before it is measured."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.base.arrays import freeze
+from pipeline.base.errors import MissingReference, SensorMismatch, ShapeError
+from pipeline.base.memo import Memo
+from pipeline.engine.digests import compute_cached_digest
+from pipeline.geometry.camera import Camera
+from pipeline.sensors.spec import SensorSpec
+from pipeline.values.frames import TactileFrame
+from pipeline.values.results import DepthMap, make_pixel_index
+
+_BLACK_GREY, _LIT_GREY = 2, 8  # grey levels: at most in a pixel that was lost, and more than that in its reference
+_MAX_LOST_SHARE = 0.25  # of the pixels
+
+
+def see_by_frame(source: SensorSpec, frame: TactileFrame) -> SensorSpec:
+    """The sensor with the frame's own camera, where it has one."""
+    return source if frame.camera is None else source.with_camera(frame.camera)
+
+
+def check_frame(frame: TactileFrame, source: SensorSpec) -> None:
+    """Raise ShapeError for a frame that no method can read."""
+    where = f"frame {frame.index} of {frame.sensor or source.name}"
+    image, reference = frame.image, frame.reference
+    if reference is None:
+        raise MissingReference(
+            f"no reference image for {where}; record one frame without contact, or choose its image as the reference"
+        )
+    camera = frame.camera or source.camera
+    kind = source.sensor_kind
+    wanted = camera.shape if kind.is_depth else (*camera.shape, 3)
+    for what, array in (("image", image), ("reference", reference)):
+        if array.shape != wanted:
+            raise SensorMismatch(
+                f"the {what} of {where} must have shape {wanted}, got {array.shape}; choose the right sensor"
+            )
+        problem = kind.find_image_problem(array)
+        if problem:
+            raise ShapeError(f"the {what} of {where} {problem}")
+    lost = 0.0 if kind.is_depth else _measure_lost_share(image, reference)
+    if lost > _MAX_LOST_SHARE:
+        raise ShapeError(
+            f"{lost:.0%} of the image of {where} is black where its reference is not: a part of it was lost, or the "
+            "light failed; leave this frame out"
+        )
+
+
+def _measure_lost_share(image: NDArray[Any], reference: NDArray[Any]) -> float:
+    """Share of the pixels (rows, cols, 3) that are black in the image alone: no touch casts such a shadow."""
+    lost = (image[..., 1] <= _BLACK_GREY) & (reference[..., 1] > _LIT_GREY)
+    return float((lost & (image <= _BLACK_GREY).all(axis=2)).mean()) if lost.mean() > _MAX_LOST_SHARE else 0.0
+
+
+def make_untouched_depth(frame: TactileFrame, source: SensorSpec, notes: tuple[str, ...]) -> DepthMap:
+    """The result without contact; its arrays are the same for each camera of a gel, and each reference of a bubble."""
+    rest = frame.reference if frame.is_depth and frame.reference is not None else source.rest_depth_mm
+    shape = source.camera.shape
+    return _untouched.get_or_make(
+        (compute_cached_digest(rest), source.camera, notes),
+        lambda: DepthMap(
+            indentation_mm=freeze(np.zeros(shape, np.float32)),
+            depth_mm=freeze(np.where(rest > 0, rest, np.nan).astype(np.float32)),
+            contact=freeze(np.zeros(shape, np.bool_)),
+            camera=source.camera,
+            source_index=make_pixel_index(shape),
+            notes=notes,
+        ),
+    )
+
+
+_untouched: Memo[tuple[str, Camera, tuple[str, ...]], DepthMap] = Memo(16)

@@ -1,0 +1,142 @@
+"""Node *contact*: where a gel's surface touches, and how it lies around that."""
+
+from dataclasses import dataclass
+from typing import cast
+
+import numpy as np
+
+from pipeline.base.arrays import Floats, Image, Mask
+from pipeline.base.errors import StageWarning
+from pipeline.base.progress import Progress
+from pipeline.calibration import near_led_prior
+from pipeline.sensors.spec import Gel, SensorSpec
+from pipeline.stages.depth import contact, false_contacts, light_changes, mirror_check, rest_level
+from pipeline.stages.depth.change_detection import ImageWindow
+from pipeline.stages.depth.gel.change import FrameChange
+from pipeline.stages.depth.gel.rest import RestState
+from pipeline.stages.depth.gel.result import make_gel_depth
+from pipeline.stages.depth.gel.slopes import FrameSlopes
+from pipeline.stages.depth.gel.surface import FrameSurface
+from pipeline.stages.depth.illumination.light import FrameLight
+from pipeline.values.frames import TactileFrame
+from pipeline.values.results import DepthMap
+
+_FADE_START, _FADE_END = 0.2, 0.6  # gel thicknesses from the contact, see `_relax_surface`
+_FAR = 0.7  # gel thicknesses from the contact: the gel is neither indented nor pulled down there (`rest_level`)
+_PRESSURE_BLUR_PX = 1.5  # blur of the relative pressure that separates certain contact (chosen)
+_CONTACT_BLUR_PX = 1.0
+_PRESSURE_CELLS = 220  # of that pressure's grid, along the longer side
+_CERTAIN_SLOPE, _CERTAIN_SHARE = 0.04, 0.1  # mm/mm, and of the peak: relative pressure that noise does not reach
+_GRAIN_SHARE = 0.5  # of the peak: a speck with this much pressure is no noise
+_SPECK_MM2 = 0.15  # smaller contacts are camera noise
+_HOLE_MM2 = 0.5  # gaps that a rough ball or a book leaves between its threads (`benchmarks/real_things.py`)
+_BORDER_GEL = 0.5  # gel thicknesses, within which the gel beyond the border affects what is visible
+_WEAK_SHADING = StageWarning(
+    "the LEDs hardly shade slopes where the sensor is touched: sizes and depths may be wrong by half; calibrate"
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ContactParams:
+    """Parameters of the node."""
+
+    contact_limit: float  # times the sensor's smallest indentation
+    pressure_share: float  # of the peak nearby
+
+
+def detect_contact(
+    frame: TactileFrame,
+    rest: RestState,
+    change: FrameChange,
+    light: FrameLight,
+    slopes: FrameSlopes,
+    surface: FrameSurface,
+    params: ContactParams,
+    progress: Progress,
+) -> DepthMap:
+    """The depth map of a surface: its contact, and what mechanics let the gel do around it."""
+    progress.step(0.0, "relaxing the gel around the contact")
+    source, changed, used, calibration = rest.source, slopes.changed, light.illumination, light.calibration
+    window, pixel_mm, shape = changed.window, calibration.pixel_mm, source.camera.shape
+    here = (window.rows, window.cols)
+    notes = [*change.rest.notes, *slopes.notes, *light.notes, *surface.notes]
+    z, inside = _level_surface(surface.surface_mm, window, source, pixel_mm)
+    pressed = inside | contact.detect_contact(
+        z, pixel_mm, least_mm=params.contact_limit * source.limits.contact_min_mm,
+        pressure_share=params.pressure_share, smoothing_px=_CONTACT_BLUR_PX,
+        median_pressure_share=calibration.median_pressure_share or contact.MEDIAN_PRESSURE_SHARE,
+    )  # fmt: skip
+    pressed = contact.remove_specks(pressed & (window.changed | inside), max(4, round(_SPECK_MM2 / pixel_mm**2)))
+    pressed = light_changes.remove_light_changes(pressed, z, changed, used)
+    border = np.pad(np.zeros((shape[0] - 2, shape[1] - 2), np.bool_), 1, constant_values=True)[here]
+    pressed = false_contacts.remove_false_contacts(pressed, z, pixel_mm, border, window.changed)
+    pressed = contact.fill_small_holes(pressed, round(_HOLE_MM2 / pixel_mm**2))
+    narrow_px = _BORDER_GEL * (0.0 if source.gel is None else source.gel.thickness_mm) / pixel_mm
+    touched, indentation = np.zeros(shape, np.bool_), np.zeros(shape, np.float32)
+    touched[here] = contact.remove_border_artifacts(pressed, z, *here, shape, narrow_px)
+    distance = None if source.gel is None else _compute_distance(touched[here], pixel_mm, source.gel)
+    if used is not None and used.is_trusted:
+        z = _level_far_field(z, touched[here], distance, window, source, pixel_mm)
+    indentation[here] = _relax_surface(z, touched[here], distance, window, source, pixel_mm)
+    by_near_leds = used is not None and used.model in {"field", "near"}
+    if by_near_leds and near_led_prior.has_weak_shading(touched, change.rest.image, source):
+        notes.append(_WEAK_SHADING)
+    return make_gel_depth(
+        indentation, touched, frame, rest, tuple(notes), calibration=calibration, illumination=used,
+        mirroring=mirror_check.describe_mirroring(cast("Image", frame.reference), source, changed),
+    )  # fmt: skip
+
+
+def _level_surface(surface: Floats, window: ImageWindow, source: SensorSpec, pixel_mm: float) -> tuple[Floats, Mask]:
+    """The surface (rows, cols) with its rest at zero, and a mask of the inside of flat faces."""
+    if source.gel is None:
+        return surface, np.zeros_like(window.changed)
+    by = max(1, round(max(source.camera.shape) / _PRESSURE_CELLS))
+    cells = rest_level.downsample(surface, by)
+    changed_share = rest_level.downsample(window.changed.astype(np.float32), by)
+    pressure = contact.compute_relative_pressure(cells, _PRESSURE_BLUR_PX / by) / np.float32(pixel_mm * by)
+    pressure[changed_share == 0] = 0.0
+    certain = np.asarray(pressure > max(_CERTAIN_SLOPE, _CERTAIN_SHARE * float(pressure.max())), np.bool_)
+    certain = contact.remove_weak_specks(certain, pressure, _SPECK_MM2 / (pixel_mm * by) ** 2, _GRAIN_SHARE)
+    pressed = rest_level.upsample(certain.astype(np.float32), surface.shape)
+    levelled = rest_level.level_surface(surface, pressed > 0.5, pixel_mm, source.gel)
+    return levelled.surface_mm, levelled.face_interior
+
+
+def _relax_surface(
+    surface: Floats, touched: Mask, distance: Floats | None, window: ImageWindow, source: SensorSpec, pixel_mm: float
+) -> Floats:
+    """The surface (rows, cols) without what the gel cannot do.
+
+    Outside a contact a nearly incompressible layer of thickness t, bonded to its back, falls to its rest within about
+    t / 2 and bulges beyond: between t / 5 and 3 t / 5 from the contact, the measured surface passes into the mechanical
+    one. Without a contact the surface stays as measured.
+    """
+    if source.gel is None or not touched.any():
+        return surface * window.blend_weight
+    thicknesses = _compute_distance(touched, pixel_mm, source.gel) if distance is None else distance
+    keep = np.clip((_FADE_END - thicknesses) / (_FADE_END - _FADE_START), 0.0, 1.0)
+    keep = np.maximum(keep * window.blend_weight, touched)
+    beyond = rest_level.compute_far_field(surface, touched, pixel_mm, source.gel)
+    return np.asarray(beyond + (surface - beyond) * keep, np.float32)
+
+
+def _level_far_field(
+    surface: Floats, touched: Mask, distance: Floats | None, window: ImageWindow, source: SensorSpec, pixel_mm: float
+) -> Floats:
+    """The surface (rows, cols), shifted to the height that mechanics give it far from the contact.
+
+    Only for light whose LEDs are known: other light is estimated from surfaces that are at rest outside the contact.
+    """
+    if source.gel is None or distance is None or not touched.any():
+        return surface
+    far = (distance > _FAR) & window.changed
+    return rest_level.level_by_far_field(surface, touched, far, pixel_mm, source.gel)
+
+
+def _compute_distance(touched: Mask, pixel_mm: float, gel: Gel) -> Floats:
+    """Distance of each pixel (rows, cols) from the contact, in gel thicknesses."""
+    import cv2
+
+    distance_px = cv2.distanceTransform((~touched).astype(np.uint8), cv2.DIST_L2, 5)
+    return np.asarray(distance_px, np.float32) * np.float32(pixel_mm / gel.thickness_mm)

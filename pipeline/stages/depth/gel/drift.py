@@ -1,0 +1,368 @@
+"""Drift between a reference image and a later one: changes of the light and of the lens position without a touch.
+
+LEDs warm up and fade, daylight leaks in, a camera sits loosely in its housing. Over blocks of pixels the later image is
+
+    I_c = (1 + g_c) R_c + b_c + r_c . (u, v) - s . grad R_c        per colour c; the shift s is the same for all
+
+with R the reference. A gain that all colours and most blocks share and that is more than a tenth is the camera's
+exposure: one number, taken out of R before the fit. A touch fits none of this: its blocks are outliers, which a
+redescending weight removes from the fit (Geman and McClure 1985), from a wide scale to a narrow one, so no initial
+guess is needed. If too few blocks agree, the drift is unknown. What a wide, smooth dent explains (`change`) is taken
+from the image first, so that drift does not take it for its own; a small one is an outlier, and what the coarse light
+gets wrong of it would be taken for drift.
+
+A touch changes light far from it as well: by light that its flanks scatter, and by gel that bulges. That looks like a
+small drift. So a small one is left alone, a large one removed, and one in between in part: noise moves the result
+gradually.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from pipeline.base.arrays import Doubles, Floats, Image, freeze
+from pipeline.base.errors import StageWarning
+from pipeline.base.memo import Memo
+from pipeline.engine.digests import compute_cached_digest
+from pipeline.stages.depth.gel.coarse_light import compute_block_means
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DriftSettings:
+    """Constants of the drift that is removed."""
+
+    blocks_along: int = 54  # along the longer side: more do not improve the fit of smooth changes
+    block_min_px: int = 8
+    scales_grey: tuple[float, ...] = (24.0, 12.0, 6.0, 3.0)  # of the weights in successive fits, before the noise's
+    agreement_grey: float = 1.5  # residual up to which a block agrees, where noise is low
+    agreement_sigmas: float = 3.0  # the same in standard deviations of a block's noise, where that is more
+    agreement_min: float = 0.3  # share of the blocks; fewer may be part of a touch
+    # Share by which more blocks agree than without drift: up to the first it is left alone, from the second removed.
+    agreement_gain: tuple[float, float] = (0.25, 0.35)
+    prior_std: tuple[float, ...] = (
+        0.05,
+        8.0,
+        10.0,
+        1.5,
+    )  # of gain, offset (grey), ramp (grey to the border), shift (px)
+    block_noise_grey: float = 0.5
+    gain_max: float = 0.2  # more is no drift: another sensor instance, or a failed LED
+    grey_max: float = 30.0
+    shift_max_px: float = 8.0
+    exposure_min: float = 0.1  # deviation from 1 of a common gain
+    exposure_max: float = 3.0  # the gain, or its inverse
+    exposure_grey: tuple[float, float] = (16.0, 250.0)  # between which a block's ratio to the reference is a gain
+    exposure_tolerance: float = 0.04  # relative deviation from the common gain
+    exposure_share: float = 0.5  # of the blocks that agree
+    iterations: int = 4
+    shift_tolerance_px: float = 0.05
+    shift_min_px: float = 0.1  # smaller shifts are ignored: interpolation would blur more
+    note_gain: float = 0.012  # changes that get a note
+    note_grey: float = 2.5
+    note_px: float = 0.4
+    # All drift together: two simulated instances that a drift explains 23 to 49; gain 3 %, ramp 12, 2 px: 11.
+    instance_drift_grey: float = 18.0
+    foreign_grey: float = 7.0  # change of three quarters of an image whose reference is of another instance
+
+
+DRIFT = DriftSettings()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Drift:
+    """The change from a reference to a current image without a touch."""
+
+    gain: Doubles  # (3,) 1 = none
+    offset_grey: Doubles  # (3,)
+    ramp_grey: Doubles  # (3, 2) from the centre to the border along the longer side, right and down
+    shift_px: tuple[float, float]  # right and down
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Notes for the user; empty for a small drift."""
+        notes: list[str] = []
+        change = float(self.gain.mean()) - 1.0
+        grey = float(np.abs(self.offset_grey).max() + np.abs(self.ramp_grey).max())
+        if max(float(np.abs(self.gain - 1.0).max()) / DRIFT.note_gain, grey / DRIFT.note_grey) > 1.0:
+            notes.append(f"the light has drifted since the reference ({100 * change:+.1f} %, up to {grey:.0f} grey "
+                        "levels across the image); it is removed")  # fmt: skip
+        if math.hypot(*self.shift_px) > DRIFT.note_px:
+            notes.append(
+                f"the image has moved by {math.hypot(*self.shift_px):.1f} px against the reference; it is removed"
+            )
+        return tuple(notes)
+
+    def exceeds_instance_drift(self, bright_grey: float) -> bool:
+        """Whether the light changed so much, for images of this mean, that they may be of two sensor instances.
+
+        Stray light of a touch reaches as much with a DIGIT's balls.
+        """
+        grey = float(np.abs(self.gain - 1.0).max()) * bright_grey
+        return grey + float(np.abs(self.offset_grey).max() + np.abs(self.ramp_grey).max()) > DRIFT.instance_drift_grey
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RestImage:
+    """A reference with the drift of a later image applied."""
+
+    image: Floats  # (rows, cols, 3) grey levels
+    image_8bit: Image  # the same in 8 bits
+    drift: Drift | None  # None = unknown
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Blocks:
+    """Means of an image over blocks, and their derivatives by a shift."""
+
+    mean: Floats  # (n, 3)
+    by_x: Floats  # (n, 3) grey levels per pixel
+    by_y: Floats
+
+
+@dataclass(frozen=True, kw_only=True)  # without slots, which a cached property needs
+class _ReferenceSums:
+    """Sums of a reference image over all rectangles: block means for any shift without moving an image."""
+
+    sums: Doubles  # (rows + 1, cols + 1, 3) of the image with its margin
+    margin: int  # px
+    block: int
+    shape: tuple[int, int]  # of the blocks
+
+    @cached_property
+    def still(self) -> _Blocks:
+        """The blocks without a shift."""
+        return self.compute_blocks(np.zeros(2), 1.0)
+
+    def compute_blocks(self, shift_px: Doubles, gain: float) -> _Blocks:
+        """The blocks of the image moved by a shift (right, down) of at most the margin, times a gain."""
+        (n, m), x = self.shape, float(shift_px[0])
+        y = float(shift_px[1])
+        rows = {dy: self._take(self.sums, n, y + dy, axis=0) for dy in (-1.0, 0.0, 1.0)}
+        scale = gain / self.block**2
+        before, after = (self._take(rows[0.0], m, x + dx, axis=1) for dx in (-1.0, 1.0))
+        above, here, below = (self._take(rows[dy], m, x, axis=1) for dy in (-1.0, 0.0, 1.0))
+        mean, by_x, by_y = (
+            freeze((scale * a).astype(np.float32).reshape(-1, 3))
+            for a in (here, 0.5 * (before - after), 0.5 * (above - below))
+        )
+        return _Blocks(mean=mean, by_x=by_x, by_y=by_y)
+
+    def _take(self, sums: Doubles, n: int, shift_px: float, axis: int) -> Doubles:
+        """Sums over n blocks along an axis, for an image moved along it."""
+        at = self.margin - min(max(shift_px, -self.margin + 2.0), self.margin - 3.0) + self.block * np.arange(n + 1)
+        low = at.astype(np.intp)
+        share = (at - low).reshape((-1, 1, 1) if axis == 0 else (1, -1, 1))
+        ends = sums.take(low, axis) * (1.0 - share) + sums.take(low + 1, axis) * share
+        return np.diff(ends, axis=axis)
+
+
+def estimate_rest_image(image: Image, reference: Image, dent_grey: Floats | None = None) -> RestImage:
+    """The reference (rows, cols, 3) in the light and place of `image`, as far as what no dent explains shows them.
+
+    `dent_grey` as `fit_drift` takes it.
+    """
+    drift, foreign = fit_drift(image, reference, dent_grey)
+    warning = StageWarning(
+        "most of the image differs from the reference, so depth may be wrong: record a new reference of this sensor"
+    )
+    notes: tuple[str, ...] = (warning,) if foreign else ()
+    if drift is None:
+        return RestImage(image=freeze(reference.astype(np.float32)), image_8bit=reference, drift=None, notes=notes)
+    picture = apply_drift(reference, drift)
+    grey = np.clip(np.rint(picture), 0, 255).astype(np.uint8)
+    return RestImage(image=freeze(picture), image_8bit=freeze(grey), drift=drift, notes=notes + drift.notes)
+
+
+def describe_no_contact(still: RestImage) -> str:
+    """The note for a frame without change after the drift is removed."""
+    if still.drift is not None and still.drift.notes:
+        return "nothing touches the sensor, or a level face larger than the view"
+    return "nothing touches the sensor"
+
+
+def fit_drift(image: Image, reference: Image, dent_grey: Floats | None = None) -> tuple[Drift | None, bool]:
+    """(drift from `reference` to `image` to remove, None if unknown; whether they may be of two sensor instances).
+
+    `dent_grey` (rows, cols, 3) of any blocks is the change by a dent, which is no drift.
+    """
+    import cv2
+
+    block = _compute_block_px(image)
+    if min(image.shape[:2]) < 4 * block:
+        return None, False
+    now, still = _compute_blocks(image, reference)
+    exposure = _compare_exposure(now, still)
+    if dent_grey is not None and dent_grey.any():
+        now = now - np.float32(exposure) * cv2.resize(dent_grey, now.shape[1::-1], interpolation=cv2.INTER_LINEAR)
+    change = np.abs(now - still.mean.reshape(now.shape)).max(axis=2)
+    sums = _sum_reference(reference, block)
+    still = still if exposure == 1.0 else sums.compute_blocks(np.zeros(2), exposure)
+    residual = now - still.mean.reshape(now.shape)
+    agrees = _compute_agreement_grey(residual)
+    foreign = float(np.percentile(np.abs(residual).max(axis=2), 25)) > DRIFT.foreign_grey
+    if agrees <= DRIFT.agreement_grey and float((change < agrees).mean()) > 1.0 - DRIFT.agreement_gain[0]:
+        return None, foreign
+    place, shift, solution = _make_positions(*now.shape[:2]), np.zeros(2), np.zeros(14)
+    for _ in range(DRIFT.iterations):
+        solution, left = _solve(now.reshape(-1, 3), still, place, shift, agrees)
+        residual = left.reshape(now.shape)
+        shift = shift + solution[12:]
+        if float(np.abs(solution[12:]).max()) < DRIFT.shift_tolerance_px or math.hypot(*shift) > DRIFT.shift_max_px:
+            break
+        still = sums.compute_blocks(shift, exposure)
+    agrees = _compute_agreement_grey(residual)  # texture that has moved looks like noise before
+    alike, agree = (float((a < agrees).mean()) for a in (change, np.abs(residual).max(axis=2)))
+    own = solution[:12].reshape(3, 4)
+    small = float(np.abs(own[:, 0]).max()) < DRIFT.gain_max and float(np.abs(own[:, 1:]).max()) < DRIFT.grey_max
+    share = _step(agree - alike, DRIFT.agreement_gain)
+    if not small or math.hypot(*shift) > DRIFT.shift_max_px or agree < DRIFT.agreement_min or share == 0.0:
+        return None, foreign
+    gain = 1.0 + share * (exposure * (1.0 + own[:, 0]) - 1.0)
+    own, shift = share * own, share * shift
+    return Drift(gain=gain, offset_grey=own[:, 1], ramp_grey=own[:, 2:],
+                 shift_px=(float(shift[0]), float(shift[1]))), False  # fmt: skip
+
+
+def estimate_exposure(image: Image, reference: Image) -> float:
+    """The gain of the camera between two images (rows, cols, 3), where it is larger than a drift; else 1."""
+    return _compare_exposure(*_compute_blocks(image, reference))
+
+
+def remove_exposure(image: Image, exposure: float) -> Image:
+    """The image (rows, cols, 3) as with the exposure of its reference."""
+    return image if exposure == 1.0 else np.clip(np.rint(image * np.float32(1.0 / exposure)), 0, 255).astype(np.uint8)
+
+
+def _compute_block_px(image: Image) -> int:
+    return max(DRIFT.block_min_px, round(max(image.shape) / DRIFT.blocks_along))
+
+
+def _compute_blocks(image: Image, reference: Image) -> tuple[Floats, _Blocks]:
+    """Block means (rows, cols, 3) of an image, and the blocks of its reference."""
+    block = _compute_block_px(image)
+    return compute_block_means(image, block), _sum_reference(reference, block).still
+
+
+def _compare_exposure(means: Floats, reference: _Blocks) -> float:
+    """The gain that all colours of most blocks (rows, cols, 3) share."""
+    now, still = means.reshape(-1, 3), reference.mean
+    low, high = DRIFT.exposure_grey
+    usable = (still > low) & (now < high)
+    if not usable.any():
+        return 1.0
+    ratio = now[usable] / still[usable]
+    gain = float(np.median(ratio))
+    if abs(gain - 1.0) < DRIFT.exposure_min or not 1.0 / DRIFT.exposure_max < gain < DRIFT.exposure_max:
+        return 1.0
+    return (
+        gain if float((np.abs(ratio / gain - 1.0) < DRIFT.exposure_tolerance).mean()) >= DRIFT.exposure_share else 1.0
+    )
+
+
+def _step(value: float, limits: tuple[float, float]) -> float:
+    """0 below the limits, 1 above, smooth in between."""
+    at = min(max((value - limits[0]) / (limits[1] - limits[0]), 0.0), 1.0)
+    return at * at * (3.0 - 2.0 * at)
+
+
+def _compute_agreement_grey(residual: Floats | Doubles) -> float:
+    """The residual (grey) up to which a block (rows, cols, 3) agrees."""
+    return max(DRIFT.agreement_grey, DRIFT.agreement_sigmas * _estimate_noise(residual))
+
+
+def _estimate_noise(change: Floats | Doubles) -> float:
+    """1.05 times the quarter quantile of the differences of neighbouring blocks: 4/3 of a block's standard deviation.
+
+    Most of an image changes smoothly; with moved markers, a quarter of it does.
+    """
+    steps = np.abs(np.diff(change, axis=1)).max(axis=2)
+    return 1.05 * float(np.quantile(steps, 0.25))
+
+
+def apply_drift(reference: Image, drift: Drift) -> Floats:
+    """The reference (rows, cols, 3) with the drift applied; grey levels may lie outside 0 to 255.
+
+    Where a longer exposure than the reference's has clipped the image, the reference is clipped as well.
+    """
+    rows, cols = reference.shape[:2]
+    small = math.hypot(*drift.shift_px) < DRIFT.shift_min_px
+    moved = reference.astype(np.float32) if small else _shift_image(reference, np.array(drift.shift_px))
+    along_x, along_y = (_make_axis(n, max(rows, cols)).astype(np.float32) for n in (cols, rows))
+    gain, offset, ramp = (a.astype(np.float32) for a in (drift.gain, drift.offset_grey, drift.ramp_grey))
+    moved *= gain
+    moved += (offset + along_x[:, None] * ramp[:, 0])[None]
+    moved += (along_y[:, None] * ramp[:, 1])[:, None]
+    return np.minimum(moved, np.float32(255.0)) if float(drift.gain.min()) > 1.0 + DRIFT.exposure_min else moved
+
+
+_references: Memo[tuple[str, int], _ReferenceSums] = Memo(4)
+
+
+def _sum_reference(reference: Image, block: int) -> _ReferenceSums:
+    """The sums of a reference image (rows, cols, 3), cached; its border is replicated."""
+    import cv2
+
+    def make() -> _ReferenceSums:
+        margin = math.ceil(2 * DRIFT.shift_max_px) + 2
+        sums = cv2.integral(cv2.copyMakeBorder(reference, *[margin] * 4, cv2.BORDER_REPLICATE), sdepth=cv2.CV_64F)
+        shape = (reference.shape[0] // block, reference.shape[1] // block)
+        return _ReferenceSums(sums=freeze(np.asarray(sums)), margin=margin, block=block, shape=shape)
+
+    return _references.get_or_make((compute_cached_digest(reference), block), make)
+
+
+def _shift_image(reference: Image, shift_px: Doubles) -> Floats:
+    import cv2
+
+    by = np.array([[1.0, 0.0, shift_px[0]], [0.0, 1.0, shift_px[1]]])
+    size = (reference.shape[1], reference.shape[0])
+    moved = cv2.warpAffine(
+        reference.astype(np.float32), by, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
+    )
+    return np.asarray(moved, np.float32)
+
+
+def _make_axis(n: int, longer: int) -> Doubles:
+    """Pixel positions (n,), -1 to 1 along the longer side."""
+    return np.asarray((np.arange(n) - (n - 1) / 2) * (2.0 / longer), np.float64)
+
+
+def _make_positions(rows: int, cols: int) -> Floats:
+    """Positions (rows x cols, 2), right and down."""
+    y, x = np.meshgrid(_make_axis(rows, max(rows, cols)), _make_axis(cols, max(rows, cols)), indexing="ij")
+    return np.stack([x.ravel(), y.ravel()], axis=1).astype(np.float32)
+
+
+def _solve(now: Floats, still: _Blocks, place: Floats, shift: Doubles, agrees: float) -> tuple[Doubles, Doubles]:
+    """(gain - 1, offset, ramp of each colour, then a further shift: (14,); what is left of each block (n, 3))."""
+    target = (now - still.mean).astype(np.float64)  # (n, 3)
+    ones = np.ones(len(now))
+    columns = np.stack(
+        [np.stack([still.mean[:, c], ones, *place.T, -still.by_x[:, c], -still.by_y[:, c]]) for c in range(3)]
+    )
+    numbers = [np.r_[4 * c : 4 * c + 4, 12, 13] for c in range(3)]  # unknowns of each colour
+    own_prior = (
+        np.array([DRIFT.prior_std[0], DRIFT.prior_std[1], DRIFT.prior_std[2], DRIFT.prior_std[2]])
+        / DRIFT.block_noise_grey
+    )
+    prior = np.concatenate([np.tile(own_prior, 3), np.full(2, DRIFT.prior_std[3] / DRIFT.block_noise_grey)]) ** -2.0
+    weight = ones
+    solution: Doubles = np.zeros(14)
+    left = target.T
+    for scale in (*DRIFT.scales_grey, agrees, agrees):
+        normal, right = np.diag(prior), np.zeros(14)
+        right[12:] = -prior[12:] * shift
+        weighted = columns * weight
+        blocks, to = weighted @ columns.swapaxes(1, 2), weighted @ target.T[:, :, None]
+        for c, where in enumerate(numbers):
+            normal[np.ix_(where, where)] += blocks[c]
+            right[where] += to[c, :, 0]
+        solution = np.asarray(np.linalg.solve(normal, right), np.float64)
+        left = target.T - (solution[numbers][:, None] @ columns)[:, 0]
+        weight = 1.0 / (1.0 + (np.abs(left).max(axis=0) / scale) ** 2) ** 2
+    return solution, left.T

@@ -1,0 +1,125 @@
+"""Node *light*: the illumination of a frame, from its image, its rest image and the context frames of the recording.
+
+It depends on nothing else: settings of the stage are at their defaults, so that a slider does not change the light.
+That of a recording is cached on disk, as its fit takes as long as several frames.
+"""
+
+from dataclasses import replace
+from typing import cast
+
+from pipeline.base.arrays import Image
+from pipeline.base.errors import StageWarning
+from pipeline.base.memo import Memo
+from pipeline.base.params import NoParams
+from pipeline.base.progress import Progress
+from pipeline.calibration.calibration_table import Calibration, make_built_in
+from pipeline.engine import disk_store
+from pipeline.engine.digests import compute_cached_digest
+from pipeline.stages.depth.gel.change import FrameChange, observe_change
+from pipeline.stages.depth.gel.rest import RestState
+from pipeline.stages.depth.gel.slopes import ChangedImage, make_changed_image
+from pipeline.stages.depth.illumination import selection
+from pipeline.stages.depth.illumination.light import FrameLight, Illumination, ImagePatch
+from pipeline.stages.depth.poisson import Integrator
+from pipeline.values.frames import TactileFrame
+
+_NOT_COVERED = StageWarning("no indentation of the calibration covers this touch: it is measured without calibration")
+_MIN_CONTEXT_TOUCHES = 2  # one tells no more than the frame itself
+_CODE = (
+    "pipeline.stages.depth", "pipeline.stages.depth.gel", "pipeline.stages.depth.illumination", "pipeline.calibration",
+    "pipeline.physics", "pipeline.sensors",
+)  # fmt: skip
+_recordings: Memo[tuple[str, ...], Illumination] = Memo(8)
+
+
+def estimate_light(
+    frame: TactileFrame, rest: RestState, change: FrameChange, _params: NoParams, progress: Progress
+) -> FrameLight:
+    """The illumination of a frame: chosen by several context frames, else by the frame itself.
+
+    None where the calibration table was fitted to presses, and some of them cover the touch.
+    """
+    progress.step(0.0, "estimating the light")
+    image, calibration = cast("Image", frame.image), rest.calibration
+    changed = make_changed_image(image, rest, change, calibration)
+    window, notes = changed.window, tuple[str, ...]()
+    if not calibration.covers(window.changed, (window.rows.start, window.cols.start)):
+        calibration, notes = describe_as_built_in(rest), (_NOT_COVERED,)
+        changed = replace(changed, calibration=calibration)
+        rest = replace(rest, calibration=calibration)
+    if not rest.uses_illumination:
+        return FrameLight(illumination=None, calibration=calibration, notes=notes)
+    reference = cast("Image", frame.reference)
+    model = choose_for_recording(frame.context_frames, reference, rest, progress)
+    if model is None:
+        model = selection.choose_illumination([make_touch(changed, progress)])
+    elif not model.is_complete:
+        model = selection.fit_touch(make_touch(changed, progress))
+    notes = (*notes, *_describe_illumination(model, len(frame.context_frames)))
+    return FrameLight(illumination=model, calibration=calibration, notes=notes)
+
+
+def describe_as_built_in(rest: RestState) -> Calibration:
+    """The table of the sensor's description, with the calibration's pixel width and contact limit."""
+    known = rest.calibration
+    return replace(
+        make_built_in(rest.source), pixel_mm=known.pixel_mm, median_pressure_share=known.median_pressure_share
+    )
+
+
+def _describe_illumination(illumination: Illumination, n_context_frames: int) -> list[str]:
+    """Notes on fitted LEDs."""
+    if illumination.is_fitted_leds:
+        to = f"{n_context_frames} touches of the recording" if illumination.from_context else "this touch"
+        return [f"measured with this sensor's LEDs, fitted to {to}"]
+    return []
+
+
+def choose_for_recording(
+    images: tuple[Image, ...], reference: Image, rest: RestState, progress: Progress
+) -> Illumination | None:
+    """The light of the sensor instance, chosen by several touches (rows, cols, 3) of one recording; None for fewer."""
+    if len(images) < _MIN_CONTEXT_TOUCHES:
+        return None
+    source, calibration = rest.source, rest.calibration
+    made_of = (
+        compute_cached_digest(images),
+        compute_cached_digest(reference),
+        compute_cached_digest(source),
+        compute_cached_digest(calibration),
+    )
+
+    def choose() -> Illumination:
+        touches = [find_touch(image, reference, rest, progress) for image in images]
+        found = [touch for touch in touches if touch is not None]
+        if len(found) < _MIN_CONTEXT_TOUCHES:
+            return selection.DESCRIBED
+        light = selection.choose_illumination(found)
+        # Cast shadows differ from press to press by more than one choice allows: simulated recordings of a DIGIT,
+        # .8 mm deep, err by 52 um in place of 47.
+        holds = light.model == "leds" or not selection.casts_shadows(source)
+        return replace(light, from_context=True) if holds else selection.DESCRIBED
+
+    chosen = _recordings.get_or_make(
+        made_of, lambda: disk_store.load_or_make(Illumination, made_of, _CODE, choose, "led_fits")
+    )
+    return chosen if chosen.from_context else None
+
+
+def find_touch(image: Image, reference: Image, rest: RestState, progress: Progress) -> selection.Touch | None:
+    """The touch of an image (rows, cols, 3) on the refinement grid; None where its light is not needed."""
+    change = observe_change(image, reference, rest)
+    if change.press.verdict != "press" or change.press.is_smooth:
+        return None
+    return make_touch(make_changed_image(image, rest, change, rest.calibration), progress)
+
+
+def make_touch(changed: ChangedImage, progress: Progress) -> selection.Touch:
+    """A press on the refinement grid."""
+    _, cells = changed.patches
+
+    def make_integrator(patch: ImagePatch) -> Integrator:
+        return changed.make_integrator(patch, progress, 0.3)
+
+    guess_mm = changed.guess_surface(cells, make_integrator(cells))
+    return selection.Touch(guess_mm=guess_mm, patch=cells, source=changed.source, make_integrator=make_integrator)

@@ -1,0 +1,175 @@
+"""Node *slopes*: the slopes of a gel where its image has changed, by the calibration table."""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import cast
+
+import numpy as np
+
+from pipeline.base.arrays import Floats, Image, Mask, median
+from pipeline.base.errors import CalibrationError, StageWarning
+from pipeline.base.progress import Progress
+from pipeline.calibration.calibration_table import Calibration, compute_slopes
+from pipeline.sensors.spec import SensorSpec
+from pipeline.stages.depth import change_detection
+from pipeline.stages.depth.change_detection import ImageWindow
+from pipeline.stages.depth.gel.change import FrameChange
+from pipeline.stages.depth.gel.drift import RestImage
+from pipeline.stages.depth.gel.rest import RestState
+from pipeline.stages.depth.illumination.light import (
+    FrameLight,
+    ImagePatch,
+    downsample_patch,
+    extract_patch,
+    look_up_slopes,
+)
+from pipeline.stages.depth.poisson import Boundary, Integrator, SideBoundaries, integrate_slopes
+from pipeline.values.frames import TactileFrame
+
+_SATURATED_GREY = 254  # noise of one grey level moves what is clipped at 255 down to here
+_LEVEL_PIXELS = 1000  # outside the changed region, whose median is the level of a surface
+_MAX_SATURATED_SHARE = 0.01  # of the changed region; more is warned of
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SlopeParams:
+    """Parameters of the node."""
+
+    sensitivity: float = 1.0  # divides the sensor's limit of change without contact
+    smoothing_px: float = 1.0  # standard deviation of the blur of the change, image pixels
+    boundary: Boundary = "flat"  # of the integral, inside the image
+
+
+@dataclass(frozen=True, kw_only=True)  # without slots, which a cached property needs
+class ChangedImage:
+    """An image with a change, and the settings it is measured by."""
+
+    image: Image
+    reference: RestImage
+    window: ImageWindow
+    source: SensorSpec
+    calibration: Calibration
+    smoothing_px: float
+    boundary: Boundary
+    markers: Mask | None = None  # (rows, cols) what printed markers hide of the image; None = not known
+
+    @cached_property
+    def patches(self) -> tuple[ImagePatch, ImagePatch]:
+        """The window at image resolution, and on the refinement grid."""
+        patch = extract_patch(
+            self.image, self.reference.image, self.window, self.smoothing_px, self.source.markers,
+            self.calibration.pixel_mm, self.markers,
+        )  # fmt: skip
+        return patch, downsample_patch(patch, self.image.shape)
+
+    def make_integrator(self, patch: ImagePatch, progress: Progress, fraction: float = 0.4) -> Integrator:
+        """The integrator of a patch's slopes (..., rows, cols); it can be cancelled at every use.
+
+        The surfaces in mm are 0 in the median outside the changed region.
+        """
+        ends = self._find_boundaries()
+        outside = np.flatnonzero(~patch.changed)
+        outside = outside[:: max(1, len(outside) // _LEVEL_PIXELS)]
+
+        def integrate(gx: Floats, gy: Floats) -> Floats:
+            progress.step(fraction, "integrating slopes")
+            z = integrate_slopes(gx, gy, patch.pixel_mm, ends)
+            if not len(outside):
+                return z - z.min(axis=(-2, -1), keepdims=True)
+            images = z.reshape(-1, z.shape[-2] * z.shape[-1])
+            level = np.array([median(image[outside]) for image in images], np.float32)
+            return (images - level[:, None]).reshape(z.shape)
+
+        return integrate
+
+    def _find_boundaries(self) -> SideBoundaries:
+        """The boundary condition on each side of the window.
+
+        A touch at the image border is free there: the gel beyond is not visible, and not known to be at rest.
+        """
+        (rows, cols), window = self.image.shape[:2], self.window
+        inside = (window.cols.start > 0, window.cols.stop < cols, window.rows.start > 0, window.rows.stop < rows)
+        return SideBoundaries(*(self.boundary if is_inside else "free" for is_inside in inside))
+
+    def guess_surface(self, patch: ImagePatch, integrate: Integrator) -> Floats:
+        """The surface (rows, cols) in mm by the calibration table alone."""
+        slopes = look_up_slopes(patch, self.calibration)
+        _check_slopes(*slopes, self.source)
+        return integrate(*slopes)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FrameSlopes:
+    """Slopes of the changed part of an image by the calibration table."""
+
+    changed: ChangedImage
+    gx: Floats  # (rows, cols) mm/mm, x right: of the refinement grid where light corrects them, else of the window
+    gy: Floats
+    notes: tuple[str, ...]
+
+
+def measure_slopes(
+    frame: TactileFrame,
+    rest: RestState,
+    change: FrameChange,
+    light: FrameLight,
+    params: SlopeParams,
+    progress: Progress,
+) -> FrameSlopes:
+    """Slopes of a press by the calibration table, around what has changed."""
+    progress.step(0.0, "looking up slopes")
+    changed = make_changed_image(cast("Image", frame.image), rest, change, light.calibration, params)
+    slopes = look_up_slopes(changed.patches[1], light.calibration) if light.illumination else _look_up_window(changed)
+    _check_slopes(*slopes, rest.source)
+    notes = _warn_of_image(changed)
+    return FrameSlopes(changed=changed, gx=slopes[0], gy=slopes[1], notes=notes)
+
+
+def make_changed_image(
+    image: Image, rest: RestState, change: FrameChange, calibration: Calibration, params: SlopeParams | None = None
+) -> ChangedImage:
+    """The press of an image (rows, cols, 3) and the window around it, by default settings for `params` None."""
+    params = SlopeParams() if params is None else params
+    limit_grey = rest.source.limits.no_contact_change / params.sensitivity
+    window = change_detection.detect_press(
+        image, change.rest.image_8bit, limit_grey, calibration.pixel_mm, change.press.dent_mm
+    )
+    return ChangedImage(
+        image=image, reference=change.rest, window=window, source=rest.source, calibration=calibration,
+        smoothing_px=params.smoothing_px, boundary=params.boundary, markers=change.markers,
+    )  # fmt: skip
+
+
+def _warn_of_image(changed: ChangedImage) -> tuple[str, ...]:
+    """Notes on slopes that the image does not show: under markers, and where it is saturated."""
+    import cv2
+
+    window, notes = changed.window, list[str]()
+    if changed.source.markers is not None:
+        notes.append("slopes under the printed markers were filled in from around them")
+    red, green, blue = cv2.split(changed.image[window.rows, window.cols])
+    clipped = np.asarray(cv2.max(cv2.max(red, green), blue)) >= _SATURATED_GREY
+    share = np.count_nonzero(clipped & window.changed) / np.count_nonzero(window.changed)
+    if share > _MAX_SATURATED_SHARE:
+        notes.append(StageWarning(f"{share:.0%} of the touch is saturated: slopes there may be wrong; expose less"))
+    return tuple(notes)
+
+
+def _look_up_window(changed: ChangedImage) -> tuple[Floats, Floats]:
+    """Slopes (gx, gy) (rows, cols) of the window by the calibration table alone."""
+    window = changed.window
+    here = (window.rows, window.cols)
+    gx, gy = compute_slopes(
+        changed.calibration, changed.image[here], changed.reference.image[here], window.changed,
+        (window.rows.start, window.cols.start), markers=changed.source.markers, smoothing_px=changed.smoothing_px,
+    )  # fmt: skip
+    return gx, gy
+
+
+def _check_slopes(gx: Floats, gy: Floats, source: SensorSpec) -> None:
+    """Raise CalibrationError for slopes that are not finite."""
+    if not math.isfinite(float(gx.sum()) + float(gy.sum())):
+        raise CalibrationError(
+            f"the calibration table of {source.name} gives slopes that are not finite; calibrate again"
+        )

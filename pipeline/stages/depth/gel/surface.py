@@ -1,0 +1,80 @@
+"""Node *surface*: the surface of a gel by its slopes, corrected by rendering it in the frame's light."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.base.arrays import Floats, freeze
+from pipeline.base.params import NoParams
+from pipeline.base.progress import Progress
+from pipeline.physics.slopes import compute_slopes
+from pipeline.stages.depth.gel.change import FrameChange
+from pipeline.stages.depth.gel.result import NOT_SCALED
+from pipeline.stages.depth.gel.slopes import ChangedImage, FrameSlopes
+from pipeline.stages.depth.illumination import selection
+from pipeline.stages.depth.illumination.light import FrameLight, Illumination, upsample_surface
+
+# 42 balls on a real DIGIT: a reach of 1 mm, or .4 of the deepest point, measures them as well (`docs/experiments.md`).
+_DENT_SHARE, _REACH_MM = 0.25, 0.5  # of the deepest point of a coarse dent: surely indented; and around that
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FrameSurface:
+    """A surface as light shows it, before mechanics tell what of it touches."""
+
+    surface_mm: Floats  # (rows, cols) of the window; 0 in the median outside the changed region
+    notes: tuple[str, ...]
+
+
+def estimate_surface(
+    change: FrameChange, slopes: FrameSlopes, light: FrameLight, _params: NoParams, progress: Progress
+) -> FrameSurface:
+    """The surface of slopes in a light; it can be cancelled at every iteration.
+
+    Shadows that are cast next to a touch look like ridges in a shading field: where LEDs cast them, its slopes count
+    only near the coarse dent.
+    """
+    progress.step(0.0, "integrating slopes")
+    changed = slopes.changed
+    window, calibration, notes = changed.window, changed.calibration, tuple[str, ...]()
+    surface = _integrate(slopes, light.illumination, progress)
+    if (
+        light.illumination is not None
+        and light.illumination.model == "field"
+        and selection.casts_shadows(changed.source)
+    ):
+        surface = _flatten_far(surface, change.press.dent_mm, changed, progress)
+    if light.illumination is not None and light.illumination.is_bound_to_place:
+        corner = (window.rows.start, window.cols.start)
+        surface = surface * np.float32(calibration.compute_depth_scale(surface, corner))
+    elif calibration.depth_scale_map is not None:
+        notes = (NOT_SCALED,)
+    return FrameSurface(surface_mm=freeze(surface), notes=notes)
+
+
+def _integrate(slopes: FrameSlopes, illumination: Illumination | None, progress: Progress) -> Floats:
+    changed = slopes.changed
+    patch, cells = changed.patches
+    if illumination is None:
+        return changed.make_integrator(patch, progress)(slopes.gx, slopes.gy)
+    integrate = changed.make_integrator(cells, progress)
+    guess = integrate(slopes.gx, slopes.gy)
+    surface = selection.correct_surface(guess, cells, changed.source, illumination, integrate)
+    if cells is patch:
+        return surface
+    surface = upsample_surface(surface, cells.downsampling, changed.window.changed.shape)
+    integrate = changed.make_integrator(patch, progress, 0.6)
+    return selection.add_detail(surface, patch, changed.source, illumination, integrate)
+
+
+def _flatten_far(surface_mm: Floats, dent_mm: Floats, changed: ChangedImage, progress: Progress) -> Floats:
+    """The surface (rows, cols) whose slopes fall to 0 within a reach of the coarse dent (rows, cols) of the image."""
+    import cv2
+
+    dent = np.asarray(cv2.resize(dent_mm, changed.image.shape[1::-1], interpolation=cv2.INTER_LINEAR))
+    outside = (dent < _DENT_SHARE * dent.max()).astype(np.uint8)
+    pixel_mm = changed.calibration.pixel_mm
+    away_mm = pixel_mm * cv2.distanceTransform(outside, cv2.DIST_L2, 5)[changed.window.rows, changed.window.cols]
+    near = np.clip(1.0 - away_mm / _REACH_MM, 0.0, 1.0).astype(np.float32)
+    gx, gy = compute_slopes(surface_mm, pixel_mm)
+    return changed.make_integrator(changed.patches[0], progress, 0.8)(gx * near, gy * near)
