@@ -15,7 +15,7 @@ from pipeline.base.params import setting
 from pipeline.base.progress import SILENT, Cancelled
 from pipeline.engine.cache import Cache, CacheEntry
 from pipeline.engine.digests import DigestCache, compute_digest
-from pipeline.engine.graph import Fallback, Graph, Method, Skipped, chain_nodes, skip_if_exact
+from pipeline.engine.graph import EarlyAnswer, Fallback, Graph, Method, Skipped, chain_nodes, skip_if_exact
 from pipeline.geometry.meshes import Mesh
 
 
@@ -370,6 +370,15 @@ def test_a_node_that_answers_for_the_chain_ends_it(chain, ran, kind):
     assert (found.output.value, ran.names) == (-3.0, ["c.scaled"])
     assert (found.state == "skipped", found.fallback) == (kind is Skipped, "" if kind is Skipped else "another")
     assert method.run(X, Y, ChainParams(), SILENT) == answer(X, None)
+
+
+def test_an_early_answer_of_a_node_is_the_value_of_the_chain(chain, ran):
+    method, inputs = chain(lambda x, _p: EarlyAnswer(output=Number(value=-x.value))), {"x": X, "y": Y}
+    graph = Graph((method,))
+    for state in ("computed", "cached"):
+        found = graph.evaluate(["c"], inputs, {})["c"]
+        assert (found.output.value, found.state, ran.names) == (-3.0, state, ["c.scaled"])
+    assert method.run(X, Y, ChainParams(), SILENT).value == -3.0
 
 
 @given(x=st.floats(-1e3, 1e3), scale=st.floats(-10, 10), shift=st.floats(-10, 10))

@@ -309,9 +309,11 @@ def _sum_reference(reference: Image, block: int) -> _ReferenceSums:
 
     def make() -> _ReferenceSums:
         margin = math.ceil(2 * DRIFT.shift_max_px) + 2
-        sums = cv2.integral(cv2.copyMakeBorder(reference, *[margin] * 4, cv2.BORDER_REPLICATE), sdepth=cv2.CV_64F)
+        sums = cv2.integral(
+            cv2.copyMakeBorder(reference, margin, margin, margin, margin, cv2.BORDER_REPLICATE), sdepth=cv2.CV_64F
+        )
         shape = (reference.shape[0] // block, reference.shape[1] // block)
-        return _ReferenceSums(sums=freeze(np.asarray(sums)), margin=margin, block=block, shape=shape)
+        return _ReferenceSums(sums=freeze(np.asarray(sums, np.float64)), margin=margin, block=block, shape=shape)
 
     return _references.get_or_make((compute_cached_digest(reference), block), make)
 

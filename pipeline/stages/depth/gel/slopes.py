@@ -90,7 +90,8 @@ class ChangedImage:
         """
         (rows, cols), window = self.image.shape[:2], self.window
         inside = (window.cols.start > 0, window.cols.stop < cols, window.rows.start > 0, window.rows.stop < rows)
-        return SideBoundaries(*(self.boundary if is_inside else "free" for is_inside in inside))
+        ends: list[Boundary] = [self.boundary if is_inside else "free" for is_inside in inside]
+        return SideBoundaries(*ends)
 
     def guess_surface(self, patch: ImagePatch, integrate: Integrator) -> Floats:
         """The surface (rows, cols) in mm by the calibration table alone."""
