@@ -146,15 +146,21 @@ def refine_on_recording(
     without such frames.
     """
     touches = load_paired_touches(translation, frames, params, exact=exact, progress=progress)
-    n = min(round(hold_out * len(touches)), len(touches) - 1)
-    held_out = {int((k + 0.5) * len(touches) / n) for k in range(n)}  # evenly spread
+    used, held_out = hold_out_touches(touches, hold_out)
     return refine_alignment(
+        used, start or translation.alignment, held_out=held_out, into=into, tolerance=tolerance, progress=progress
+    )
+
+
+def hold_out_touches(
+    touches: Sequence[AlignmentTouch], share: float
+) -> tuple[list[AlignmentTouch], list[AlignmentTouch]]:
+    """(the touches to fit, those held out): evenly spread over the recording, one at least to fit."""
+    n = min(round(share * len(touches)), len(touches) - 1)
+    held_out = {int((k + 0.5) * len(touches) / n) for k in range(n)}
+    return (
         [touch for k, touch in enumerate(touches) if k not in held_out],
-        start or translation.alignment,
-        held_out=[touch for k, touch in enumerate(touches) if k in held_out],
-        into=into,
-        tolerance=tolerance,
-        progress=progress,
+        [touch for k, touch in enumerate(touches) if k in held_out],
     )
 
 

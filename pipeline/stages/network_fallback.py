@@ -5,7 +5,7 @@ from typing import Any, TypeVar, TypeVarTuple, Unpack
 
 from pipeline.base.errors import ModelMissing
 from pipeline.base.progress import Progress
-from pipeline.engine.graph import Fallback, Method, Skipped
+from pipeline.engine.graph import EarlyAnswer, Fallback, Method, Skipped
 from pipeline.networks import network_factory
 from pipeline.networks.weights import NoWeights, Weights
 
@@ -37,6 +37,7 @@ def fall_back_without_weights(
             fallback_params = params if isinstance(params, fallback.params) else fallback.params()
             answer = fallback.run(*reads, fallback_params, progress)
             answer = answer.result if isinstance(answer, Fallback) else answer
+            answer = answer.output if isinstance(answer, EarlyAnswer) else answer
             return Fallback(result=answer, reason=f"{reason}; {problem}")
         return run(*reads, network, params, progress)
 

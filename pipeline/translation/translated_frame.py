@@ -112,7 +112,7 @@ class TranslatedFrame:
         """Return a stage as it is drawn: `pixels` (rows, cols, 3) uint8 RGB, `caption`, and the values behind them."""
         self._evaluate([stage])
         context = self.translation.make_preview_context(self._results)
-        return self.translation.catalogue.stage(stage).make_preview(context.outputs[stage], context)
+        return self.translation.catalogue.views[stage].make_preview(context.outputs[stage], context)
 
     def _evaluate(self, stages: Iterable[str]) -> None:
         if not self._results.keys() >= set(stages):
