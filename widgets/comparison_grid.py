@@ -72,7 +72,9 @@ class CellGrid(QTableWidget):
             header.setSectionResizeMode(QHeaderView.ResizeMode.Stretch)
         for chosen in (self.cellClicked, self.cellActivated):
             chosen.connect(self._choose)
-        EventListener(self, self._fit_images, QEvent.Type.Resize)
+        viewport = self.viewport()
+        assert viewport is not None
+        EventListener(viewport, self._fit_images, QEvent.Type.Resize)
         EventListener(self, self._draw_cells, QEvent.Type.PaletteChange)
 
     def initViewItemOption(self, option: QStyleOptionViewItem | None) -> None:  # noqa: N802
@@ -101,7 +103,8 @@ class CellGrid(QTableWidget):
         item.setToolTip(text)
         if cell.preview is not None:
             image = make_themed_qimage(self.palette(), cell.preview)
-            item.setIcon(QIcon(QPixmap.fromImage(image)))
+            fit, smooth = Qt.AspectRatioMode.KeepAspectRatio, Qt.TransformationMode.SmoothTransformation
+            item.setIcon(QIcon(QPixmap.fromImage(image.scaled(self.iconSize(), fit, smooth))))
         self.setItem(cell.row, cell.col, item)
 
     def _draw_cells(self) -> None:
@@ -113,7 +116,8 @@ class CellGrid(QTableWidget):
         room, rows, columns = self.viewport(), max(1, self.rowCount()), max(1, self.columnCount())
         if room is not None:
             high = room.height() // rows - self.fontMetrics().height() - 2 * _GAP_PX
-            self.setIconSize(QSize(room.width() // columns - 2 * _GAP_PX, max(high, 0)))
+            self.setIconSize(QSize(room.width() // columns - 2 * _GAP_PX, max(high, 1)))
+            self._draw_cells()  # an icon is never enlarged
 
     def _choose(self, row: int, col: int) -> None:
         cell = self.cells.get((row, col))
