@@ -76,7 +76,9 @@ def integrate_slopes(gx: Floats, gy: Floats, pixel_mm: float, boundary: Boundary
     per, slow = _compute_pivots(wave.shape[1], wave.shape[2], ends, others)
     solve_tridiagonal(wave, per, np.float32(-pixel_mm), slow, np.empty(slow.shape))
     wave = _transform(wave, ends, back=True)
-    return freeze((wave if across else _transpose(wave)).reshape(gx.shape))
+    surface = (wave if across else _transpose(wave)).reshape(gx.shape)
+    surface.flags.writeable = False  # not by `freeze`: a call in another module takes part of so short a time
+    return surface
 
 
 def solve_weighted_slopes(
