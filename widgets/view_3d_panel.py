@@ -116,8 +116,8 @@ class StepsSlider(QWidget):
             return
         step, place = self._steps[at], f"{at + 1}/{len(self._steps)}"
         if isinstance(step, TouchStep):
-            self._text.setText(f"{place}: noise {step.sigma:.2g}")
-            self._text.setToolTip(f"state {at + 1} of {len(self._steps)}, at noise level {step.sigma:.3g} units")
+            self._text.setText(f"{place}: {step.label}")
+            self._text.setToolTip(f"state {at + 1} of {len(self._steps)}: {step.label}")
             return
         self._text.setText(f"{place}: {step.rmse_mm:.2f} mm")
         matched = f"{100 * step.fitness:.0f} % of the points matched"

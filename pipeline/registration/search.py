@@ -165,7 +165,11 @@ class PoseSearch:
 
     def explains(self, minimum: PoseMinimum) -> bool:
         """Return whether the residual is within the depth's error and most of the contact is on the object."""
-        return minimum.fit.fitness >= _MIN_FITNESS and minimum.fit.rmse_mm <= self.limit_mm
+        return self.accepts(minimum.fit.fitness, minimum.fit.rmse_mm)
+
+    def accepts(self, fitness: float, rmse_mm: float) -> bool:
+        """Return whether this share of the contact on the object, at this rms distance, explains the touch."""
+        return fitness >= _MIN_FITNESS and rmse_mm <= self.limit_mm
 
     @property
     def limit_mm(self) -> float:

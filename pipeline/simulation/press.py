@@ -77,8 +77,7 @@ def simulate_press(
     """
     pose = rigid.validate_rigid(alignment_from_object, "the object's pose")
     sensor_from_object = rigid.invert(sensor.alignment_from_sensor) @ pose
-    vertices = rigid.apply(sensor_from_object, mesh.vertices_mm)
-    surface = _press_membrane(vertices, mesh, sensor, load)
+    surface = press_membrane(mesh, sensor_from_object, sensor, load)
     indentation: Floats = freeze((sensor.rest_depth_mm - surface.depth_mm).astype(np.float32))
     truth = Truth(
         indentation_mm=indentation, contact=surface.contact, sensor_from_object=freeze(sensor_from_object),
@@ -111,12 +110,14 @@ def simulate_bubble_image(
     return bubble_camera.simulate_depth_frame(sensor, depth_mm, seed)
 
 
-def _press_membrane(
-    vertices_mm: Doubles, mesh: Mesh, sensor: SensorSpec, load: TangentialLoad | None
+def press_membrane(
+    mesh: Mesh, sensor_from_object: Doubles, sensor: SensorSpec, load: TangentialLoad | None = None
 ) -> PressedSurface:
+    """The surface of `sensor` under an object at this pose; raises SettingProblem for a kind without a simulator."""
     simulator = sensor.sensor_kind.press_simulator
     if not simulator:
         raise SettingProblem(f"sensors of kind {sensor.kind!r} such as {sensor.name} cannot be simulated")
+    vertices_mm = rigid.apply(sensor_from_object, mesh.vertices_mm)
     return load_reference(simulator)(vertices_mm, mesh, sensor, load)
 
 
@@ -178,7 +179,7 @@ def simulate_bubble_press(
     """The membrane of a bubble pressed by a mesh at `vertices_mm` (n, 3) in the sensor frame."""
     if sensor.bubble is None:
         raise SettingProblem(f"{sensor.name} has no [bubble] in its description")
-    on = bubble.make_lattice(sensor.bubble)
+    on = bubble.make_lattice(sensor.bubble, max(bubble.STEP_MM, sensor.pixel_mm))  # no finer than the camera sees
     ceiling = lattice.rasterise_mesh(vertices_mm, mesh.triangles, on) - bubble_camera.get_rim_z_mm(sensor)
     answer = bubble.press_bubble(sensor.bubble, ceiling, on)
     depth = bubble_camera.compute_depth_from_deviation(sensor, answer.deviation_mm, on)

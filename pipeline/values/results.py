@@ -80,11 +80,16 @@ class TargetDepth:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TouchStep:
-    """One denoising step of a generated touch: its expected result."""
+    """One denoising step of a generated touch, its expected result; or the touch of one pose of the object."""
 
     image: Image | Floats  # as of GeneratedTouch
-    sigma: float  # noise level in units of the correction; 0 = the sample
+    sigma: float  # noise level in units of the correction; 0 = the sample, NaN = a pose's touch
     membrane: DepthMap
+
+    @property
+    def label(self) -> str:
+        """What it is, in two words."""
+        return "a pose" if math.isnan(self.sigma) else f"noise {self.sigma:.2g}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -97,7 +102,7 @@ class GeneratedTouch:
     in_view: Mask  # (rows, cols) as in TargetDepth; True for a method that generates outside the source's field of view
     membrane: DepthMap | None = None  # of this image; None = only the image is known
     notes: tuple[str, ...] = ()
-    steps: tuple[TouchStep, ...] = field(default=(), metadata=UNDIGESTED)  # noisiest first
+    steps: tuple[TouchStep, ...] = field(default=(), metadata=UNDIGESTED)  # noisiest first; the best pose last
     reference: Floats | None = None  # (rows, cols) mm, recorded reference of a bubble; None = described rest
 
 

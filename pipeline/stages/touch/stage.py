@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
 from pipeline.base.arrays import Floats
 from pipeline.base.params import NoParams
-from pipeline.engine.graph import Method, skip_if_exact
+from pipeline.base.progress import SILENT, Progress
+from pipeline.engine.graph import Fallback, Method, Skipped, skip_if_exact
+from pipeline.geometry.meshes import Mesh
 from pipeline.metrics.stage_metrics import compute_image_metrics
 from pipeline.previews.layers import Layer, make_frame_layer, make_surface_layer
 from pipeline.previews.preview import Preview, make_frame_preview
+from pipeline.sensors.alignment import Alignment
+from pipeline.sensors.spec import SensorSpec
 from pipeline.stages import ground_truth
 from pipeline.stages.network_fallback import fall_back_without_weights
 from pipeline.stages.stage import (
@@ -25,11 +30,11 @@ from pipeline.stages.stage import (
     StepHistory,
     look_up_element,
 )
-from pipeline.stages.touch import latent_diffusion, physical_render, t2d2, t2t, vqvae
+from pipeline.stages.touch import latent_diffusion, object_touch, physical_render, t2d2, t2t, vqvae
 from pipeline.stages.touch.frame_chain import PHYSICS_FROM_FRAME, READS, guard_contact, list_inner_methods
 from pipeline.stages.touch.latent_diffusion import LatentParams
 from pipeline.stages.touch.residual_diffusion import DiffusionParams, make_draft_params
-from pipeline.values.results import GeneratedTouch
+from pipeline.values.results import DepthMap, GeneratedTouch, ObjectPose, TargetDepth
 
 PHYSICS = Method(
     stage="touch",
@@ -54,6 +59,33 @@ T2D2 = Method(
     weights=t2d2.select_weights,
     draft=make_draft_params,
     version=8,
+)
+
+
+def _press_object_or_fall_back(
+    view: TargetDepth, target: SensorSpec, depth: DepthMap, alignment: Alignment, mesh: Mesh | None,
+    previous: ObjectPose | None, params: object_touch.ObjectParams,
+    progress: Progress = SILENT,
+) -> GeneratedTouch | Skipped[GeneratedTouch] | Fallback[GeneratedTouch]:  # fmt: skip
+    """The object's touch; T2D2's, with the reason, where no pose of the object explains the source."""
+    touch = object_touch.press_object(depth, alignment, target, mesh, previous, params, progress)
+    if isinstance(touch, GeneratedTouch):
+        return touch
+    by_t2d2: Callable[..., Any] = T2D2.run
+    answer = by_t2d2(view, target, t2d2.select_weights(target, target, None), T2D2.params(), progress)
+    if isinstance(answer, Fallback):
+        return Fallback(result=answer.result, reason=f"physics: {touch}")
+    return Fallback(result=answer, reason=f"T2D2: {touch}")
+
+
+OBJECT = Method(
+    stage="touch",
+    name="object",
+    title="Object",
+    help="the object's mesh, registered on the source and pressed into the target; needs a mesh",
+    run=skip_if_exact(physical_render.skip_without_contact, _press_object_or_fall_back),
+    params=object_touch.ObjectParams,
+    reads=(*PHYSICS.reads, "depth", "alignment", "mesh", "previous"),
 )
 T2T = Method(
     stage="touch",
@@ -157,6 +189,8 @@ def _summarise_steps(touch: GeneratedTouch) -> StepHistory | None:
     """Change per step and distance from the last step, and the step of convergence."""
     if not touch.steps:
         return None
+    if np.isnan(touch.steps[0].sigma):
+        return _summarise_poses(touch)
     heights = [np.nan_to_num(step.membrane.indentation_mm) for step in touch.steps]
     changes = [heights[0] * 0, *(b - a for a, b in pairwise(heights))]
     last_mm = tuple(_rms_mm(h - heights[-1]) for h in heights)
@@ -174,6 +208,17 @@ def _summarise_steps(touch: GeneratedTouch) -> StepHistory | None:
     )  # fmt: skip
 
 
+def _summarise_poses(touch: GeneratedTouch) -> StepHistory:
+    """Distance of every pose's touch from the best one's."""
+    best = touch.steps[-1].membrane.indentation_mm
+    off_mm = tuple(_rms_mm(step.membrane.indentation_mm - best) for step in touch.steps)
+    return StepHistory(
+        curves=(StepCurve(name="from the best pose", unit="mm", values=off_mm),),
+        stop_reason=f"{len(off_mm)} poses of the object that explain the source, each pressed into the target",
+        descriptions=tuple(f"pose {k + 1}, {mm:.3g} mm (rms) from the best one" for k, mm in enumerate(off_mm)),
+    )
+
+
 def _rms_mm(gap: Floats) -> float:
     return float(np.sqrt((gap.astype(np.float64) ** 2).mean()))
 
@@ -187,7 +232,7 @@ STAGE = Stage(
     title="Generated touch",
     legend="target's membrane",
     sensor_role="target",
-    methods=(PHYSICS, T2D2, LATENT_T2D2, T2T, LATENT, VQVAE),
+    methods=(PHYSICS, T2D2, LATENT_T2D2, T2T, LATENT, VQVAE, OBJECT),
     make_preview=_make_preview,
     make_layers=_make_layers,
     trace_point=_trace_point,

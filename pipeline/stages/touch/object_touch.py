@@ -1,0 +1,134 @@
+"""Object touch: the object's mesh, registered on the source's depth, pressed into the target by the simulator.
+
+What the target touches outside the source's view, or deeper, is then the object's own shape. Other poses that explain
+the source are pressed as well: their spread is the expected error of the touch.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pipeline.base.arrays import Doubles, Floats, freeze
+from pipeline.base.errors import StageWarning, select_warnings
+from pipeline.base.params import setting
+from pipeline.base.progress import SILENT, Progress, SubProgress
+from pipeline.geometry import rigid
+from pipeline.geometry.meshes import Mesh
+from pipeline.sensors.alignment import Alignment
+from pipeline.sensors.spec import SensorSpec
+from pipeline.simulation.press import PressedSurface, press_membrane, render_sensor_image
+from pipeline.stages.pose.signed_distances import PoseParams, estimate_or_track_pose, prepare_search
+from pipeline.stages.touch.object_posterior import PosePosterior, sample_poses
+from pipeline.values.results import DepthMap, GeneratedTouch, ObjectPose, TouchStep, make_depth_map
+
+_DRAFT = 2.0  # times coarser: only the difference of a pose's touch from the best one's counts
+_MEAN_FROM_STD = math.sqrt(2.0 / math.pi)  # mean absolute value of a normal error of standard deviation 1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ObjectParams:
+    """Settings of the posterior of the object's pose."""
+
+    samples: int = setting(
+        7, "Poses", unit="poses", low=1, high=64, step=1, pinned="Poses",
+        help="poses drawn from those that explain the source; their spread is the expected error",
+        source="Monte Carlo over the posterior of the pose",
+    )  # fmt: skip
+    seed: int = setting(
+        0, "Seed", low=0, high=2**31 - 1, step=1, help="random seed of the poses", pinned="Seed",
+        source="PCG64: O'Neill 2014 (numpy)",
+    )  # fmt: skip
+    keep_states: bool = setting(
+        False, "Keep states", help="keep the touch of every pose for the step view; does not change the result",
+        source="Tactoscope"
+    )  # fmt: skip
+
+
+def press_object(
+    depth: DepthMap, alignment: Alignment, target: SensorSpec, mesh: Mesh | None, previous: ObjectPose | None,
+    params: ObjectParams, progress: Progress = SILENT,
+) -> GeneratedTouch | str:  # fmt: skip
+    """What `target` records of the object at the poses that explain the source's `depth`; the reason where none does.
+
+    `previous` is the object's pose in the target frame on the frame before, from which it is tracked. Raises
+    MeshProblem when the mesh has no surface, SettingProblem for a target without a simulator.
+    """
+    how = PoseParams(seed=params.seed)
+    search = prepare_search(depth, mesh, how, SubProgress(progress, 0.0, 0.2))
+    if isinstance(search, ObjectPose):
+        return search.notes[0]
+    before = _move_pose(previous, rigid.invert(alignment.target_from_source))
+    pose = estimate_or_track_pose(depth, mesh, before, how, SubProgress(progress, 0.2, 0.5))
+    if pose.sensor_from_object is None:
+        return pose.notes[0]
+    if not search[0].accepts(pose.fitness, pose.rmse_mm):
+        return (
+            f"the mesh does not fit: {pose.fitness:.0%} of the contact lies on it, {pose.rmse_mm:.2g} mm off where the "
+            f"depth's error makes up {search[0].limit_mm:.2g} mm; check the mesh and its unit"
+        )
+    posterior = sample_poses(search[0], pose, params.samples, params.seed)
+    touch = _press_poses(posterior, alignment.target_from_source, target, search[1], params, progress)
+    return replace(touch, notes=(*touch.notes, *select_warnings(pose.notes)))
+
+
+def _press_poses(
+    posterior: PosePosterior, target_from_source: Doubles, target: SensorSpec, mesh: Mesh, params: ObjectParams,
+    progress: Progress,
+) -> GeneratedTouch:  # fmt: skip
+    """The touch of the best pose, with the spread of the others as its expected error, and each of them if kept."""
+    progress.step(0.7, "pressing the object into the target")
+    modes, samples = (target_from_source @ poses for poses in (posterior.modes, posterior.samples))
+    best = press_membrane(mesh, modes[0], target)
+    touch = _make_membrane(target, target.rest_depth_mm - best.depth_mm, best.contact)
+    first_mm, square = _press_draft(mesh, modes[0], target), np.zeros(target.camera.shape)
+    for k, pose in enumerate(samples):
+        progress.step(0.75 + 0.25 * k / len(samples), f"pose {k + 1} of {len(samples)}")
+        square += (_press_draft(mesh, pose, target) - first_mm) ** 2 / len(samples)
+    error_mm: Floats = (_MEAN_FROM_STD * np.sqrt(square)).astype(np.float32)
+    shape = target.camera.shape
+    notes = [f"{len(modes)} poses fit equally well" if len(modes) > 1 else "one pose fits"]
+    notes.append(f"expected error {float(error_mm.mean()):.2g} mm, from {len(samples)} poses that explain the source")
+    if not best.converged:
+        notes.append(StageWarning("the simulated press did not converge: expect a wrong touch; check the alignment"))
+    return GeneratedTouch(
+        image=_render(target, touch), camera=target.camera, source_index=freeze(np.full(shape, -1, np.int32)),
+        in_view=freeze(np.ones(shape, np.bool_)), membrane=replace(touch, expected_error_mm=freeze(error_mm)),
+        notes=tuple(notes),
+        steps=tuple(_make_sample(press_membrane(mesh, pose, target), target) for pose in (*samples[::-1], *modes[::-1]))
+        if params.keep_states else (),
+    )  # fmt: skip
+
+
+def _press_draft(mesh: Mesh, target_from_object: Doubles, target: SensorSpec) -> Floats:
+    """The indentation by one pose at the target's pixels, computed on fewer."""
+    import cv2
+
+    small = target.with_camera(target.camera.scale(1.0 / _DRAFT))
+    moved = small.rest_depth_mm - press_membrane(mesh, target_from_object, small).depth_mm
+    return np.asarray(cv2.resize(moved.astype(np.float32), target.camera.shape[::-1]), np.float32)
+
+
+def _make_sample(pressed: PressedSurface, target: SensorSpec) -> TouchStep:
+    membrane = _make_membrane(target, target.rest_depth_mm - pressed.depth_mm, pressed.contact)
+    return TouchStep(image=_render(target, membrane), sigma=math.nan, membrane=membrane)
+
+
+def _make_membrane(target: SensorSpec, indentation_mm: Doubles, contact: np.ndarray) -> DepthMap:
+    return make_depth_map(target.rest_depth_mm, indentation_mm.astype(np.float32), contact, target.camera)
+
+
+def _render(target: SensorSpec, membrane: DepthMap) -> np.ndarray:
+    return render_sensor_image(target, membrane.indentation_mm, membrane.depth_mm.astype(np.float64), None)
+
+
+def _move_pose(pose: ObjectPose | None, by: Doubles) -> ObjectPose | None:
+    """A pose and its alternatives in another frame."""
+    if pose is None or pose.sensor_from_object is None:
+        return None
+    return replace(
+        pose, sensor_from_object=freeze(by @ pose.sensor_from_object),
+        alternatives=tuple(freeze(by @ other) for other in pose.alternatives),
+    )  # fmt: skip

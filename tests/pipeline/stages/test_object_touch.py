@@ -1,0 +1,100 @@
+"""The touch by the registered object: presses of a mesh that no network has seen."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pipeline.engine.graph import Graph
+from pipeline.geometry import rigid
+from pipeline.sensors.alignment import resolve_alignment
+from pipeline.sensors.spec import load_sensor
+from pipeline.simulation import shapes
+from pipeline.simulation.datasets import BUBBLE_DEEPER_MM
+from pipeline.simulation.press import move_bubble_closer, simulate_press
+from pipeline.stages.touch import t2d2
+from pipeline.stages.touch.object_touch import ObjectParams
+from pipeline.stages.touch.stage import OBJECT, STAGE
+from pipeline.translation.catalogue import BUILT_IN
+from pipeline.values.frames import TactileFrame
+
+GEL, BUBBLE = load_sensor("gelslim"), move_bubble_closer(load_sensor("soft_bubble"), BUBBLE_DEEPER_MM)
+SHAPE = "notched_elbow"
+POSE = rigid.translation(1.0, -2.0, -0.7) @ rigid.rotation((0.03, -0.02, 0.4))
+
+
+@pytest.fixture(scope="module")
+def frame():
+    press = simulate_press(shapes.make_shape(SHAPE).mesh, POSE, GEL, seed=3)
+    return TactileFrame(sensor="gelslim", image=press.image, reference=GEL.render_reference())
+
+
+@pytest.fixture(scope="module")
+def truth():
+    return simulate_press(shapes.make_shape(SHAPE).mesh, POSE, BUBBLE, seed=None)
+
+
+@pytest.fixture(scope="module")
+def graph():
+    return Graph(BUILT_IN.methods("t2d2", {"touch": "object"}, {"source": "gel", "target": "bubble"}))
+
+
+def translate(graph, frame, mesh, **params):
+    inputs = {
+        "frame": frame, "source": GEL, "target": BUBBLE, "calibration": None, "mesh": mesh, "previous": None,
+        "alignment": resolve_alignment(GEL, BUBBLE), "touch_weights": t2d2.select_weights(GEL, BUBBLE, None),
+    }  # fmt: skip
+    chosen = {"touch": ObjectParams(**params)} if params else {}
+    return graph.evaluate(["touch"], inputs, chosen)["touch"]
+
+
+def test_the_object_is_pressed_beyond_what_the_source_sees(graph, frame, truth):
+    mesh = shapes.make_shape(SHAPE).mesh
+    touch = translate(graph, frame, mesh).output
+    physics = graph.with_methods(BUILT_IN.methods("t2d2", {"touch": "physics"}, {"source": "gel"}))
+    rendered = translate(physics, frame, mesh).output
+    error, by_physics = (
+        np.abs(one.membrane.indentation_mm - truth.indentation_mm)[truth.contact].mean() for one in (touch, rendered)
+    )
+    assert error < 0.2 * by_physics
+    assert (touch.membrane.contact & truth.contact).sum() > 0.9 * (touch.membrane.contact | truth.contact).sum()
+    assert touch.membrane.expected_error_mm.shape == BUBBLE.camera.shape
+    assert touch.membrane.expected_error_mm.max() > 0
+
+
+def test_every_pose_that_fits_is_a_step_and_the_best_one_the_answer(graph, frame):
+    mesh = shapes.make_shape(SHAPE).mesh
+    touch = translate(graph, frame, mesh, samples=3, keep_states=True).output
+    assert np.array_equal(touch.steps[-1].image, touch.image)
+    assert len(touch.steps) >= 4
+    assert all(math.isnan(step.sigma) for step in touch.steps)
+    history = STAGE.summarise_steps(touch)
+    assert len(history.descriptions) == len(touch.steps)
+    assert history.curves[0].values[-1] == 0.0
+    plain = translate(graph, frame, mesh, samples=3).output
+    assert not plain.steps
+    assert plain.image.tobytes() == touch.image.tobytes()
+
+
+@pytest.mark.parametrize("mesh", ["none", "wrong"])
+def test_without_a_mesh_that_fits_t2d2_answers_and_says_why(graph, frame, mesh):
+    small = shapes.make_shape(SHAPE).mesh
+    small = replace(small, vertices_mm=0.1 * small.vertices_mm)
+    result = translate(graph, frame, None if mesh == "none" else small)
+    assert result.fallback.startswith("T2D2: ")
+    assert ("no object mesh" if mesh == "none" else "mesh") in result.fallback
+    by_t2d2 = graph.with_methods(BUILT_IN.methods("t2d2", {}, {"source": "gel"}))
+    assert np.array_equal(result.output.image, translate(by_t2d2, frame, None).output.image)
+
+
+def test_no_contact_is_the_reference_image(graph, frame):
+    untouched = replace(frame, image=frame.reference)
+    result = translate(graph, untouched, shapes.make_shape(SHAPE).mesh)
+    assert result.state == "skipped"
+    assert np.array_equal(result.output.image, BUBBLE.render_reference())
+
+
+def test_the_method_is_for_any_pair_of_sensors():
+    assert OBJECT in STAGE.methods
+    assert OBJECT.weights is None
