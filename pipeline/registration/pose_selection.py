@@ -138,8 +138,5 @@ def _describe_fit(search: PoseSearch, chosen: PoseMinimum) -> tuple[str, ...]:
         )
     if search.explains(chosen):
         return () if chosen.misfit_mm <= search.limit_mm else (MISSING_CONTACT_WARNING,)
-    text = (
-        f"{fit.fitness:.0%} of the contact lies on the object, {fit.rmse_mm:.2g} mm off where the depth's error "
-        f"makes up {search.limit_mm:.2g} mm; expect a wrong pose, or check the mesh"
-    )
-    return (StageWarning(text),)
+    text = search.describe_misfit(fit.fitness, fit.rmse_mm)
+    return (StageWarning(f"{text}; expect a wrong pose, or check the mesh"),)

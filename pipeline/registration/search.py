@@ -165,11 +165,16 @@ class PoseSearch:
 
     def explains(self, minimum: PoseMinimum) -> bool:
         """Return whether the residual is within the depth's error and most of the contact is on the object."""
-        return self.accepts(minimum.fit.fitness, minimum.fit.rmse_mm)
+        return not self.describe_misfit(minimum.fit.fitness, minimum.fit.rmse_mm)
 
-    def accepts(self, fitness: float, rmse_mm: float) -> bool:
-        """Return whether this share of the contact on the object, at this rms distance, explains the touch."""
-        return fitness >= _MIN_FITNESS and rmse_mm <= self.limit_mm
+    def describe_misfit(self, fitness: float, rmse_mm: float) -> str:
+        """Return in words how far a fit is from explaining the touch; "" where it does."""
+        if fitness >= _MIN_FITNESS and rmse_mm <= self.limit_mm:
+            return ""
+        return (
+            f"{fitness:.0%} of the contact lies on the object, {rmse_mm:.2g} mm off where the depth's error makes up "
+            f"{self.limit_mm:.2g} mm"
+        )
 
     @property
     def limit_mm(self) -> float:

@@ -14,7 +14,7 @@ from pipeline.simulation.poses import DEPTH_RANGE_MM, sample_press_pose
 from pipeline.tasks.attribution import correct_estimates, describe_decision, share_error
 from pipeline.tasks.in_hand import FINGERS, PlanarPose, estimate_grasp, press_between_fingers, project_to_plane
 from pipeline.tasks.task import Attempt, Decision, Rollout, TrialPlan
-from pipeline.tasks.touches import NONE, TRUE, Moment, make_pairing, place_sensor
+from pipeline.tasks.touches import NONE, OWN, TRUE, Moment, load_placed_sensor, make_pairing, place_sensor
 from pipeline.values.frames import Pairing, TactileFrame, Truth
 
 SOURCE, TARGET = "gelslim", "soft_bubble"
@@ -27,6 +27,7 @@ class HeldObject:
     mesh: Mesh
     held: PlanarPose  # hand_from_object, the truth
     moments: tuple[Moment, ...]  # of the left and the right finger
+    source: SensorSpec
     target: SensorSpec
     frames: tuple[tuple[str, TactileFrame, Truth | None], ...]
     pairings: tuple[Pairing, ...]
@@ -46,7 +47,7 @@ class HeldObject:
             moment.measure_depth(touch, one, SubProgress(progress, k * part, part, finger))
             for k, (moment, one, finger) in enumerate(zip(self.moments, values, FINGERS, strict=True))
         ]
-        return estimate_grasp(maps, self.mesh, self.target) or PlanarPose()
+        return estimate_grasp(maps, self.mesh, self.source if touch == OWN else self.target) or PlanarPose()
 
 
 def feel_grasp(plan: TrialPlan, mesh: Mesh, rng: np.random.Generator, progress: Progress = SILENT) -> HeldObject:
@@ -58,7 +59,6 @@ def feel_grasp(plan: TrialPlan, mesh: Mesh, rng: np.random.Generator, progress: 
     moments: list[Moment] = []
     frames: list[tuple[str, TactileFrame, Truth | None]] = []
     pairings: list[Pairing] = []
-    target_spec = None
     for finger in FINGERS:
         places = [place_sensor(name, rng, plan.vary) for name in (SOURCE, TARGET)]  # the same draws, whoever records
         pose = press_between_fingers(mesh, held, finger, indentation_mm)
@@ -69,11 +69,9 @@ def feel_grasp(plan: TrialPlan, mesh: Mesh, rng: np.random.Generator, progress: 
             recorded.append(place.record(mesh, pose, index=0, time_s=0.0))
         frames += [(f"{frame.sensor}_{finger}", frame, truth) for frame, truth in recorded]
         pairings.append(make_pairing(finger, places[0].nominal, places[1].nominal))
-        target_spec = places[1].nominal
         moments.append(Moment(mesh, recorded, places[0].nominal, places[1].nominal))
-    assert target_spec is not None
     return HeldObject(
-        mesh=mesh, held=held, moments=tuple(moments), target=target_spec, frames=tuple(frames),
+        mesh=mesh, held=held, moments=tuple(moments), source=load_placed_sensor(SOURCE), target=load_placed_sensor(TARGET), frames=tuple(frames),
         pairings=tuple(pairings) if needs_source and needs_target else (),
     )  # fmt: skip
 

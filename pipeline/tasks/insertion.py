@@ -211,6 +211,8 @@ def insert(
         if largest > force_limit_n:
             cause = f"jams {depth:.1f} mm deep of {peg.depth_mm:g} mm: the force exceeds {force_limit_n:g} N"
             break
+        if depth >= peg.depth_mm:  # at the bottom of the hole: pushing on would jam it
+            break
     inserted = depth >= peg.depth_mm - SHORT_MM
     if not cause:
         cause = "inserted" if inserted else f"stops {depth:.1f} mm deep of {peg.depth_mm:g} mm"

@@ -29,7 +29,7 @@ from pipeline.translation.translate import Request, Translation, load_nothing
 from pipeline.values.frames import Pairing, Recording, Stream, TactileFrame, Truth
 from pipeline.values.results import DepthMap, GeneratedTouch
 
-TRUE, NONE = "true", "none"
+TRUE, NONE, OWN = "true", "none", "own"  # the target itself; no touch; the source itself, without a translation
 _CACHE_BYTES = 64 << 20  # all stages of a moment, with and without truth in their place
 
 
@@ -71,8 +71,8 @@ def place_sensor(name: str, rng: np.random.Generator, vary: float) -> SensorPlac
 
 
 def check_touch(name: str, source: str, target: str) -> None:
-    """Raise SettingProblem unless `name` is "true", "none" or a touch method that can translate source to target."""
-    if name in (TRUE, NONE):
+    """Raise SettingProblem unless `name` is "true", "none", "own" or a touch method that can translate source to target."""
+    if name in (TRUE, NONE, OWN):
         return
     method = BUILT_IN.method("touch", name)
     found = (
@@ -153,8 +153,8 @@ class Moment:
     def measure_depth(
         self, touch: str, given: Mapping[str, object] | None = None, progress: Progress = SILENT
     ) -> DepthMap:
-        """Depth of the touch that the controller gets: the target's own frame for "true", else the generated touch."""
-        stage = "depth" if touch == TRUE else "touch_depth"
+        """Depth of the touch that the controller gets: the target's or the source's own frame for "true" and "own"."""
+        stage = "depth" if touch in (TRUE, OWN) else "touch_depth"
         output = self.evaluate(touch, stage, given, progress)[1][stage].output
         assert isinstance(output, DepthMap)
         return output

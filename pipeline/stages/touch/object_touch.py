@@ -7,6 +7,7 @@ the source are pressed as well: their spread is the expected error of the touch.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,14 +18,21 @@ from pipeline.base.params import setting
 from pipeline.base.progress import SILENT, Progress, SubProgress
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh
+from pipeline.registration.search import PoseSearch
+from pipeline.registration.starts import list_starts
 from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import SensorSpec
 from pipeline.simulation.press import PressedSurface, press_membrane, render_sensor_image
 from pipeline.stages.pose.signed_distances import PoseParams, estimate_or_track_pose, prepare_search
+from pipeline.stages.touch.membrane_fit import MembraneFit, fit_membrane, order_by_membrane
 from pipeline.stages.touch.object_posterior import PosePosterior, sample_poses
 from pipeline.values.results import DepthMap, GeneratedTouch, ObjectPose, TouchStep, make_depth_map
 
 _DRAFT = 2.0  # times coarser: only the difference of a pose's touch from the best one's counts
+_EXPLAINED, _REFUSED = 1.45, 3.0  # misfits: of 24 true poses 1.2 to 1.4, of wrong ones from 1.5
+_MAX_TIED = 7  # poses that fit a gel's contact equally well, compared by the whole gel
+_MAX_OTHER_STARTS = 3  # each costs as much as the first
+_UNSURE_SHARE = 0.3  # expected error over mean indentation from which on there is a warning
 _MEAN_FROM_STD = math.sqrt(2.0 / math.pi)  # mean absolute value of a normal error of standard deviation 1
 
 
@@ -48,8 +56,8 @@ class ObjectParams:
 
 
 def press_object(
-    depth: DepthMap, alignment: Alignment, target: SensorSpec, mesh: Mesh | None, previous: ObjectPose | None,
-    params: ObjectParams, progress: Progress = SILENT,
+    depth: DepthMap, source: SensorSpec, alignment: Alignment, target: SensorSpec, mesh: Mesh | None,
+    previous: ObjectPose | None, params: ObjectParams, progress: Progress = SILENT,
 ) -> GeneratedTouch | str:  # fmt: skip
     """What `target` records of the object at the poses that explain the source's `depth`; the reason where none does.
 
@@ -57,21 +65,52 @@ def press_object(
     MeshProblem when the mesh has no surface, SettingProblem for a target without a simulator.
     """
     how = PoseParams(seed=params.seed)
-    search = prepare_search(depth, mesh, how, SubProgress(progress, 0.0, 0.2))
-    if isinstance(search, ObjectPose):
-        return search.notes[0]
+    prepared = prepare_search(depth, mesh, how, SubProgress(progress, 0.0, 0.2))
+    if isinstance(prepared, ObjectPose):
+        return prepared.notes[0]
+    search, mesh = prepared
     before = _move_pose(previous, rigid.invert(alignment.target_from_source))
-    pose = estimate_or_track_pose(depth, mesh, before, how, SubProgress(progress, 0.2, 0.5))
+    pose = estimate_or_track_pose(depth, mesh, before, how, SubProgress(progress, 0.2, 0.3))
     if pose.sensor_from_object is None:
         return pose.notes[0]
-    if not search[0].accepts(pose.fitness, pose.rmse_mm):
-        return (
-            f"the mesh does not fit: {pose.fitness:.0%} of the contact lies on it, {pose.rmse_mm:.2g} mm off where the "
-            f"depth's error makes up {search[0].limit_mm:.2g} mm; check the mesh and its unit"
-        )
-    posterior = sample_poses(search[0], pose, params.samples, params.seed)
-    touch = _press_poses(posterior, alignment.target_from_source, target, search[1], params, progress)
+    misfit = search.describe_misfit(pose.fitness, pose.rmse_mm)
+    if depth.measured_depth_mm is not None:
+        progress.step(0.5, "fitting the object to the whole membrane")
+        fit = _fit_membrane(depth, source, search, mesh, pose)
+        pose = replace(pose, sensor_from_object=fit.sensor_from_object, covariance=fit.covariance)
+        misfit = ""
+        if fit.misfit > _REFUSED:
+            misfit = f"the membrane is {fit.misfit:.1f} times as far off as noise explains"
+    elif pose.alternatives:
+        tied = np.array([pose.sensor_from_object, *pose.alternatives[:_MAX_TIED]])
+        best, *others = order_by_membrane(depth, mesh, source, tied)
+        pose = replace(pose, sensor_from_object=best, alternatives=tuple(others))
+    if misfit:
+        return f"the mesh does not fit: {misfit}; check the mesh and its unit"
+    posterior = sample_poses(search, pose, params.samples, params.seed)
+    touch = _press_poses(posterior, alignment.target_from_source, target, mesh, params, progress)
     return replace(touch, notes=(*touch.notes, *select_warnings(pose.notes)))
+
+
+def _fit_membrane(depth: DepthMap, source: SensorSpec, search: PoseSearch, mesh: Mesh, pose: ObjectPose) -> MembraneFit:
+    """The fit from the registered pose; where it does not explain the membrane, the best from its alternatives too."""
+    best: MembraneFit | None = None
+    assert pose.sensor_from_object is not None
+    for start in (pose.sensor_from_object, *_list_other_starts(search, pose)):
+        fit = fit_membrane(depth, mesh, source, start, search.middle_mm, search.points.radius_mm)
+        if best is None or fit.misfit < best.misfit:
+            best = fit
+        if best.misfit <= _EXPLAINED:
+            break
+    assert best is not None
+    return best
+
+
+def _list_other_starts(search: PoseSearch, pose: ObjectPose) -> Iterator[Doubles]:
+    """Poses that fit the contact as well, then others that its registration came upon."""
+    yield from pose.alternatives[:_MAX_OTHER_STARTS]
+    starts = list_starts(search.scene, search.object.model, "auto", PoseParams().n_starts)
+    yield from search.find_promising(search.select_likeliest(starts))[:_MAX_OTHER_STARTS]
 
 
 def _press_poses(
@@ -89,8 +128,10 @@ def _press_poses(
         square += (_press_draft(mesh, pose, target) - first_mm) ** 2 / len(samples)
     error_mm: Floats = (_MEAN_FROM_STD * np.sqrt(square)).astype(np.float32)
     shape = target.camera.shape
-    notes = [f"{len(modes)} poses fit equally well" if len(modes) > 1 else "one pose fits"]
-    notes.append(f"expected error {float(error_mm.mean()):.2g} mm, from {len(samples)} poses that explain the source")
+    notes: list[str] = [f"{len(modes)} poses fit equally well" if len(modes) > 1 else "one pose fits"]
+    text = f"expected error {float(error_mm.mean()):.2g} mm, from {len(samples)} poses that explain the source"
+    is_unsure = error_mm.mean() > _UNSURE_SHARE * np.abs(touch.indentation_mm).mean()
+    notes.append(StageWarning(f"the source leaves the object's pose open: {text}") if is_unsure else text)
     if not best.converged:
         notes.append(StageWarning("the simulated press did not converge: expect a wrong touch; check the alignment"))
     return GeneratedTouch(
@@ -117,7 +158,8 @@ def _make_sample(pressed: PressedSurface, target: SensorSpec) -> TouchStep:
 
 
 def _make_membrane(target: SensorSpec, indentation_mm: Doubles, contact: np.ndarray) -> DepthMap:
-    return make_depth_map(target.rest_depth_mm, indentation_mm.astype(np.float32), contact, target.camera)
+    made = make_depth_map(target.rest_depth_mm, indentation_mm.astype(np.float32), contact, target.camera)
+    return replace(made, is_generated=True)
 
 
 def _render(target: SensorSpec, membrane: DepthMap) -> np.ndarray:

@@ -63,12 +63,11 @@ T2D2 = Method(
 
 
 def _press_object_or_fall_back(
-    view: TargetDepth, target: SensorSpec, depth: DepthMap, alignment: Alignment, mesh: Mesh | None,
-    previous: ObjectPose | None, params: object_touch.ObjectParams,
-    progress: Progress = SILENT,
+    view: TargetDepth, target: SensorSpec, depth: DepthMap, source: SensorSpec, alignment: Alignment, mesh: Mesh | None,
+    previous: ObjectPose | None, params: object_touch.ObjectParams, progress: Progress = SILENT,
 ) -> GeneratedTouch | Skipped[GeneratedTouch] | Fallback[GeneratedTouch]:  # fmt: skip
     """The object's touch; T2D2's, with the reason, where no pose of the object explains the source."""
-    touch = object_touch.press_object(depth, alignment, target, mesh, previous, params, progress)
+    touch = object_touch.press_object(depth, source, alignment, target, mesh, previous, params, progress)
     if isinstance(touch, GeneratedTouch):
         return touch
     by_t2d2: Callable[..., Any] = T2D2.run
@@ -85,7 +84,7 @@ OBJECT = Method(
     help="the object's mesh, registered on the source and pressed into the target; needs a mesh",
     run=skip_if_exact(physical_render.skip_without_contact, _press_object_or_fall_back),
     params=object_touch.ObjectParams,
-    reads=(*PHYSICS.reads, "depth", "alignment", "mesh", "previous"),
+    reads=(*PHYSICS.reads, "depth", "source", "alignment", "mesh", "previous"),
 )
 T2T = Method(
     stage="touch",

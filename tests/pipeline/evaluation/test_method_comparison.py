@@ -34,22 +34,23 @@ def opened():
 
 
 def physics_result(runner, opened, **params):
-    """The result of the only available method, physics."""
-    ((variant,), _) = list_method_variants(opened, params, "touch")
+    """The result of physics."""
+    ((variant, *_), _) = list_method_variants(opened, params, "touch")
     (result,) = runner.evaluate_all([variant], FRAME, ["touch"])
     return result
 
 
 def test_methods_without_weights_are_named_and_left_out(opened, no_weights):
     variants, excluded = list_method_variants(opened, {}, "touch")
-    assert [dict(v.translation.request.methods)["touch"] for v in variants] == ["physics"]
-    assert len(excluded) == len(opened.catalogue.stage("touch").methods) - 1
+    assert [dict(v.translation.request.methods)["touch"] for v in variants] == ["physics", "object"]
+    assert len(excluded) == len(opened.catalogue.stage("touch").methods) - 2
 
 
 def test_a_touch_is_compared_in_contact_and_overall_with_the_recorded_one(opened, no_weights):
     runner = VariantRunner()
     *_, comparison = compare_methods(runner, opened, FRAME, {}, DisplayParams(), "in order")
-    truth, tile = comparison.tiles
+    truth, tile, by_object = comparison.tiles
+    assert by_object.metrics["contact_error_mm"] < 0.8 * tile.metrics["contact_error_mm"]
     assert truth.title == "truth"
     recorded = opened.read_target_observation(FRAME)[0]
     assert np.array_equal(truth.preview.distance_mm, recorded.image)  # as Demo shows it, with the camera's noise
@@ -83,9 +84,10 @@ def test_a_comparison_can_be_cancelled(opened):
 
 
 def test_a_recording_of_one_sensor_gives_no_metrics(opened, no_weights):
-    alone = replace(opened, recording=replace(opened.recording, streams=(opened.stream,)))
+    alone = replace(opened, recording=replace(opened.recording, streams=(opened.stream,)), mesh=None)
     *_, comparison = compare_methods(VariantRunner(), alone, FRAME, {}, DisplayParams(), "in order")
     (tile,) = comparison.tiles
+    assert "Object: physics: no object mesh" in comparison.summary
     assert tile.preview is not None
     assert not tile.metrics
 
