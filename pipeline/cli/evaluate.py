@@ -54,6 +54,7 @@ def evaluate(
     weights: Annotated[tuple[str, ...], Parameter(negative="")] = (),
     json: Path | None = None,
     grasps: int = 5,
+    seed: int = 0,
     vary: float = 1.0,
     directions: Annotated[tuple[str, ...], Parameter(name="--direction", negative="")] = (),
     only: Annotated[tuple[str, ...], Parameter(negative="")] = (),
@@ -76,9 +77,10 @@ def evaluate(
         weights: `method=FILE`, repeatable: weights of a touch method, or of a stage such as `depth`.
         json: File for all metrics of all rows.
         grasps: Touches per object.
+        seed: Seed of the simulated touches; every seed gives other poses and sensor instances.
         vary: Variation between source sensor instances, 1 = as measured between real ones.
         directions: `source:target`, repeatable; default: the paper's four, as far as they are recorded.
-        only: `recorded`, `no_contact`, `mean` or a touch method, repeatable; default: all.
+        only: `recorded`, `own`, `no_contact`, `mean` or a touch method, repeatable; default: all.
         stage_methods: `stage=method` of the other stages in place of the route's own, such as `depth=network`.
         settings: `stage.parameter=value`, repeatable; a touch parameter applies to the methods that have it.
         poses: Pose methods to judge touches by, comma-separated; `none` leaves poses out. `paper_grasp` is the paper's
@@ -102,7 +104,7 @@ def evaluate(
         only = tuple(dict.fromkeys((*only, *BASELINES, "physics")))
     judges = () if poses == "none" else split_list(poses)
     request = EvaluationRequest(
-        split=split, held_out=HeldOutOptions(grasps=grasps, sensor_variation=vary, folder=folder),
+        split=split, held_out=HeldOutOptions(grasps=grasps, seed=seed, sensor_variation=vary, folder=folder),
         directions=tuple(parse_direction(text) for text in directions), candidates=only,
         methods=chosen, settings=settings, weights=files,
         pairs=PairFolder(path=os.fspath(recordings) if recordings else "", hold_out=trained or ""),

@@ -39,7 +39,8 @@ def task(
 
     Args:
         trials: Trials per case; default: as many as in the paper.
-        touch: Touch methods, `true` (the target's own frame) and `none`, comma-separated, such as `t2t,vqvae,true`.
+        touch: Touch methods, `true` (the target's own frame), `own` (the source's, not translated) and `none`,
+            comma-separated, such as `object,own,true`.
         case: Objects, comma-separated; default: all of the task.
         tolerance_mm: Clearances or tolerances in mm, comma-separated, such as `0.5,1`.
         seed: Seed of starts, sensor instances and noise.

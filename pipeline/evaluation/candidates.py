@@ -17,10 +17,11 @@ from pipeline.recordings import open_recording
 from pipeline.sensors.spec import SensorSpec, load_sensor
 from pipeline.translation.catalogue import BUILT_IN
 
-RECORDED, NO_CONTACT, MEAN_TOUCH = "recorded", "no_contact", "mean"
+RECORDED, OWN, NO_CONTACT, MEAN_TOUCH = "recorded", "own", "no_contact", "mean"
 BASELINES = (NO_CONTACT, MEAN_TOUCH)  # need no source
 _TITLES = {
-    RECORDED: "recorded touch", NO_CONTACT: "reference image", MEAN_TOUCH: "mean of other touches",
+    RECORDED: "recorded touch", OWN: "own sensor, no translation",
+    NO_CONTACT: "reference image", MEAN_TOUCH: "mean of other touches",
 }  # fmt: skip
 
 
@@ -28,7 +29,7 @@ _TITLES = {
 class Candidate:
     """A touch method or a baseline."""
 
-    name: str  # a touch method, or RECORDED, NO_CONTACT or MEAN_TOUCH
+    name: str  # a touch method, or RECORDED, OWN, NO_CONTACT or MEAN_TOUCH
     title: str
     paper_model: str = ""  # model of the paper, "" = none
 

@@ -125,7 +125,7 @@ def collect_touches(request: EvaluationRequest, progress: Progress) -> tuple[Dir
     }
     training = load_or_simulate(
         "training",
-        replace(request.held_out, grasps=MEAN_TOUCH_GRASPS, sensor_variation=0.0),
+        replace(request.held_out, grasps=MEAN_TOUCH_GRASPS, sensor_variation=0.0, seed=0),
         SubProgress(progress, 0.67, 0.33),
     )
     return {d: (recordings[select_sensors(*d)], training) for d in directions}, [COMPARISON_NOTE]

@@ -16,7 +16,15 @@ from pipeline.base.progress import SILENT, Progress
 from pipeline.engine.cache import Cache
 from pipeline.engine.graph import Graph, StageResult
 from pipeline.evaluation import touch_features
-from pipeline.evaluation.candidates import BASELINES, MEAN_TOUCH, NO_CONTACT, RECORDED, Candidate, compute_mean_change
+from pipeline.evaluation.candidates import (
+    BASELINES,
+    MEAN_TOUCH,
+    NO_CONTACT,
+    OWN,
+    RECORDED,
+    Candidate,
+    compute_mean_change,
+)
 from pipeline.evaluation.held_out import PressRecordings
 from pipeline.evaluation.recorded_touch import (
     RecordedTouch,
@@ -128,6 +136,8 @@ class _TouchScorer:
         self._known = target_depth.in_view
 
     def score_candidate(self, candidate: Candidate) -> ScoredTouch:
+        if candidate.name == OWN:
+            return self._score_own_sensor(candidate)
         given = self._make_baseline(candidate)
         results = {} if given else self._evaluate(candidate.name, {}, "touch")
         touch = given.get("touch") or results["touch"].output
@@ -149,6 +159,16 @@ class _TouchScorer:
             notes=tuple(dict.fromkeys(result.fallback for result in results.values() if result.fallback)),
             finger=self._find_finger(touch_depth) if PAPER_GRASP in self._job.pose_methods else None,
         )
+
+    def _score_own_sensor(self, candidate: Candidate) -> ScoredTouch:
+        """Poses of the source's own depth, registered in its frame; there is no touch to compare."""
+        results = self._evaluate("physics", {}, "depth")
+        given = {"touch": make_reference_touch(self._translation.target), "touch_depth": results["depth"].output}
+        return ScoredTouch(
+            candidate=candidate.name, touch_name=self._name, ms=results["depth"].ms, features=None,
+            metrics=TouchMetrics(values={}, n_pixels={}, peak_value=self._true.peak_value),
+            pose_errors=self._compute_pose_errors(candidate, given),
+        )  # fmt: skip
 
     def _find_finger(self, touch_depth: DepthMap | None) -> GraspFinger | None:
         """The contact of a touch in the grasp frame; None where the frame, the tool or its pose is not known."""
@@ -238,10 +258,14 @@ class _TouchScorer:
         truth = self._translation.read_ground_truth(self._index)
         stage = self._translation.catalogue.stage("pose")
         for name in self._job.pose_methods:
-            if candidate.name == NO_CONTACT or name == PAPER_GRASP:
+            is_own = candidate.name == OWN
+            if candidate.name == NO_CONTACT or name == PAPER_GRASP or (is_own and name == "network"):
                 continue
             pose = self._evaluate("physics", given, "pose", name)["pose"].output
             assert isinstance(pose, ObjectPose)
+            if is_own and pose.sensor_from_object is not None:
+                in_target = self._translation.alignment.target_from_source @ pose.sensor_from_object
+                pose = replace(pose, sensor_from_object=in_target)
             errors = stage.compute_metrics(pose, truth)
             if "se2_mm" in errors and "se2_deg" in errors:
                 pose_errors[name] = errors["se2_mm"], errors["se2_deg"]

@@ -6,7 +6,7 @@ from typing import Any
 
 from pipeline.base.progress import SILENT, Progress, SubProgress
 from pipeline.tasks.task import Decision, StageShare
-from pipeline.tasks.touches import NONE, TRUE, Moment
+from pipeline.tasks.touches import NONE, OWN, TRUE, Moment
 from pipeline.translation.error_attribution import list_substitutions
 
 POSE_TITLE = "pose estimation"  # what remains with the true touch: the controller's own
@@ -63,7 +63,7 @@ def share_error(
 
 def list_true_stages(moment: Moment, touch: str, last: str = "touch_depth") -> list[tuple[str, str, object]]:
     """(stage, title, truth) of one finger for the stages that the controller's touch comes from, up to `last`."""
-    last = "depth" if touch == TRUE else last
+    last = "depth" if touch in (TRUE, OWN) else last
     translation, results = moment.evaluate(touch, last)
     before = translation.stages[: translation.stages.index(last) + 1]
     truths = translation.read_true_outputs(0)

@@ -71,7 +71,8 @@ def feel_grasp(plan: TrialPlan, mesh: Mesh, rng: np.random.Generator, progress: 
         pairings.append(make_pairing(finger, places[0].nominal, places[1].nominal))
         moments.append(Moment(mesh, recorded, places[0].nominal, places[1].nominal))
     return HeldObject(
-        mesh=mesh, held=held, moments=tuple(moments), source=load_placed_sensor(SOURCE), target=load_placed_sensor(TARGET), frames=tuple(frames),
+        mesh=mesh, held=held, moments=tuple(moments), source=load_placed_sensor(SOURCE),
+        target=load_placed_sensor(TARGET), frames=tuple(frames),
         pairings=tuple(pairings) if needs_source and needs_target else (),
     )  # fmt: skip
 

@@ -28,10 +28,10 @@ from pipeline.tasks.task import (
     Tick,
     TrialPlan,
 )
-from pipeline.tasks.touches import NONE, TRUE, make_pairing
+from pipeline.tasks.touches import NONE, OWN, TRUE, make_pairing
 from pipeline.values.frames import TactileFrame, Truth
 
-UNTRANSLATED, EXPERT = "untranslated", "expert"
+EXPERT = "expert"
 POLICY_TASK, WEIGHTS = "cloned_policy", "marble_gelslim"  # of `pipeline.training`; shipped
 _ROWS, _COLS = 48, 64  # of the policy's input
 N_HOLD_TICKS = 10
@@ -118,7 +118,7 @@ def choose_step(
         return command_as_expert(contact_mm)
     if touch == TRUE:
         image = recorded[TARGET][0].image
-    elif touch == UNTRANSLATED:
+    elif touch == OWN:
         image = recorded[TARGET if n_true else SOURCE][0].image
     else:
         moment = trial.make_moment([recorded[name] for name in list_read_sensors(touch, needs_truth=n_true > 0)])
@@ -157,7 +157,7 @@ def _list_titles(trial: MarbleTrial, touch: str, recorded: Mapping[str, Recorded
     """(stage, title) of what ground truth can replace before the policy."""
     if touch in (NONE, TRUE, EXPERT):
         return ()
-    if touch == UNTRANSLATED:
+    if touch == OWN:
         return (("touch", "missing translation"),)
     moment = trial.make_moment(list(recorded.values()))
     return tuple((stage, title) for stage, title, _ in list_true_stages(moment, touch, _LAST_STAGE))
@@ -217,7 +217,7 @@ def build_scene(_rollout: RecordedRollout) -> TaskScene:
 
 TASK = ManipulationTask(
     name="marble", title="Marble rolling", source=SOURCE, target=TARGET, cases=("marble",),
-    touches=(TRUE, "t2d2", UNTRANSLATED), further_touches=(UNTRANSLATED, EXPERT), tolerances_mm=(1.0,),
+    touches=(TRUE, "t2d2", OWN), further_touches=(EXPERT,), tolerances_mm=(1.0,),
     error_title="from the expert's step", build_scene=build_scene,
     tolerance_title="held within, mm", n_trials=20, run=run_trial,
     published={("marble", TRUE): "20/20", ("marble", "t2d2"): "15/20"},

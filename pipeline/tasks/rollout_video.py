@@ -31,7 +31,7 @@ from pipeline.tasks.scene_view import (
     make_scene_layers,
 )
 from pipeline.tasks.task import RecordedRollout, load_task
-from pipeline.tasks.touches import NONE, TRUE, make_touch_request
+from pipeline.tasks.touches import NONE, OWN, TRUE, make_touch_request
 from pipeline.tasks.traces import describe_tick, make_traces
 from pipeline.translation.translate import open_translation
 
@@ -97,7 +97,7 @@ def read_touches(rollout: RecordedRollout, decision: int) -> tuple[Preview | Non
             true = render_pane("touch", frame, results, translation, display, "truth") if "touch" in truths else None
     except TouchError:
         return None, None, None
-    return source, None if touch in (TRUE, NONE) else made, None if true is None else true.preview
+    return source, None if touch in (TRUE, NONE, OWN) else made, None if true is None else true.preview
 
 
 def _draw_background(rollout: RecordedRollout, decision: int) -> _Background:

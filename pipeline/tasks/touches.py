@@ -71,7 +71,7 @@ def place_sensor(name: str, rng: np.random.Generator, vary: float) -> SensorPlac
 
 
 def check_touch(name: str, source: str, target: str) -> None:
-    """Raise SettingProblem unless `name` is "true", "none", "own" or a touch method that can translate source to target."""
+    """Raise SettingProblem unless `name` is "true", "none", "own" or a touch method for this direction."""
     if name in (TRUE, NONE, OWN):
         return
     method = BUILT_IN.method("touch", name)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -53,6 +54,24 @@ def test_another_source_records_the_touches_with_both_targets():
     assert select_sensors("digit", "gelslim") == SENSORS
     assert select_sensors("gelsight_mini", "gelslim") == ("gelslim", "soft_bubble", "gelsight_mini")
     assert select_sensors("gelsight_mini", "soft_bubble") == select_sensors("gelsight_mini", "gelslim")
+
+
+def test_the_sources_own_depth_is_a_row_of_poses_and_the_object_one_of_touches(cache_folder, few_objects):
+    request = replace(
+        build_request(cache_folder, candidates=("own", "object", "physics")), pose_methods=("signed_distances",)
+    )
+    own, physics, by_object = evaluate_tables(request).rows
+    assert [row.candidate for row in (own, physics, by_object)] == ["own", "physics", "object"]
+    assert not own.metrics
+    assert own.pose_errors["signed_distances"].translation_mm[0] < 0.3
+    assert by_object.metrics["error_mm"]["contact"] < physics.metrics["error_mm"]["contact"]
+
+
+def test_another_seed_gives_other_touches(cache_folder, few_objects):
+    first, other = (
+        load_or_simulate("unseen_tools", HeldOutOptions(grasps=1, seed=seed, folder=cache_folder)) for seed in (0, 1)
+    )
+    assert first[0].source != other[0].source
 
 
 def test_sources_are_varied_instances_and_targets_the_described_one_of_the_same_presses(cache_folder, few_objects):

@@ -7,7 +7,7 @@ import pytest
 from pipeline.base.errors import FileProblem, SettingProblem
 from pipeline.recordings import open_recording
 from pipeline.tasks.in_hand import FINGERS, PlanarPose, press_between_fingers, project_to_plane
-from pipeline.tasks.insertion import TASK, load_tool, make_tool, measure_miss_mm, run
+from pipeline.tasks.insertion import FORCE_LIMIT_N, SHORT_MM, TASK, load_tool, make_tool, measure_miss_mm, run
 from pipeline.tasks.rollout_file import read_summary, summarise, write_rollout
 from pipeline.tasks.runner import make_jobs, run_job, run_jobs
 from pipeline.tasks.task import Rollout, TrialPlan
@@ -15,7 +15,13 @@ from pipeline.values.frames import TactileFrame
 
 pytestmark = pytest.mark.timeout(600)  # the first grasp compiles kernels where `tactoscope prepare` has not
 PLAN = TrialPlan(
-    task="insertion", case="hex_key", index=0, touches=("true", "none"), tolerances_mm=(1.0,), seed=0, attribute=True
+    task="insertion",
+    case="hex_key",
+    index=0,
+    touches=("true", "none", "own"),
+    tolerances_mm=(1.0,),
+    seed=0,
+    attribute=True,
 )
 
 
@@ -36,6 +42,19 @@ def test_shares_of_a_failed_decision_add_up_and_the_truth_inserts(rollouts):
     assert sum(part.share_mm for part in decision.shares) == pytest.approx(decision.error_mm)
     assert decision.shares[-1].succeeds
     assert "with the truth in place of pose estimation it succeeds" in rollouts[1].cause
+
+
+def test_the_source_itself_inserts_without_a_translation():
+    (own,) = run(replace(PLAN, touches=("own",), attribute=False))
+    assert own.succeeds
+    assert own.decisions[0].error_mm < 0.5
+
+
+def test_the_descent_ends_at_full_depth(rollouts):
+    inserted = rollouts[0]
+    full_mm = make_tool("hex_key").peg.depth_mm
+    assert full_mm - SHORT_MM <= inserted.measures["depth_mm"] < full_mm + 1.0
+    assert inserted.measures["largest_force_n"] < 0.5 * FORCE_LIMIT_N
 
 
 def test_rollout_is_a_recording(rollouts, tmp_path):

@@ -7,12 +7,13 @@ from pipeline.base.errors import SettingProblem
 from pipeline.recordings import open_recording
 from pipeline.tasks import marble
 from pipeline.tasks.cloning import ClonedPolicyTask
-from pipeline.tasks.marble import EXPERT, MAX_STEP_MM, UNTRANSLATED, is_held, limit_step, roll, run_trial, shrink_image
+from pipeline.tasks.marble import EXPERT, MAX_STEP_MM, is_held, limit_step, roll, run_trial, shrink_image
 from pipeline.tasks.marble_trial import N_TICKS, SOURCE, START_MM, TARGET, draw_trial
 from pipeline.tasks.rolling import RADIUS_MM, make_ball
 from pipeline.tasks.rollout_file import write_rollout
 from pipeline.tasks.runner import make_jobs, run_job, run_jobs
 from pipeline.tasks.task import TrialPlan
+from pipeline.tasks.touches import OWN
 
 pytestmark = pytest.mark.timeout(600)  # the first touch compiles kernels where `tactoscope prepare` has not
 PLAN = TrialPlan(task="marble", case="marble", index=0, touches=("true",), tolerances_mm=(1.0,), seed=3, vary=1.0)
@@ -77,7 +78,7 @@ def test_the_cloned_policy_holds_the_ball_by_the_true_touch():
 @pytest.mark.slow  # some eighty translated touches
 def test_a_failed_rollout_is_attributed_and_is_a_recording(few_ticks, tmp_path):
     plan = TrialPlan(
-        task="marble", case="marble", index=0, touches=("t2d2", UNTRANSLATED), tolerances_mm=(0.001,), seed=3, vary=1.0,
+        task="marble", case="marble", index=0, touches=("t2d2", OWN), tolerances_mm=(0.001,), seed=3, vary=1.0,
         attribute=True, record_frames=True,
     )  # fmt: skip
     for rollout in run_trial(plan):
@@ -114,9 +115,9 @@ def test_any_image_becomes_the_networks_input():
 
 
 def test_further_touches_are_of_this_task_alone():
-    assert make_jobs("marble", touches=(UNTRANSLATED,))[0].plan.touches == (UNTRANSLATED,)
-    with pytest.raises(SettingProblem, match=UNTRANSLATED):
-        make_jobs("insertion", touches=(UNTRANSLATED,))
+    assert make_jobs("marble", touches=(OWN,))[0].plan.touches == (OWN,)
+    with pytest.raises(SettingProblem, match=EXPERT):
+        make_jobs("insertion", touches=(EXPERT,))
 
 
 def test_the_scene_has_the_plate_under_the_ball():
