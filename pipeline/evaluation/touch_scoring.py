@@ -165,7 +165,8 @@ class _TouchScorer:
         results = self._evaluate("physics", {}, "depth")
         given = {"touch": make_reference_touch(self._translation.target), "touch_depth": results["depth"].output}
         return ScoredTouch(
-            candidate=candidate.name, touch_name=self._name, ms=results["depth"].ms, features=None,
+            candidate=candidate.name, touch_name=self._name, features=None,
+            ms=sum(self._ms[result.method.key] for result in results.values() if result.method is not None),
             metrics=TouchMetrics(values={}, n_pixels={}, peak_value=self._true.peak_value),
             pose_errors=self._compute_pose_errors(candidate, given),
         )  # fmt: skip

@@ -75,12 +75,13 @@ def press_object(
     pose = estimate_or_track_pose(depth, mesh, before, how, SubProgress(progress, 0.2, 0.3))
     if pose.sensor_from_object is None:
         return pose.notes[0]
+    bias_mm = 0.0 if depth.error is None else depth.error.rms_mm  # of a gel: the object's depth is off by as much
     misfit = search.describe_misfit(pose.fitness, pose.rmse_mm)
     if depth.measured_depth_mm is not None:
         progress.step(0.5, "fitting the object to the whole membrane")
         fit = _fit_membrane(depth, source, search, mesh, pose)
         pose = replace(pose, sensor_from_object=fit.sensor_from_object, covariance=fit.covariance)
-        misfit = ""
+        misfit, bias_mm = "", 0.0
         if fit.misfit > _REFUSED:
             misfit = f"the membrane is {fit.misfit:.1f} times as far off as noise explains"
     elif pose.alternatives:
@@ -90,7 +91,7 @@ def press_object(
     if misfit:
         return f"the mesh does not fit: {misfit}; check the mesh and its unit"
     posterior = sample_poses(search, pose, params.samples, params.seed)
-    touch = _press_poses(posterior, alignment.target_from_source, target, mesh, params, progress)
+    touch = _press_poses(posterior, alignment.target_from_source, target, mesh, bias_mm, params, progress)
     return replace(touch, notes=(*touch.notes, *select_warnings(pose.notes)))
 
 
@@ -116,8 +117,8 @@ def _list_other_starts(search: PoseSearch, pose: ObjectPose) -> Iterator[Doubles
 
 
 def _press_poses(
-    posterior: PosePosterior, target_from_source: Doubles, target: SensorSpec, mesh: Mesh, params: ObjectParams,
-    progress: Progress,
+    posterior: PosePosterior, target_from_source: Doubles, target: SensorSpec, mesh: Mesh, bias_mm: float,
+    params: ObjectParams, progress: Progress,
 ) -> GeneratedTouch:  # fmt: skip
     """The touch of the best pose, with the spread of the others as its expected error, and each of them if kept."""
     progress.step(0.7, "pressing the object into the target")
@@ -128,9 +129,8 @@ def _press_poses(
     for k, pose in enumerate(samples):
         progress.step(0.75 + 0.25 * k / len(samples), f"pose {k + 1} of {len(samples)}")
         square += (_press_draft(mesh, pose, target) - first_mm) ** 2 / len(samples)
-    error_mm: Floats = (
-        _MEAN_FROM_STD * np.hypot(_STD_FACTOR * np.sqrt(square), _LEAST_STD * np.abs(touch.indentation_mm).max())
-    ).astype(np.float32)
+    std_mm = np.sqrt(_STD_FACTOR**2 * square + (_LEAST_STD * np.abs(touch.indentation_mm).max()) ** 2 + bias_mm**2)
+    error_mm: Floats = (_MEAN_FROM_STD * std_mm).astype(np.float32)
     shape = target.camera.shape
     notes: list[str] = [f"{len(modes)} poses fit equally well" if len(modes) > 1 else "one pose fits"]
     text = f"expected error {float(error_mm.mean()):.2g} mm, from {len(samples)} poses that explain the source"
