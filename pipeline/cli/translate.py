@@ -33,6 +33,7 @@ from pipeline.reporting.frame_report import FrameReport
 from pipeline.reporting.report import FinishedFrame, compute_frame_key, load_finished_frame, write_frame, write_report
 from pipeline.translation.catalogue import with_settings
 from pipeline.translation.force import list_force_metrics, measure_force
+from pipeline.translation.object_identification import take_likeliest_mesh
 from pipeline.translation.translate import Request, Translation, open_translation
 from pipeline.translation.truth_view import add_truth_warnings
 from pipeline.values.results import ObjectPose
@@ -65,6 +66,7 @@ def translate(
     force: Flag = False,
     settings: StageSettings = (),
     scheduler: str = "",
+    meshes: Path | None = None,
 ) -> int:
     """Translate and write the frames that no earlier run has finished with the same request, settings and versions.
 
@@ -78,7 +80,10 @@ def translate(
         force: Compute the normal force of frames as well; done anyway with the scale of `tactoscope calibrate force`.
         scheduler: With --all, address of a Dask scheduler whose workers translate the frames, such as
             `tcp://host:8786`. It must be trusted: what it sends is run on this machine.
+        meshes: Folder of meshes; the likeliest one by the first translated frame is the object, and its margin is noted.
     """
+    if meshes is not None and (options.mesh is not None or scheduler):
+        raise SettingProblem("--meshes chooses the mesh; give it without --mesh and --scheduler")
     if frame is not None and all_frames:
         raise SettingProblem("give either --frame or --all, not both")
     if follow and not all_frames:
@@ -95,6 +100,11 @@ def translate(
     graph = translation.build_graph(like=Graph((), cache=Cache(CACHE_BYTES)))
     with console.status("looking for a contact") as status, compiling.report_compiling(status.update):
         indices = range(translation.n_frames) if all_frames else [_select_frame(translation, graph, params, frame)]
+    if meshes is not None:
+        with open_progress_bar(1, console) as bar:
+            inputs = translation.read_inputs(indices[0])
+            depth = translation.build_graph(like=graph).evaluate(["depth"], inputs, params)["depth"].output
+            translation = take_likeliest_mesh(translation, depth, meshes, bar)
     reports: list[FrameReport] = []
     last: FinishedFrame | None = None
     n_resumed = 0

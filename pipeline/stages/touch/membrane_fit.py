@@ -8,7 +8,7 @@ derivatives from presses on a coarser lattice.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,7 +27,6 @@ _MAX_STEP_MM, _CONVERGED_MM = 1.5, 0.03
 _N_ROUNDS, _MAX_STEPS = 2, 4
 _LEAST_NOISE_MM = 0.03  # of a block
 _OUTLIER_STDS = 3.0
-_CLEARLY = 0.85  # ratio of residuals: a gel's depth has errors that a pose can explain
 _SMOOTH = 3  # blocks over which independent noise averages out and a misfit does not
 
 
@@ -40,17 +39,14 @@ class MembraneFit:
     misfit: float  # smooth part of the residual, relative to what the noise leaves; about 1 = explained
 
 
-def order_by_membrane(depth: DepthMap, mesh: Mesh, source: SensorSpec, poses: Doubles) -> Doubles:
-    """Poses (n, 4, 4) by how well a press of the mesh explains the whole membrane (rms of block means), best first.
-
-    The first one keeps its place unless another is clearly better.
-    """
+def measure_residuals_mm(
+    depth: DepthMap, mesh: Mesh, source: SensorSpec, poses: Sequence[Doubles]
+) -> tuple[float, ...]:  # fmt: skip
+    """Rms (mm) over blocks of what a press of the mesh at each pose (4, 4) leaves of the whole membrane unexplained."""
     small = source.with_camera(source.camera.scale(1.0 / _BLOCK))
     measured, known = _average_blocks(_measure_displacement(depth), small)
     residuals = [measured - small.rest_depth_mm + press_membrane(mesh, pose, small).depth_mm for pose in poses]
-    rms = np.sqrt([float(np.mean(residual[known] ** 2)) for residual in residuals])
-    rms[0] *= _CLEARLY
-    return poses[np.argsort(rms, kind="stable")]
+    return tuple(float(np.sqrt(np.mean(residual[known] ** 2))) for residual in residuals)
 
 
 def fit_membrane(

@@ -24,12 +24,13 @@ from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import SensorSpec
 from pipeline.simulation.press import PressedSurface, press_membrane, render_sensor_image
 from pipeline.stages.pose.signed_distances import PoseParams, estimate_or_track_pose, prepare_search
-from pipeline.stages.touch.membrane_fit import MembraneFit, fit_membrane, order_by_membrane
+from pipeline.stages.touch.membrane_fit import MembraneFit, fit_membrane, measure_residuals_mm
 from pipeline.stages.touch.object_posterior import PosePosterior, sample_poses
 from pipeline.values.results import DepthMap, GeneratedTouch, ObjectPose, TouchStep, make_depth_map
 
-_DRAFT = 2.0  # times coarser: only the difference of a pose's touch from the best one's counts
+_DRAFT = 4.0  # times coarser: only the difference of a pose's touch from the best one's counts
 _EXPLAINED, _REFUSED = 1.45, 3.0  # misfits: of 24 true poses 1.2 to 1.4, of wrong ones from 1.5
+_CLEARLY = 0.85  # ratio of residuals that puts another pose first: a gel's depth has errors that a pose can explain
 _MAX_TIED = 7  # poses that fit a gel's contact equally well, compared by the whole gel
 _MAX_OTHER_STARTS = 3  # each costs as much as the first
 _UNSURE_SHARE = 0.3  # expected error over mean indentation from which on there is a warning
@@ -85,8 +86,11 @@ def press_object(
         if fit.misfit > _REFUSED:
             misfit = f"the membrane is {fit.misfit:.1f} times as far off as noise explains"
     elif pose.alternatives:
-        tied = np.array([pose.sensor_from_object, *pose.alternatives[:_MAX_TIED]])
-        best, *others = order_by_membrane(depth, mesh, source, tied)
+        tied = (pose.sensor_from_object, *pose.alternatives[:_MAX_TIED])
+        residuals_mm = np.array(measure_residuals_mm(depth, mesh, source, tied)) * (
+            [_CLEARLY] + [1.0] * (len(tied) - 1)
+        )
+        best, *others = (tied[k] for k in np.argsort(residuals_mm, kind="stable"))
         pose = replace(pose, sensor_from_object=best, alternatives=tuple(others))
     if misfit:
         return f"the mesh does not fit: {misfit}; check the mesh and its unit"

@@ -1,0 +1,71 @@
+"""The likeliest object of a folder of meshes: its registered mesh, pressed into the source, explains the touch best."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from pipeline.base.errors import MeshProblem, SettingProblem, StageWarning
+from pipeline.base.progress import SILENT, Progress
+from pipeline.geometry.meshes import load_mesh
+from pipeline.sensors.spec import SensorSpec
+from pipeline.simulation.datasets import MESH_SUFFIXES
+from pipeline.stages.pose.signed_distances import PoseParams, estimate_pose
+from pipeline.stages.touch.membrane_fit import measure_residuals_mm
+from pipeline.translation.translate import Translation
+from pipeline.values.results import DepthMap
+
+_CLEAR_RATIO = 1.3  # of the next residual to the least, below which the object is not certain
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class IdentifiedObject:
+    """The likeliest mesh of a folder, and how clearly it is."""
+
+    path: Path
+    note: str  # its residual and the next one's; a warning where they are close
+
+
+def identify_object(
+    depth: DepthMap, source: SensorSpec, folder: Path, mesh_unit: str = "auto", progress: Progress = SILENT
+) -> IdentifiedObject:
+    """Register every mesh of `folder` on the source's depth and compare what is left of the membrane.
+
+    Raises SettingProblem for a folder without meshes, or of which none fits the touch.
+    """
+    files = sorted(path for path in folder.glob("*") if path.suffix.lower() in MESH_SUFFIXES)
+    if not files:
+        raise SettingProblem(f"--meshes needs a folder of meshes ({', '.join(MESH_SUFFIXES)}), got '{folder}'")
+    residuals_mm: dict[Path, float] = {}
+    for k, path in enumerate(files):
+        progress.step(k / len(files), f"comparing the object with {path.stem}")
+        try:
+            mesh = load_mesh(path, unit=mesh_unit)
+            pose = estimate_pose(depth, mesh, PoseParams())
+        except MeshProblem:
+            continue
+        if pose.sensor_from_object is not None:
+            poses = (pose.sensor_from_object, *pose.alternatives)
+            residuals_mm[path] = min(measure_residuals_mm(depth, mesh, source, poses))
+    if not residuals_mm:
+        raise SettingProblem(f"none of the {len(files)} meshes fits the touch; choose another frame or --meshes folder")
+    best, *others = sorted(residuals_mm, key=lambda path: residuals_mm[path])
+    text = f"the likeliest of {len(files)} objects is {best.stem}, {1e3 * residuals_mm[best]:.3g} um off"
+    if not others:
+        return IdentifiedObject(path=best, note=text)
+    text += f"; the next is {others[0].stem}, {1e3 * residuals_mm[others[0]]:.3g} um off"
+    if residuals_mm[others[0]] < _CLEAR_RATIO * residuals_mm[best]:
+        text = StageWarning(f"{text}: not certain; give the object with --mesh")
+    return IdentifiedObject(path=best, note=text)
+
+
+def take_likeliest_mesh(
+    translation: Translation, depth: DepthMap, folder: Path, progress: Progress = SILENT
+) -> Translation:
+    """The translation of the likeliest object of a folder, with a note of its margin."""
+    unit = translation.request.mesh_unit
+    found = identify_object(depth, translation.source, folder, unit, progress)
+    return replace(
+        translation, mesh=load_mesh(found.path, unit=unit), symmetry=None, notes=(*translation.notes, found.note),
+        request=replace(translation.request, mesh=found.path),
+    )  # fmt: skip
