@@ -80,16 +80,10 @@ def translate(
         force: Compute the normal force of frames as well; done anyway with the scale of `tactoscope calibrate force`.
         scheduler: With --all, address of a Dask scheduler whose workers translate the frames, such as
             `tcp://host:8786`. It must be trusted: what it sends is run on this machine.
-        meshes: Folder of meshes; the likeliest one by the first translated frame is the object, and its margin is noted.
+        meshes: Folder of meshes; the likeliest one by the first frame translated is the object, with a note of its
+            margin.
     """
-    if meshes is not None and (options.mesh is not None or scheduler):
-        raise SettingProblem("--meshes chooses the mesh; give it without --mesh and --scheduler")
-    if frame is not None and all_frames:
-        raise SettingProblem("give either --frame or --all, not both")
-    if follow and not all_frames:
-        raise SettingProblem("--follow uses the previous frame's pose; give it with --all")
-    if scheduler and (follow or not all_frames):
-        raise SettingProblem("--scheduler distributes single frames; give it with --all, and without --follow")
+    _check_options(options, frame, meshes, scheduler, all_frames=all_frames, follow=follow)
     request = options.build_request(recording, target)
     console, request = Console(stderr=True), _with_absolute_paths(request) if scheduler else request
     translation = open_translation(request)
@@ -101,10 +95,7 @@ def translate(
     with console.status("looking for a contact") as status, compiling.report_compiling(status.update):
         indices = range(translation.n_frames) if all_frames else [_select_frame(translation, graph, params, frame)]
     if meshes is not None:
-        with open_progress_bar(1, console) as bar:
-            inputs = translation.read_inputs(indices[0])
-            depth = translation.build_graph(like=graph).evaluate(["depth"], inputs, params)["depth"].output
-            translation = take_likeliest_mesh(translation, depth, meshes, bar)
+        translation = _choose_object(translation, graph, params, indices[0], meshes, console)
     reports: list[FrameReport] = []
     last: FinishedFrame | None = None
     n_resumed = 0
@@ -279,6 +270,30 @@ def _get_pose(report: FrameReport) -> ObjectPose | None:
     result = report.results.get("pose")
     output = None if result is None else result.output
     return output if isinstance(output, ObjectPose) and output.sensor_from_object is not None else None
+
+
+def _check_options(
+    options: TranslationOptions, frame: int | None, meshes: Path | None, scheduler: str, *, all_frames: bool,
+    follow: bool,
+) -> None:  # fmt: skip
+    """Raise SettingProblem for options that exclude each other."""
+    if meshes is not None and (options.mesh is not None or scheduler):
+        raise SettingProblem("--meshes chooses the mesh; give it without --mesh and --scheduler")
+    if frame is not None and all_frames:
+        raise SettingProblem("give either --frame or --all, not both")
+    if follow and not all_frames:
+        raise SettingProblem("--follow uses the previous frame's pose; give it with --all")
+    if scheduler and (follow or not all_frames):
+        raise SettingProblem("--scheduler distributes single frames; give it with --all, and without --follow")
+
+
+def _choose_object(
+    translation: Translation, graph: Graph, params: Mapping[str, object], index: int, meshes: Path, console: Console
+) -> Translation:
+    """The translation of the likeliest object of a folder, by the source's depth of one frame."""
+    with open_progress_bar(1, console) as bar:
+        depth = graph.evaluate(["depth"], translation.read_inputs(index), params)["depth"].output
+        return take_likeliest_mesh(translation, depth, meshes, bar)
 
 
 def _select_frame(translation: Translation, graph: Graph, params: Mapping[str, object], frame: int | None) -> int:
