@@ -37,23 +37,27 @@ def identify_object(
     if not files:
         raise SettingProblem(f"--meshes needs a folder of meshes ({', '.join(MESH_SUFFIXES)}), got '{folder}'")
     residuals_mm: dict[Path, float] = {}
+    problems: list[str] = []
     for k, path in enumerate(files):
         progress.step(k / len(files), f"comparing the object with {path.stem}")
         try:
             mesh = load_mesh(path, unit=mesh_unit)
             pose = estimate_pose(depth, mesh, PoseParams())
-        except MeshProblem:
+        except MeshProblem as problem:
+            problems.append(str(problem))
             continue
         if pose.sensor_from_object is not None:
             poses = (pose.sensor_from_object, *pose.alternatives)
             residuals_mm[path] = min(measure_residuals_mm(depth, mesh, source, poses))
     if not residuals_mm:
-        raise SettingProblem(f"none of the {len(files)} meshes fits the touch; choose another frame or --meshes folder")
+        why = f": {problems[0]}" if problems else "; choose another frame or --meshes folder"
+        raise SettingProblem(f"none of the {len(files)} meshes fits the touch{why}")
     best, *others = sorted(residuals_mm, key=lambda path: residuals_mm[path])
+    left_out = f"; {len(problems)} were left out: {problems[0]}" if problems else ""
     text = f"the likeliest of {len(files)} objects is {best.stem}, {1e3 * residuals_mm[best]:.3g} um off"
     if not others:
-        return IdentifiedObject(path=best, note=text)
-    text += f"; the next is {others[0].stem}, {1e3 * residuals_mm[others[0]]:.3g} um off"
+        return IdentifiedObject(path=best, note=text + left_out)
+    text += f"; the next is {others[0].stem}, {1e3 * residuals_mm[others[0]]:.3g} um off{left_out}"
     if residuals_mm[others[0]] < _CLEAR_RATIO * residuals_mm[best]:
         text = StageWarning(f"{text}: not certain; give the object with --mesh")
     return IdentifiedObject(path=best, note=text)

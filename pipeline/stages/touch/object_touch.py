@@ -45,7 +45,7 @@ class ObjectParams:
     """Settings of the posterior of the object's pose."""
 
     samples: int = setting(
-        7, "Poses", unit="poses", low=1, high=64, step=1, pinned="Poses",
+        7, "Poses", unit="poses", low=1, high=64, step=1,
         help="poses drawn from those that explain the source; their spread is the expected error",
         source="Monte Carlo over the posterior of the pose",
     )  # fmt: skip
