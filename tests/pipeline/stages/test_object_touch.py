@@ -9,6 +9,7 @@ import pytest
 from pipeline.engine.graph import Graph
 from pipeline.geometry import rigid
 from pipeline.physics.sensor_images import render_reference
+from pipeline.previews.image_views import TOUCH
 from pipeline.sensors.alignment import resolve_alignment
 from pipeline.sensors.spec import load_sensor
 from pipeline.simulation import shapes
@@ -70,7 +71,7 @@ def test_every_pose_that_fits_is_a_step_and_the_best_one_the_answer(graph, frame
     assert np.array_equal(touch.steps[-1].image, touch.image)
     assert len(touch.steps) >= 4
     assert all(math.isnan(step.sigma) for step in touch.steps)
-    history = STAGE.summarise_steps(touch)
+    history = TOUCH.summarise_steps(touch)
     assert len(history.descriptions) == len(touch.steps)
     assert history.curves[0].values[-1] == 0.0
     plain = translate(graph, frame, mesh, samples=3).output
