@@ -135,7 +135,10 @@ def _weigh(value: object, counted: set[int]) -> int:
     if isinstance(value, (tuple, list)):
         return sum([_weigh(v, counted) for v in cast("tuple[object, ...]", value)])
     names = field_names(type(value))
-    return 16 if names is None else 64 + sum([_weigh(getattr(value, name), counted) for name in names])
+    if names is None:
+        return 16
+    found = vars(value).values() if hasattr(value, "__dict__") else (getattr(value, name) for name in names)
+    return 64 + sum([_weigh(one, counted) for one in found])  # of a class without slots, cached properties too
 
 
 @functools.lru_cache(maxsize=256)

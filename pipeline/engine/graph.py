@@ -55,6 +55,9 @@ class Fallback(Generic[Output]):
     reason: str  # "who answered: why; details"
 
 
+NODE_MARK = "."  # in the name of a node's value, between stage and node
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EarlyAnswer(Generic[Output]):
     """What a node returns when its output is already the value of the whole chain: later nodes do not run."""
@@ -331,7 +334,10 @@ class Graph:
         output = answer.output if isinstance(answer, Skipped | EarlyAnswer) else answer
         # a skipped result may be the object that was returned before
         made = self._digests.compute_digest(output) if why else compute_digest(output)
-        n_bytes = measure_bytes(output, reads)  # shared arrays are counted where they were made
+        # Arrays shared with inputs and other stages are counted where they were made. Nodes of a chain go from the cache
+        # one by one, so that what they share is counted with each.
+        besides = [value for name, value in zip(method.reads, reads, strict=True) if NODE_MARK not in name]
+        n_bytes = measure_bytes(output, besides)
         return CacheEntry(
             output=output, digest=made, n_bytes=n_bytes, skip_reason=why, fallback=instead,
             ends_chain=isinstance(answer, EarlyAnswer),
