@@ -114,7 +114,7 @@ class StageResult:
     digest: str
     fallback: str = ""  # why another method gave the result; "" = it did not
     draft: bool = False  # whether it or one of its inputs was computed with draft parameters
-    nodes: tuple[StageResult, ...] = ()  # of a chain, as far as it had to be evaluated
+    nodes: tuple[StageResult, ...] = ()  # of a chain, as far as it had to be evaluated, without their outputs
     ends_chain: bool = False  # of a node: whether its output is that of the whole chain
 
     @property
@@ -322,8 +322,9 @@ class Graph:
             if result.state != "cached":
                 fresh.add(node.stage)
         return replace(
-            results[-1], name=method.stage, method=method, ms=sum(r.ms for r in results), nodes=tuple(results)
-        )
+            results[-1], name=method.stage, method=method, ms=sum(r.ms for r in results),
+            nodes=tuple(replace(r, output=None) for r in results),
+        )  # fmt: skip
 
     def _run_method(self, method: Method, reads: Sequence[object], params: object, progress: Progress) -> CacheEntry:
         run: Callable[..., Any] = method.run  # values by name have no static type here
@@ -334,8 +335,8 @@ class Graph:
         output = answer.output if isinstance(answer, Skipped | EarlyAnswer) else answer
         # a skipped result may be the object that was returned before
         made = self._digests.compute_digest(output) if why else compute_digest(output)
-        # Arrays shared with inputs and other stages are counted where they were made. Nodes of a chain go from the cache
-        # one by one, so that what they share is counted with each.
+        # Arrays shared with inputs and other stages are counted where they were made. Nodes of a chain leave the
+        # cache one by one, so that what they share is counted with each.
         besides = [value for name, value in zip(method.reads, reads, strict=True) if NODE_MARK not in name]
         n_bytes = measure_bytes(output, besides)
         return CacheEntry(
