@@ -31,22 +31,22 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike
 
-    from pipeline.alignment.refine import Refinement
-    from pipeline.base.errors import TouchError
-    from pipeline.base.params import NoParams, Value, setting
     from pipeline.calibration.calibration_file import save as save_calibration
     from pipeline.calibration.calibration_table import Calibration
-    from pipeline.engine.graph import Fallback, Method, Skipped
-    from pipeline.geometry.meshes import load_mesh
-    from pipeline.recordings.format_dispatch import open_recording
-    from pipeline.recordings.formats import RecordingFormat, register_format
-    from pipeline.recordings.in_memory import make_recording
+    from pipeline.core.errors import TouchError
+    from pipeline.core.geometry.meshes import load_mesh
+    from pipeline.core.graph import Fallback, Method, Skipped
+    from pipeline.core.params import NoParams, Value, setting
+    from pipeline.core.values.frames import Recording, Stream, TactileFrame, Truth
+    from pipeline.core.values.results import DepthMap, GeneratedTouch, ObjectPose, make_depth_map
+    from pipeline.io.format_dispatch import open_recording
+    from pipeline.io.formats import RecordingFormat, register_format
+    from pipeline.io.in_memory import make_recording
+    from pipeline.lab.tracking.track_record import TrackRecord
     from pipeline.sensors.spec import SensorSpec, load_sensor
-    from pipeline.tracking.track_record import TrackRecord
+    from pipeline.translation.alignment.refine import Refinement
     from pipeline.translation.translate import Translation
     from pipeline.translation.translated_frame import TranslatedFrame
-    from pipeline.values.frames import Recording, Stream, TactileFrame, Truth
-    from pipeline.values.results import DepthMap, GeneratedTouch, ObjectPose, make_depth_map
 
 __all__ = [
     "Calibration", "DepthMap", "Fallback", "GeneratedTouch", "Method", "NoParams", "ObjectPose", "Recording",
@@ -61,32 +61,32 @@ PathLike: TypeAlias = "str | os.PathLike[str]"
 # Name -> module that defines it: imported on first use, so that `import tactoscope` loads no library.
 _HOMES = {
     "Calibration": "pipeline.calibration.calibration_table",
-    "DepthMap": "pipeline.values.results",
-    "Fallback": "pipeline.engine.graph",
-    "GeneratedTouch": "pipeline.values.results",
-    "Method": "pipeline.engine.graph",
-    "NoParams": "pipeline.base.params",
-    "ObjectPose": "pipeline.values.results",
-    "Recording": "pipeline.values.frames",
-    "RecordingFormat": "pipeline.recordings.formats",
-    "Refinement": "pipeline.alignment.refine",
+    "DepthMap": "pipeline.core.values.results",
+    "Fallback": "pipeline.core.graph",
+    "GeneratedTouch": "pipeline.core.values.results",
+    "Method": "pipeline.core.graph",
+    "NoParams": "pipeline.core.params",
+    "ObjectPose": "pipeline.core.values.results",
+    "Recording": "pipeline.core.values.frames",
+    "RecordingFormat": "pipeline.io.formats",
+    "Refinement": "pipeline.translation.alignment.refine",
     "SensorSpec": "pipeline.sensors.spec",
-    "Skipped": "pipeline.engine.graph",
-    "Stream": "pipeline.values.frames",
-    "TactileFrame": "pipeline.values.frames",
-    "TouchError": "pipeline.base.errors",
-    "TrackRecord": "pipeline.tracking.track_record",
+    "Skipped": "pipeline.core.graph",
+    "Stream": "pipeline.core.values.frames",
+    "TactileFrame": "pipeline.core.values.frames",
+    "TouchError": "pipeline.core.errors",
+    "TrackRecord": "pipeline.lab.tracking.track_record",
     "TranslatedFrame": "pipeline.translation.translated_frame",
     "Translation": "pipeline.translation.translate",
-    "Truth": "pipeline.values.frames",
-    "load_mesh": "pipeline.geometry.meshes",
+    "Truth": "pipeline.core.values.frames",
+    "load_mesh": "pipeline.core.geometry.meshes",
     "load_sensor": "pipeline.sensors.spec",
-    "make_depth_map": "pipeline.values.results",
-    "make_recording": "pipeline.recordings.in_memory",
-    "open_recording": "pipeline.recordings.format_dispatch",
-    "register_format": "pipeline.recordings.formats",
+    "make_depth_map": "pipeline.core.values.results",
+    "make_recording": "pipeline.io.in_memory",
+    "open_recording": "pipeline.io.format_dispatch",
+    "register_format": "pipeline.io.formats",
     "save_calibration": "pipeline.calibration.calibration_file:save",
-    "setting": "pipeline.base.params",
+    "setting": "pipeline.core.params",
 }
 
 
@@ -142,7 +142,7 @@ def open(  # noqa: A001 - `ts.open` reads as it should
     Raises:
         TouchError: A file cannot be read, or a sensor, stage or method is not known; the sentence says what to try.
     """
-    from pipeline.base.errors import SettingProblem
+    from pipeline.core.errors import SettingProblem
     from pipeline.translation.translate import Request, open_translation
 
     is_file = isinstance(recording, (str, os.PathLike))
@@ -174,10 +174,10 @@ def open(  # noqa: A001 - `ts.open` reads as it should
 
 
 def _make_recording(images: Recording | ArrayLike | Sequence[ArrayLike], sensor: str, reference: object) -> Recording:
-    from pipeline.base.errors import SettingProblem
-    from pipeline.recordings.in_memory import make_recording
+    from pipeline.core.errors import SettingProblem
+    from pipeline.core.values.frames import Recording
+    from pipeline.io.in_memory import make_recording
     from pipeline.sensors.spec import load_sensor
-    from pipeline.values.frames import Recording
 
     if isinstance(images, Recording):
         return images
@@ -234,8 +234,8 @@ def simulate(
     Raises:
         TouchError: There is no such shape, sensor or sequence, or the mesh cannot be used.
     """
-    from pipeline.base.errors import SettingProblem
-    from pipeline.simulation.datasets import PoseSequence, SimulationPlan, make_plans, make_recording
+    from pipeline.core.errors import SettingProblem
+    from pipeline.physics.simulation.datasets import PoseSequence, SimulationPlan, make_plans, make_recording
 
     if sequence not in get_args(PoseSequence):
         raise SettingProblem(f"no sequence {sequence!r}; there are {', '.join(get_args(PoseSequence))}")
@@ -261,7 +261,7 @@ def align(touches: Translation, frames: Iterable[int] | None = None) -> Refineme
     Raises:
         SettingProblem: No frame has contact on both sensors.
     """
-    from pipeline.alignment.refine import refine_on_recording
+    from pipeline.translation.alignment.refine import refine_on_recording
 
     return refine_on_recording(touches, range(len(touches)) if frames is None else frames)
 
@@ -295,7 +295,7 @@ def calibrate(
     Raises:
         TouchError: The presses cannot be used.
     """
-    from pipeline.recordings.in_memory import make_recording
+    from pipeline.io.in_memory import make_recording
     from pipeline.sensors.spec import load_sensor
     from pipeline.stages.depth.ball_calibration import calibrate_sensor
 
@@ -322,7 +322,7 @@ def track(touches: Translation, stage: str = "depth", frames: Iterable[int] | No
     Raises:
         TouchError: No frame can be read.
     """
-    from pipeline.reporting.track_recording import track_recording
+    from pipeline.lab.tracking.track_recording import track_recording
 
     return track_recording(touches, stage, range(len(touches)) if frames is None else list(frames))
 
@@ -357,12 +357,12 @@ def train(
     Raises:
         TouchError: The recipe, the pairs or the folder cannot be used.
     """
-    from pipeline.base.errors import SettingProblem
-    from pipeline.training.export import export_run
-    from pipeline.training.loop import TrainingRun
-    from pipeline.training.loop import train as train_run
-    from pipeline.training.recipe import list_shipped_recipes, load_recipe, override_pairs, override_training
-    from pipeline.training.task import TASKS
+    from pipeline.core.errors import SettingProblem
+    from pipeline.lab.training.export import export_run
+    from pipeline.lab.training.loop import TrainingRun
+    from pipeline.lab.training.loop import train as train_run
+    from pipeline.lab.training.recipe import list_shipped_recipes, load_recipe, override_pairs, override_training
+    from pipeline.lab.training.task import TASKS
 
     known = sorted({task.subcommand for task in TASKS.values()})
     if what not in known:

@@ -4,9 +4,9 @@ import os
 import sys
 from pathlib import Path
 
-from pipeline.base.errors import SettingProblem
 from pipeline.cli.main import build_app, run_app
 from pipeline.cli.translation_options import DEFAULT_OPTIONS, RecordingPath, TargetName, TranslationOptions
+from pipeline.core.errors import SettingProblem
 
 _DISPLAY_VARIABLES = ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM")
 

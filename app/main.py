@@ -11,15 +11,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from app.session.sample import SAMPLE_RECORDING
-from pipeline.base.kernel_compiler import compile_in_own_process
-from pipeline.base.processes import limit_arenas
+from pipeline.core.kernel_compiler import compile_in_own_process
+from pipeline.core.processes import limit_arenas
 
 if TYPE_CHECKING:
     from PyQt6.QtWidgets import QApplication
 
+    from app.document.session_controller import SessionController
     from app.session.state import Session
     from app.window.main_window import MainWindow
-    from app.window.session_controller import SessionController
     from pipeline.translation.catalogue import Catalogue
     from pipeline.translation.translate import Request
 
@@ -32,13 +32,13 @@ _GC_THRESHOLDS = 50_000, 20, 50
 def open_window(request: Request | None, *, frame: int | None = None, tour: Path | None = None) -> int:
     """Show the window until it is closed, or run the `tour` and close; returns the exit code of the process.
 
-    Without a request it shows the welcome page, or the sample if a frame or a tour is requested. `app.window.tour`
+    Without a request it shows the welcome page, or the sample if a frame or a tour is requested. `app.shell.tour`
     says what a tour writes.
     """
     prepare_environment()
+    from app.document.preload import PreloadController
     from app.session.state import AUTO_FRAME, REQUEST_FIELDS, Session
     from app.shutdown import ShutdownHandler
-    from app.window.preload import PreloadController
 
     application = make_application()
     first = AUTO_FRAME if frame is None else frame
@@ -57,7 +57,7 @@ def open_window(request: Request | None, *, frame: int | None = None, tour: Path
         if tour is None:
             code = application.exec() if controller.window.isVisible() else 0  # closed while it was made: no end
         else:
-            from app.window.tour import run_tour
+            from app.shell.tour import run_tour
 
             code = run_tour(controller, tour, show_frame=frame)
         return shutdown.code or code
@@ -111,15 +111,15 @@ def show_window(
     from PyQt6.QtCore import QTimer
     from PyQt6.QtWidgets import QApplication
 
+    from app.document.session_controller import SessionController
     from app.session.preferences import Preferences
-    from app.window.connections import connect
+    from app.shell.connections import connect
+    from app.shell.themes import apply_theme
     from app.window.main_window import MainWindow
-    from app.window.session_controller import SessionController
-    from app.window.themes import apply_theme
-    from pipeline.tasks.trial_rows import is_rollout_folder
-    from pipeline.tracking.track_record import is_track_folder
+    from pipeline.lab.tasks.trial_rows import is_rollout_folder
+    from pipeline.lab.tracking.track_record import is_track_folder
     from pipeline.translation.catalogue import BUILT_IN
-    from widgets.plain_text_style import PlainTextStyle
+    from widgets.style.plain_text_style import PlainTextStyle
 
     if not isinstance(QApplication.style(), PlainTextStyle):
         QApplication.setStyle(PlainTextStyle())

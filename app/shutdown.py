@@ -19,7 +19,7 @@ from PyQt6.QtCore import QObject, QSocketNotifier
 from PyQt6.QtWidgets import QApplication, QMainWindow
 
 if TYPE_CHECKING:
-    from app.window.session_controller import SessionController
+    from app.document.session_controller import SessionController
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _SIGNAL_EXIT_CODE = 128  # shell convention: exit code 128 + signal number

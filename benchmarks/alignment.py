@@ -19,13 +19,13 @@ import numpy as np
 from benchmarks.harness.results import BenchmarkResult, Measurement, PlotPoint
 from benchmarks.harness.text_report import print_result
 from benchmarks.harness.timing import Requirement, Timing, build_measurement, summarize_times, time_in_turns
-from pipeline.alignment.nudge import nudge
-from pipeline.alignment.refine import refine_alignment
-from pipeline.alignment.score import score_preview
-from pipeline.alignment.target_observation import PREVIEW_FACTOR, observe_target
-from pipeline.alignment.touches import AlignmentTouch, find_pivot, load_paired_touches
-from pipeline.geometry import rigid
+from pipeline.core.geometry import rigid
 from pipeline.sensors.alignment import AXES, Alignment, compose_motion, correct_alignment
+from pipeline.translation.alignment.nudge import nudge
+from pipeline.translation.alignment.refine import refine_alignment
+from pipeline.translation.alignment.score import score_preview
+from pipeline.translation.alignment.target_observation import PREVIEW_FACTOR, observe_target
+from pipeline.translation.alignment.touches import AlignmentTouch, find_pivot, load_paired_touches
 from pipeline.translation.translate import Request, Translation, open_translation
 
 RECORDING = Path(__file__).resolve().parents[1] / "sample_data" / "recordings" / "first_touch.h5"

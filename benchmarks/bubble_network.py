@@ -25,21 +25,21 @@ from benchmarks.harness.results import BenchmarkResult
 from benchmarks.harness.text_report import print_result
 from benchmarks.harness.timing import Requirement, build_measurement, summarize_times, time_in_turns
 from benchmarks.scenes.depth_helpers import build_reader
-from pipeline.geometry import rigid
-from pipeline.geometry.rasterisation import render_mesh
-from pipeline.metrics.stage_metrics import compute_mae_mm, iou
+from pipeline.core.geometry import rigid
+from pipeline.core.geometry.rasterisation import render_mesh
+from pipeline.core.values.frames import TactileFrame
+from pipeline.core.values.results import DepthMap, make_pixel_index
+from pipeline.io import open_recording
 from pipeline.physics.sensor_images import render_sensor_image
-from pipeline.recordings import open_recording
+from pipeline.physics.simulation import datasets, poses, shapes
+from pipeline.physics.simulation.press import simulate_press
+from pipeline.physics.simulation.variation import vary_sensor
 from pipeline.sensors import alignment
 from pipeline.sensors.spec import load_sensor
-from pipeline.simulation import datasets, poses, shapes
-from pipeline.simulation.press import simulate_press
-from pipeline.simulation.variation import vary_sensor
 from pipeline.stages.cloud.back_projection import BackProjectionParams, back_project_depth
+from pipeline.stages.metrics.stage_metrics import compute_mae_mm, iou
 from pipeline.stages.target_depth.surface_projection import SurfaceProjectionParams, project_cloud
 from pipeline.stages.touch.physical_render import PhysicalRenderParams, render_touch
-from pipeline.values.frames import TactileFrame
-from pipeline.values.results import DepthMap, make_pixel_index
 
 _BARS = {"unseen grasps": (0.20, 0.10), "unseen tools": (0.35, 0.15)}
 _GRASPS = {"unseen grasps": 1, "unseen tools": 2}  # of each object

@@ -24,14 +24,14 @@ from benchmarks.harness.results import BenchmarkResult
 from benchmarks.harness.text_report import print_result
 from benchmarks.harness.timing import Requirement, build_measurement, summarize_times
 from benchmarks.scenes.depth_helpers import build_reader, picture, recorded_data
-from pipeline.base.errors import FileProblem
-from pipeline.geometry import rigid
-from pipeline.metrics.stage_metrics import iou
+from pipeline.core.errors import FileProblem
+from pipeline.core.geometry import rigid
+from pipeline.core.values.frames import TactileFrame
 from pipeline.physics import optics
+from pipeline.physics.simulation import shapes
+from pipeline.physics.simulation.press import simulate_press
 from pipeline.sensors.spec import load_sensor
-from pipeline.simulation import shapes
-from pipeline.simulation.press import simulate_press
-from pipeline.values.frames import TactileFrame
+from pipeline.stages.metrics.stage_metrics import iou
 
 _SENSORS = ("gelslim", "gelslim_dotless", "gelsight_mini", "digit")
 _REAL = {"gelslim": "gelslim3_balls/ref.jpg", "gelsight_mini": "gsmini_balls/background.png",

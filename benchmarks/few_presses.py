@@ -27,10 +27,10 @@ from benchmarks.harness.timing import Requirement, build_measurement, summarize_
 from benchmarks.scenes.depth_helpers import list_numbered_files, picture, recorded_data
 from pipeline.calibration.calibration_table import make_built_in
 from pipeline.calibration.contact_circles import find_largest_part, fit_sphere
+from pipeline.core.values.frames import TactileFrame
 from pipeline.sensors.spec import load_sensor
 from pipeline.stages.depth.ball_calibration import calibrate_sensor
 from pipeline.stages.depth.photometric import DepthParams, estimate_depth
-from pipeline.values.frames import TactileFrame
 
 NEEDS = "recorded data"
 _DRAWS = 10

@@ -75,7 +75,7 @@ frame, ((source, target),) = json.loads(sys.argv[1])
 from app import main
 main.prepare_environment()
 from PyQt6.QtCore import QEvent, QObject
-from app.window.tour import wait_until_shown
+from app.shell.tour import wait_until_shown
 from app.session.state import Session
 application = main.make_application()
 class FirstPaint(QObject):

@@ -22,16 +22,16 @@ from benchmarks.harness.timing import Requirement, build_measurement, summarize_
 from benchmarks.scenes.depth_helpers import build_reader
 from pipeline.calibration.force_scale import fit_force_scale
 from pipeline.calibration.markers import track_markers
-from pipeline.geometry import rigid
+from pipeline.core.geometry import rigid
+from pipeline.core.values.frames import TactileFrame
 from pipeline.physics.sensor_images import render_reference
 from pipeline.physics.shear import TangentialLoad
+from pipeline.physics.simulation import shapes
+from pipeline.physics.simulation.press import simulate_press
+from pipeline.physics.simulation.variation import vary_sensor
 from pipeline.sensors.spec import load_sensor
-from pipeline.simulation import shapes
-from pipeline.simulation.press import simulate_press
-from pipeline.simulation.variation import vary_sensor
 from pipeline.stages.depth.contact_force import FORCE_MODELS
 from pipeline.stages.depth.gel_force import estimate_gel_force
-from pipeline.values.frames import TactileFrame
 
 _RANGES = {"gelslim": (0.2, 0.8, 2.5), "digit": (0.2, 0.8, 2.5), "soft_bubble": (-1.0, 8.0, 15.0)}  # depths, place, mm
 _INSTANCES, _TOOLS, _LEAST_N = 4, 16, 0.3

@@ -19,7 +19,7 @@ import numpy as np
 from benchmarks.harness.results import BenchmarkResult
 from benchmarks.harness.text_report import print_result
 from benchmarks.harness.timing import Requirement, build_measurement, summarize_times, time_in_turns
-from pipeline.engine.graph import Graph
+from pipeline.core.graph import Graph
 from pipeline.translation.catalogue import BUILT_IN, default_params
 from pipeline.translation.translate import Request, open_translation
 

@@ -15,8 +15,8 @@ from benchmarks.harness.results import BenchmarkResult, Measurement, PlotPoint
 from benchmarks.harness.text_report import print_result
 from benchmarks.harness.timing import Requirement, build_measurement, time_in_turns
 from benchmarks.scenes.rest_mesh import rest_mesh
-from pipeline.geometry import membrane
-from pipeline.geometry.membrane import Membrane
+from pipeline.core.geometry import membrane
+from pipeline.core.geometry.membrane import Membrane
 
 _N, _BAND_MM, _SPREAD_MM = 38_000, 1e-3, 1.0
 

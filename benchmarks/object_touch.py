@@ -18,12 +18,12 @@ from benchmarks.harness.results import BenchmarkResult
 from benchmarks.harness.text_report import print_result
 from benchmarks.harness.timing import Requirement, build_measurement, summarize_times
 from benchmarks.scenes.random_solids import make_random_solid
-from pipeline.base.progress import SILENT
-from pipeline.engine.graph import Fallback
-from pipeline.simulation import poses
+from pipeline.core.graph import Fallback
+from pipeline.core.progress import SILENT
+from pipeline.lab.tasks.touches import Moment, place_sensor
+from pipeline.physics.simulation import poses
 from pipeline.stages.touch.object_touch import ObjectParams
 from pipeline.stages.touch.stage import OBJECT
-from pipeline.tasks.touches import Moment, place_sensor
 
 _N_TOUCHES = 24
 _FIRST_SEED = 100

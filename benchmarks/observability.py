@@ -21,8 +21,8 @@ from benchmarks.harness.timing import Requirement, Timing, build_measurement, ti
 from benchmarks.scenes import observability_score
 from benchmarks.scenes.observability_patches import KINDS, Patch, draw_patch
 from benchmarks.scenes.observability_score import ObservabilityScore
-from pipeline.geometry import rigid
-from pipeline.registration.observability import Observability, Tolerances, assess_observability
+from pipeline.core.geometry import rigid
+from pipeline.stages.pose.registration.observability import Observability, Tolerances, assess_observability
 
 PATCHES = 250  # of each kind
 DENSE = 8_000  # points that stand for the exact surface

@@ -25,12 +25,12 @@ import numpy as np
 from benchmarks.harness.results import BenchmarkResult, PlotPoint
 from benchmarks.harness.text_report import print_result
 from benchmarks.harness.timing import Requirement, Timing, build_measurement, time_in_turns
-from pipeline.base.errors import CalibrationError
-from pipeline.geometry import rigid
-from pipeline.geometry.distance_grid import DistanceGrid, build_grid
-from pipeline.geometry.meshes import Mesh, sample_surface
-from pipeline.registration.gauss_newton import CentredPoints, FitOptions, PoseFit, fit_pose
-from pipeline.simulation.shapes import solids
+from pipeline.core.errors import CalibrationError
+from pipeline.core.geometry import rigid
+from pipeline.core.geometry.distance_grid import DistanceGrid, build_grid
+from pipeline.core.geometry.meshes import Mesh, sample_surface
+from pipeline.physics.simulation.shapes import solids
+from pipeline.stages.pose.registration.gauss_newton import CentredPoints, FitOptions, PoseFit, fit_pose
 
 NOISE_MM, N_MODEL, N_CONTACT, REACH_MM, TRIALS = 0.03, 20_000, 4_000, 2.0, 96
 _DEEP_MM, _TURN_DEG, _SHIFT_MM = 2.0, 5.0, 0.7

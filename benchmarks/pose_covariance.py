@@ -32,23 +32,23 @@ from benchmarks.harness.results import BenchmarkResult
 from benchmarks.harness.text_report import print_result
 from benchmarks.harness.timing import Requirement, build_measurement, summarize_times
 from benchmarks.scenes.depth_helpers import build_reader
-from pipeline.base.arrays import Doubles, freeze
-from pipeline.base.params import NoParams
-from pipeline.geometry import rigid
-from pipeline.geometry.meshes import Mesh
+from pipeline.core.arrays import Doubles, freeze
+from pipeline.core.geometry import rigid
+from pipeline.core.geometry.meshes import Mesh
+from pipeline.core.params import NoParams
+from pipeline.core.values.frames import TactileFrame
+from pipeline.core.values.results import DepthErrorModel, DepthMap, make_pixel_index
 from pipeline.physics.sensor_images import render_sensor_image
+from pipeline.physics.simulation import shapes
+from pipeline.physics.simulation.poses import make_paper_grid
+from pipeline.physics.simulation.press import SimulatedPress, simulate_press
 from pipeline.sensors.alignment import resolve_alignment
 from pipeline.sensors.spec import SensorSpec, list_sensor_names, load_sensor
-from pipeline.simulation import shapes
-from pipeline.simulation.poses import make_paper_grid
-from pipeline.simulation.press import SimulatedPress, simulate_press
 from pipeline.stages.cloud.back_projection import BackProjectionParams, back_project_depth
 from pipeline.stages.pose.signed_distances import PoseParams, track_pose
 from pipeline.stages.target_depth.surface_projection import SurfaceProjectionParams, project_cloud
 from pipeline.stages.touch.physical_render import PhysicalRenderParams, render_touch
 from pipeline.stages.touch_depth import stage as touch_depth
-from pipeline.values.frames import TactileFrame
-from pipeline.values.results import DepthErrorModel, DepthMap, make_pixel_index
 
 OBJECTS = ("letters", "curve", "cross", "star")
 """Of the catalogue's, those whose contacts determine a pose."""

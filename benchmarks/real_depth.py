@@ -46,9 +46,9 @@ from benchmarks.scenes.depth_helpers import (
     recorded_data,
 )
 from pipeline.calibration.contact_circles import find_largest_part, fit_sphere
-from pipeline.recordings.reference_images import denoise_reference
+from pipeline.core.values.frames import TactileFrame
+from pipeline.io.reference_images import denoise_reference
 from pipeline.sensors.spec import load_sensor
-from pipeline.values.frames import TactileFrame
 
 NEEDS = "recorded data"
 _GELSLIM3_MM_PER_PX = 0.07

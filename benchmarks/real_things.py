@@ -21,8 +21,8 @@ from benchmarks.harness.results import BenchmarkResult
 from benchmarks.harness.text_report import print_result
 from benchmarks.harness.timing import Requirement, build_measurement, summarize_times
 from benchmarks.scenes.depth_helpers import build_reader, list_numbered_files, patches, picture, recorded_data
+from pipeline.core.values.frames import TactileFrame
 from pipeline.sensors.spec import load_sensor
-from pipeline.values.frames import TactileFrame
 
 NEEDS = "recorded data"
 _CRUMB, _CORNER, _STAIR_PX = 1e-3, 8, 8

@@ -20,14 +20,14 @@ from scipy import ndimage
 from benchmarks.harness.results import BenchmarkResult, Measurement, PlotPoint
 from benchmarks.harness.text_report import print_result
 from benchmarks.harness.timing import Requirement, build_measurement, time_in_turns
-from pipeline.geometry import rigid
-from pipeline.geometry.camera import Camera
+from pipeline.core.geometry import rigid
+from pipeline.core.geometry.camera import Camera
+from pipeline.core.values.results import Cloud, DepthMap, TargetDepth
 from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import SensorSpec, load_sensor
 from pipeline.stages.cloud.back_projection import BackProjectionParams, back_project_depth
 from pipeline.stages.target_depth.rasterisation import rasterise_surface
 from pipeline.stages.target_depth.surface_projection import PointSplatParams, SurfaceProjectionParams, project_cloud
-from pipeline.values.results import Cloud, DepthMap, TargetDepth
 
 SURFACE, PAPER = SurfaceProjectionParams(), PointSplatParams()
 _SCENES = ((0, 1), (20, 1), (45, 1), (20, 3))  # degrees aside, target resolution

@@ -16,8 +16,8 @@ import numpy as np
 from benchmarks.harness.results import BenchmarkResult, Measurement, PlotPoint
 from benchmarks.harness.text_report import print_result
 from benchmarks.harness.timing import Requirement, build_measurement, time_in_turns
-from pipeline.networks.samplers import Solver, make_sigma_schedule, sample
-from tests.pipeline.networks.mixtures import PICKED, denoiser, modes
+from pipeline.stages.networks.samplers import Solver, make_sigma_schedule, sample
+from tests.pipeline.stages.networks.mixtures import PICKED, denoiser, modes
 
 STEPS = (5, 8, 10, 16, 25, 50)
 _LEAST = 0.002

@@ -26,17 +26,17 @@ from benchmarks.harness.results import BenchmarkResult
 from benchmarks.harness.text_report import print_result
 from benchmarks.harness.timing import Requirement, build_measurement, summarize_times
 from benchmarks.scenes.depth_helpers import build_reader
-from pipeline.geometry import rigid
-from pipeline.metrics.stage_metrics import compute_mae_mm, iou
+from pipeline.core.geometry import rigid
+from pipeline.core.values.frames import Stream, TactileFrame
 from pipeline.physics import optics
+from pipeline.physics.simulation import shapes
+from pipeline.physics.simulation.press import simulate_press
+from pipeline.physics.simulation.variation import vary_sensor
 from pipeline.sensors.spec import load_sensor
-from pipeline.simulation import shapes
-from pipeline.simulation.press import simulate_press
-from pipeline.simulation.variation import vary_sensor
 from pipeline.stages.depth import contact
 from pipeline.stages.depth.photometric import DepthParams
+from pipeline.stages.metrics.stage_metrics import compute_mae_mm, iou
 from pipeline.translation.frame_selection import select_context_frames
-from pipeline.values.frames import Stream, TactileFrame
 
 _SENSORS = ("gelslim", "gelsight_mini", "digit")
 _DEPTHS_UM = {0.15: 15.0, 0.4: 25.0, 0.8: 45.0}  # and what the error in the contact may be

@@ -17,14 +17,14 @@ from benchmarks.harness.results import BenchmarkResult
 from benchmarks.harness.text_report import print_result
 from benchmarks.harness.timing import Requirement, Timing, build_measurement
 from benchmarks.scenes.depth_helpers import build_reader
-from pipeline.geometry import rigid
+from pipeline.core.geometry import rigid
+from pipeline.core.values.frames import TactileFrame
+from pipeline.lab.tracking.track import compute_error, track_frames
 from pipeline.physics.sensor_images import render_sensor_image
+from pipeline.physics.simulation import shapes
+from pipeline.physics.simulation.overhang import compute_lowest_mm
+from pipeline.physics.simulation.press import simulate_press
 from pipeline.sensors.spec import load_sensor
-from pipeline.simulation import shapes
-from pipeline.simulation.overhang import compute_lowest_mm
-from pipeline.simulation.press import simulate_press
-from pipeline.tracking.track import compute_error, track_frames
-from pipeline.values.frames import TactileFrame
 
 _OBJECTS = ("ellipse", "letters", "cross", "wave", "star", "curve")
 _SENSORS = {"gelslim": 0.6, "digit": 0.6, "soft_bubble": 6.6}  # deepest point in mm below the gels' plane

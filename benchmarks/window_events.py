@@ -33,7 +33,7 @@ def measure() -> BenchmarkResult:
     app_main.prepare_environment()
     application, clock = _timed_application()
     from app.session.state import Session
-    from app.window.tour import wait_until_shown
+    from app.shell.tour import wait_until_shown
 
     session = Session(recording=app_main.SAMPLE_RECORDING, source="gelslim", target="soft_bubble", frame=5)
     instrument = app_main.show_window(session)

@@ -88,7 +88,7 @@ def _new_frames(instrument: Any, application: Any) -> list[tuple[float, float]]:
 
 
 def _drafts(instrument: Any, application: Any) -> list[tuple[float, float]]:
-    from pipeline.base.params import replace_value
+    from pipeline.core.params import replace_value
     from pipeline.stages.depth.stage import PHYSICS
 
     waits, panel = [], instrument.window.parameters
@@ -188,7 +188,7 @@ def _memory(instrument: Any, application: Any, changes: int, notes: list[str]) -
 
 def _open(instrument: Any, path: Path, *, swap: bool) -> None:
     """A recording as it was recorded, or from its target's sensor to its source's."""
-    from app.window.tour import wait_until_shown
+    from app.shell.tour import wait_until_shown
 
     instrument.change("as recorded", target="")
     instrument.open_path(path)

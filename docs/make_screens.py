@@ -16,13 +16,13 @@ from pathlib import Path
 import make_tour as tour
 from PyQt6.QtCore import QCoreApplication, QSettings
 
+from app.compare.comparison import ComparisonController
+from app.document.session_controller import SessionController
+from app.live.live import LiveController
 from app.main import close_window, make_application, show_window
 from app.session.state import Session
-from app.window.comparison import ComparisonController
-from app.window.live import LiveController
-from app.window.session_controller import SessionController
-from app.window.tour import pin_deepest_pixel, save_window_screenshot
-from pipeline.live.source_parsing import SimulatedSource
+from app.shell.tour import pin_deepest_pixel, save_window_screenshot
+from pipeline.io.live.source_parsing import SimulatedSource
 from pipeline.sensors.alignment import Offsets
 
 

@@ -16,12 +16,12 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from pipeline.geometry import rigid
-from pipeline.geometry.meshes import Mesh
+from pipeline.core.geometry import rigid
+from pipeline.core.geometry.meshes import Mesh
 from pipeline.physics import optics
+from pipeline.physics.simulation import shapes
+from pipeline.physics.simulation.press import simulate_press
 from pipeline.sensors.spec import SensorSpec, load_sensor
-from pipeline.simulation import shapes
-from pipeline.simulation.press import simulate_press
 
 SENSORS = ("gelslim", "gelslim_dotless", "digit", "gelsight_mini", "soft_bubble")
 SHAPES = ("sphere", "edge", "ring", "three_lines", "lines_45", "hexagon", "letters", "star")

@@ -23,15 +23,15 @@ prepare_environment()
 
 from PyQt6.QtCore import QCoreApplication, QSettings
 
+from app.compare.comparison import ComparisonController
+from app.document.session_controller import SessionController
+from app.live.live import LiveController
 from app.session.state import Session
-from app.window.comparison import ComparisonController
-from app.window.live import LiveController
-from app.window.rollout_attribution import RolloutAttributionController
-from app.window.rollouts import RolloutController
-from app.window.session_controller import SessionController
-from app.window.tour import pin_deepest_pixel, save_window_screenshot, wait_until_shown
-from app.window.track import TrackController
-from pipeline.live.source_parsing import SimulatedSource
+from app.shell.tour import pin_deepest_pixel, save_window_screenshot, wait_until_shown
+from app.task.rollout_attribution import RolloutAttributionController
+from app.task.rollouts import RolloutController
+from app.track.track import TrackController
+from pipeline.io.live.source_parsing import SimulatedSource
 from pipeline.sensors.alignment import Offsets
 
 SIZE_PX = (1600, 950)
@@ -248,7 +248,7 @@ def _open_trial_17(instrument: SessionController) -> None:
 @cache
 def record_trials() -> Path:
     """Record a few grasps of the hex key, of which the last fails by T2T, in a folder that ends with the program."""
-    from pipeline.tasks.runner import make_jobs, run_job
+    from pipeline.lab.tasks.runner import make_jobs, run_job
 
     folder = Path(ROLLOUTS.name)
     jobs = make_jobs(

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.base.arrays import Doubles
-from pipeline.geometry import rigid
+from pipeline.core.arrays import Doubles
+from pipeline.core.geometry import rigid
+from pipeline.physics.simulation import shapes
 from pipeline.sensors.spec import load_sensor
-from pipeline.simulation import shapes
 from sample_data.writing import PressFrame, write_recording
 
 SENSORS = ("gelslim", "digit", "soft_bubble")

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.base.arrays import Doubles
-from pipeline.geometry import rigid
+from pipeline.core.arrays import Doubles
+from pipeline.core.geometry import rigid
+from pipeline.physics.simulation import shapes
 from pipeline.sensors.parts import Glow
 from pipeline.sensors.spec import SensorSpec, load_sensor
-from pipeline.simulation import shapes
 from sample_data.writing import PressFrame, write_recording
 
 HOVER_MM = 20.0  # above the gels, also out of reach of the bubble

@@ -10,8 +10,8 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from pipeline.simulation.datasets import SimulationPlan
-from pipeline.simulation.recorder import record_plan
+from pipeline.lab.recorder import record_plan
+from pipeline.physics.simulation.datasets import SimulationPlan
 from sample_data import first_touch, hard_cases
 
 RECORDINGS_FOLDER = Path(__file__).parent / "recordings"

@@ -9,15 +9,15 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.base.arrays import Doubles, Floats, Image
+from pipeline.core.arrays import Doubles, Floats, Image
+from pipeline.core.values.frames import Pairing, TactileFrame
+from pipeline.io.hdf5_writer import RecordingWriter
+from pipeline.lab.recorder import BUBBLE_STEP_MM
 from pipeline.physics.sensor_images import render_sensor_image
-from pipeline.recordings.hdf5_writer import RecordingWriter
+from pipeline.physics.simulation.press import simulate_press
+from pipeline.physics.simulation.shapes.solids import Shape
 from pipeline.sensors import alignment
 from pipeline.sensors.spec import SensorSpec
-from pipeline.simulation.press import simulate_press
-from pipeline.simulation.recorder import BUBBLE_STEP_MM
-from pipeline.simulation.shapes.solids import Shape
-from pipeline.values.frames import Pairing, TactileFrame
 
 FRAMES_PER_S = 10.0
 

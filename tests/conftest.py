@@ -28,7 +28,7 @@ def real_data() -> Path:
 @pytest.fixture(scope="session")
 def rollout_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """One grasp of the hex key, inserted by its planned pose and by T2T at two clearances: four rollouts."""
-    from pipeline.tasks.runner import make_jobs, run_job
+    from pipeline.lab.tasks.runner import make_jobs, run_job
 
     folder = tmp_path_factory.mktemp("rollouts")
     jobs = make_jobs(

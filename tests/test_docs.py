@@ -27,7 +27,9 @@ def test_the_pages_build_and_no_link_leads_nowhere(tmp_path):
         warnings.simplefilter("ignore")  # of the libraries; those of the pages are logged, and end a strict build
         build(load_config(str(ROOT / "mkdocs.yml"), strict=True, site_dir=str(tmp_path)))
     api = (tmp_path / "api" / "index.html").read_text()
-    assert all(f'id="{name}"' in api for name in ("tactoscope.open", "pipeline.values.results.DepthMap.indentation_mm"))
+    assert all(
+        f'id="{name}"' in api for name in ("tactoscope.open", "pipeline.core.values.results.DepthMap.indentation_mm")
+    )
 
 
 @pytest.mark.parametrize("page", ["README.md", "docs/index.md"])

@@ -21,7 +21,7 @@ def place(tmp_path, monkeypatch):
     """A folder with the sample recordings, in which an example may write."""
     (tmp_path / "sample_data").symlink_to(ROOT / "sample_data")
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("pipeline.recordings.formats._registered", [])
+    monkeypatch.setattr("pipeline.io.formats._registered", [])
     return tmp_path
 
 

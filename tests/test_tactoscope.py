@@ -13,8 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import tactoscope as ts
-from pipeline.base.errors import SettingProblem, ShapeError
-from pipeline.engine.graph import Graph
+from pipeline.core.errors import SettingProblem, ShapeError
+from pipeline.core.graph import Graph
 
 SAMPLE = Path(__file__).parents[1] / "sample_data" / "recordings" / "first_touch.h5"
 TOUCHED, UNTOUCHED = 5, 0

@@ -76,7 +76,7 @@ def test_the_wheel_holds_every_module_and_description_and_is_not_for_upload(whee
         "app", "widgets", "pipeline", "tactoscope.py",
     }  # fmt: skip
     weights = {path.name for path in (ROOT / "sample_data" / "weights").iterdir()}
-    assert {f"pipeline/networks/shipped/{name}" for name in weights} <= held
+    assert {f"pipeline/stages/networks/shipped/{name}" for name in weights} <= held
     assert "README.md" in weights
     assert "Classifier: Private :: Do Not Upload" in about
     assert all(f"Python :: 3.{minor}" in about for minor in (11, 12, 13))

@@ -19,35 +19,35 @@ from hypothesis.extra import numpy as npst
 
 from app.session.layout import ComparisonSettings, Layout
 from app.session.state import Session, load_session, save_session
-from pipeline.base.files import read_arrays, read_json, write_arrays, write_json
 from pipeline.calibration import calibration_file, slope_model
 from pipeline.calibration.calibration_table import BallFit, Calibration, ExpectedError
 from pipeline.calibration.force_scale import fit_force_scale, load_force_scale, save_force_scale
 from pipeline.calibration.slope_model import SlopeModel
-from pipeline.engine import disk_store
-from pipeline.evaluation.comparison_tiles import TABLE_FILE, write_tiles
-from pipeline.geometry import rigid
-from pipeline.geometry.camera import Camera
-from pipeline.geometry.meshes import Mesh
-from pipeline.geometry.symmetry import Symmetry
-from pipeline.live.recorder import LiveRecordingWriter
-from pipeline.networks.weights import Weights, load_weights, save_weights
-from pipeline.previews.display_params import DisplayParams
-from pipeline.previews.tile import Tile
-from pipeline.recordings import hdf5
-from pipeline.recordings.hdf5_writer import RecordingWriter
-from pipeline.recordings.image_files import read_rgb
-from pipeline.recordings.reference_estimate import write_reference
-from pipeline.reporting.viewer_files import StageSample, write_mcap
+from pipeline.core import disk_store
+from pipeline.core.files import read_arrays, read_json, write_arrays, write_json
+from pipeline.core.geometry import rigid
+from pipeline.core.geometry.camera import Camera
+from pipeline.core.geometry.meshes import Mesh
+from pipeline.core.geometry.symmetry import Symmetry
+from pipeline.core.values.frames import Pairing, TactileFrame, Truth
+from pipeline.io import hdf5
+from pipeline.io.hdf5_writer import RecordingWriter
+from pipeline.io.image_files import read_rgb
+from pipeline.io.live.recorder import LiveRecordingWriter
+from pipeline.io.reference_estimate import write_reference
+from pipeline.lab.evaluation.comparison_tiles import TABLE_FILE, write_tiles
+from pipeline.lab.tasks.rollout_file import read_rollout, summarise, write_rollout
+from pipeline.lab.tasks.task import Decision, Rollout, Tick, TrialPlan
+from pipeline.lab.tracking.track_record import TrackError, TrackRecord, TrackRow, read_record, write_record
+from pipeline.lab.training.object_sampling import SampleCache
+from pipeline.lab.training.state import TrainingState, load_state, save_state
 from pipeline.sensors.alignment import Alignment, Offsets
 from pipeline.sensors.alignment_files import AlignmentFile, load_alignment, save_alignment
-from pipeline.tasks.rollout_file import read_rollout, summarise, write_rollout
-from pipeline.tasks.task import Decision, Rollout, Tick, TrialPlan
-from pipeline.tracking.track_record import TrackError, TrackRecord, TrackRow, read_record, write_record
-from pipeline.training.object_sampling import SampleCache
-from pipeline.training.state import TrainingState, load_state, save_state
+from pipeline.stages.networks.weights import Weights, load_weights, save_weights
 from pipeline.translation.cross_section import SectionLine
-from pipeline.values.frames import Pairing, TactileFrame, Truth
+from pipeline.translation.reports.viewer_files import StageSample, write_mcap
+from pipeline.views.display_params import DisplayParams
+from pipeline.views.tile import Tile
 
 EYE = np.eye(4)
 WORDS = st.text(alphabet=string.ascii_letters + string.digits + " _-äßµ→'\"\\|,;\n\t", max_size=12)
@@ -556,30 +556,30 @@ CASES = {
 WRITERS = {
     "app/session/state.py": "session",
     "app/window/screenshots.py": "no reader: an image for people",
-    "pipeline/base/figures.py": "no reader: an image for people",
+    "pipeline/core/figures.py": "no reader: an image for people",
     "pipeline/calibration/calibration_file.py": "calibration",
     "pipeline/calibration/force_scale.py": "force scale",
     "pipeline/cli/attribute.py": "report",
     "pipeline/cli/evaluate.py": "report",
     "pipeline/cli/task.py": "report",
-    "pipeline/engine/disk_store.py": "cache on disk",
-    "pipeline/evaluation/comparison_tiles.py": "comparison",
-    "pipeline/live/recorder.py": "live recording",
-    "pipeline/networks/weights.py": "weights",
-    "pipeline/recordings/hdf5_writer.py": "recording",
-    "pipeline/recordings/reference_estimate.py": "reference",
-    "pipeline/reporting/export.py": "arrays",
-    "pipeline/reporting/report.py": "report",
-    "pipeline/reporting/repro_bundle.py": "report",
-    "pipeline/reporting/truth_files.py": "report",
-    "pipeline/reporting/video.py": "no reader: its frames are counted before it is moved",
-    "pipeline/reporting/viewer_files.py": "viewer file",
+    "pipeline/core/disk_store.py": "cache on disk",
+    "pipeline/lab/evaluation/comparison_tiles.py": "comparison",
+    "pipeline/io/live/recorder.py": "live recording",
+    "pipeline/stages/networks/weights.py": "weights",
+    "pipeline/io/hdf5_writer.py": "recording",
+    "pipeline/io/reference_estimate.py": "reference",
+    "pipeline/translation/reports/export.py": "arrays",
+    "pipeline/translation/reports/report.py": "report",
+    "pipeline/translation/reports/repro_bundle.py": "report",
+    "pipeline/translation/reports/truth_files.py": "report",
+    "pipeline/translation/reports/video.py": "no reader: its frames are counted before it is moved",
+    "pipeline/translation/reports/viewer_files.py": "viewer file",
     "pipeline/sensors/alignment_files.py": "alignment",
-    "pipeline/tasks/rollout_bundle.py": "report",
-    "pipeline/tracking/track_record.py": "track",
-    "pipeline/training/curves.py": "no reader: a table for people",
-    "pipeline/training/object_sampling.py": "training sample",
-    "pipeline/training/state.py": "training",
+    "pipeline/lab/tasks/rollout_bundle.py": "report",
+    "pipeline/lab/tracking/track_record.py": "track",
+    "pipeline/lab/training/curves.py": "no reader: a table for people",
+    "pipeline/lab/training/object_sampling.py": "training sample",
+    "pipeline/lab/training/state.py": "training",
 }
 
 
@@ -593,7 +593,7 @@ def test_no_writer_is_left_out():
         for package in ("pipeline", "app", "widgets")
         for path in (root / package).rglob("*.py")
         if helper.search(path.read_text("utf-8"))
-    } - {"pipeline/base/files.py"}
+    } - {"pipeline/core/files.py"}
     assert found == WRITERS.keys()
     assert all(case in CASES or case.startswith("no reader: ") for case in WRITERS.values())
 

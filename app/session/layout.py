@@ -8,7 +8,7 @@ from typing import Annotated, Literal, get_args
 
 from msgspec import Meta
 
-from pipeline.base.typed_data import Name
+from pipeline.core.typed_data import Name
 
 LayoutName = Literal["stages", "inspect", "align", "demo", "compare", "track", "task"]
 Dims = Literal["2D", "3D", "both"]

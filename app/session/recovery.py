@@ -10,9 +10,9 @@ from typing import IO
 
 from app.session.file_fingerprints import fingerprint_files
 from app.session.state import SESSION_SUFFIX, Session, load_session, save_session
-from pipeline.base.errors import TouchError
-from pipeline.base.files import open_lock
-from pipeline.base.user_folders import find_user_folder
+from pipeline.core.errors import TouchError
+from pipeline.core.files import open_lock
+from pipeline.core.user_folders import find_user_folder
 from pipeline.translation.catalogue import BUILT_IN, Catalogue
 
 _LOCK_SUFFIX = ".lock"

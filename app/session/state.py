@@ -12,17 +12,17 @@ import msgspec
 from msgspec import Meta
 
 from app.session.layout import ComparisonSettings, Layout
-from pipeline.base.errors import FileProblem, SettingProblem
-from pipeline.base.files import read_json, write_json
-from pipeline.base.params import list_settings, replace_value
-from pipeline.base.typed_data import FileName, Name, Note, Number, Plain, convert, to_plain
-from pipeline.engine.graph import Method
-from pipeline.previews.display_params import DisplayParams
-from pipeline.recordings.formats import DepthUnit
+from pipeline.core.errors import FileProblem, SettingProblem
+from pipeline.core.files import read_json, write_json
+from pipeline.core.graph import Method
+from pipeline.core.params import list_settings, replace_value
+from pipeline.core.typed_data import FileName, Name, Note, Number, Plain, convert, to_plain
+from pipeline.io.formats import DepthUnit
 from pipeline.sensors.alignment import Offsets
 from pipeline.stages.truth_method import TRUTH
 from pipeline.translation.catalogue import BUILT_IN, Catalogue
 from pipeline.translation.cross_section import SectionLine
+from pipeline.views.display_params import DisplayParams
 
 SESSION_SUFFIX = ".touch.json"
 DISPLAY_KEY = "display"  # key of the display parameters in `Session.params`

@@ -6,7 +6,7 @@ from dataclasses import KW_ONLY, dataclass
 from PyQt6.QtGui import QAction, QKeySequence
 from PyQt6.QtWidgets import QMainWindow
 
-from widgets.icons import make_command_icon
+from widgets.style.icons import make_command_icon
 
 
 @dataclass(frozen=True, slots=True)

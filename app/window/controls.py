@@ -6,8 +6,8 @@ from PyQt6.QtCore import QSignalBlocker
 
 from app.session.state import DISPLAY_KEY, Session
 from app.window.main_window import MainWindow
-from pipeline.base.params import list_settings
-from pipeline.engine.graph import Method
+from pipeline.core.graph import Method
+from pipeline.core.params import list_settings
 from pipeline.translation.catalogue import Catalogue
 from pipeline.translation.translate import Translation
 

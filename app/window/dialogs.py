@@ -7,8 +7,8 @@ from pathlib import Path
 from PyQt6.QtWidgets import QFileDialog, QWidget
 
 from app.session.state import SESSION_SUFFIX
-from pipeline.geometry.meshes import UnitProblem
-from pipeline.recordings.formats import make_dialog_filter
+from pipeline.core.geometry.meshes import UnitProblem
+from pipeline.io.formats import make_dialog_filter
 
 ALIGNMENT_SUFFIX = ".toml"
 WEIGHTS_SUFFIX = ".safetensors"

@@ -8,9 +8,9 @@ from types import TracebackType
 from PyQt6.QtCore import QObject, pyqtSignal
 
 from app.window.dialogs import format_unit_problem
-from pipeline.base import error_log
-from pipeline.base.errors import TouchError
-from pipeline.geometry.meshes import UnitProblem
+from pipeline.core import error_log
+from pipeline.core.errors import TouchError
+from pipeline.core.geometry.meshes import UnitProblem
 
 log = logging.getLogger("tactoscope")
 

@@ -20,30 +20,30 @@ from PyQt6.QtWidgets import (
 from app.session.layout import LAYOUT_NAMES, Layout
 from app.window.actions import MENUS, REFERENCE_COMMANDS, THEME_COMMANDS, make_actions, make_stage_commands
 from app.window.menus import REFERENCE, Drawers, add_layout_tabs, build_menus, build_tool_bar
-from widgets.alignment_panel import AlignmentPanel
-from widgets.banner import Banner
-from widgets.base import ChoiceBox, FixedSizeLabel
-from widgets.comparison_page import ComparisonPage
-from widgets.error_attribution_panel import ErrorAttributionPanel
-from widgets.frames_panel import FramesPanel
-from widgets.log_panel import LogPanel
-from widgets.notification_bar import NotificationStack
-from widgets.panes import PanesPage
-from widgets.parameters_panel import ParametersPanel
-from widgets.probes_panel import ProbesPanel, TracePanel
-from widgets.run_bar import RunBar
-from widgets.section_panel import SectionPanel
-from widgets.stage_column import StageColumn
-from widgets.stage_rows import StageRows
-from widgets.steps_panel import StepsPanel
-from widgets.styling import fill, set_spacing
-from widgets.task_page import TaskPage
-from widgets.timeline import Timeline
-from widgets.timings_panel import TimingsPanel
-from widgets.track_page import TrackPage
-from widgets.view_3d import View3D
-from widgets.view_3d_panel import StepsSlider, View3DPanel
-from widgets.warning_line import WarningLine
+from widgets.align.alignment_panel import AlignmentPanel
+from widgets.compare.comparison_page import ComparisonPage
+from widgets.frames.error_attribution_panel import ErrorAttributionPanel
+from widgets.frames.frames_panel import FramesPanel
+from widgets.shell.banner import Banner
+from widgets.shell.log_panel import LogPanel
+from widgets.shell.panes import PanesPage
+from widgets.stages.parameters_panel import ParametersPanel
+from widgets.stages.probes_panel import ProbesPanel, TracePanel
+from widgets.stages.section_panel import SectionPanel
+from widgets.stages.stage_column import StageColumn
+from widgets.stages.stage_rows import StageRows
+from widgets.stages.steps_panel import StepsPanel
+from widgets.stages.timings_panel import TimingsPanel
+from widgets.stages.warning_line import WarningLine
+from widgets.style.base import ChoiceBox, FixedSizeLabel
+from widgets.style.notification_bar import NotificationStack
+from widgets.style.run_bar import RunBar
+from widgets.style.styling import fill, set_spacing
+from widgets.task.task_page import TaskPage
+from widgets.timeline.timeline import Timeline
+from widgets.track.track_page import TrackPage
+from widgets.views.view_3d import View3D
+from widgets.views.view_3d_panel import StepsSlider, View3DPanel
 
 DEFAULT_SIZE = QSize(1600, 950)
 _FRAME = QSize(2, 40)  # that a desktop draws around a window: borders and title bar

@@ -7,9 +7,9 @@ from PyQt6.QtGui import QAction
 from PyQt6.QtWidgets import QDockWidget, QLabel, QMainWindow, QMenu, QTabWidget, QToolBar, QToolButton, QWidget
 
 from app.window.actions import MENUS, REFERENCE_COMMANDS, THEME_COMMANDS
-from widgets.command_bar import ActionTabs, CommandBar, name_extension
-from widgets.icons import make_command_icon
-from widgets.timeline import Timeline
+from widgets.shell.command_bar import ActionTabs, CommandBar, name_extension
+from widgets.style.icons import make_command_icon
+from widgets.timeline.timeline import Timeline
 
 REFERENCE = "Reference"  # title of the menu inside the File menu and of its button in the tool bar
 _TOOLS = (

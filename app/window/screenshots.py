@@ -5,8 +5,8 @@ from pathlib import Path
 from PyQt6.QtCore import QBuffer, QIODevice
 from PyQt6.QtWidgets import QWidget
 
-from pipeline.base.errors import FileProblem
-from pipeline.base.files import open_atomic
+from pipeline.core.errors import FileProblem
+from pipeline.core.files import open_atomic
 
 
 def write_screenshot(widget: QWidget, path: Path) -> None:

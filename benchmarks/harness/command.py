@@ -11,9 +11,9 @@ from benchmarks.harness.plot import plot_result
 from benchmarks.harness.regressions import collect_measurements, find_regressions, read_measurements
 from benchmarks.harness.runner import BenchmarkRun, list_benchmarks, run_benchmark, select_benchmarks
 from benchmarks.harness.text_report import format_result
-from pipeline.base.files import check_folder, check_folder_for, write_json
-from pipeline.base.machine import THREAD_SETTINGS, describe_machine, format_machine
 from pipeline.cli.terminal import print_line
+from pipeline.core.files import check_folder, check_folder_for, write_json
+from pipeline.core.machine import THREAD_SETTINGS, describe_machine, format_machine
 
 
 def print_benchmarks() -> int:

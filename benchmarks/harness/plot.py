@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.harness.results import BenchmarkResult, Measurement, PlotPoint
-from pipeline.base.figures import make_figure
-from pipeline.base.files import open_atomic
+from pipeline.core.figures import make_figure
+from pipeline.core.files import open_atomic
 
 _OURS, _BAR = "#0b6e99", "#6b7280"
 _INCHES, _DPI = (8.4, 5.2), 120

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 from benchmarks.harness.results import Measurement
 from benchmarks.harness.runner import BenchmarkRun
 from benchmarks.harness.text_report import format_number
-from pipeline.base.errors import FileProblem
+from pipeline.core.errors import FileProblem
 
 REGRESSION_FACTOR = 1.1  # times as slow, or as far off: repeated runs on an idle machine differ by less
 

@@ -20,8 +20,8 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.harness.results import BenchmarkResult, Measurement, PlotPoint
-from pipeline.base.errors import FileProblem, SettingProblem
-from pipeline.base.machine import THREAD_SETTINGS
+from pipeline.core.errors import FileProblem, SettingProblem
+from pipeline.core.machine import THREAD_SETTINGS
 
 BENCHMARK_FOLDER = Path(__file__).parents[2] / "benchmarks"
 TIMEOUT_S = 1800.0

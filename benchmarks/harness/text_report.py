@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 
 from benchmarks.harness.results import BenchmarkResult, Measurement
-from pipeline.base.machine import describe_machine, format_machine
+from pipeline.core.machine import describe_machine, format_machine
 
 _HEADS = ("question", "peer", "ours ms (p95)", "peer ms (p95)", "ratio", "our error", "peer error", "unit", "bar", "")
 _WORDS = frozenset({0, 1, 7, 8, 9})  # columns that are words: to the left

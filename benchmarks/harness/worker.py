@@ -13,7 +13,7 @@ from operator import methodcaller
 from pathlib import Path
 
 from benchmarks.harness.results import BenchmarkResult
-from pipeline.base.files import write_text
+from pipeline.core.files import write_text
 
 
 def main(benchmark: str, out: str) -> None:

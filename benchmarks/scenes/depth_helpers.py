@@ -13,14 +13,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from pipeline.base.errors import FileProblem, SettingProblem
-from pipeline.base.progress import SILENT
-from pipeline.engine.graph import Fallback, Skipped
-from pipeline.geometry.camera import Camera
+from pipeline.core.errors import FileProblem, SettingProblem
+from pipeline.core.geometry.camera import Camera
+from pipeline.core.graph import Fallback, Skipped
+from pipeline.core.progress import SILENT
+from pipeline.core.values.frames import TactileFrame
+from pipeline.core.values.results import DepthMap
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth.stage import STAGE
-from pipeline.values.frames import TactileFrame
-from pipeline.values.results import DepthMap
 
 _BESIDE = Path(__file__).resolve().parents[3] / "shared" / "data"
 

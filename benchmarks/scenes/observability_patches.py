@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.base.arrays import Doubles
-from pipeline.geometry import rigid
+from pipeline.core.arrays import Doubles
+from pipeline.core.geometry import rigid
 
 BAND = 2.0
 """Motions of which between 1 / BAND and BAND times as much is seen as is asked for are neither right nor wrong."""

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.scenes.observability_patches import BAND, SAME_DEG, Patch
-from pipeline.base.arrays import Doubles
-from pipeline.registration.observability import Tolerances
+from pipeline.core.arrays import Doubles
+from pipeline.stages.pose.registration.observability import Tolerances
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

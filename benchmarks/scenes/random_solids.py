@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.base.arrays import freeze
-from pipeline.geometry import rigid
-from pipeline.geometry.meshes import Mesh
+from pipeline.core.arrays import freeze
+from pipeline.core.geometry import rigid
+from pipeline.core.geometry.meshes import Mesh
 
 _STEP_MM, _HALF_MM = 0.5, 20.0
 

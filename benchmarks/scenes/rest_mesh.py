@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.base.arrays import freeze
-from pipeline.geometry.membrane import Membrane
-from pipeline.geometry.meshes import Mesh
+from pipeline.core.arrays import freeze
+from pipeline.core.geometry.membrane import Membrane
+from pipeline.core.geometry.meshes import Mesh
 
 
 def rest_mesh(surface: Membrane) -> Mesh:

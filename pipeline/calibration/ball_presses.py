@@ -9,11 +9,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.base.arrays import Doubles, Floats
 from pipeline.calibration import slope_model
 from pipeline.calibration.contact_circles import Circle, compute_ring_profile
 from pipeline.calibration.shading_field import SurfaceSamples, compute_shading_terms
 from pipeline.calibration.slope_model import SlopeModel, SlopeSamples
+from pipeline.core.arrays import Doubles, Floats
 
 TRUSTED_RADIUS_SHARE = 0.85  # of the contact's radius: inside it the rim's blur has no effect
 RING_RADII = np.arange(0.0, 2.001, 0.05)  # radii over the contact radius at which the slope profile is tabulated

@@ -15,9 +15,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from pipeline.base.arrays import Image, Mask
-from pipeline.base.errors import CalibrationError, ShapeError
-from pipeline.base.progress import SILENT, Progress
 from pipeline.calibration import near_led_prior
 from pipeline.calibration.ball_presses import (
     BallPress,
@@ -53,6 +50,9 @@ from pipeline.calibration.corrections import (
     summarise_errors,
 )  # fmt: skip
 from pipeline.calibration.slope_model import SlopeModel
+from pipeline.core.arrays import Image, Mask
+from pipeline.core.errors import CalibrationError, ShapeError
+from pipeline.core.progress import SILENT, Progress
 from pipeline.sensors.spec import SensorSpec
 
 _ITERATIONS = 6

@@ -10,14 +10,14 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import NDArray
 
-from pipeline.base.arrays import Doubles, freeze
-from pipeline.base.errors import CalibrationError, FileProblem
-from pipeline.base.files import open_atomic, read_arrays
-from pipeline.base.torch_archive import ZIP_ERRORS
-from pipeline.base.typed_data import Name, Note, Number, convert
 from pipeline.calibration import slope_model
 from pipeline.calibration.calibration_table import BallFit, Calibration, ExpectedError
 from pipeline.calibration.slope_model import SlopeModel
+from pipeline.core.arrays import Doubles, freeze
+from pipeline.core.errors import CalibrationError, FileProblem
+from pipeline.core.files import open_atomic, read_arrays
+from pipeline.core.torch_archive import ZIP_ERRORS
+from pipeline.core.typed_data import Name, Note, Number, convert
 
 _VERSION = 3
 _WHAT, _REMEDY = "the calibration", "calibrate again"

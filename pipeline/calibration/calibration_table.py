@@ -6,13 +6,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.base.arrays import Floats, Image, Mask, freeze
-from pipeline.base.errors import CalibrationError
 from pipeline.calibration import slope_model
 from pipeline.calibration.markers import detect_markers, inpaint_markers, remove_printed_markers
 from pipeline.calibration.slope_model import SlopeModel, SlopeSamples
-from pipeline.engine import disk_store
-from pipeline.engine.derived import derive_once
+from pipeline.core import disk_store
+from pipeline.core.arrays import Floats, Image, Mask, freeze
+from pipeline.core.derived import derive_once
+from pipeline.core.errors import CalibrationError
 from pipeline.sensors.spec import Markers, SensorSpec
 
 SMOOTHING_PX = 1.0  # blur of the colour change, the same in fitting and in use

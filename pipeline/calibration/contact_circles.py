@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from pipeline.base.arrays import Doubles, Floats, Mask
+from pipeline.core.arrays import Doubles, Floats, Mask
 
 _NOISE_FACTOR = 6.0  # times the median change of the image: certainly touched
 _SHARE_OF_PEAK = 0.35

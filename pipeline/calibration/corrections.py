@@ -20,7 +20,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.base.arrays import Doubles, Floats, Mask, freeze
 from pipeline.calibration import shading_field, slope_model
 from pipeline.calibration.ball_presses import (
     BallPress,
@@ -33,6 +32,7 @@ from pipeline.calibration.ball_presses import (
 from pipeline.calibration.calibration_table import P90_OVER_STD, USUAL_STD, ExpectedError
 from pipeline.calibration.shading_field import ShadingFieldPrior
 from pipeline.calibration.slope_model import SlopeModel, SlopeSamples
+from pipeline.core.arrays import Doubles, Floats, Mask, freeze
 
 _DRAWS, _PIXELS = 40, 8000  # shading fields and pixels that a table is fitted to
 _QUICK_PIXELS = 4000  # while the circles are refined

@@ -18,10 +18,10 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from pipeline.base.arrays import Doubles, freeze
-from pipeline.base.errors import FileProblem, SettingProblem
-from pipeline.base.files import read_arrays, write_arrays
-from pipeline.base.typed_data import Name, convert
+from pipeline.core.arrays import Doubles, freeze
+from pipeline.core.errors import FileProblem, SettingProblem
+from pipeline.core.files import read_arrays, write_arrays
+from pipeline.core.typed_data import Name, convert
 
 UNKNOWN_SCALE = "its scale is not known; weigh two presses and run 'tactoscope calibrate force'"
 _WEIGHING_ERROR = 0.06  # standard deviation of one estimated force, as a share (`benchmarks/force.py`)

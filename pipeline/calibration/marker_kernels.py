@@ -1,7 +1,7 @@
 """Compiled filling of what markers hide (`markers`)."""
 # pyright: basic
 
-from pipeline.base.cached_kernels import kernel
+from pipeline.core.cached_kernels import kernel
 
 
 @kernel()

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.base.arrays import Doubles, Floats, Mask, freeze
-from pipeline.engine.derived import derive_once
+from pipeline.core.arrays import Doubles, Floats, Mask, freeze
+from pipeline.core.derived import derive_once
 from pipeline.sensors.spec import Markers
 
 _DARKER = 0.12  # a marker is darker than its surroundings by this share of their brightness

@@ -13,8 +13,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.base.arrays import Doubles, Floats, Mask, freeze
-from pipeline.base.errors import CalibrationError
 from pipeline.calibration import slope_model
 from pipeline.calibration.shading_field import (
     N_POSITION_TERMS,
@@ -22,8 +20,10 @@ from pipeline.calibration.shading_field import (
     ShadingFieldPrior,
     compute_position_terms,
 )
-from pipeline.engine import disk_store
-from pipeline.engine.derived import derive_once
+from pipeline.core import disk_store
+from pipeline.core.arrays import Doubles, Floats, Mask, freeze
+from pipeline.core.derived import derive_once
+from pipeline.core.errors import CalibrationError
 from pipeline.sensors.parts import compute_mean_reference_light
 from pipeline.sensors.spec import Optics, SensorSpec
 

@@ -1,7 +1,7 @@
 """Notes on the quality of a calibration, for the terminal, the window and frames."""
 
-from pipeline.base.errors import CalibrationWarning, StageWarning
 from pipeline.calibration.calibration_table import Calibration
+from pipeline.core.errors import CalibrationWarning, StageWarning
 
 CALIBRATION_ADVICE = "press a ball in sixteen places all over the image and run 'tactoscope calibrate balls'"
 UNCALIBRATED = "sensor not calibrated"

@@ -16,9 +16,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.base.arrays import Doubles, Floats
 from pipeline.calibration import slope_model
 from pipeline.calibration.slope_model import SlopeModel, SlopeSamples
+from pipeline.core.arrays import Doubles, Floats
 
 POSITION_DEGREE = 4  # of the polynomials in u and v
 N_POSITION_TERMS = (POSITION_DEGREE + 1) * (POSITION_DEGREE + 2) // 2

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.base.arrays import Doubles, Floats, Mask, freeze
+from pipeline.core.arrays import Doubles, Floats, Mask, freeze
 
 OFFSET_GREY = 15.0  # limits the amplification of camera noise in dark corners
 _RIDGE_GROWTH = 4.0  # factor of the ridge for each further degree

@@ -11,10 +11,16 @@ from cyclopts import Parameter
 from rich.console import Console
 from rich.table import Table
 
-from pipeline.alignment import refine as refinement
-from pipeline.alignment.coarse_start import estimate_alignment
-from pipeline.alignment.refine import AlignmentFit, Refinement, hold_out_touches, refine_on_recording
-from pipeline.alignment.score import (
+from pipeline.cli.terminal import open_progress_bar, print_line
+from pipeline.cli.translation_options import Flag
+from pipeline.core.errors import FileProblem, SettingProblem
+from pipeline.core.files import check_folder_for
+from pipeline.core.frame_lists import parse_frames
+from pipeline.sensors.alignment_files import ALIGNMENT_SUFFIX, AlignmentFile, save_alignment
+from pipeline.translation.alignment import refine as refinement
+from pipeline.translation.alignment.coarse_start import estimate_alignment
+from pipeline.translation.alignment.refine import AlignmentFit, Refinement, hold_out_touches, refine_on_recording
+from pipeline.translation.alignment.score import (
     UNIT_STEP,
     AlignmentScore,
     ScoreChange,
@@ -23,14 +29,8 @@ from pipeline.alignment.score import (
     median_score,
     score_touches,
 )
-from pipeline.alignment.target_observation import observe_target
-from pipeline.alignment.touches import AlignmentTouch, load_paired_touches
-from pipeline.base.errors import FileProblem, SettingProblem
-from pipeline.base.files import check_folder_for
-from pipeline.base.frame_lists import parse_frames
-from pipeline.cli.terminal import open_progress_bar, print_line
-from pipeline.cli.translation_options import Flag
-from pipeline.sensors.alignment_files import ALIGNMENT_SUFFIX, AlignmentFile, save_alignment
+from pipeline.translation.alignment.target_observation import observe_target
+from pipeline.translation.alignment.touches import AlignmentTouch, load_paired_touches
 from pipeline.translation.translate import Request, Translation, open_translation
 
 # Predicted standard deviation of a rotation from which a warning is printed. Two touches of a sample leave 0.8 deg and

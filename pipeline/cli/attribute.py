@@ -8,12 +8,12 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from pipeline.base.errors import SettingProblem
-from pipeline.base.files import check_folder_for, write_json
-from pipeline.base.frame_lists import parse_frames
-from pipeline.base.progress import SubProgress
 from pipeline.cli.terminal import open_progress_bar, print_line
 from pipeline.cli.translation_options import DEFAULT_OPTIONS, StageSettings, TargetName, TranslationOptions
+from pipeline.core.errors import SettingProblem
+from pipeline.core.files import check_folder_for, write_json
+from pipeline.core.frame_lists import parse_frames
+from pipeline.core.progress import SubProgress
 from pipeline.translation.error_attribution import DEFAULT_METRIC, ErrorAttribution, attribute_error
 from pipeline.translation.translate import open_translation
 

@@ -7,8 +7,8 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from pipeline.base.errors import FileProblem
 from pipeline.cli.translation_options import Flag
+from pipeline.core.errors import FileProblem
 
 PROJECT_FOLDER = Path(__file__).parents[2]
 

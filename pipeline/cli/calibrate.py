@@ -7,19 +7,19 @@ from typing import cast
 from rich.console import Console
 from rich.table import Table
 
-from pipeline.base.arrays import Image
-from pipeline.base.errors import FileProblem, SettingProblem
-from pipeline.base.files import check_folder_for
-from pipeline.base.params import check_range
 from pipeline.calibration.calibration_file import save
 from pipeline.calibration.calibration_table import Calibration
 from pipeline.calibration.quality_notes import format_calibration
 from pipeline.cli.terminal import open_progress_bar, print_line
-from pipeline.recordings import open_recording
+from pipeline.core.arrays import Image
+from pipeline.core.errors import FileProblem, SettingProblem
+from pipeline.core.files import check_folder_for
+from pipeline.core.params import check_range
+from pipeline.core.values.frames import TactileFrame
+from pipeline.io import open_recording
 from pipeline.sensors.spec import load_sensor
 from pipeline.stages.depth.ball_calibration import calibrate_sensor
 from pipeline.stages.depth.photometric import describe_mismatch
-from pipeline.values.frames import TactileFrame
 
 _CHECKED_FRAMES = 5  # presses checked for a mirrored image: one in ten does not show it
 MAX_BALL_DIAMETER_MM = 200.0  # nearly flat, for any gel

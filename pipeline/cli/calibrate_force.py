@@ -6,9 +6,6 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from pipeline.base.errors import SettingProblem
-from pipeline.base.files import check_folder_for
-from pipeline.base.frame_lists import parse_frames
 from pipeline.calibration.force_scale import ForceScale, fit_force_scale, format_force_scale, save_force_scale
 from pipeline.cli.terminal import open_progress_bar, print_line
 from pipeline.cli.translation_options import (
@@ -19,6 +16,9 @@ from pipeline.cli.translation_options import (
     find_sensor,
     split_list,
 )
+from pipeline.core.errors import SettingProblem
+from pipeline.core.files import check_folder_for
+from pipeline.core.frame_lists import parse_frames
 from pipeline.translation.force import estimate_force
 from pipeline.translation.translate import Translation, open_translation
 

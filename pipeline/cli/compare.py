@@ -12,21 +12,21 @@ from cyclopts import App, CycloptsError, Parameter
 from rich.console import Console
 from rich.table import Table
 
-from pipeline.base.errors import SettingProblem
-from pipeline.base.params import replace_value
 from pipeline.cli.terminal import open_progress_bar, print_line
 from pipeline.cli.translation_options import DEFAULT_OPTIONS, TargetName, TranslationOptions
-from pipeline.evaluation.comparison_tiles import Comparison, check_tiles_folder, write_tiles
-from pipeline.evaluation.grid_comparison import GridPlan, compare_grid, parse_axis
-from pipeline.evaluation.method_comparison import SortOrder, compare_methods
-from pipeline.evaluation.variant_comparison import compare_pair
-from pipeline.evaluation.variants import Variant, VariantRunner
-from pipeline.metrics.stage_metrics import METRICS
-from pipeline.previews.display_params import DisplayParams
-from pipeline.previews.tile import Tile
+from pipeline.core.errors import SettingProblem
+from pipeline.core.params import replace_value
+from pipeline.lab.evaluation.comparison_tiles import Comparison, check_tiles_folder, write_tiles
+from pipeline.lab.evaluation.grid_comparison import GridPlan, compare_grid, parse_axis
+from pipeline.lab.evaluation.method_comparison import SortOrder, compare_methods
+from pipeline.lab.evaluation.variant_comparison import compare_pair
+from pipeline.lab.evaluation.variants import Variant, VariantRunner
+from pipeline.stages.metrics.stage_metrics import METRICS
 from pipeline.translation.catalogue import BUILT_IN
 from pipeline.translation.error_attribution import DEFAULT_METRIC
 from pipeline.translation.translate import Translation, open_translation
+from pipeline.views.display_params import DisplayParams
+from pipeline.views.tile import Tile
 
 _DISPLAY = "display"
 _OptionText = Annotated[str, Parameter(allow_leading_hyphen=True)]

@@ -10,10 +10,10 @@ from ctypes.util import find_library
 from itertools import chain
 from pathlib import Path
 
-from pipeline.base.errors import TouchError
-from pipeline.base.user_folders import has_home
 from pipeline.cli.terminal import print_line
-from pipeline.recordings import open_recording
+from pipeline.core.errors import TouchError
+from pipeline.core.user_folders import has_home
+from pipeline.io import open_recording
 from pipeline.sensors.spec import list_sensor_names, load_sensor
 
 _PACKAGES = (

@@ -11,32 +11,37 @@ from cyclopts import Parameter
 from rich.console import Console
 from rich.table import Table
 
-from pipeline.base.cluster import connect_cluster
-from pipeline.base.errors import SettingProblem
-from pipeline.base.files import check_folder, check_folder_for, write_json
-from pipeline.base.machine import describe_machine, format_machine
-from pipeline.base.progress import SubProgress
 from pipeline.cli.terminal import open_progress_bar, print_line
 from pipeline.cli.translation_options import StageSettings, split_list
-from pipeline.evaluation.candidates import BASELINES
-from pipeline.evaluation.held_out import HeldOutOptions
-from pipeline.evaluation.paper_figures import draw_paper_figures
-from pipeline.evaluation.paper_tables import (
+from pipeline.core.cluster import connect_cluster
+from pipeline.core.errors import SettingProblem
+from pipeline.core.files import check_folder, check_folder_for, write_json
+from pipeline.core.machine import describe_machine, format_machine
+from pipeline.core.progress import SubProgress
+from pipeline.lab.evaluation.candidates import BASELINES
+from pipeline.lab.evaluation.held_out import HeldOutOptions
+from pipeline.lab.evaluation.paper_figures import draw_paper_figures
+from pipeline.lab.evaluation.paper_tables import (
     POSE_METHODS,
     EvaluationRequest,
     EvaluationTable,
     evaluate_tables,
     parse_direction,
 )
-from pipeline.evaluation.published_results import MeanStd
-from pipeline.evaluation.recorded_folders import find_trained_hold_out
-from pipeline.evaluation.recorded_touch import REGIONS
-from pipeline.evaluation.table_rows import TableRow
-from pipeline.evaluation.time_error_sweep import SweepPoint, check_sweep_parameters, draw_sweep_plots, sweep_parameters
-from pipeline.evaluation.touch_metrics import TOUCH_METRICS
-from pipeline.evaluation.touch_scoring import PAPER_GRASP
+from pipeline.lab.evaluation.published_results import MeanStd
+from pipeline.lab.evaluation.recorded_folders import find_trained_hold_out
+from pipeline.lab.evaluation.recorded_touch import REGIONS
+from pipeline.lab.evaluation.table_rows import TableRow
+from pipeline.lab.evaluation.time_error_sweep import (
+    SweepPoint,
+    check_sweep_parameters,
+    draw_sweep_plots,
+    sweep_parameters,
+)
+from pipeline.lab.evaluation.touch_metrics import TOUCH_METRICS
+from pipeline.lab.evaluation.touch_scoring import PAPER_GRASP
+from pipeline.lab.training.recorded_pairs import PairFolder
 from pipeline.sensors.spec import load_sensor
-from pipeline.training.recorded_pairs import PairFolder
 from pipeline.translation.catalogue import BUILT_IN, with_method
 
 _POSE_TITLES = {"signed_distances": "registration", "network": "network", PAPER_GRASP: "the paper's protocol"}

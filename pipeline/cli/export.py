@@ -10,7 +10,6 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from pipeline.base.errors import escape_text, shorten_text
 from pipeline.cli.terminal import open_progress_bar, print_error, print_line
 from pipeline.cli.translation_options import (
     DEFAULT_OPTIONS,
@@ -19,10 +18,11 @@ from pipeline.cli.translation_options import (
     TargetName,
     TranslationOptions,
 )
-from pipeline.reporting.export import export_file
-from pipeline.reporting.export_request import SHEET, ExportRequest, PaneContent
-from pipeline.reporting.repro_bundle import REPLAY_TOLERANCE, StageAgreement, replay_bundle, write_bundle
-from pipeline.tasks.rollout_bundle import is_rollout_bundle, replay_rollout
+from pipeline.core.errors import escape_text, shorten_text
+from pipeline.lab.tasks.rollout_bundle import is_rollout_bundle, replay_rollout
+from pipeline.translation.reports.export import export_file
+from pipeline.translation.reports.export_request import SHEET, ExportRequest, PaneContent
+from pipeline.translation.reports.repro_bundle import REPLAY_TOLERANCE, StageAgreement, replay_bundle, write_bundle
 
 _DISPLAY_HELP = "`stage.parameter=value`, or `display.parameter=value` for the display; repeatable."
 _DisplaySettings = Annotated[tuple[str, ...], Parameter(name="--set", negative="", help=_DISPLAY_HELP)]

@@ -5,8 +5,8 @@ from pathlib import Path
 from pipeline.calibration import calibration_file, force_scale, quality_notes
 from pipeline.cli.terminal import open_progress_bar, print_line
 from pipeline.cli.translation_options import DepthUnit, ReferenceFrames, ReferenceImagePath
-from pipeline.inspection.recording_report import format_report_lines, inspect_recording
-from pipeline.recordings.reference_estimate import write_reference
+from pipeline.io.inspection.recording_report import format_report_lines, inspect_recording
+from pipeline.io.reference_estimate import write_reference
 
 
 def inspect(

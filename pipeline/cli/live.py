@@ -9,14 +9,14 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from pipeline.base.errors import SettingProblem
 from pipeline.cli.terminal import handle_interrupts, print_line
-from pipeline.live import reference_capture
-from pipeline.live.reader import LiveReader
-from pipeline.live.recorder import LiveRecorder
-from pipeline.live.source import LiveSource
-from pipeline.live.source_parsing import parse_source
-from pipeline.live.usb_camera import list_usb_cameras
+from pipeline.core.errors import SettingProblem
+from pipeline.io.live import reference_capture
+from pipeline.io.live.reader import LiveReader
+from pipeline.io.live.recorder import LiveRecorder
+from pipeline.io.live.source import LiveSource
+from pipeline.io.live.source_parsing import parse_source
+from pipeline.io.live.usb_camera import list_usb_cameras
 
 _STATUS_PERIOD_S = 1.0
 _STOP_TIMEOUT_S = 5.0  # for the reader's thread to end

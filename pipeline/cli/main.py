@@ -17,9 +17,9 @@ from pathlib import Path
 from cyclopts import App, CycloptsError
 
 from pipeline import __version__
-from pipeline.base import error_log
-from pipeline.base.errors import SettingProblem, TouchError, hint_decimal_comma
 from pipeline.cli.terminal import print_error
+from pipeline.core import error_log
+from pipeline.core.errors import SettingProblem, TouchError, hint_decimal_comma
 
 EXIT_UNEXPECTED = 1
 EXIT_USER_ERROR = 2
@@ -188,7 +188,7 @@ def _refuse_lossy_outputs(arguments: Mapping[str, object]) -> None:
     """Raise FileProblem where a command would write over what it reads."""
     outputs = [out for name in _OUTPUTS for out in _list_paths(arguments.get(name))]
     if outputs:
-        from pipeline.base.files import require_separate  # imports numpy
+        from pipeline.core.files import require_separate  # imports numpy
 
         inputs = [path for name, value in arguments.items() if name not in _OUTPUTS for path in _list_paths(value)]
         for out in outputs:

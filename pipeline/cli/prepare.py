@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 from rich.console import Console
 
-from pipeline.base import compiling
 from pipeline.cli.terminal import print_line
+from pipeline.core import compiling
 
 if TYPE_CHECKING:
-    from pipeline.base.arrays import Image
+    from pipeline.core.arrays import Image
 
 SAMPLE_RECORDING = Path(__file__).parents[2] / "sample_data" / "recordings" / "first_touch.h5"
 _FRAME = 5  # a firm touch
@@ -57,7 +57,7 @@ def _list_tasks() -> Iterator[Callable[[], object]]:
 def _translate_sample(
     source: str, target: str, methods: tuple[tuple[str, str], ...] = (), settings: tuple[str, ...] = ()
 ) -> None:
-    from pipeline.simulation.datasets import SimulationPlan, make_recording
+    from pipeline.physics.simulation.datasets import SimulationPlan, make_recording
     from pipeline.translation.translate import Request, open_translation
 
     recording, frame = None, _FRAME
@@ -71,10 +71,10 @@ def _translate_sample(
 
 def _build_geometry() -> None:
     """Build the distance grid of a mesh, a rest surface from a mesh, and distances from both kinds of rest surface."""
-    from pipeline.geometry import distance_grid, mesh_membrane
-    from pipeline.geometry.meshes import Mesh
+    from pipeline.core.geometry import distance_grid, mesh_membrane
+    from pipeline.core.geometry.meshes import Mesh
+    from pipeline.physics.simulation import shapes
     from pipeline.sensors.spec import load_sensor
-    from pipeline.simulation import shapes
 
     corners = np.array([[x, y, 20.0] for y in (-5.0, 5.0) for x in (-5.0, 5.0)])
     sheet = Mesh(vertices_mm=corners, triangles=np.array([[0, 1, 2], [1, 3, 2]], np.int32))
@@ -87,10 +87,10 @@ def _build_geometry() -> None:
 
 def _simulate_presses() -> None:
     """Simulate one press with a bubble and with a gel without markers."""
+    from pipeline.physics.simulation import shapes
+    from pipeline.physics.simulation.poses import make_paper_grid
+    from pipeline.physics.simulation.press import simulate_press
     from pipeline.sensors.spec import load_sensor
-    from pipeline.simulation import shapes
-    from pipeline.simulation.poses import make_paper_grid
-    from pipeline.simulation.press import simulate_press
 
     mesh = shapes.make_shape(_TOOL).mesh
     pose = make_paper_grid(mesh, n=1, seed=0)[0]
@@ -100,13 +100,13 @@ def _simulate_presses() -> None:
 
 def _estimate_adaptive_depth() -> None:
     """Estimate depth with swapped colours, so that adaptive illumination is tried with and without shadows."""
+    from pipeline.core.values.frames import TactileFrame
     from pipeline.physics import optics
+    from pipeline.physics.simulation import shapes
+    from pipeline.physics.simulation.poses import make_paper_grid
+    from pipeline.physics.simulation.press import simulate_press
     from pipeline.sensors.spec import load_sensor
-    from pipeline.simulation import shapes
-    from pipeline.simulation.poses import make_paper_grid
-    from pipeline.simulation.press import simulate_press
     from pipeline.stages.depth.photometric import DepthParams, estimate_depth
-    from pipeline.values.frames import TactileFrame
 
     mesh = shapes.make_shape(_TOOL).mesh
     for gel in map(load_sensor, _ADAPTIVE_SENSORS):

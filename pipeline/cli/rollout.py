@@ -9,14 +9,14 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from pipeline.base.errors import escape_text, shorten_text
 from pipeline.cli.terminal import open_progress_bar, print_line
-from pipeline.tasks.rerun import attribute_rollout, describe_error
-from pipeline.tasks.rollout_bundle import write_rollout_bundle
-from pipeline.tasks.rollout_file import read_rollout
-from pipeline.tasks.rollout_video import write_rollout_video
-from pipeline.tasks.task import load_task
-from pipeline.tasks.trial_rows import list_trials
+from pipeline.core.errors import escape_text, shorten_text
+from pipeline.lab.tasks.rerun import attribute_rollout, describe_error
+from pipeline.lab.tasks.rollout_bundle import write_rollout_bundle
+from pipeline.lab.tasks.rollout_file import read_rollout
+from pipeline.lab.tasks.rollout_video import write_rollout_video
+from pipeline.lab.tasks.task import load_task
+from pipeline.lab.tasks.trial_rows import list_trials
 
 _COLUMNS = ("trial", "task", "case", "touch", "mm", "outcome", "error, mm", "error, deg", "cause")
 

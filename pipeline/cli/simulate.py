@@ -5,15 +5,16 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Literal
 
-from pipeline.base.cluster import connect_cluster
-from pipeline.base.errors import FileProblem
-from pipeline.base.files import check_folder_for
-from pipeline.base.progress import SubProgress
-from pipeline.base.units import MeshUnit
 from pipeline.cli.terminal import open_progress_bar, print_line
 from pipeline.cli.translation_options import split_list
-from pipeline.simulation import datasets, recorder
-from pipeline.simulation.datasets import SimulationPlan
+from pipeline.core.cluster import connect_cluster
+from pipeline.core.errors import FileProblem
+from pipeline.core.files import check_folder_for
+from pipeline.core.progress import SubProgress
+from pipeline.core.units import MeshUnit
+from pipeline.lab import recorder
+from pipeline.physics.simulation import datasets
+from pipeline.physics.simulation.datasets import SimulationPlan
 
 
 def simulate(

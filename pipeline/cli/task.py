@@ -10,14 +10,14 @@ from cyclopts import Parameter
 from rich.console import Console
 from rich.table import Table
 
-from pipeline.base.cluster import connect_cluster
-from pipeline.base.files import check_folder, check_folder_for, write_json
 from pipeline.cli.terminal import open_progress_bar, print_line
 from pipeline.cli.translation_options import Flag, split_list
-from pipeline.tasks.rollout_bundle import copy_case
-from pipeline.tasks.rollout_file import CASE_SUFFIX
-from pipeline.tasks.runner import Summary, make_jobs, run_jobs
-from pipeline.tasks.task import ManipulationTask, load_task
+from pipeline.core.cluster import connect_cluster
+from pipeline.core.files import check_folder, check_folder_for, write_json
+from pipeline.lab.tasks.rollout_bundle import copy_case
+from pipeline.lab.tasks.rollout_file import CASE_SUFFIX
+from pipeline.lab.tasks.runner import Summary, make_jobs, run_jobs
+from pipeline.lab.tasks.task import ManipulationTask, load_task
 
 
 def task(

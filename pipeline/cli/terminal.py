@@ -13,7 +13,7 @@ from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from pipeline.base.errors import escape_text
+from pipeline.core.errors import escape_text
 
 if TYPE_CHECKING:  # an error sentence is printed without loading rich
     from rich.console import Console

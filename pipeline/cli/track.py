@@ -7,8 +7,6 @@ from cyclopts import Parameter
 from rich.console import Console
 from rich.table import Table
 
-from pipeline.base.files import check_folder
-from pipeline.base.frame_lists import parse_frames
 from pipeline.cli.terminal import open_progress_bar, print_error, print_line
 from pipeline.cli.translation_options import (
     DEFAULT_OPTIONS,
@@ -17,8 +15,10 @@ from pipeline.cli.translation_options import (
     TranslationOptions,
     find_sensor,
 )
-from pipeline.reporting.track_recording import track_recording
-from pipeline.tracking.track_record import TABLE, TrackRecord, write_record
+from pipeline.core.files import check_folder
+from pipeline.core.frame_lists import parse_frames
+from pipeline.lab.tracking.track_record import TABLE, TrackRecord, write_record
+from pipeline.lab.tracking.track_recording import track_recording
 from pipeline.translation.translate import open_translation
 
 TrackedStage = Annotated[

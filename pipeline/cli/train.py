@@ -11,15 +11,15 @@ from cyclopts import App, Parameter
 from rich.console import Console
 from rich.table import Table
 
-from pipeline.base.errors import FileProblem, SettingProblem
 from pipeline.cli.terminal import open_progress_bar, print_line
 from pipeline.cli.translation_options import Flag
-from pipeline.networks.weights import SUFFIX, Weights
-from pipeline.training.export import export_run
-from pipeline.training.loop import TrainingRun
-from pipeline.training.loop import train as train_run
-from pipeline.training.recipe import list_shipped_recipes, load_recipe, override_pairs, override_training
-from pipeline.training.task import TASKS
+from pipeline.core.errors import FileProblem, SettingProblem
+from pipeline.lab.training.export import export_run
+from pipeline.lab.training.loop import TrainingRun
+from pipeline.lab.training.loop import train as train_run
+from pipeline.lab.training.recipe import list_shipped_recipes, load_recipe, override_pairs, override_training
+from pipeline.lab.training.task import TASKS
+from pipeline.stages.networks.weights import SUFFIX, Weights
 
 WEIGHTS_FILE = f"weights{SUFFIX}"
 _NETWORK_NAMES = tuple(dict.fromkeys(entry.subcommand for entry in TASKS.values()))

@@ -12,13 +12,6 @@ from cyclopts import Parameter
 from rich.console import Console
 from rich.table import Table
 
-from pipeline.base import compiling, error_log
-from pipeline.base.cluster import connect_cluster
-from pipeline.base.errors import SettingProblem, TouchError, escape_text
-from pipeline.base.files import check_folder
-from pipeline.base.params import check_range
-from pipeline.base.processes import WorkerPool
-from pipeline.base.progress import SILENT, Progress, SubProgress
 from pipeline.calibration.force_scale import UNKNOWN_SCALE
 from pipeline.cli.terminal import open_progress_bar, print_error, print_line
 from pipeline.cli.translation_options import (
@@ -29,13 +22,26 @@ from pipeline.cli.translation_options import (
     TargetName,
     TranslationOptions,
 )
-from pipeline.reporting.frame_report import FrameReport
-from pipeline.reporting.report import FinishedFrame, compute_frame_key, load_finished_frame, write_frame, write_report
+from pipeline.core import compiling, error_log
+from pipeline.core.cluster import connect_cluster
+from pipeline.core.errors import SettingProblem, TouchError, escape_text
+from pipeline.core.files import check_folder
+from pipeline.core.params import check_range
+from pipeline.core.processes import WorkerPool
+from pipeline.core.progress import SILENT, Progress, SubProgress
+from pipeline.core.values.results import ObjectPose
 from pipeline.translation.force import list_force_metrics, measure_force
 from pipeline.translation.object_identification import take_likeliest_mesh
+from pipeline.translation.reports.frame_report import FrameReport
+from pipeline.translation.reports.report import (
+    FinishedFrame,
+    compute_frame_key,
+    load_finished_frame,
+    write_frame,
+    write_report,
+)
 from pipeline.translation.translate import Request, Translation, open_translation
 from pipeline.translation.truth_view import add_truth_warnings
-from pipeline.values.results import ObjectPose
 
 CACHE_BYTES = 32 * 1024 * 1024  # a few frames: a run does not return to earlier ones
 _FORCE_SKIPPED = "force: skipped; give --force, or a --calibration that 'tactoscope calibrate force' wrote"

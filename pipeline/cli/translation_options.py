@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from pipeline.base.errors import SettingProblem, UnknownSensor
-from pipeline.base.units import MeshUnit
-from pipeline.recordings.formats import describe_formats
+from pipeline.core.errors import SettingProblem, UnknownSensor
+from pipeline.core.units import MeshUnit
+from pipeline.io.formats import describe_formats
 
 if TYPE_CHECKING:
     from pipeline.sensors.alignment import Offsets
@@ -93,7 +93,7 @@ class TranslationOptions:
         )  # fmt: skip
 
     def _build_offsets(self) -> Offsets:
-        from pipeline.base.typed_data import InvalidField, check
+        from pipeline.core.typed_data import InvalidField, check
         from pipeline.sensors.alignment import Offsets
 
         vectors = {
@@ -113,7 +113,7 @@ def find_sensor(recording: Path, options: TranslationOptions) -> str:
 
     Raises UnknownSensor where neither the recording nor the options name it.
     """
-    from pipeline.recordings import open_recording
+    from pipeline.io import open_recording
 
     if options.sensor:
         return options.sensor

@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.base.arrays import Doubles, Mask, freeze
-from pipeline.base.errors import SettingProblem, ShapeError
-from pipeline.engine.derived import derive_once
+from pipeline.core.arrays import Doubles, Mask, freeze
+from pipeline.core.derived import derive_once
+from pipeline.core.errors import SettingProblem, ShapeError
 from pipeline.physics import multigrid
 from pipeline.physics.lattice import Lattice
 from pipeline.sensors.parts import Bubble

@@ -7,10 +7,10 @@ incidence, flying pixels where the depth jumps, gaps (NaN) where a surface is to
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.base.arrays import Doubles, Floats, freeze
-from pipeline.engine.derived import derive_once
-from pipeline.geometry.camera import Camera
-from pipeline.geometry.normals import compute_area_vectors
+from pipeline.core.arrays import Doubles, Floats, freeze
+from pipeline.core.derived import derive_once
+from pipeline.core.geometry.camera import Camera
+from pipeline.core.geometry.normals import compute_area_vectors
 from pipeline.physics import lattice
 from pipeline.physics.lattice import Lattice
 from pipeline.sensors.parts import DepthCamera

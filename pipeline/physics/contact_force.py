@@ -10,10 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.base.arrays import Floats, Mask
+from pipeline.core.arrays import Floats, Mask
+from pipeline.core.values.frames import TactileFrame
 from pipeline.physics import bubble, bubble_camera, gel
 from pipeline.sensors.spec import SensorSpec
-from pipeline.values.frames import TactileFrame
 
 _GEL_STEP_MM = 0.25  # an eighth of a gel's thickness; 0.1 mm changes a force by 0.2 %
 _BUBBLE_STEP_MM = 1.0  # 0.5 mm takes four times as long and changes a force by 0.6 %

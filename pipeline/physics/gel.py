@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.base.arrays import Floats, Mask, freeze
-from pipeline.base.errors import ShapeError
+from pipeline.core.arrays import Floats, Mask, freeze
+from pipeline.core.errors import ShapeError
 from pipeline.physics import gel_layer
 from pipeline.physics.multigrid import compute_dot, generate_steps
 from pipeline.sensors.parts import Gel

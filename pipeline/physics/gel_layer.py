@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.base.arrays import Doubles, Floats, freeze
-from pipeline.engine.derived import derive_once
+from pipeline.core.arrays import Doubles, Floats, freeze
+from pipeline.core.derived import derive_once
 from pipeline.sensors.parts import Gel
 
 _LARGEST_X = 40.0  # K is 1 to double precision long before sinh overflows

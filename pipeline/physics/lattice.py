@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.base.arrays import Doubles, Indices, Mask, freeze
-from pipeline.geometry.camera import Camera
-from pipeline.geometry.meshes import make_grid_triangles
-from pipeline.geometry.rasterisation import rasterise_triangles
+from pipeline.core.arrays import Doubles, Indices, Mask, freeze
+from pipeline.core.geometry.camera import Camera
+from pipeline.core.geometry.meshes import make_grid_triangles
+from pipeline.core.geometry.rasterisation import rasterise_triangles
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,7 +59,7 @@ def rasterise_mesh(vertices_mm: Doubles, triangles: Indices, on: Lattice) -> Dou
 
 def intersect_rays(camera: Camera, z_mm: Doubles, on: Lattice, guess_mm: NDArray[np.floating]) -> Doubles:
     """Z (rows, cols) where each camera ray meets the surface `z_mm` (ny, nx), level beyond the lattice."""
-    from pipeline.geometry.membrane_kernels import intersect_rays
+    from pipeline.core.geometry.membrane_kernels import intersect_rays
 
     z = np.array(guess_mm, dtype=np.float64)
     ray_x, ray_y = camera.rays()

@@ -15,7 +15,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from pipeline.base.arrays import Doubles, Floats, Mask
+from pipeline.core.arrays import Doubles, Floats, Mask
 
 N_HALVINGS = 4  # every lattice side is a multiple of 2^4 steps, so that it can be halved this often
 MAX_CYCLES = 160

@@ -7,7 +7,7 @@ levels correct.
 
 import numpy as np
 
-from pipeline.base.cached_kernels import FAST, inner_kernel, kernel
+from pipeline.core.cached_kernels import FAST, inner_kernel, kernel
 
 _SWEEPS, _COARSEST_SWEEPS = 2, 40  # of smoothing; the latter are enough for 17 x 14 nodes
 

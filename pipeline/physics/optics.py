@@ -12,10 +12,10 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.base.arrays import Floats, Image, freeze
-from pipeline.base.errors import SettingProblem, ShapeError
-from pipeline.engine.derived import derive_once
-from pipeline.geometry.camera import Camera
+from pipeline.core.arrays import Floats, Image, freeze
+from pipeline.core.derived import derive_once
+from pipeline.core.errors import SettingProblem, ShapeError
+from pipeline.core.geometry.camera import Camera
 from pipeline.physics.optics_markers import check_surface, compute_marker_motion_px, draw_markers
 from pipeline.sensors.parts import Markers, Optics, compute_reference_light
 from pipeline.sensors.spec import SensorSpec

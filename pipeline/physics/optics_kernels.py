@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 
-from pipeline.base.cached_kernels import FAST, inline_kernel, kernel
+from pipeline.core.cached_kernels import FAST, inline_kernel, kernel
 from pipeline.physics.slope_kernels import write_row_slopes
 
 # Called functions are inlined before compilation: as separate functions, with contracted sums, their results differ in

@@ -5,9 +5,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.base.arrays import Floats, freeze
-from pipeline.base.errors import SettingProblem, ShapeError
-from pipeline.geometry.camera import Camera
+from pipeline.core.arrays import Floats, freeze
+from pipeline.core.errors import SettingProblem, ShapeError
+from pipeline.core.geometry.camera import Camera
 from pipeline.physics.slopes import compute_slopes
 from pipeline.sensors.parts import Gel, Markers
 from pipeline.sensors.spec import SensorSpec

@@ -8,9 +8,9 @@ from typing import Literal, TypeVar, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.base.arrays import Doubles, Image
-from pipeline.base.errors import TouchError
-from pipeline.engine.derived import derive_once
+from pipeline.core.arrays import Doubles, Image
+from pipeline.core.derived import derive_once
+from pipeline.core.errors import TouchError
 from pipeline.physics.optics import render_reference
 from pipeline.sensors.spec import SensorSpec, list_sensor_names, load_sensor
 

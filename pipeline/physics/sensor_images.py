@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.base.arrays import Floats, Image
-from pipeline.base.errors import SettingProblem
+from pipeline.core.arrays import Floats, Image
+from pipeline.core.errors import SettingProblem
 from pipeline.physics import bubble_camera, optics
 from pipeline.sensors.kinds import BubbleSensor, GelSensor, KindTable
 from pipeline.sensors.spec import SensorSpec

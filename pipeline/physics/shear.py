@@ -19,10 +19,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.base.arrays import Doubles, Floats, Mask, freeze
-from pipeline.base.errors import SettingProblem, ShapeError
-from pipeline.engine.derived import derive_once
-from pipeline.geometry.camera import Camera
+from pipeline.core.arrays import Doubles, Floats, Mask, freeze
+from pipeline.core.derived import derive_once
+from pipeline.core.errors import SettingProblem, ShapeError
+from pipeline.core.geometry.camera import Camera
 from pipeline.physics.gel_layer import find_fast_length
 from pipeline.physics.lattice import Lattice
 from pipeline.sensors.parts import Gel

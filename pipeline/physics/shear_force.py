@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.base.arrays import Doubles, Floats, Mask, freeze
-from pipeline.engine.derived import derive_once
+from pipeline.core.arrays import Doubles, Floats, Mask, freeze
+from pipeline.core.derived import derive_once
 from pipeline.physics.contact_force import PressedCells
 from pipeline.physics.shear import make_response
 from pipeline.sensors.parts import Gel

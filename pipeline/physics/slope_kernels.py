@@ -3,7 +3,7 @@
 
 import numpy as np
 
-from pipeline.base.cached_kernels import inline_kernel, kernel
+from pipeline.core.cached_kernels import inline_kernel, kernel
 
 
 @kernel()

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.base.arrays import Floats
+from pipeline.core.arrays import Floats
 
 
 def compute_slopes(height_mm: NDArray[np.floating], pixel_mm: float) -> tuple[Floats, Floats]:

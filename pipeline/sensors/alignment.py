@@ -9,8 +9,8 @@ from typing import Annotated, Literal
 import numpy as np
 from msgspec import Meta
 
-from pipeline.base.arrays import Doubles, freeze
-from pipeline.geometry import rigid
+from pipeline.core.arrays import Doubles, freeze
+from pipeline.core.geometry import rigid
 from pipeline.sensors.spec import SensorSpec
 
 AlignmentPart = Literal["alignment_from_source", "target_from_alignment"]  # the transform that stores a change

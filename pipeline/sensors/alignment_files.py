@@ -11,11 +11,11 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from pipeline.base.arrays import Doubles, freeze
-from pipeline.base.errors import FileProblem, escape_text
-from pipeline.base.files import read_toml, write_text
-from pipeline.base.typed_data import Name, Note, convert
-from pipeline.geometry import rigid
+from pipeline.core.arrays import Doubles, freeze
+from pipeline.core.errors import FileProblem, escape_text
+from pipeline.core.files import read_toml, write_text
+from pipeline.core.geometry import rigid
+from pipeline.core.typed_data import Name, Note, convert
 from pipeline.sensors.alignment import ALIGNMENT_PARTS, Alignment, RotationDeg, TranslationMm
 
 ALIGNMENT_SUFFIX = ".toml"

@@ -15,10 +15,10 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from pipeline.base.entry_points import load_entry_points
-from pipeline.base.errors import CalibrationError, FileProblem
-from pipeline.base.files import read_toml
-from pipeline.base.typed_data import convert
+from pipeline.core.entry_points import load_entry_points
+from pipeline.core.errors import CalibrationError, FileProblem
+from pipeline.core.files import read_toml
+from pipeline.core.typed_data import convert
 
 DESCRIPTIONS_FOLDER = Path(__file__).parent  # of the project's own descriptions
 DESCRIPTION = "the sensor description"

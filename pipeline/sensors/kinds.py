@@ -15,11 +15,11 @@ from typing import Any, Generic, Literal, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.base.arrays import Floats
-from pipeline.base.entry_points import load_entry_points
-from pipeline.geometry import membrane
-from pipeline.geometry.camera import Camera
-from pipeline.geometry.membrane import Membrane
+from pipeline.core.arrays import Floats
+from pipeline.core.entry_points import load_entry_points
+from pipeline.core.geometry import membrane
+from pipeline.core.geometry.camera import Camera
+from pipeline.core.geometry.membrane import Membrane
 from pipeline.sensors.descriptions import DescriptionSection
 from pipeline.sensors.parts import Bubble, DepthCamera, Gel, parse_optics, parse_part
 

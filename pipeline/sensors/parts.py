@@ -8,10 +8,10 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from pipeline.base.arrays import Floats, freeze
-from pipeline.base.typed_data import convert
-from pipeline.engine.derived import derive_once
-from pipeline.geometry.camera import Camera
+from pipeline.core.arrays import Floats, freeze
+from pipeline.core.derived import derive_once
+from pipeline.core.geometry.camera import Camera
+from pipeline.core.typed_data import convert
 from pipeline.sensors.descriptions import DESCRIPTION, DescriptionSection
 
 LightNumber = Annotated[float, Meta(ge=-1000.0, le=1000.0)]  # degrees, half image sizes, or grey levels

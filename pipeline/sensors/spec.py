@@ -15,16 +15,16 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from pipeline.base.arrays import Doubles, freeze
-from pipeline.base.errors import CalibrationError, SettingProblem, TouchError
-from pipeline.base.files import read_bytes
-from pipeline.base.memo import Memo
-from pipeline.base.typed_data import FileName, convert
-from pipeline.engine.derived import derive_once
-from pipeline.engine.digests import UNDIGESTED, compute_cached_digest, compute_digest
-from pipeline.geometry import rigid
-from pipeline.geometry.camera import MOST_FOCAL_PX, WIDEST_VIEW, Camera
-from pipeline.geometry.membrane import Membrane
+from pipeline.core.arrays import Doubles, freeze
+from pipeline.core.derived import derive_once
+from pipeline.core.digests import UNDIGESTED, compute_cached_digest, compute_digest
+from pipeline.core.errors import CalibrationError, SettingProblem, TouchError
+from pipeline.core.files import read_bytes
+from pipeline.core.geometry import rigid
+from pipeline.core.geometry.camera import MOST_FOCAL_PX, WIDEST_VIEW, Camera
+from pipeline.core.geometry.membrane import Membrane
+from pipeline.core.memo import Memo
+from pipeline.core.typed_data import FileName, convert
 from pipeline.sensors import descriptions
 from pipeline.sensors.descriptions import DESCRIPTION, DescriptionSection, find_descriptions, read_description
 from pipeline.sensors.kinds import SensorKind, get_kind, list_kinds
@@ -189,7 +189,7 @@ def load_rest_membrane(data: Mapping[str, Any], path: Path) -> Membrane | None:
         return None
     descriptions.refuse_unknown_keys(section, _RestMesh.__struct_fields__, path, "rest.")
     rest = convert(section, _RestMesh, DESCRIPTION, path, within="rest")
-    from pipeline.geometry.mesh_membrane import load_membrane
+    from pipeline.core.geometry.mesh_membrane import load_membrane
 
     mesh = path.parent / rest.file
     key = (mesh, compute_digest(read_bytes(mesh, "the mesh")), rest.unit, rest.step)

@@ -2,12 +2,12 @@
 
 from collections.abc import Mapping
 
-from pipeline.engine.graph import Method
-from pipeline.metrics.stage_metrics import compute_surface_metrics
+from pipeline.core.graph import Method
+from pipeline.core.values.results import DepthMap
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages import ground_truth
+from pipeline.stages.metrics.stage_metrics import compute_surface_metrics
 from pipeline.stages.stage import GroundTruth, SensorRole, Stage
-from pipeline.values.results import DepthMap
 
 
 def make_depth_stage(*, name: str, title: str, sensor_role: SensorRole, methods: tuple[Method, ...]) -> Stage:

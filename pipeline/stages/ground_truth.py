@@ -5,11 +5,18 @@ Used for truth views, and put in place of computed values to attribute errors (`
 
 import numpy as np
 
-from pipeline.base.arrays import freeze
+from pipeline.core.arrays import freeze
+from pipeline.core.values.frames import Truth
+from pipeline.core.values.results import (
+    DepthMap,
+    GeneratedTouch,
+    ObjectPose,
+    TargetDepth,
+    make_depth_map,
+    make_pixel_index,
+)
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.stage import GroundTruth, SensorRole
-from pipeline.values.frames import Truth
-from pipeline.values.results import DepthMap, GeneratedTouch, ObjectPose, TargetDepth, make_depth_map, make_pixel_index
 
 _NOTE = "ground truth of the recording"
 

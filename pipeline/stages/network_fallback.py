@@ -3,11 +3,11 @@
 from collections.abc import Callable
 from typing import Any, TypeVar, TypeVarTuple, Unpack
 
-from pipeline.base.errors import ModelMissing
-from pipeline.base.progress import Progress
-from pipeline.engine.graph import EarlyAnswer, Fallback, Method, Skipped
-from pipeline.networks import network_factory
-from pipeline.networks.weights import NoWeights, Weights
+from pipeline.core.errors import ModelMissing
+from pipeline.core.graph import EarlyAnswer, Fallback, Method, Skipped
+from pipeline.core.progress import Progress
+from pipeline.stages.networks import network_factory
+from pipeline.stages.networks.weights import NoWeights, Weights
 
 Params = TypeVar("Params")
 Output = TypeVar("Output")

@@ -9,11 +9,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from pipeline.engine.graph import Method
-from pipeline.geometry.meshes import Mesh
-from pipeline.geometry.symmetry import Symmetry
+from pipeline.core.geometry.meshes import Mesh
+from pipeline.core.geometry.symmetry import Symmetry
+from pipeline.core.graph import Method
+from pipeline.core.values.frames import TactileFrame, Truth
 from pipeline.sensors.spec import SensorSpec
-from pipeline.values.frames import TactileFrame, Truth
 
 SensorRole = Literal["source", "target"]
 

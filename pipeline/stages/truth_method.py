@@ -8,10 +8,10 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-from pipeline.base.errors import SettingProblem, StageWarning
-from pipeline.base.params import NoParams
-from pipeline.base.progress import Progress
-from pipeline.engine.graph import Method
+from pipeline.core.errors import SettingProblem, StageWarning
+from pipeline.core.graph import Method
+from pipeline.core.params import NoParams
+from pipeline.core.progress import Progress
 from pipeline.stages.stage import Stage
 
 TRUTH = "truth"  # name of the method

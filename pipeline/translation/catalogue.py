@@ -12,12 +12,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TypeVar
 
-from pipeline.base.entry_points import load_entry_points
-from pipeline.base.errors import SettingProblem
-from pipeline.base.params import list_settings, replace_value
-from pipeline.engine.graph import Method
-from pipeline.previews.view import View
-from pipeline.previews.views import VIEWS
+from pipeline.core.entry_points import load_entry_points
+from pipeline.core.errors import SettingProblem
+from pipeline.core.graph import Method
+from pipeline.core.params import list_settings, replace_value
 from pipeline.stages.cloud.stage import STAGE as CLOUD
 from pipeline.stages.depth.stage import STAGE as DEPTH
 from pipeline.stages.pose.stage import STAGE as POSE
@@ -26,6 +24,8 @@ from pipeline.stages.target_depth.stage import STAGE as TARGET_DEPTH
 from pipeline.stages.touch.stage import STAGE as TOUCH
 from pipeline.stages.touch_depth.stage import STAGE as TOUCH_DEPTH
 from pipeline.stages.truth_method import make_truth_method
+from pipeline.views.view import View
+from pipeline.views.views import VIEWS
 
 log = logging.getLogger("tactoscope")
 

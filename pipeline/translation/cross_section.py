@@ -11,17 +11,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pipeline.base.arrays import Doubles, Mask, freeze
-from pipeline.geometry import rigid
-from pipeline.geometry.camera import MIN_DEPTH_MM, Camera
-from pipeline.previews.preview import PixelPositions, Preview
+from pipeline.core.arrays import Doubles, Mask, freeze
+from pipeline.core.geometry import rigid
+from pipeline.core.geometry.camera import MIN_DEPTH_MM, Camera
+from pipeline.core.values.frames import Truth
+from pipeline.core.values.results import DepthMap
 from pipeline.sensors.alignment import Offsets
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.stage import GroundTruth, SensorRole
 from pipeline.translation.pixel_trace import SOURCE
 from pipeline.translation.translate import Translation
-from pipeline.values.frames import Truth
-from pipeline.values.results import DepthMap
+from pipeline.views.preview import PixelPositions, Preview
 
 NO_OFFSETS = Offsets()
 N_SAMPLES = 257  # along a line: finer than the pixels of all described sensors

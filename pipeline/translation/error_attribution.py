@@ -10,13 +10,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.base.arrays import Mask, freeze
-from pipeline.base.errors import SettingProblem
-from pipeline.base.progress import SILENT, Progress, SubProgress
-from pipeline.engine.graph import StageResult
-from pipeline.metrics.stage_metrics import METRICS
+from pipeline.core.arrays import Mask, freeze
+from pipeline.core.errors import SettingProblem
+from pipeline.core.graph import StageResult
+from pipeline.core.progress import SILENT, Progress, SubProgress
+from pipeline.core.values.results import TargetDepth
+from pipeline.stages.metrics.stage_metrics import METRICS
 from pipeline.translation.translate import Translation
-from pipeline.values.results import TargetDepth
 
 DEFAULT_METRIC = "touch_depth.contact_mae_mm"  # error of the target's membrane in contact
 OUTSIDE_VIEW = "outside the source's view"

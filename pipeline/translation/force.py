@@ -3,8 +3,13 @@
 import math
 from collections.abc import Mapping
 
-from pipeline.engine.graph import StageResult
-from pipeline.metrics.stage_metrics import (
+from pipeline.core.graph import StageResult
+from pipeline.core.values.frames import TactileFrame
+from pipeline.core.values.results import DepthMap
+from pipeline.physics.contact_force import ContactForce
+from pipeline.stages.depth.contact_force import FORCE as FORCE_METHOD
+from pipeline.stages.depth.contact_force import FORCE_MODELS
+from pipeline.stages.metrics.stage_metrics import (
     FORCE,
     SHEAR,
     SHEAR_DIRECTION,
@@ -13,12 +18,7 @@ from pipeline.metrics.stage_metrics import (
     UNCALIBRATED_FORCE,
     UNCALIBRATED_SHEAR,
 )
-from pipeline.physics.contact_force import ContactForce
-from pipeline.stages.depth.contact_force import FORCE as FORCE_METHOD
-from pipeline.stages.depth.contact_force import FORCE_MODELS
 from pipeline.translation.translate import Translation
-from pipeline.values.frames import TactileFrame
-from pipeline.values.results import DepthMap
 
 
 def estimate_force(depth: DepthMap, frame: TactileFrame, translation: Translation) -> ContactForce:

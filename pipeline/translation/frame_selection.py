@@ -5,10 +5,10 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.base.arrays import Floats
-from pipeline.base.errors import TouchError
-from pipeline.engine.digests import compute_cached_digest
-from pipeline.values.frames import Stream, TactileFrame
+from pipeline.core.arrays import Floats
+from pipeline.core.digests import compute_cached_digest
+from pipeline.core.errors import TouchError
+from pipeline.core.values.frames import Stream, TactileFrame
 
 _MOST_FRAMES = 24
 _MOST_PIXELS = 40_000_000  # in all: reading more delays opening a recording

@@ -5,15 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from pipeline.base.errors import MeshProblem, SettingProblem, StageWarning
-from pipeline.base.progress import SILENT, Progress
-from pipeline.geometry.meshes import load_mesh
+from pipeline.core.errors import MeshProblem, SettingProblem, StageWarning
+from pipeline.core.geometry.meshes import load_mesh
+from pipeline.core.progress import SILENT, Progress
+from pipeline.core.values.results import DepthMap
+from pipeline.physics.simulation.datasets import MESH_SUFFIXES
 from pipeline.sensors.spec import SensorSpec
-from pipeline.simulation.datasets import MESH_SUFFIXES
 from pipeline.stages.pose.signed_distances import PoseParams, estimate_pose
 from pipeline.stages.touch.membrane_fit import measure_residuals_mm
 from pipeline.translation.translate import Translation
-from pipeline.values.results import DepthMap
 
 _CLEAR_RATIO = 1.3  # of the next residual to the least, below which the object is not certain
 

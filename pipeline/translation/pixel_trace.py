@@ -2,10 +2,10 @@
 
 from collections.abc import Mapping
 
-from pipeline.engine.graph import StageResult
-from pipeline.previews.view import ProbePoint
+from pipeline.core.graph import StageResult
 from pipeline.stages.stage import GroundTruth, Stage
 from pipeline.translation.catalogue import BUILT_IN, Catalogue
+from pipeline.views.view import ProbePoint
 
 SOURCE = "source"
 

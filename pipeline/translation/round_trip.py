@@ -16,20 +16,20 @@ from dataclasses import replace
 
 import numpy as np
 
-from pipeline.base.arrays import Doubles, Floats, Mask, freeze
-from pipeline.base.files import read_arrays
-from pipeline.base.progress import SILENT, Progress
-from pipeline.engine.derived import derive_once
-from pipeline.engine.graph import StageResult
-from pipeline.geometry import rigid
-from pipeline.metrics.stage_metrics import ROUND_TRIP, TRAINING_DISTANCE, compute_mae_mm
-from pipeline.networks.weights_registry import WEIGHTS_FOLDER
+from pipeline.core.arrays import Doubles, Floats, Mask, freeze
+from pipeline.core.derived import derive_once
+from pipeline.core.files import read_arrays
+from pipeline.core.geometry import rigid
+from pipeline.core.graph import StageResult
+from pipeline.core.progress import SILENT, Progress
+from pipeline.core.values.frames import TactileFrame
+from pipeline.core.values.results import DepthMap, GeneratedTouch, TargetDepth
 from pipeline.physics.sensor_images import render_reference
 from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import SensorSpec
+from pipeline.stages.metrics.stage_metrics import ROUND_TRIP, TRAINING_DISTANCE, compute_mae_mm
+from pipeline.stages.networks.weights_registry import WEIGHTS_FOLDER
 from pipeline.translation.translate import Translation, load_nothing
-from pipeline.values.frames import TactileFrame
-from pipeline.values.results import DepthMap, GeneratedTouch, TargetDepth
 
 _BACK = "touch_depth"  # stage whose value on the way back is compared
 

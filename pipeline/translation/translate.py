@@ -12,41 +12,41 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from pipeline.base.arrays import Floats, Image
-from pipeline.base.errors import CalibrationError, SettingProblem, ShapeError, StageWarning, UnknownSensor
-from pipeline.base.frame_lists import check_frame_index
-from pipeline.base.params import Value, replace_value
-from pipeline.base.progress import SILENT, Progress, reading_reported_to
 from pipeline.calibration.calibration_file import load_if_present
 from pipeline.calibration.calibration_table import Calibration
 from pipeline.calibration.force_scale import ForceScale, load_force_scale
-from pipeline.engine.cache import DEFAULT_MAX_BYTES, Cache
-from pipeline.engine.digests import compute_cached_digest
-from pipeline.engine.graph import Graph, Method, StageResult
-from pipeline.geometry.meshes import Mesh, load_mesh
-from pipeline.networks.weights import NoWeights
-from pipeline.previews.display_params import DisplayParams
-from pipeline.previews.view import PreviewContext
-from pipeline.recordings import open_recording
-from pipeline.recordings.depth_arrays import DepthUnit
+from pipeline.core.arrays import Floats, Image
+from pipeline.core.cache import DEFAULT_MAX_BYTES, Cache
+from pipeline.core.digests import compute_cached_digest
+from pipeline.core.errors import CalibrationError, SettingProblem, ShapeError, StageWarning, UnknownSensor
+from pipeline.core.frame_lists import check_frame_index
+from pipeline.core.geometry.meshes import Mesh, load_mesh
+from pipeline.core.graph import Graph, Method, StageResult
+from pipeline.core.params import Value, replace_value
+from pipeline.core.progress import SILENT, Progress, reading_reported_to
+from pipeline.core.values.frames import Recording, Stream, TactileFrame, Truth
+from pipeline.core.values.pairing import follow, pair_frames
+from pipeline.core.values.results import ObjectPose
+from pipeline.io import open_recording
+from pipeline.io.depth_arrays import DepthUnit
 from pipeline.sensors import alignment as alignments
 from pipeline.sensors.alignment import Alignment, Offsets, shift_alignment_along_z
 from pipeline.sensors.alignment_files import load_alignment
 from pipeline.sensors.depth_unit import describe_unit_problem
 from pipeline.sensors.spec import SensorSpec, load_sensor
+from pipeline.stages.networks.weights import NoWeights
 from pipeline.stages.stage import GroundTruth, SensorRole, Stage
 from pipeline.stages.truth_method import TRUTH, get_input_name
 from pipeline.translation.catalogue import BUILT_IN, Catalogue, with_settings
 from pipeline.translation.frame_selection import select_context_frames
 from pipeline.translation.translated_frame import TranslatedFrame
-from pipeline.values.frames import Recording, Stream, TactileFrame, Truth
-from pipeline.values.pairing import follow, pair_frames
-from pipeline.values.results import ObjectPose
+from pipeline.views.display_params import DisplayParams
+from pipeline.views.view import PreviewContext
 
 if TYPE_CHECKING:
     from typing import Self
 
-    from pipeline.geometry.symmetry import Symmetry
+    from pipeline.core.geometry.symmetry import Symmetry
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

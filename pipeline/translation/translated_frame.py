@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING
 from pipeline.translation.truth_view import add_truth_warnings
 
 if TYPE_CHECKING:
-    from pipeline.base.arrays import Floats, Image
-    from pipeline.engine.graph import StageResult
-    from pipeline.previews.preview import Preview
+    from pipeline.core.arrays import Floats, Image
+    from pipeline.core.graph import StageResult
+    from pipeline.core.values.frames import TactileFrame
+    from pipeline.core.values.results import Cloud, DepthMap, GeneratedTouch, ObjectPose, TargetDepth
     from pipeline.stages.stage import GroundTruth
     from pipeline.translation.translate import Translation
-    from pipeline.values.frames import TactileFrame
-    from pipeline.values.results import Cloud, DepthMap, GeneratedTouch, ObjectPose, TargetDepth
+    from pipeline.views.preview import Preview
 
 _SHOWN_WIDTH_PX = 160  # of a stage's image in a notebook
 _SIDE_BY_SIDE = "display: inline-block; margin: 4px"

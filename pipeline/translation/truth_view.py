@@ -6,16 +6,16 @@ from typing import Any, Literal
 
 import numpy as np
 
-from pipeline.base.errors import StageWarning
-from pipeline.engine.graph import StageResult
-from pipeline.previews.difference import compute_difference
-from pipeline.previews.display_params import DisplayParams
-from pipeline.previews.layers import Layer
-from pipeline.previews.preview import Preview, make_indentation_preview
-from pipeline.previews.view import PreviewContext, View
+from pipeline.core.errors import StageWarning
+from pipeline.core.graph import StageResult
+from pipeline.core.values.results import DepthMap, TargetDepth
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.stage import GroundTruth
-from pipeline.values.results import DepthMap, TargetDepth
+from pipeline.views.difference import compute_difference
+from pipeline.views.display_params import DisplayParams
+from pipeline.views.layers import Layer
+from pipeline.views.preview import Preview, make_indentation_preview
+from pipeline.views.view import PreviewContext, View
 
 ComparisonMode = Literal["", "truth", "difference", "wipe", "blink"]
 

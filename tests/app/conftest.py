@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 
 from app.main import prepare_environment
-from pipeline.base.arrays import freeze
-from pipeline.recordings.hdf5_writer import RecordingWriter
+from pipeline.core.arrays import freeze
+from pipeline.core.values.frames import TactileFrame
+from pipeline.io.hdf5_writer import RecordingWriter
 from pipeline.sensors.spec import load_sensor
-from pipeline.values.frames import TactileFrame
 
 prepare_environment()
 
+from app.document.session_controller import SessionController  # noqa: E402 - the environment comes first
 from app.main import show_window  # noqa: E402
 from app.session.state import Session  # noqa: E402
-from app.window.session_controller import SessionController  # noqa: E402 - the environment comes first
-from app.window.tour import wait_until_shown  # noqa: E402
+from app.shell.tour import wait_until_shown  # noqa: E402
 
 N_FRAMES = 3
 

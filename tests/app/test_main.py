@@ -9,7 +9,7 @@ from pathlib import Path
 
 from app.session.sample import SAMPLE_RECORDING
 from app.session.state import AUTO_FRAME
-from app.window.tour import wait_until_shown
+from app.shell.tour import wait_until_shown
 
 
 def test_a_recording_opens_on_a_touched_frame_whatever_comes_first(open_window, touch_file):

@@ -17,7 +17,7 @@ import atexit
 from PyQt6.QtCore import QPoint, QPointF
 from app.main import make_application, show_window
 from app.session.state import Session
-from widgets.section_panel import SectionLineTool
+from widgets.stages.section_panel import SectionLineTool
 
 kept, armed = [], []
 

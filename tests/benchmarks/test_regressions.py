@@ -20,7 +20,7 @@ from benchmarks.harness.regressions import (
 from benchmarks.harness.results import BenchmarkResult
 from benchmarks.harness.runner import Benchmark, BenchmarkRun
 from benchmarks.harness.timing import Requirement, Timing, build_measurement
-from pipeline.base.errors import FileProblem
+from pipeline.core.errors import FileProblem
 
 POSITIVE = st.floats(1e-6, 1e6)
 NO_BAR = Requirement()

@@ -19,16 +19,16 @@ import numpy as np
 import pytest
 import torch
 
-from pipeline.base import files
-from pipeline.base.errors import FileProblem, ModelMissing, TouchError
-from pipeline.base.torch_archive import load_torch_file
-from pipeline.networks import network_factory, tensor_files
-from pipeline.networks.tensor_files import read_tensors
-from pipeline.networks.weights import Weights, load_weights
-from pipeline.recordings import image_files, open_recording
-from pipeline.recordings.hdf5_writer import RecordingWriter
-from pipeline.tasks import rollout_file
-from pipeline.values.frames import TactileFrame
+from pipeline.core import files
+from pipeline.core.errors import FileProblem, ModelMissing, TouchError
+from pipeline.core.torch_archive import load_torch_file
+from pipeline.core.values.frames import TactileFrame
+from pipeline.io import image_files, open_recording
+from pipeline.io.hdf5_writer import RecordingWriter
+from pipeline.lab.tasks import rollout_file
+from pipeline.stages.networks import network_factory, tensor_files
+from pipeline.stages.networks.tensor_files import read_tensors
+from pipeline.stages.networks.weights import Weights, load_weights
 
 SAMPLES = Path(__file__).parents[2] / "sample_data" / "recordings"
 
@@ -80,7 +80,7 @@ def test_weights_that_state_a_network_beyond_their_tensors_are_refused(wrong):
 
 _PEAK_MB = """
 import resource, sys
-from pipeline.recordings import open_recording
+from pipeline.io import open_recording
 import cv2, h5py
 peak = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 before = peak()

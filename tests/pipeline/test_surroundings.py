@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.live.source_parsing import FolderSource
+from pipeline.io.live.source_parsing import FolderSource
 
 ROOT = Path(__file__).parents[2]
 _NO_HOME = """
@@ -22,7 +22,7 @@ sys.exit(run_app(build_app(), sys.argv[1:]))
 """
 _FIGURE = """
 import sys
-from pipeline.base.figures import make_figure
+from pipeline.core.figures import make_figure
 figure = make_figure(figsize=(2, 2), dpi=50)
 figure.add_subplot().plot([0, 1], [0, 1])
 figure.savefig(sys.argv[1], metadata={"Software": None})
@@ -86,6 +86,6 @@ def test_a_look_at_a_growing_folder_costs_nothing_for_the_images_before(tmp_path
     source.open()
     cv2.imwrite(str(tmp_path / "new.png"), np.full((320, 240, 3), 90, np.uint8))
     looked = []
-    monkeypatch.setattr("pipeline.recordings.image_files.is_image_file", lambda path: looked.append(path.name) or True)
+    monkeypatch.setattr("pipeline.io.image_files.is_image_file", lambda path: looked.append(path.name) or True)
     assert source.read() is not None
     assert looked == ["new.png"]

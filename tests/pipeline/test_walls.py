@@ -24,9 +24,9 @@ HEAVY = (
 EVERY_MODULE = """
 import importlib, json, pkgutil, sys
 import pipeline
-networks = {"pipeline.networks." + name for name in ("weights", "network_factory", "published_weights", "onnx_predictor")}
+networks = {"pipeline.stages.networks." + name for name in ("weights", "network_factory", "published_weights", "onnx_predictor")}
 for module in pkgutil.walk_packages(pipeline.__path__, "pipeline."):
-    if module.name.startswith("pipeline.networks.") and module.name not in networks:
+    if module.name.startswith("pipeline.stages.networks.") and module.name not in networks:
         continue  # a network is a class of torch's; its module is imported when it is built
     if not module.name.endswith(("_kernels", "_loss", "__main__")):  # a loss is a sum of torch's; training imports it
         importlib.import_module(module.name)
@@ -46,11 +46,11 @@ print(json.dumps(sorted({name.partition(".")[0] for name in sys.modules})))
 FIRST_DEPTH = """
 import json, sys
 import numpy as np
-from pipeline.base.progress import SILENT
+from pipeline.core.progress import SILENT
 from pipeline.physics.optics import render_reference
 from pipeline.sensors.spec import load_sensor
 from pipeline.stages.depth.photometric import DepthParams, estimate_depth
-from pipeline.values.frames import TactileFrame
+from pipeline.core.values.frames import TactileFrame
 digit = load_sensor("digit")
 reference = render_reference(digit)
 image = reference.copy()

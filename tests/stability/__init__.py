@@ -22,6 +22,6 @@ light is read, 10 to 200 where a pose is registered), one over listed cases as m
 | 15 | the same input gives the same bytes, whatever the number of threads | test_determinism |
 | 16 | frame after frame through the whole chain | test_soak |
 
-Row 14 (SiLog loss) is tests/pipeline/training/test_silog_loss.py. Contact against closed forms is in
+Row 14 (SiLog loss) is tests/pipeline/lab/training/test_silog_loss.py. Contact against closed forms is in
 tests/pipeline/physics/test_closed_forms.py, random presses of the simulator are in test_random_presses.
 """

@@ -6,9 +6,9 @@ import warnings
 
 import numpy as np
 
-from pipeline.base.errors import TouchError
-from pipeline.engine.graph import Fallback
-from pipeline.geometry import rigid
+from pipeline.core.errors import TouchError
+from pipeline.core.geometry import rigid
+from pipeline.core.graph import Fallback
 from tests.stability.rows import count_answer
 
 

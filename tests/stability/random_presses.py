@@ -14,13 +14,13 @@ from functools import lru_cache
 
 import numpy as np
 
-from pipeline.base.arrays import freeze
-from pipeline.base.errors import TouchError
-from pipeline.geometry import rigid
-from pipeline.geometry.meshes import Mesh
+from pipeline.core.arrays import freeze
+from pipeline.core.errors import TouchError
+from pipeline.core.geometry import rigid
+from pipeline.core.geometry.meshes import Mesh
+from pipeline.physics.simulation import shapes
+from pipeline.physics.simulation.press import SimulatedPress, simulate_press
 from pipeline.sensors.spec import SensorSpec, list_sensor_names, load_sensor
-from pipeline.simulation import shapes
-from pipeline.simulation.press import SimulatedPress, simulate_press
 
 _SHARES = (0.125, 0.2, 0.33)  # of the sensor's own pixels along each side
 DEPTHS_MM = {

@@ -8,17 +8,17 @@ from functools import lru_cache
 import numpy as np
 from hypothesis import strategies as st
 
-from pipeline.geometry import rigid
-from pipeline.geometry.camera import Camera
-from pipeline.geometry.meshes import Mesh
+from pipeline.core.geometry import rigid
+from pipeline.core.geometry.camera import Camera
+from pipeline.core.geometry.meshes import Mesh
+from pipeline.core.values.frames import TactileFrame
+from pipeline.core.values.results import Cloud, DepthMap, TargetDepth, make_pixel_index
 from pipeline.physics import optics
+from pipeline.physics.simulation import shapes
+from pipeline.physics.simulation.press import simulate_press
 from pipeline.sensors.alignment import Alignment, resolve_alignment
 from pipeline.sensors.spec import SensorSpec, load_sensor
-from pipeline.simulation import shapes
-from pipeline.simulation.press import simulate_press
 from pipeline.stages.target_depth.surface_projection import PointSplatParams, ProjectionParams, SurfaceProjectionParams
-from pipeline.values.frames import TactileFrame
-from pipeline.values.results import Cloud, DepthMap, TargetDepth, make_pixel_index
 
 GELS, BUBBLES = ("digit", "gelslim"), ("soft_bubble",)
 _SHARE = {"digit": 0.2, "gelslim": 0.15, "gelsight_mini": 0.15, "soft_bubble": 0.25}

@@ -8,8 +8,8 @@ import numpy as np
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from pipeline.geometry import membrane, rigid
-from pipeline.geometry.camera import MIN_DEPTH_MM, Camera
+from pipeline.core.geometry import membrane, rigid
+from pipeline.core.geometry.camera import MIN_DEPTH_MM, Camera
 from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import load_sensor
 from pipeline.stages.cloud.back_projection import BackProjectionParams, back_project_depth

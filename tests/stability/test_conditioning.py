@@ -6,9 +6,9 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.geometry import rigid
-from pipeline.registration.observability import TOLERANCES, assess_observability
-from tests.pipeline.registration.test_registration import held_by_the_kernel
+from pipeline.core.geometry import rigid
+from pipeline.stages.pose.registration.observability import TOLERANCES, assess_observability
+from tests.pipeline.stages.pose.registration.test_registration import held_by_the_kernel
 from tests.stability.rows import row
 from tests.stability.scenes import rigid_motions, seeds
 

@@ -8,9 +8,9 @@ import numpy as np
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from pipeline.geometry.meshes import Mesh
-from pipeline.registration.observability import assess_observability
+from pipeline.core.geometry.meshes import Mesh
 from pipeline.stages.cloud.back_projection import BackProjectionParams, back_project_depth
+from pipeline.stages.pose.registration.observability import assess_observability
 from pipeline.stages.pose.signed_distances import PoseParams, estimate_pose
 from pipeline.stages.target_depth.surface_projection import project_cloud
 from pipeline.stages.touch.physical_render import PhysicalRenderParams, render_touch

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.engine.digests import compute_digest
+from pipeline.core.digests import compute_digest
 from pipeline.stages.cloud.back_projection import BackProjectionParams, back_project_depth
 from pipeline.stages.depth.photometric import DepthParams, estimate_depth
 from pipeline.stages.pose.signed_distances import PoseParams, estimate_pose

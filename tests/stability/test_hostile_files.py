@@ -21,29 +21,29 @@ import torch
 from app.session.file_fingerprints import describe_changed_files, fingerprint_files
 from app.session.layout import ComparisonSettings, Layout
 from app.session.state import Session, load_session, save_session
-from pipeline.base.entry_points import load_entry_points
-from pipeline.base.errors import TouchError
 from pipeline.calibration import calibration_file
-from pipeline.networks import network_factory, published_weights
-from pipeline.networks.weights import Weights, load_weights, save_weights
-from pipeline.previews.display_params import DisplayParams
-from pipeline.recordings import formats, open_recording
-from pipeline.recordings.formats import FORMATS
-from pipeline.recordings.grasp_files import read_split_file
-from pipeline.recordings.hdf5_writer import RecordingWriter
-from pipeline.reporting import repro_bundle
+from pipeline.core.entry_points import load_entry_points
+from pipeline.core.errors import TouchError
+from pipeline.core.values.frames import TactileFrame
+from pipeline.io import formats, open_recording
+from pipeline.io.formats import FORMATS
+from pipeline.io.grasp_files import read_split_file
+from pipeline.io.hdf5_writer import RecordingWriter
+from pipeline.lab.tasks import insertion, rollout_file
+from pipeline.lab.tasks.insertion import load_tool, make_tool
+from pipeline.lab.tasks.task import Decision, RolloutSummary, TrialPlan, load_task
+from pipeline.lab.training.recipe import RECIPES_FOLDER, load_recipe
 from pipeline.sensors import kinds
 from pipeline.sensors.alignment_files import load_alignment
 from pipeline.sensors.descriptions import find_descriptions
 from pipeline.sensors.spec import list_sensor_names, load_sensor
-from pipeline.tasks import insertion, rollout_file
-from pipeline.tasks.insertion import load_tool, make_tool
-from pipeline.tasks.task import Decision, RolloutSummary, TrialPlan, load_task
-from pipeline.training.recipe import RECIPES_FOLDER, load_recipe
+from pipeline.stages.networks import network_factory, published_weights
+from pipeline.stages.networks.weights import Weights, load_weights, save_weights
 from pipeline.translation.catalogue import with_settings
 from pipeline.translation.cross_section import SectionLine
-from pipeline.values.frames import TactileFrame
-from tests.pipeline.recordings.test_data_sets import write_mcap
+from pipeline.translation.reports import repro_bundle
+from pipeline.views.display_params import DisplayParams
+from tests.pipeline.io.test_data_sets import write_mcap
 from tests.stability.hostile import JUNK, spoil_bytes, spoil_value, to_toml
 from tests.stability.rows import cases
 

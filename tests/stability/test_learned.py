@@ -9,23 +9,23 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from pipeline.base.errors import SettingProblem
-from pipeline.base.params import NoParams
-from pipeline.engine.graph import Fallback, Skipped
-from pipeline.networks import network_factory, weights_registry
-from pipeline.networks.guidance import MAX_WEIGHT
-from pipeline.networks.samplers import MAX_STEPS
+from pipeline.core.errors import SettingProblem
+from pipeline.core.graph import Fallback, Skipped
+from pipeline.core.params import NoParams
+from pipeline.core.values.frames import TactileFrame
 from pipeline.physics import optics
-from pipeline.simulation import shapes, variation
+from pipeline.physics.simulation import shapes, variation
 from pipeline.stages.depth import bubble_network
 from pipeline.stages.depth.bubble_network import NetworkParams
+from pipeline.stages.networks import network_factory, weights_registry
+from pipeline.stages.networks.guidance import MAX_WEIGHT
+from pipeline.stages.networks.samplers import MAX_STEPS
 from pipeline.stages.pose import network as pose_network
 from pipeline.stages.pose.signed_distances import PoseParams, estimate_pose_icp, estimate_pose_planar
 from pipeline.stages.touch import latent_diffusion, t2d2, t2t, vqvae
 from pipeline.stages.touch.latent_diffusion import LatentParams
 from pipeline.stages.touch.residual_diffusion import DiffusionParams
 from pipeline.stages.touch.t2d2 import T2D2Params
-from pipeline.values.frames import TactileFrame
 from tests.pipeline.stages.target_views import estimate_views
 from tests.stability.checks import outcome, sound
 from tests.stability.rows import SIZE, row

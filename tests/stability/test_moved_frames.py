@@ -15,16 +15,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.geometry import rigid
-from pipeline.geometry.membrane import Membrane
-from pipeline.geometry.meshes import Mesh
-from pipeline.registration.observability import assess_observability
+from pipeline.core.geometry import rigid
+from pipeline.core.geometry.membrane import Membrane
+from pipeline.core.geometry.meshes import Mesh
+from pipeline.physics.simulation.press import simulate_press
 from pipeline.sensors.alignment import Alignment
-from pipeline.simulation.press import simulate_press
 from pipeline.stages.cloud.back_projection import BackProjectionParams, back_project_depth
+from pipeline.stages.pose.registration.observability import assess_observability
 from pipeline.stages.pose.signed_distances import PoseParams, estimate_pose
 from pipeline.stages.target_depth.surface_projection import project_cloud
-from tests.pipeline.registration.solids import REST_MM, notched_wedge, observe_depth
+from tests.pipeline.stages.pose.registration.solids import REST_MM, notched_wedge, observe_depth
 from tests.stability.rows import row
 from tests.stability.scenes import (
     KINDS,

@@ -12,13 +12,13 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from pipeline.geometry import rigid
+from pipeline.core.geometry import rigid
+from pipeline.core.values.frames import TactileFrame
 from pipeline.stages.cloud.back_projection import BackProjectionParams, back_project_depth
 from pipeline.stages.depth.photometric import DepthParams, estimate_depth, skip_without_contact
 from pipeline.stages.pose.signed_distances import PoseParams, estimate_pose
 from pipeline.stages.target_depth.surface_projection import SurfaceProjectionParams, project_cloud
 from pipeline.stages.touch.physical_render import PhysicalRenderParams, render_touch
-from pipeline.values.frames import TactileFrame
 from tests.stability.checks import outcome, sound
 from tests.stability.rows import row
 from tests.stability.scenes import (

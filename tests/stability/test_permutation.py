@@ -8,8 +8,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.registration.observability import assess_observability
 from pipeline.stages.cloud.back_projection import BackProjectionParams, back_project_depth
+from pipeline.stages.pose.registration.observability import assess_observability
 from pipeline.stages.target_depth.surface_projection import project_cloud
 from tests.stability.rows import row
 from tests.stability.scenes import KINDS, aligned, cloud, depth_map, indentation_mm, projection, seeds, small

@@ -12,9 +12,9 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from pipeline.calibration.calibration_table import make_built_in
-from pipeline.geometry import rigid
-from pipeline.geometry.camera import Camera
-from pipeline.geometry.meshes import Mesh
+from pipeline.core.geometry import rigid
+from pipeline.core.geometry.camera import Camera
+from pipeline.core.geometry.meshes import Mesh
 from pipeline.sensors.alignment import Alignment
 from pipeline.stages.cloud.back_projection import BackProjectionParams, back_project_depth
 from pipeline.stages.depth.photometric import DepthParams, estimate_depth, skip_without_contact

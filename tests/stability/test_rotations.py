@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from pipeline.geometry import rigid
+from pipeline.core.geometry import rigid
 from tests.stability.checks import outcome
 from tests.stability.rows import row
 from tests.stability.scenes import rigid_motions, unit_numbers

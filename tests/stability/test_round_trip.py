@@ -8,14 +8,14 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.geometry import membrane, rigid
-from pipeline.geometry.camera import Camera
-from pipeline.metrics.stage_metrics import iou
+from pipeline.core.geometry import membrane, rigid
+from pipeline.core.geometry.camera import Camera
+from pipeline.core.values.results import DepthMap
 from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import load_sensor
 from pipeline.stages.cloud.back_projection import BackProjectionParams, back_project_depth
+from pipeline.stages.metrics.stage_metrics import iou
 from pipeline.stages.target_depth.surface_projection import SurfaceProjectionParams, project_cloud
-from pipeline.values.results import DepthMap
 from tests.stability.rows import row
 from tests.stability.scenes import depth_map, rigid_motions, seeds
 

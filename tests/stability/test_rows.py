@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.base.errors import ShapeError
+from pipeline.core.errors import ShapeError
 from tests.stability import rows
 from tests.stability.checks import outcome
 

@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 from hypothesis import given
 
-from pipeline.engine.graph import Graph
-from pipeline.geometry import rigid
+from pipeline.core.geometry import rigid
+from pipeline.core.graph import Graph
+from pipeline.core.values.frames import TactileFrame
 from pipeline.sensors.alignment import Alignment
 from pipeline.stages.depth import bubble_network
 from pipeline.stages.touch import t2d2
 from pipeline.translation.catalogue import BUILT_IN, default_params, with_setting
-from pipeline.values.frames import TactileFrame
 from tests.stability.checks import outcome, sound
 from tests.stability.rows import SIZE, row
 from tests.stability.scenes import aligned, frame, mesh, seeds, small

@@ -11,12 +11,12 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.geometry import rigid
-from pipeline.geometry.membrane import Membrane
+from pipeline.core.geometry import rigid
+from pipeline.core.geometry.membrane import Membrane
 from pipeline.physics import bubble, gel
-from pipeline.registration.observability import Tolerances, assess_observability
 from pipeline.sensors.alignment import Alignment
 from pipeline.stages.cloud.back_projection import BackProjectionParams, back_project_depth
+from pipeline.stages.pose.registration.observability import Tolerances, assess_observability
 from pipeline.stages.target_depth.surface_projection import project_cloud
 from tests.stability.rows import row
 from tests.stability.scenes import KINDS, aligned, depth_map, indentation_mm, projection, seeds, small

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 from PyQt6.QtCore import Qt
 
-from pipeline.alignment.score import AlignmentScore, ScoreChange, Sensitivity
 from pipeline.sensors.alignment import AXES
-from widgets.alignment_panel import AlignmentPanel
+from pipeline.translation.alignment.score import AlignmentScore, ScoreChange, Sensitivity
+from widgets.align.alignment_panel import AlignmentPanel
 
 SCORE = AlignmentScore(iou=0.8, edge_px=3.0, depth_mm=0.05, depth_rms_mm=0.1, bias_mm=0.0, overlap_px=50)
 

@@ -8,11 +8,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PyQt6.QtCore import QPoint, Qt
 
-from pipeline.previews.colours import ColourScale
-from pipeline.previews.display_params import DisplayParams
-from pipeline.previews.preview import make_deviation_scale
 from pipeline.sensors.spec import load_sensor
-from widgets.colour_bar import ColourBar, compute_histogram, fit_limits
+from pipeline.views.colours import ColourScale
+from pipeline.views.display_params import DisplayParams
+from pipeline.views.preview import make_deviation_scale
+from widgets.views.colour_bar import ColourBar, compute_histogram, fit_limits
 
 
 def _scale(low=0.0, high=2.0, **sets) -> ColourScale:

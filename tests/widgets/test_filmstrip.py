@@ -8,9 +8,9 @@ import numpy as np
 from PyQt6.QtCore import QSize
 from PyQt6.QtGui import QPalette
 
-from pipeline.previews.colours import ColourScale, apply_colour_map
-from pipeline.previews.preview import Preview
-from widgets.filmstrip import Thumbnail, render_thumbnail
+from pipeline.views.colours import ColourScale, apply_colour_map
+from pipeline.views.preview import Preview
+from widgets.timeline.filmstrip import Thumbnail, render_thumbnail
 
 SCALE = ColourScale(colour_map="viridis", low=0.0, high=1.0, unit="mm", quantity="indentation, + toward camera")
 

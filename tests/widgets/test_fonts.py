@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from PyQt6.QtGui import QFont
 from PyQt6.QtWidgets import QLabel
 
-from widgets.base import MIN_FONT_PT, make_caption_font, resize_font
+from widgets.style.base import MIN_FONT_PT, make_caption_font, resize_font
 
 
 @given(base_pt=st.floats(5.0, 30.0))

@@ -2,7 +2,7 @@
 
 import pytest
 
-from widgets.live_dialog import LiveDialog
+from widgets.live.live_dialog import LiveDialog
 
 
 @pytest.mark.parametrize(

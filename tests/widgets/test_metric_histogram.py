@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtTest import QTest
 
-from widgets.frame_summary import FrameSummary
-from widgets.frames_panel import FramesPanel
-from widgets.tables import get_limits, replace_limits
+from widgets.frames.frame_summary import FrameSummary
+from widgets.frames.frames_panel import FramesPanel
+from widgets.style.tables import get_limits, replace_limits
 
 LIMITS = st.floats(-1e6, 1e6).filter(lambda value: abs(value) > 1e-6) | st.sampled_from([math.inf, -math.inf, 0.0])
 

@@ -6,9 +6,9 @@ import pytest
 from PyQt6.QtCore import QRect
 from PyQt6.QtWidgets import QLabel, QVBoxLayout, QWidget
 
-from widgets import notification_bar
-from widgets.banner import Banner
-from widgets.notification_bar import NotificationBar, NotificationStack
+from widgets.shell.banner import Banner
+from widgets.style import notification_bar
+from widgets.style.notification_bar import NotificationBar, NotificationStack
 
 
 @pytest.fixture

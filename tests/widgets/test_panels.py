@@ -9,18 +9,18 @@ import pytest
 from PyQt6.QtCore import Qt
 from PyQt6.QtWidgets import QApplication, QComboBox, QLabel, QPushButton
 
-from pipeline.values.results import PoseStep, TouchStep
-from widgets.banner import Banner
-from widgets.comparison_tab import GridTab
-from widgets.frame_summary import FrameSummary
-from widgets.frames_model import CONTACT, DEPTH, FRAME, METRIC
-from widgets.frames_panel import FramesPanel
-from widgets.log_panel import LogPanel
-from widgets.plots import Strip, StripPlot
-from widgets.probes_panel import TracePanel
-from widgets.theme import get_theme_colours, to_hex
-from widgets.timings_panel import TimingRow, TimingsPanel
-from widgets.view_3d_panel import StepsSlider
+from pipeline.core.values.results import PoseStep, TouchStep
+from widgets.compare.comparison_tab import GridTab
+from widgets.frames.frame_summary import FrameSummary
+from widgets.frames.frames_model import CONTACT, DEPTH, FRAME, METRIC
+from widgets.frames.frames_panel import FramesPanel
+from widgets.shell.banner import Banner
+from widgets.shell.log_panel import LogPanel
+from widgets.stages.probes_panel import TracePanel
+from widgets.stages.timings_panel import TimingRow, TimingsPanel
+from widgets.style.plots import Strip, StripPlot
+from widgets.style.theme import get_theme_colours, to_hex
+from widgets.views.view_3d_panel import StepsSlider
 
 
 def test_the_banner_is_hidden_until_there_is_a_problem(qtbot):

@@ -17,9 +17,9 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
-from pipeline.base.params import list_settings, setting
+from pipeline.core.params import list_settings, setting
 from pipeline.translation.catalogue import BUILT_IN
-from widgets.parameters_panel import ParametersPanel
+from widgets.stages.parameters_panel import ParametersPanel
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

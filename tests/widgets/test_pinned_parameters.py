@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import pytest
 from PyQt6.QtWidgets import QDoubleSpinBox, QLabel, QSlider, QSpinBox
 
-from pipeline.base.params import setting
-from widgets.pinned_parameters import PinnedParameters
+from pipeline.core.params import setting
+from widgets.stages.pinned_parameters import PinnedParameters
 
 
 @dataclass(frozen=True)

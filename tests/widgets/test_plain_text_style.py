@@ -13,12 +13,12 @@ from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtGui import QTextDocument
 from PyQt6.QtWidgets import QApplication, QLabel, QMessageBox, QToolTip, QWidget
 
-from app.window.scene_geometry import _format_captions
-from pipeline.alignment.refine import AlignmentFit, Refinement
+from app.views.scene_geometry import _format_captions
 from pipeline.sensors.alignment import Alignment
-from widgets.plain_text_style import PlainTextStyle
-from widgets.probes_panel import TracePanel
-from widgets.refine_box import RefineBox
+from pipeline.translation.alignment.refine import AlignmentFit, Refinement
+from widgets.align.refine_box import RefineBox
+from widgets.stages.probes_panel import TracePanel
+from widgets.style.plain_text_style import PlainTextStyle
 
 HOSTILE = "<img src='/dev/zero'><b>mine</b>"
 FIT = AlignmentFit(surface_mm=0.1, outline_mm=0.2, share_compared=1.0, n_touches=3)

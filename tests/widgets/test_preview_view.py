@@ -8,11 +8,11 @@ from PyQt6.QtCore import QPoint, QPointF, Qt
 from PyQt6.QtGui import QWheelEvent
 from PyQt6.QtWidgets import QLabel
 
-from pipeline.previews.colours import NO_VALUE_COLOUR, ColourScale, apply_colour_map, get_colour_table
-from pipeline.previews.preview import PixelPositions, Preview
 from pipeline.sensors.spec import load_sensor
-from widgets.preview_view import PreviewView
-from widgets.stage_column import StageColumn
+from pipeline.views.colours import NO_VALUE_COLOUR, ColourScale, apply_colour_map, get_colour_table
+from pipeline.views.preview import PixelPositions, Preview
+from widgets.stages.stage_column import StageColumn
+from widgets.views.preview_view import PreviewView
 
 SCALE = ColourScale(colour_map="viridis", low=0.0, high=2.0, unit="mm", quantity="indentation, + toward camera")
 

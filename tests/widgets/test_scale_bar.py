@@ -3,10 +3,10 @@ import pytest
 from PyQt6.QtCore import QSize
 from PyQt6.QtGui import QColor
 
-from pipeline.base.figures import make_figure
-from pipeline.previews.preview import Preview
-from pipeline.reporting.sheet import draw_panel
-from widgets.preview_renderer import PreviewRenderer
+from pipeline.core.figures import make_figure
+from pipeline.translation.reports.sheet import draw_panel
+from pipeline.views.preview import Preview
+from widgets.views.preview_renderer import PreviewRenderer
 
 
 def test_window_and_file_show_one_scale_bar(qapp):

@@ -9,11 +9,11 @@ import pytest
 from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtWidgets import QApplication
 
-from pipeline.previews.colours import get_colour_table, repeat_colour
-from pipeline.previews.layers import Layer, ViewBounds
-from widgets.scene_renderer import SceneRenderer
-from widgets.theme import is_dark, use_palette
-from widgets.view_3d import View3D
+from pipeline.views.colours import get_colour_table, repeat_colour
+from pipeline.views.layers import Layer, ViewBounds
+from widgets.style.theme import is_dark, use_palette
+from widgets.views.scene_renderer import SceneRenderer
+from widgets.views.view_3d import View3D
 
 pytestmark = pytest.mark.gl
 
@@ -201,7 +201,7 @@ def test_a_driver_that_fails_leaves_a_window_that_works(qtbot, monkeypatch):
     def fails(*args, **kwargs):
         raise RuntimeError("no OpenGL here")
 
-    monkeypatch.setattr("widgets.offscreen_renderer.OffscreenRenderer", fails)
+    monkeypatch.setattr("widgets.views.offscreen_renderer.OffscreenRenderer", fails)
     view = View3D()
     qtbot.addWidget(view)
     scene = SceneRenderer([view])

@@ -6,8 +6,8 @@ from PyQt6.QtCore import Qt
 from PyQt6.QtGui import QAction, QGuiApplication
 from PyQt6.QtWidgets import QTableWidget, QTableWidgetItem
 
-from widgets.command_palette import ShortcutsPage
-from widgets.tables import TableCopier, format_table
+from widgets.shell.command_palette import ShortcutsPage
+from widgets.style.tables import TableCopier, format_table
 
 
 def make_table(qtbot):

@@ -11,15 +11,15 @@ from PyQt6.QtCore import QSize, Qt
 from PyQt6.QtGui import QIcon, QPalette
 from PyQt6.QtWidgets import QApplication, QCheckBox, QComboBox, QLineEdit, QSlider, QSpinBox, QWidget
 
-from pipeline.previews.colours import NO_VALUE_COLOUR, ColourScale, apply_colour_map, get_colour_table
-from pipeline.previews.preview import Preview
-from widgets.canvas import Canvas
-from widgets.colour_bar import ColourBar
-from widgets.icons import DRAWINGS, make_command_icon
-from widgets.plain_text_style import PlainTextStyle
-from widgets.styling import ThemedLabel
-from widgets.theme import get_theme_colours, is_dark, make_palette, use_palette
-from widgets.warning_line import WarningLine, fit_sentences
+from pipeline.views.colours import NO_VALUE_COLOUR, ColourScale, apply_colour_map, get_colour_table
+from pipeline.views.preview import Preview
+from widgets.stages.warning_line import WarningLine, fit_sentences
+from widgets.style.icons import DRAWINGS, make_command_icon
+from widgets.style.plain_text_style import PlainTextStyle
+from widgets.style.styling import ThemedLabel
+from widgets.style.theme import get_theme_colours, is_dark, make_palette, use_palette
+from widgets.views.canvas import Canvas
+from widgets.views.colour_bar import ColourBar
 
 LEAST = 4.5  # WCAG 2.1 for words
 _ROLE = QPalette.ColorRole

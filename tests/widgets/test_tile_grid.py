@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.previews.colours import ColourScale
-from pipeline.previews.preview import Preview
-from pipeline.previews.tile import Tile
-from widgets.tile_grid import TileGrid
+from pipeline.views.colours import ColourScale
+from pipeline.views.preview import Preview
+from pipeline.views.tile import Tile
+from widgets.compare.tile_grid import TileGrid
 
 SCALE = ColourScale(colour_map="viridis", low=0.0, high=1.0, unit="mm", quantity="indentation")
 

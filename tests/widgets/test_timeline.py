@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PyQt6.QtWidgets import QLabel
 
-from widgets.timeline import FRAMES_PER_SECOND, SPEEDS, Timeline
+from widgets.timeline.timeline import FRAMES_PER_SECOND, SPEEDS, Timeline
 
 
 @pytest.fixture
@@ -65,7 +65,7 @@ def test_playing_waits_for_a_frame_that_is_not_shown_yet(line, qtbot):
 def test_late_ticks_do_not_slow_playing_down(line, monkeypatch, late_s):
     """Frames are due by the clock: ticks come late where the window has work to do."""
     now = [100.0]
-    monkeypatch.setattr("widgets.timeline.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("widgets.timeline.timeline.time.monotonic", lambda: now[0])
     line.show_frames(1000)
     seen: list[int] = []
     line.frame_chosen.connect(seen.append)
@@ -81,7 +81,7 @@ def test_late_ticks_do_not_slow_playing_down(line, monkeypatch, late_s):
 def test_the_next_look_is_when_a_frame_is_due(line, monkeypatch, speed):
     """The clock is set for the moment: a run ends as many periods after its beginning as there are frames between."""
     now, chosen_s = [100.0], []
-    monkeypatch.setattr("widgets.timeline.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("widgets.timeline.timeline.time.monotonic", lambda: now[0])
     line.show_frames(40)
     line.speed.setCurrentIndex(SPEEDS.index(speed))
     line.frame_chosen.connect(lambda _: chosen_s.append(now[0]))
@@ -98,7 +98,7 @@ def test_the_next_look_is_when_a_frame_is_due(line, monkeypatch, speed):
 
 def test_frames_that_are_left_out_are_told(line, monkeypatch):
     now, seen = [100.0], []
-    monkeypatch.setattr("widgets.timeline.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("widgets.timeline.timeline.time.monotonic", lambda: now[0])
     left_out_label = line.findChild(QLabel, "left_out")
     line.show_frames(1000)
     line.frame_chosen.connect(seen.append)
@@ -121,7 +121,7 @@ def test_frames_that_are_left_out_are_told(line, monkeypatch):
 
 def test_a_late_frame_is_followed_as_soon_as_it_is_there(line, monkeypatch):
     now = [100.0]
-    monkeypatch.setattr("widgets.timeline.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("widgets.timeline.timeline.time.monotonic", lambda: now[0])
     line.play(on=True)
     line.show_ready(ready=False)
     now[0] += 0.15

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from PyQt6.QtCore import Qt
 
-from widgets.plain_text_style import PlainTextStyle
-from widgets.view_3d_panel import FittingLabel
+from widgets.style.plain_text_style import PlainTextStyle
+from widgets.views.view_3d_panel import FittingLabel
 
 
 def test_a_caption_stays_rich_text_under_the_plain_style(qtbot):

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.base.cached_kernels import kernel
+from pipeline.core.cached_kernels import kernel
 
 
 @kernel()

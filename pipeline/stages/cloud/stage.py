@@ -1,6 +1,6 @@
 """The stage *cloud*: contact points in the target's frame."""
 
-from pipeline.engine.graph import Method, skip_if_exact
+from pipeline.core.graph import Method, skip_if_exact
 from pipeline.stages.cloud import back_projection
 from pipeline.stages.stage import Stage
 

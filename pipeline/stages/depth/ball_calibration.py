@@ -13,18 +13,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.base.arrays import Doubles, Floats, Image, freeze
-from pipeline.base.progress import SILENT, Progress
 from pipeline.calibration.balls import calibrate_balls
 from pipeline.calibration.calibration_table import BallFit, Calibration, ExpectedError, make_built_in
 from pipeline.calibration.contact_circles import find_largest_part, fit_sphere
 from pipeline.calibration.corrections import summarise_errors
+from pipeline.core.arrays import Doubles, Floats, Image, freeze
+from pipeline.core.progress import SILENT, Progress
+from pipeline.core.values.frames import TactileFrame
+from pipeline.core.values.results import DepthMap
 from pipeline.physics.slopes import compute_slopes
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth.illumination.light import Illumination
 from pipeline.stages.depth.photometric import DepthParams, estimate_depth, estimate_gel_depth
-from pipeline.values.frames import TactileFrame
-from pipeline.values.results import DepthMap
 
 _PRESSES_MAX = 8  # used to fit the contact limit, and to measure a table
 _SHARES = (0.45, 0.6, 0.75)

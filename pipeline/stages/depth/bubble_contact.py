@@ -9,8 +9,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.base.arrays import Floats, Mask, freeze
-from pipeline.engine.derived import derive_once
+from pipeline.core.arrays import Floats, Mask, freeze
+from pipeline.core.derived import derive_once
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import contact, membrane_load
 

@@ -7,17 +7,17 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.base.arrays import Floats, Mask, freeze
-from pipeline.base.errors import AT_BORDER, StageWarning
-from pipeline.base.progress import Progress
 from pipeline.calibration.calibration_table import Calibration
+from pipeline.core.arrays import Floats, Mask, freeze
+from pipeline.core.errors import AT_BORDER, StageWarning
+from pipeline.core.progress import Progress
+from pipeline.core.values.frames import TactileFrame
+from pipeline.core.values.results import DepthErrorModel, DepthMap, make_depth_map
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import bubble_contact
 from pipeline.stages.depth.bubble_network_input import estimate_rest_surface
 from pipeline.stages.depth.depth_params import DepthParams
 from pipeline.stages.depth.frame_checks import see_by_frame
-from pipeline.values.frames import TactileFrame
-from pipeline.values.results import DepthErrorModel, DepthMap, make_depth_map
 
 _BLOCK_PX = 8
 _MEASURED_SHARE_MIN = 0.5  # share of measured pixels below which a frame is not called untouched

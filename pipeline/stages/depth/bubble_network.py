@@ -10,21 +10,21 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.base.arrays import Floats, Mask, freeze
-from pipeline.base.errors import AT_BORDER
-from pipeline.base.params import setting
-from pipeline.base.progress import SILENT, Progress
 from pipeline.calibration.calibration_table import Calibration
-from pipeline.networks import weights_registry
-from pipeline.networks.weights import NoWeights, Weights
+from pipeline.core.arrays import Floats, Mask, freeze
+from pipeline.core.errors import AT_BORDER
+from pipeline.core.params import setting
+from pipeline.core.progress import SILENT, Progress
+from pipeline.core.values.frames import TactileFrame
+from pipeline.core.values.results import DepthMap, make_pixel_index
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import contact, photometric
 from pipeline.stages.depth.bubble_depth import compute_displacement, make_bubble_error
 from pipeline.stages.depth.bubble_network_input import WORKING_PIXEL_MM, estimate_rest_surface, make_network_input
 from pipeline.stages.depth.bubble_network_output import BubblePrediction, decode_prediction
 from pipeline.stages.depth.frame_checks import check_frame, see_by_frame
-from pipeline.values.frames import TactileFrame
-from pipeline.values.results import DepthMap, make_pixel_index
+from pipeline.stages.networks import weights_registry
+from pipeline.stages.networks.weights import NoWeights, Weights
 
 BubbleNetwork = Callable[[Floats], tuple[Floats, ...]]  # (N_CHANNELS, rows, cols) -> one output (N_OUTPUTS, rows, cols)
 _SCALE_TOLERANCE = 1.4  # pixels up to this factor finer or coarser than `WORKING_PIXEL_MM` are in the training data

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.base.arrays import Floats, Mask, freeze
-from pipeline.engine.derived import derive_once
+from pipeline.core.arrays import Floats, Mask, freeze
+from pipeline.core.derived import derive_once
 from pipeline.stages.depth.bubble_contact import denoise_displacement
 
 N_CHANNELS = 5

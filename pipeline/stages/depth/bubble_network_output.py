@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from pipeline.base.arrays import Floats
+from pipeline.core.arrays import Floats
 
 if TYPE_CHECKING:
     from torch import Tensor

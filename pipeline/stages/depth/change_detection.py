@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.base.arrays import Floats, Image, Mask
+from pipeline.core.arrays import Floats, Image, Mask
 from pipeline.stages.depth.contact import fill_holes
 from pipeline.stages.depth.gel.coarse_light import compute_block_means
 

@@ -24,8 +24,8 @@ from typing import Literal
 
 import numpy as np
 
-from pipeline.base.arrays import Floats, Indices, Mask, freeze, percentile
-from pipeline.base.memo import memoise
+from pipeline.core.arrays import Floats, Indices, Mask, freeze, percentile
+from pipeline.core.memo import memoise
 from pipeline.physics.slopes import compute_slopes
 
 _WORKERS, _PARALLEL_PIXELS = 2, 2**18  # threads, and the pixels above which they save time

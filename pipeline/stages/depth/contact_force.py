@@ -8,17 +8,17 @@ from collections.abc import Callable
 
 import numpy as np
 
-from pipeline.base.arrays import Floats, Mask
-from pipeline.base.errors import SettingProblem, find_uncertain_contact
-from pipeline.base.params import NoParams
-from pipeline.base.progress import SILENT, Progress
-from pipeline.engine.graph import Method, skip_if_exact
+from pipeline.core.arrays import Floats, Mask
+from pipeline.core.errors import SettingProblem, find_uncertain_contact
+from pipeline.core.graph import Method, skip_if_exact
+from pipeline.core.params import NoParams
+from pipeline.core.progress import SILENT, Progress
+from pipeline.core.values.frames import TactileFrame
+from pipeline.core.values.results import DepthMap
 from pipeline.physics.contact_force import ContactForce, estimate_bubble_force
 from pipeline.sensors.kinds import BubbleSensor, GelSensor, KindTable
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth.gel_force import estimate_gel_force
-from pipeline.values.frames import TactileFrame
-from pipeline.values.results import DepthMap
 
 # (sensor, frame, indentation_mm, contact) -> force
 EstimateForce = Callable[[SensorSpec, TactileFrame, Floats, Mask], ContactForce]

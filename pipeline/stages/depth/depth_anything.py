@@ -7,21 +7,21 @@ from typing import Any, Literal
 
 import numpy as np
 
-from pipeline.base.arrays import Floats, Mask, freeze
-from pipeline.base.errors import StageWarning
-from pipeline.base.params import setting
-from pipeline.base.progress import Progress
 from pipeline.calibration.calibration_table import Calibration
-from pipeline.engine.graph import Skipped
-from pipeline.networks import weights_registry
-from pipeline.networks.depth_anything_input import PATCH_PX, prepare_image, resize_to_patches
-from pipeline.networks.network_factory import reproducible_inference
-from pipeline.networks.published_weights import read_depth_anything
-from pipeline.networks.weights import NoWeights, Weights
+from pipeline.core.arrays import Floats, Mask, freeze
+from pipeline.core.errors import StageWarning
+from pipeline.core.graph import Skipped
+from pipeline.core.params import setting
+from pipeline.core.progress import Progress
+from pipeline.core.values.frames import TactileFrame
+from pipeline.core.values.results import DepthMap
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import photometric
-from pipeline.values.frames import TactileFrame
-from pipeline.values.results import DepthMap
+from pipeline.stages.networks import weights_registry
+from pipeline.stages.networks.depth_anything_input import PATCH_PX, prepare_image, resize_to_patches
+from pipeline.stages.networks.network_factory import reproducible_inference
+from pipeline.stages.networks.published_weights import read_depth_anything
+from pipeline.stages.networks.weights import NoWeights, Weights
 
 OutputKind = Literal["as trained", "metric", "distance", "relative"]
 _USUAL_DISTANCE_MM = 120.0  # largest distance in the tests of MMintLab/depth_anything_v2; it trained up to 200, too

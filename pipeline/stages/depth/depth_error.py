@@ -16,12 +16,12 @@ import math
 
 import numpy as np
 
-from pipeline.base.arrays import percentile
 from pipeline.calibration.calibration_table import USUAL_STD, Calibration
+from pipeline.core.arrays import percentile
+from pipeline.core.values.results import DepthErrorModel, DepthMap
 from pipeline.physics.slopes import compute_slopes
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth.illumination.light import Illumination
-from pipeline.values.results import DepthErrorModel, DepthMap
 
 _UNEXPLAINED_FACTOR = 2.6
 _STEEP_PERCENT = 95  # percentile of the slopes in contact

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from pipeline.base.params import setting
+from pipeline.core.params import setting
 from pipeline.stages.depth.poisson import Boundary
 
 

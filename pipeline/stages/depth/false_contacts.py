@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from pipeline.base.arrays import Floats, Mask, median, percentile
+from pipeline.core.arrays import Floats, Mask, median, percentile
 from pipeline.physics.slopes import compute_slopes
 
 _FLANK, _FLANK_SHARE = 0.12, 0.1  # mm/mm of a flank, and its least share of a region's pixels

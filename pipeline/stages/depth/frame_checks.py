@@ -5,14 +5,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.base.arrays import freeze
-from pipeline.base.errors import MissingReference, SensorMismatch, ShapeError
-from pipeline.base.memo import Memo
-from pipeline.engine.digests import compute_cached_digest
-from pipeline.geometry.camera import Camera
+from pipeline.core.arrays import freeze
+from pipeline.core.digests import compute_cached_digest
+from pipeline.core.errors import MissingReference, SensorMismatch, ShapeError
+from pipeline.core.geometry.camera import Camera
+from pipeline.core.memo import Memo
+from pipeline.core.values.frames import TactileFrame
+from pipeline.core.values.results import DepthMap, make_pixel_index
 from pipeline.sensors.spec import SensorSpec
-from pipeline.values.frames import TactileFrame
-from pipeline.values.results import DepthMap, make_pixel_index
 
 _BLACK_GREY, _LIT_GREY = 2, 8  # grey levels: at most in a pixel that was lost, and more than that in its reference
 _MAX_LOST_SHARE = 0.25  # of the pixels

@@ -6,11 +6,11 @@ the lens of one instance drift. The check measures what `gel.drift` cannot expla
 
 import numpy as np
 
-from pipeline.base.arrays import Image
-from pipeline.base.errors import StageWarning
-from pipeline.base.memo import Memo
 from pipeline.calibration.calibration_table import Calibration, make_thumbnail
-from pipeline.engine.digests import compute_cached_digest
+from pipeline.core.arrays import Image
+from pipeline.core.digests import compute_cached_digest
+from pipeline.core.errors import StageWarning
+from pipeline.core.memo import Memo
 from pipeline.stages.depth.gel import coarse_light, drift
 
 # Median difference in grey levels. One simulated instance after drift: 0.2; two: 1.2 to 1.8 (Minis with equal LEDs, one

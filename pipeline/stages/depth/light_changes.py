@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from pipeline.base.arrays import Doubles, Floats, Indices, Mask
+from pipeline.core.arrays import Doubles, Floats, Indices, Mask
 from pipeline.physics.slopes import compute_slopes
 from pipeline.stages.depth.gel.slopes import ChangedImage
 from pipeline.stages.depth.illumination import selection

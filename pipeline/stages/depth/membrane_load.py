@@ -26,8 +26,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.base.arrays import Floats, Mask, freeze
-from pipeline.engine.derived import derive_once
+from pipeline.core.arrays import Floats, Mask, freeze
+from pipeline.core.derived import derive_once
 
 _BORDER_MM = 5.0  # around the image, where unknown loads may act
 _NOISE = 0.45  # mm, standard deviation of a mean over 1 mm^2, for which the weights below hold: about what

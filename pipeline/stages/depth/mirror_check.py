@@ -9,8 +9,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from pipeline.base.arrays import Image
 from pipeline.calibration.calibration_table import Calibration
+from pipeline.core.arrays import Image
 from pipeline.physics.reference_colours import MirrorDirection, compare_colours, mirror_image
 from pipeline.physics.slopes import compute_slopes
 from pipeline.sensors.spec import SensorSpec

@@ -6,11 +6,13 @@ A gel's image goes through the nodes of `gel.chain`; a bubble's depth image is c
 
 from typing import Any, cast
 
-from pipeline.base.arrays import Image
-from pipeline.base.errors import StageWarning
-from pipeline.base.progress import SILENT, Progress
 from pipeline.calibration.calibration_table import Calibration
-from pipeline.engine.graph import Skipped, chain_nodes, run_nodes
+from pipeline.core.arrays import Image
+from pipeline.core.errors import StageWarning
+from pipeline.core.graph import Skipped, chain_nodes, run_nodes
+from pipeline.core.progress import SILENT, Progress
+from pipeline.core.values.frames import TactileFrame
+from pipeline.core.values.results import DepthMap
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import mirror_check
 from pipeline.stages.depth.depth_params import DepthParams
@@ -19,8 +21,6 @@ from pipeline.stages.depth.gel.chain import NODES, READS
 from pipeline.stages.depth.gel.result import describe_reference_mismatch
 from pipeline.stages.depth.gel.slopes import make_changed_image
 from pipeline.stages.depth.illumination.light import FrameLight, Illumination
-from pipeline.values.frames import TactileFrame
-from pipeline.values.results import DepthMap
 
 _run_chain = chain_nodes(NODES, READS)
 

@@ -23,9 +23,9 @@ from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
-from pipeline.base.arrays import Doubles, Floats, freeze
-from pipeline.base.errors import SettingProblem, ShapeError
-from pipeline.engine.derived import derive_once
+from pipeline.core.arrays import Doubles, Floats, freeze
+from pipeline.core.derived import derive_once
+from pipeline.core.errors import SettingProblem, ShapeError
 
 Boundary = Literal["flat", "free"]
 _BOUNDARIES: tuple[Boundary, ...] = get_args(Boundary)

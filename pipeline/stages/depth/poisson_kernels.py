@@ -6,7 +6,7 @@ Images are (n, rows, cols): n at once.
 
 import numpy as np
 
-from pipeline.base.cached_kernels import FAST, kernel
+from pipeline.core.cached_kernels import FAST, kernel
 from pipeline.physics.slope_kernels import write_slopes
 
 _ENERGY_MIN = 1e-20

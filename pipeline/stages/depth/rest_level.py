@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.base.arrays import Doubles, Floats, Mask, median
+from pipeline.core.arrays import Doubles, Floats, Mask, median
 from pipeline.physics import gel as gel_mechanics
 from pipeline.sensors.spec import Gel
 

@@ -1,7 +1,7 @@
 """The stage *depth*: indentation, depth and contact of the source sensor."""
 
-from pipeline.base.params import NoParams
-from pipeline.engine.graph import Method, skip_if_exact
+from pipeline.core.graph import Method, skip_if_exact
+from pipeline.core.params import NoParams
 from pipeline.stages.depth import bubble_network, depth_anything, photometric, unet
 from pipeline.stages.depth.gel.chain import NODES, READS
 from pipeline.stages.depth_map_stage import make_depth_stage

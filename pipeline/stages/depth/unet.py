@@ -11,20 +11,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.base.arrays import Floats, Mask, freeze
-from pipeline.base.params import NoParams
-from pipeline.base.progress import Progress
 from pipeline.calibration.calibration_table import Calibration
-from pipeline.engine.graph import Skipped
-from pipeline.networks import published_weights, weights_registry
-from pipeline.networks.network_factory import reproducible_inference
-from pipeline.networks.touch_formats import BUBBLE
-from pipeline.networks.weights import NoWeights, Weights
+from pipeline.core.arrays import Floats, Mask, freeze
+from pipeline.core.graph import Skipped
+from pipeline.core.params import NoParams
+from pipeline.core.progress import Progress
+from pipeline.core.values.frames import TactileFrame
+from pipeline.core.values.results import DepthMap, make_depth_map
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import photometric
 from pipeline.stages.depth.frame_checks import see_by_frame
-from pipeline.values.frames import TactileFrame
-from pipeline.values.results import DepthMap, make_depth_map
+from pipeline.stages.networks import published_weights, weights_registry
+from pipeline.stages.networks.network_factory import reproducible_inference
+from pipeline.stages.networks.touch_formats import BUBBLE
+from pipeline.stages.networks.weights import NoWeights, Weights
 
 _NOT_SHIPPED = NoWeights(why="no weights of a U-Net are shipped; give yours as --weights depth=unet_bigdata.pth")
 _TOUCHES = 1  # class of the mask network

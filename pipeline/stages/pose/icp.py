@@ -6,15 +6,15 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.base.arrays import Doubles, freeze
-from pipeline.base.errors import CalibrationError
-from pipeline.base.progress import SILENT, Progress
-from pipeline.geometry import rigid
-from pipeline.geometry.meshes import Mesh, sample_surface
-from pipeline.registration.model import ObjectModel
-from pipeline.registration.scene import ContactScene
-from pipeline.registration.starts import InitialPose, list_starts
-from pipeline.values.results import ObjectPose, PoseStep
+from pipeline.core.arrays import Doubles, freeze
+from pipeline.core.errors import CalibrationError
+from pipeline.core.geometry import rigid
+from pipeline.core.geometry.meshes import Mesh, sample_surface
+from pipeline.core.progress import SILENT, Progress
+from pipeline.core.values.results import ObjectPose, PoseStep
+from pipeline.stages.pose.registration.model import ObjectModel
+from pipeline.stages.pose.registration.scene import ContactScene
+from pipeline.stages.pose.registration.starts import InitialPose, list_starts
 
 NOTE = "icp: the result with the largest fitness, then the least rmse; pose ambiguity is not estimated"
 N_MODEL_POINTS = 20_000  # sampled on the object, as in benchmarks/pose.py

@@ -13,21 +13,21 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from pipeline.base.arrays import Doubles, Floats, Indices, freeze
-from pipeline.base.progress import SILENT, Progress
-from pipeline.engine.graph import Method, Skipped
-from pipeline.geometry import rigid
-from pipeline.geometry.meshes import Mesh
-from pipeline.networks import weights_registry
-from pipeline.networks.network_factory import reproducible_inference
-from pipeline.networks.square_images import normalise, resize_to_square
-from pipeline.networks.weights import NoWeights, Weights
+from pipeline.core.arrays import Doubles, Floats, Indices, freeze
+from pipeline.core.geometry import rigid
+from pipeline.core.geometry.meshes import Mesh
+from pipeline.core.graph import Method, Skipped
+from pipeline.core.progress import SILENT, Progress
+from pipeline.core.values.results import DepthMap, GeneratedTouch, ObjectPose
 from pipeline.physics.sensor_images import render_reference
+from pipeline.physics.simulation import shapes
 from pipeline.sensors.spec import SensorSpec
-from pipeline.simulation import shapes
+from pipeline.stages.networks import weights_registry
+from pipeline.stages.networks.network_factory import reproducible_inference
+from pipeline.stages.networks.square_images import normalise, resize_to_square
+from pipeline.stages.networks.weights import NoWeights, Weights
 from pipeline.stages.pose import signed_distances
 from pipeline.stages.pose.signed_distances import PoseParams
-from pipeline.values.results import DepthMap, GeneratedTouch, ObjectPose
 
 if TYPE_CHECKING:
     from torch import nn

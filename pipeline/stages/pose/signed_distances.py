@@ -10,21 +10,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.base.arrays import Doubles, Floats, Indices, freeze
-from pipeline.base.errors import SettingProblem, describe_no_contact
-from pipeline.base.params import setting
-from pipeline.base.progress import SILENT, Progress, SubProgress
-from pipeline.geometry import rigid
-from pipeline.geometry.meshes import Mesh
-from pipeline.registration.gauss_newton import CentredPoints, NotDetermined
-from pipeline.registration.model import prepare_object
-from pipeline.registration.planar import estimate_planar_pose
-from pipeline.registration.pose_selection import SelectedPose, select_pose
-from pipeline.registration.scene import ContactScene, extract_scene
-from pipeline.registration.search import PoseMinimum, PoseSearch
-from pipeline.registration.starts import FACES, list_edge_starts, list_starts
+from pipeline.core.arrays import Doubles, Floats, Indices, freeze
+from pipeline.core.errors import SettingProblem, describe_no_contact
+from pipeline.core.geometry import rigid
+from pipeline.core.geometry.meshes import Mesh
+from pipeline.core.params import setting
+from pipeline.core.progress import SILENT, Progress, SubProgress
+from pipeline.core.values.results import DepthMap, ObjectPose
 from pipeline.stages.pose.icp import register_icp
-from pipeline.values.results import DepthMap, ObjectPose
+from pipeline.stages.pose.registration.gauss_newton import CentredPoints, NotDetermined
+from pipeline.stages.pose.registration.model import prepare_object
+from pipeline.stages.pose.registration.planar import estimate_planar_pose
+from pipeline.stages.pose.registration.pose_selection import SelectedPose, select_pose
+from pipeline.stages.pose.registration.scene import ContactScene, extract_scene
+from pipeline.stages.pose.registration.search import PoseMinimum, PoseSearch
+from pipeline.stages.pose.registration.starts import FACES, list_edge_starts, list_starts
 
 _NO_POSE = "there is no pose"
 NO_MESH = "no object mesh is given; a pose needs one"

@@ -2,13 +2,13 @@
 
 from collections.abc import Mapping
 
-from pipeline.engine.graph import Method, skip_if_exact
-from pipeline.metrics.stage_metrics import compute_pose_metrics
+from pipeline.core.graph import Method, skip_if_exact
+from pipeline.core.values.results import ObjectPose
 from pipeline.stages import ground_truth
+from pipeline.stages.metrics.stage_metrics import compute_pose_metrics
 from pipeline.stages.network_fallback import fall_back_without_weights
 from pipeline.stages.pose import network, signed_distances
 from pipeline.stages.stage import GroundTruth, Stage
-from pipeline.values.results import ObjectPose
 
 SIGNED_DISTANCES = Method(
     stage="pose",

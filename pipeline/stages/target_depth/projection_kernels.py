@@ -15,8 +15,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.base.cached_kernels import inner_kernel, kernel
-from pipeline.geometry.membrane_kernels import sample_height
+from pipeline.core.cached_kernels import inner_kernel, kernel
+from pipeline.core.geometry.membrane_kernels import sample_height
 
 MIN_INVERSE_Z = 1.0 / float(np.finfo(np.float32).max)  # 1/mm
 

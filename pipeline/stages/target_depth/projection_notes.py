@@ -1,8 +1,8 @@
 """Notes and warnings of the target depth stage."""
 
-from pipeline.base.arrays import Floats
-from pipeline.base.errors import AlignmentWarning, StageWarning
-from pipeline.geometry.camera import MIN_DEPTH_MM
+from pipeline.core.arrays import Floats
+from pipeline.core.errors import AlignmentWarning, StageWarning
+from pipeline.core.geometry.camera import MIN_DEPTH_MM
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.target_depth.rasterisation import Rasterisation
 

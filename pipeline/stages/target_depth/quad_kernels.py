@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.base.cached_kernels import inner_kernel, kernel
+from pipeline.core.cached_kernels import inner_kernel, kernel
 
 SLACK = 1e-9  # barycentric and px: neighbours share pixels on their common edge, so that no crack opens
 NO_POINT = np.uint32(0xFFFFFFFF)  # no point

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.base.arrays import Doubles, Floats, Indices, Mask, freeze
-from pipeline.geometry.camera import MIN_DEPTH_MM, Camera
-from pipeline.geometry.membrane import Membrane
-from pipeline.values.results import SAME_SURFACE_MM, Cloud
+from pipeline.core.arrays import Doubles, Floats, Indices, Mask, freeze
+from pipeline.core.geometry.camera import MIN_DEPTH_MM, Camera
+from pipeline.core.geometry.membrane import Membrane
+from pipeline.core.values.results import SAME_SURFACE_MM, Cloud
 
 _CELLS_PER_STRIP = 8192  # cells processed at once, so that they stay in cache
 _SPACING_SAMPLES = 1024  # neighbour pairs that the point spacing is estimated from

@@ -1,6 +1,6 @@
 """The stage *target_depth*: the cloud as depth and contact in the target's image."""
 
-from pipeline.engine.graph import Method, skip_if_exact
+from pipeline.core.graph import Method, skip_if_exact
 from pipeline.stages import ground_truth
 from pipeline.stages.stage import Stage
 from pipeline.stages.target_depth import surface_projection

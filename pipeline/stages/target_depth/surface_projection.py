@@ -9,11 +9,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.base.arrays import Doubles, Floats, Mask, freeze
-from pipeline.base.errors import ShapeError, describe_no_contact
-from pipeline.base.params import setting
-from pipeline.base.progress import SILENT, Progress
-from pipeline.geometry.camera import MIN_DEPTH_MM, Camera
+from pipeline.core.arrays import Doubles, Floats, Mask, freeze
+from pipeline.core.errors import ShapeError, describe_no_contact
+from pipeline.core.geometry.camera import MIN_DEPTH_MM, Camera
+from pipeline.core.params import setting
+from pipeline.core.progress import SILENT, Progress
+from pipeline.core.values.results import SAME_SURFACE_MM, Cloud, TargetDepth
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.target_depth import projection_notes
 from pipeline.stages.target_depth.rasterisation import (
@@ -24,7 +25,6 @@ from pipeline.stages.target_depth.rasterisation import (
     rasterise_surface,
     splat_cloud,
 )
-from pipeline.values.results import SAME_SURFACE_MM, Cloud, TargetDepth
 
 _EMPTY = "the target depth is empty"
 _NEXT_CORNER = [1, 2, 3, 0]  # next corner of a quadrilateral

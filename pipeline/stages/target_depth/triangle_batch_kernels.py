@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.base.cached_kernels import inner_kernel
+from pipeline.core.cached_kernels import inner_kernel
 from pipeline.stages.target_depth.quad_kernels import SLACK
 
 # Outcome of a triangle. From GRAZING on it is drawn, GRAZING as a veil: invisible, but hiding what is behind.

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.base.cached_kernels import inner_kernel, kernel
+from pipeline.core.cached_kernels import inner_kernel, kernel
 from pipeline.stages.target_depth import triangle_batch_kernels as on
 from pipeline.stages.target_depth.quad_kernels import (
     NO_POINT,

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.base.arrays import Floats, Mask, freeze
+from pipeline.core.arrays import Floats, Mask, freeze
 from pipeline.stages.touch.residual_diffusion import DenoisingState, ResidualSample
 from pipeline.stages.touch.residual_render import resample_to_grid
 

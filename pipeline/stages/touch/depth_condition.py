@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.base.arrays import Floats, Mask, freeze
-from pipeline.networks.square_images import resize_to_square
-from pipeline.networks.touch_formats import get_touch_format
+from pipeline.core.arrays import Floats, Mask, freeze
 from pipeline.sensors.spec import SensorSpec
+from pipeline.stages.networks.square_images import resize_to_square
+from pipeline.stages.networks.touch_formats import get_touch_format
 
 CONDITION_CHANNELS = 6
 

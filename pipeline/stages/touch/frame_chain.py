@@ -10,21 +10,21 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, TypeVar, TypeVarTuple, Unpack, cast
 
-from pipeline.base.errors import AlignmentWarning, select_warnings
-from pipeline.base.progress import SILENT, Progress
 from pipeline.calibration.calibration_table import Calibration
-from pipeline.engine.graph import Fallback, Method, Skipped
-from pipeline.networks.weights import Weights
+from pipeline.core.errors import AlignmentWarning, select_warnings
+from pipeline.core.graph import Fallback, Method, Skipped
+from pipeline.core.progress import SILENT, Progress
+from pipeline.core.values.frames import TactileFrame
+from pipeline.core.values.results import DepthMap, GeneratedTouch, TargetDepth
 from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.cloud.stage import BACK_PROJECTION
 from pipeline.stages.depth.frame_checks import check_frame
 from pipeline.stages.depth.stage import NETWORK
 from pipeline.stages.depth.stage import PHYSICS as DEPTH_BY_PHYSICS
+from pipeline.stages.networks.weights import Weights
 from pipeline.stages.target_depth.stage import SURFACE
 from pipeline.stages.touch import physical_render
-from pipeline.values.frames import TactileFrame
-from pipeline.values.results import DepthMap, GeneratedTouch, TargetDepth
 
 READS = ("frame", "source", "calibration", "alignment", "target", "target_depth")
 GUARDED_READS = ("frame", "depth", *READS[1:])

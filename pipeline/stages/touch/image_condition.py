@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.base.arrays import Doubles, Floats, Mask, freeze
-from pipeline.engine.derived import derive_once
-from pipeline.geometry import rigid
-from pipeline.geometry.camera import MIN_DEPTH_MM, Camera
-from pipeline.networks.square_images import normalise
+from pipeline.core.arrays import Doubles, Floats, Mask, freeze
+from pipeline.core.derived import derive_once
+from pipeline.core.geometry import rigid
+from pipeline.core.geometry.camera import MIN_DEPTH_MM, Camera
 from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import SensorSpec
+from pipeline.stages.networks.square_images import normalise
 
 _OVERLAP_UNIT_MM, _RELIEF_UNIT_MM = np.float32(6.0), np.float32(1.0)
 _SMOOTHING_PX, _TOP_PERCENTILE = 1.2, 99.5  # of a bubble's relief: smoothing; percentile that is its top

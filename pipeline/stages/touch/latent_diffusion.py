@@ -13,34 +13,29 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from pipeline.base.arrays import Floats
-from pipeline.base.errors import UnseenObjectWarning
-from pipeline.base.params import setting
-from pipeline.base.progress import SILENT, Progress
 from pipeline.calibration.calibration_table import Calibration
-from pipeline.engine.graph import Fallback
-from pipeline.networks import published_weights, weights_registry
-from pipeline.networks.guidance import GUIDED_STEPS, MAX_WEIGHT, WEIGHTS, GuidedDenoiser, plan_guidance
-from pipeline.networks.network_factory import reproducible_inference
-from pipeline.networks.samplers import MAX_STEPS, Solver, make_timestep_schedule, sample
-from pipeline.networks.square_images import (
-    decode_image,
-    normalise,
-    resize_from_square,
-    resize_to_square,
-)
-from pipeline.networks.touch_formats import answer_for_known_kinds, get_touch_format
-from pipeline.networks.weights import NoWeights, Weights
+from pipeline.core.arrays import Floats
+from pipeline.core.errors import UnseenObjectWarning
+from pipeline.core.graph import Fallback
+from pipeline.core.params import setting
+from pipeline.core.progress import SILENT, Progress
+from pipeline.core.values.frames import TactileFrame
+from pipeline.core.values.results import GeneratedTouch, TargetDepth
 from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import photometric as depth
 from pipeline.stages.depth.frame_checks import check_frame
+from pipeline.stages.networks import published_weights, weights_registry
+from pipeline.stages.networks.guidance import GUIDED_STEPS, MAX_WEIGHT, WEIGHTS, GuidedDenoiser, plan_guidance
+from pipeline.stages.networks.network_factory import reproducible_inference
+from pipeline.stages.networks.samplers import MAX_STEPS, Solver, make_timestep_schedule, sample
+from pipeline.stages.networks.square_images import decode_image, normalise, resize_from_square, resize_to_square
+from pipeline.stages.networks.touch_formats import answer_for_known_kinds, get_touch_format
+from pipeline.stages.networks.weights import NoWeights, Weights
 from pipeline.stages.touch import frame_chain, physical_render
 from pipeline.stages.touch.depth_condition import build_depth_square
 from pipeline.stages.touch.image_condition import build_reprojected_square
 from pipeline.stages.touch.touch_from_change import check_depth_limit, make_touch_from_change
-from pipeline.values.frames import TactileFrame
-from pipeline.values.results import GeneratedTouch, TargetDepth
 
 if TYPE_CHECKING:
     from torch import Tensor, nn
@@ -212,7 +207,7 @@ def sample_image(
     """Sample an image (3, side, side) in -1..1 for a condition (channels, side, side); also returns notes."""
     import torch
 
-    from pipeline.networks.latent_diffusion import LATENT_LIMIT, compute_alphas_cumprod
+    from pipeline.stages.networks.latent_diffusion import LATENT_LIMIT, compute_alphas_cumprod
 
     levels, times = make_timestep_schedule(params.steps, compute_alphas_cumprod())
     time_of = {float(level): time for level, time in zip(levels, times, strict=False)}

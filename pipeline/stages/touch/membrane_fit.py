@@ -13,12 +13,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.base.arrays import Doubles, Floats, freeze
-from pipeline.geometry import rigid
-from pipeline.geometry.meshes import Mesh
+from pipeline.core.arrays import Doubles, Floats, freeze
+from pipeline.core.geometry import rigid
+from pipeline.core.geometry.meshes import Mesh
+from pipeline.core.values.results import DepthMap
+from pipeline.physics.simulation.press import press_membrane
 from pipeline.sensors.spec import SensorSpec
-from pipeline.simulation.press import press_membrane
-from pipeline.values.results import DepthMap
 
 _BLOCK = 4.0  # pixels along a block: wider than the grain of the noise, finer than a membrane bends
 _TRIED_MM = 0.3  # motion for a derivative

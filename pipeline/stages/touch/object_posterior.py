@@ -12,11 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.base.arrays import Doubles, freeze
-from pipeline.geometry import rigid
-from pipeline.registration.ranking import CORRELATION_MM, LEAST_SPREAD_MM, make_judge
-from pipeline.registration.search import PoseSearch
-from pipeline.values.results import ObjectPose
+from pipeline.core.arrays import Doubles, freeze
+from pipeline.core.geometry import rigid
+from pipeline.core.values.results import ObjectPose
+from pipeline.stages.pose.registration.ranking import CORRELATION_MM, LEAST_SPREAD_MM, make_judge
+from pipeline.stages.pose.registration.search import PoseSearch
 
 _N_TRIED = 48  # around each registered pose
 _MAX_MODES = 8  # registered poses that vary

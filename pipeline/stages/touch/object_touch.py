@@ -12,22 +12,22 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.base.arrays import Doubles, Floats, freeze
-from pipeline.base.errors import StageWarning, select_warnings
-from pipeline.base.params import setting
-from pipeline.base.progress import SILENT, Progress, SubProgress
-from pipeline.geometry import rigid
-from pipeline.geometry.meshes import Mesh
+from pipeline.core.arrays import Doubles, Floats, freeze
+from pipeline.core.errors import StageWarning, select_warnings
+from pipeline.core.geometry import rigid
+from pipeline.core.geometry.meshes import Mesh
+from pipeline.core.params import setting
+from pipeline.core.progress import SILENT, Progress, SubProgress
+from pipeline.core.values.results import DepthMap, GeneratedTouch, ObjectPose, TouchStep, make_depth_map
 from pipeline.physics.sensor_images import render_sensor_image
-from pipeline.registration.search import PoseSearch
-from pipeline.registration.starts import list_starts
+from pipeline.physics.simulation.press import PressedSurface, press_membrane
 from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import SensorSpec
-from pipeline.simulation.press import PressedSurface, press_membrane
+from pipeline.stages.pose.registration.search import PoseSearch
+from pipeline.stages.pose.registration.starts import list_starts
 from pipeline.stages.pose.signed_distances import PoseParams, estimate_or_track_pose, prepare_search
 from pipeline.stages.touch.membrane_fit import MembraneFit, fit_membrane, measure_residuals_mm
 from pipeline.stages.touch.object_posterior import PosePosterior, sample_poses
-from pipeline.values.results import DepthMap, GeneratedTouch, ObjectPose, TouchStep, make_depth_map
 
 _DRAFT = 4.0  # times coarser: only the difference of a pose's touch from the best one's counts
 _EXPLAINED, _REFUSED = 1.45, 3.0  # misfits: of 24 true poses 1.2 to 1.4, of wrong ones from 1.5

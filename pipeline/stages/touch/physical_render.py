@@ -13,8 +13,9 @@ from typing import Literal, assert_never
 
 import numpy as np
 
-from pipeline.base.arrays import Floats, Image, Indices, Mask, freeze
-from pipeline.base.errors import (
+from pipeline.core.arrays import Floats, Image, Indices, Mask, freeze
+from pipeline.core.derived import derive_once
+from pipeline.core.errors import (
     AlignmentWarning,
     OutsideViewWarning,
     SettingProblem,
@@ -23,15 +24,14 @@ from pipeline.base.errors import (
     UnseenObjectWarning,
     describe_no_contact,
 )
-from pipeline.base.params import setting
-from pipeline.base.progress import SILENT, Progress
-from pipeline.engine.derived import derive_once
-from pipeline.geometry.camera import MIN_DEPTH_MM
+from pipeline.core.geometry.camera import MIN_DEPTH_MM
+from pipeline.core.params import setting
+from pipeline.core.progress import SILENT, Progress
+from pipeline.core.values.results import GeneratedTouch, TargetDepth, make_depth_map, make_pixel_index
 from pipeline.physics import bubble, bubble_camera, gel, lattice, optics
 from pipeline.physics.sensor_images import render_reference
 from pipeline.sensors.kinds import BubbleSensor, GelSensor, KindTable
 from pipeline.sensors.spec import SensorSpec
-from pipeline.values.results import GeneratedTouch, TargetDepth, make_depth_map, make_pixel_index
 
 GelSurfaceMode = Literal["press", "follow"]
 

@@ -18,13 +18,13 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from pipeline.base.arrays import Floats, freeze
-from pipeline.base.params import setting
-from pipeline.base.progress import SILENT, Progress
-from pipeline.networks.first_pass import FIELD_LIMIT, FirstPassPredictor, ResidualNetwork
-from pipeline.networks.guidance import GUIDED_STEPS, MAX_WEIGHT, WEIGHTS, GuidedDenoiser, plan_guidance
-from pipeline.networks.network_factory import reproducible_inference
-from pipeline.networks.samplers import MAX_STEPS, Solver, make_sigma_schedule, sample
+from pipeline.core.arrays import Floats, freeze
+from pipeline.core.params import setting
+from pipeline.core.progress import SILENT, Progress
+from pipeline.stages.networks.first_pass import FIELD_LIMIT, FirstPassPredictor, ResidualNetwork
+from pipeline.stages.networks.guidance import GUIDED_STEPS, MAX_WEIGHT, WEIGHTS, GuidedDenoiser, plan_guidance
+from pipeline.stages.networks.network_factory import reproducible_inference
+from pipeline.stages.networks.samplers import MAX_STEPS, Solver, make_sigma_schedule, sample
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -119,7 +119,7 @@ def sample_residual(
         network = network.load_network()
     import torch
 
-    from pipeline.networks.smooth_noise import correlate_noise
+    from pipeline.stages.networks.smooth_noise import correlate_noise
 
     net: Any = network
     condition_batch = torch.from_numpy(np.array(condition, np.float32)[None])

@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from pipeline.base.arrays import Floats, Image, Mask, freeze
-from pipeline.base.errors import ChangeNote, OutsideViewWarning
-from pipeline.engine.graph import Fallback
+from pipeline.core.arrays import Floats, Image, Mask, freeze
+from pipeline.core.errors import ChangeNote, OutsideViewWarning
+from pipeline.core.graph import Fallback
+from pipeline.core.values.results import DepthMap, GeneratedTouch, TouchStep
 from pipeline.physics.sensor_images import render_sensor_image
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.touch.residual_diffusion import DenoisingState, ResidualSample
-from pipeline.values.results import DepthMap, GeneratedTouch, TouchStep
 
 _HALF = 0.5
 NO_STEPS = "physics: no denoising step"

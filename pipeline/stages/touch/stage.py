@@ -5,14 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from pipeline.base.params import NoParams
-from pipeline.base.progress import SILENT, Progress
-from pipeline.engine.graph import Fallback, Method, Skipped, skip_if_exact
-from pipeline.geometry.meshes import Mesh
-from pipeline.metrics.stage_metrics import compute_image_metrics
+from pipeline.core.geometry.meshes import Mesh
+from pipeline.core.graph import Fallback, Method, Skipped, skip_if_exact
+from pipeline.core.params import NoParams
+from pipeline.core.progress import SILENT, Progress
+from pipeline.core.values.results import DepthMap, GeneratedTouch, ObjectPose, TargetDepth
 from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages import ground_truth
+from pipeline.stages.metrics.stage_metrics import compute_image_metrics
 from pipeline.stages.network_fallback import fall_back_without_weights
 from pipeline.stages.stage import GroundTruth, Stage
 from pipeline.stages.touch import latent_diffusion, object_touch, physical_render, t2d2, t2t, vqvae
@@ -20,7 +21,6 @@ from pipeline.stages.touch.frame_chain import DEFAULTS, GUARDED_READS, RENDER, g
 from pipeline.stages.touch.latent_diffusion import LatentParams
 from pipeline.stages.touch.residual_diffusion import DiffusionParams, make_draft_params
 from pipeline.stages.touch.t2d2 import T2D2Params
-from pipeline.values.results import DepthMap, GeneratedTouch, ObjectPose, TargetDepth
 
 PHYSICS = Method(
     stage="touch",

@@ -12,17 +12,18 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.base.arrays import Floats
-from pipeline.base.memo import Memo
-from pipeline.base.params import setting
-from pipeline.base.progress import SILENT, Progress, SubProgress
-from pipeline.engine.digests import compute_cached_digest
-from pipeline.engine.graph import Fallback
-from pipeline.networks import weights_registry
-from pipeline.networks.first_pass import ResidualNetwork
-from pipeline.networks.touch_formats import answer_for_known_kinds, get_touch_format
-from pipeline.networks.weights import NoWeights, Weights
+from pipeline.core.arrays import Floats
+from pipeline.core.digests import compute_cached_digest
+from pipeline.core.graph import Fallback
+from pipeline.core.memo import Memo
+from pipeline.core.params import setting
+from pipeline.core.progress import SILENT, Progress, SubProgress
+from pipeline.core.values.results import DepthMap, GeneratedTouch, TargetDepth
 from pipeline.sensors.spec import SensorSpec
+from pipeline.stages.networks import weights_registry
+from pipeline.stages.networks.first_pass import ResidualNetwork
+from pipeline.stages.networks.touch_formats import answer_for_known_kinds, get_touch_format
+from pipeline.stages.networks.weights import NoWeights, Weights
 from pipeline.stages.touch import physical_render
 from pipeline.stages.touch.confidence_weighting import read_error_calibration, shrink_to_prior
 from pipeline.stages.touch.depth_condition import build_depth_condition, make_working_sensor
@@ -35,7 +36,6 @@ from pipeline.stages.touch.residual_render import (
     report_change,
     resample_to_grid,
 )
-from pipeline.values.results import DepthMap, GeneratedTouch, TargetDepth
 
 MAX_PIXEL_RATIO = 1.25  # allowed ratio to the trained pixel size
 _HALF = 0.5

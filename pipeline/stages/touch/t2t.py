@@ -6,27 +6,27 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from pipeline.base.arrays import Floats
-from pipeline.base.errors import ShapeError
-from pipeline.base.progress import SILENT, Progress
 from pipeline.calibration.calibration_table import Calibration
-from pipeline.engine.graph import Fallback
-from pipeline.networks import weights_registry
-from pipeline.networks.first_pass import ResidualNetwork
-from pipeline.networks.touch_formats import answer_for_known_kinds
-from pipeline.networks.weights import NoWeights, Weights
+from pipeline.core.arrays import Floats
+from pipeline.core.errors import ShapeError
+from pipeline.core.graph import Fallback
+from pipeline.core.progress import SILENT, Progress
+from pipeline.core.values.frames import TactileFrame
+from pipeline.core.values.results import GeneratedTouch, TargetDepth
 from pipeline.physics.sensor_images import render_reference
 from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import photometric as depth
+from pipeline.stages.networks import weights_registry
+from pipeline.stages.networks.first_pass import ResidualNetwork
+from pipeline.stages.networks.touch_formats import answer_for_known_kinds
+from pipeline.stages.networks.weights import NoWeights, Weights
 from pipeline.stages.touch import frame_chain, physical_render, t2d2
 from pipeline.stages.touch.depth_condition import make_working_sensor
 from pipeline.stages.touch.image_condition import build_image_condition
 from pipeline.stages.touch.residual_diffusion import DiffusionParams, sample_residual
 from pipeline.stages.touch.residual_render import NO_STEPS, render_correction
 from pipeline.stages.touch.touch_from_change import check_depth_limit
-from pipeline.values.frames import TactileFrame
-from pipeline.values.results import GeneratedTouch, TargetDepth
 
 SHIPPED_WEIGHTS = {("gelslim", "bubble"): "t2t_bubble"}
 TASK = "touch_to_touch"

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.base.arrays import Floats, freeze
-from pipeline.base.errors import StageWarning
-from pipeline.geometry import rigid
+from pipeline.core.arrays import Floats, freeze
+from pipeline.core.errors import StageWarning
+from pipeline.core.geometry import rigid
+from pipeline.core.values.results import GeneratedTouch
 from pipeline.physics.sensor_images import render_reference
 from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import SensorSpec
-from pipeline.values.results import GeneratedTouch
 
 
 def make_touch_from_change(target: SensorSpec, change: Floats, notes: tuple[str, ...] = ()) -> GeneratedTouch:

@@ -11,27 +11,22 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.base.params import NoParams
-from pipeline.base.progress import SILENT, Progress
 from pipeline.calibration.calibration_table import Calibration
-from pipeline.networks import published_weights, weights_registry
-from pipeline.networks.network_factory import reproducible_inference
-from pipeline.networks.square_images import (
-    denormalise,
-    normalise,
-    resize_from_square,
-    resize_to_square,
-)
-from pipeline.networks.touch_formats import answer_for_known_kinds, get_touch_format
-from pipeline.networks.weights import NoWeights, Weights
+from pipeline.core.params import NoParams
+from pipeline.core.progress import SILENT, Progress
+from pipeline.core.values.frames import TactileFrame
+from pipeline.core.values.results import GeneratedTouch, TargetDepth
 from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import photometric as depth
 from pipeline.stages.depth.frame_checks import check_frame
+from pipeline.stages.networks import published_weights, weights_registry
+from pipeline.stages.networks.network_factory import reproducible_inference
+from pipeline.stages.networks.square_images import denormalise, normalise, resize_from_square, resize_to_square
+from pipeline.stages.networks.touch_formats import answer_for_known_kinds, get_touch_format
+from pipeline.stages.networks.weights import NoWeights, Weights
 from pipeline.stages.touch.image_condition import reproject_square
 from pipeline.stages.touch.touch_from_change import check_depth_limit, make_touch_from_change
-from pipeline.values.frames import TactileFrame
-from pipeline.values.results import GeneratedTouch, TargetDepth
 
 if TYPE_CHECKING:
     from torch import nn

@@ -6,17 +6,17 @@ method, which shows how much of a touch the image preserves.
 
 from dataclasses import replace
 
-from pipeline.base.errors import describe_no_contact
-from pipeline.base.params import NoParams
-from pipeline.base.progress import SILENT, Progress
-from pipeline.engine.graph import Fallback, Method, skip_if_exact
+from pipeline.core.errors import describe_no_contact
+from pipeline.core.graph import Fallback, Method, skip_if_exact
+from pipeline.core.params import NoParams
+from pipeline.core.progress import SILENT, Progress
+from pipeline.core.values.frames import TactileFrame
+from pipeline.core.values.results import DepthMap, GeneratedTouch
 from pipeline.physics.sensor_images import render_reference
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import photometric as depth
 from pipeline.stages.depth.photometric import DepthParams
 from pipeline.stages.depth_map_stage import make_depth_stage
-from pipeline.values.frames import TactileFrame
-from pipeline.values.results import DepthMap, GeneratedTouch
 
 _AT_REST = "the target's membrane is at rest"
 NO_MEMBRANE = "depth from the image: the generated touch has no membrane"

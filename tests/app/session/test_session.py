@@ -12,10 +12,10 @@ from PyQt6.QtGui import QUndoStack
 from app.session.layout import ComparisonSettings, Layout
 from app.session.state import Session, load_session, save_session
 from app.session.undo import SessionChange
-from pipeline.base.errors import FileProblem
-from pipeline.base.params import replace_value
-from pipeline.previews.display_params import DisplayParams
+from pipeline.core.errors import FileProblem
+from pipeline.core.params import replace_value
 from pipeline.sensors.alignment import Offsets
+from pipeline.views.display_params import DisplayParams
 
 
 def a_session(folder: Path) -> Session:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.base.arrays import freeze
-from pipeline.previews.preview import Preview, add_observed_outline, enlarge_preview, trace_outline
+from pipeline.core.arrays import freeze
+from pipeline.views.preview import Preview, add_observed_outline, enlarge_preview, trace_outline
 
 
 def _coarse() -> Preview:

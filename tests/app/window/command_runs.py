@@ -7,7 +7,7 @@ import shlex
 from PyQt6.QtGui import QGuiApplication
 
 from pipeline.cli.main import build_app, run_app
-from pipeline.evaluation.comparison_tiles import write_tiles
+from pipeline.lab.evaluation.comparison_tiles import write_tiles
 
 
 def same_as_typed(instrument, folder, monkeypatch) -> None:

@@ -28,8 +28,8 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
+from app.document.session_controller import SessionController
 from app.session.sample import SAMPLE_RECORDING
-from app.window.session_controller import SessionController
 from tests.app.window.window_checks import Watched
 
 _LEFT_ALONE = frozenset(  # those that ask for a file by a box of the system's, close the window or show a box

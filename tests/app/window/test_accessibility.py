@@ -25,8 +25,8 @@ from PyQt6.QtWidgets import (
 )
 
 from app.session.layout import LAYOUT_NAMES
-from app.window.tour import wait_until_shown
-from widgets.base import MIN_FONT_PT
+from app.shell.tour import wait_until_shown
+from widgets.style.base import MIN_FONT_PT
 
 LIMIT_S = 240
 _CONTROLS = (

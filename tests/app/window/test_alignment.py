@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from app.align.alignment import AlignmentController
+from app.document.session_controller import SessionController
 from app.session.sample import SAMPLE_RECORDING
 from app.session.state import Session
-from app.window.alignment import AlignmentController
-from app.window.session_controller import SessionController
-from app.window.tour import wait_until_shown
-from pipeline.geometry import rigid
+from app.shell.tour import wait_until_shown
+from pipeline.core.geometry import rigid
 from pipeline.sensors.alignment_files import load_alignment
 
 PAIRED = SAMPLE_RECORDING.with_name("digit_gelslim.h5")
@@ -295,7 +295,7 @@ def test_nothing_is_assessed_while_the_dock_is_hidden(open_window):
 
 def test_going_back_reuses_the_target_comparison(aligned, settled, monkeypatch):
     """Playing with an open dock requests the observed outline of every frame."""
-    from app.work import evaluator
+    from app.document import evaluator
 
     asked: list[int] = []
 

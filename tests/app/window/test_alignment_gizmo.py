@@ -7,10 +7,10 @@ import math
 import pytest
 from PyQt6.QtCore import QPoint, QPointF, Qt
 
+from app.align.alignment import AlignmentController
 from app.session.sample import SAMPLE_RECORDING
-from app.window.alignment import AlignmentController
-from app.window.tour import wait_until_shown
-from widgets.gizmo import Gizmo
+from app.shell.tour import wait_until_shown
+from widgets.views.gizmo import Gizmo
 
 LIMIT_S, LIMIT_MS = 240, 240_000
 

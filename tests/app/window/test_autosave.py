@@ -12,16 +12,16 @@ import pytest
 from PyQt6.QtCore import QRect
 from PyQt6.QtWidgets import QMessageBox
 
+from app.document.autosave import AUTOSAVE_DELAY_MS, AutosaveController
 from app.main import show_window
 from app.session import recovery
 from app.session.file_fingerprints import describe_changed_files, fingerprint_files
 from app.session.preferences import Preferences
 from app.session.state import Session, load_session, save_session
-from app.window.autosave import AUTOSAVE_DELAY_MS, AutosaveController
+from app.shell.tour import wait_until_shown
 from app.window.main_window import DEFAULT_SIZE
-from app.window.tour import wait_until_shown
-from pipeline.base.fingerprints import compute_fingerprint
-from widgets.welcome import WelcomePage
+from pipeline.core.fingerprints import compute_fingerprint
+from widgets.shell.welcome import WelcomePage
 
 LIMIT_S = 240
 _EDIT_AND_WAIT = """

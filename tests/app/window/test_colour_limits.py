@@ -7,9 +7,9 @@ import pytest
 from PyQt6.QtCore import Qt
 
 from app.session.state import DISPLAY_KEY
-from app.window.tour import wait_until_shown
-from pipeline.previews.display_params import DisplayParams
-from pipeline.previews.preview import DEVIATION_LABEL
+from app.shell.tour import wait_until_shown
+from pipeline.views.display_params import DisplayParams
+from pipeline.views.preview import DEVIATION_LABEL
 
 
 def test_a_dragged_limit_applies_to_panel_and_panes(bubble_window, qtbot):

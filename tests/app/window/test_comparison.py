@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 from PyQt6.QtCore import QPointF
 
+from app.compare.comparison import ComparisonController
 from app.session.sample import SAMPLE_RECORDING
-from app.window.comparison import ComparisonController
-from app.window.tour import wait_until_shown
-from pipeline.networks import network_factory, weights_registry
+from app.shell.tour import wait_until_shown
+from pipeline.stages.networks import network_factory, weights_registry
 from pipeline.stages.touch.stage import PHYSICS, T2D2
 from tests.app.window.command_runs import same_as_typed
 

@@ -8,7 +8,7 @@ from PyQt6.QtCore import QPointF
 from PyQt6.QtWidgets import QLabel
 
 from app.session.sample import SAMPLE_RECORDING
-from app.window.tour import wait_until_shown
+from app.shell.tour import wait_until_shown
 
 LIMIT_S = 240
 

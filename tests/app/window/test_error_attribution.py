@@ -6,9 +6,9 @@ import pytest
 from PyQt6.QtCore import QPoint, Qt
 
 from app.session.sample import SAMPLE_RECORDING
-from app.window.tour import wait_until_shown
+from app.shell.tour import wait_until_shown
 from pipeline.translation.error_attribution import OUTSIDE_VIEW
-from widgets.error_attribution_panel import make_bars
+from widgets.frames.error_attribution_panel import make_bars
 
 LIMIT_MS = 240_000
 

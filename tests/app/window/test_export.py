@@ -16,18 +16,18 @@ from PyQt6.QtCore import QCoreApplication
 from PyQt6.QtGui import QGuiApplication
 from PyQt6.QtWidgets import QApplication
 
+from app.export.export import ExportController
 from app.session.sample import SAMPLE_RECORDING
-from app.window.export import ExportController
-from app.window.tour import wait_until_shown
-from pipeline.base.errors import FileProblem
-from pipeline.base.params import replace_value
+from app.shell.tour import wait_until_shown
 from pipeline.cli.main import build_app, run_app
-from pipeline.reporting.export import export_file
-from pipeline.reporting.export_request import format_command
+from pipeline.core.errors import FileProblem
+from pipeline.core.params import replace_value
 from pipeline.sensors.alignment import Offsets
 from pipeline.stages.depth.photometric import DepthParams
 from pipeline.stages.depth.stage import PHYSICS
 from pipeline.translation.cross_section import SectionLine
+from pipeline.translation.reports.export import export_file
+from pipeline.translation.reports.export_request import format_command
 
 LIMIT_S = 240
 
@@ -57,7 +57,7 @@ def edited(qapp):
 
 
 def vars_of(params) -> dict:
-    from pipeline.base.params import list_settings
+    from pipeline.core.params import list_settings
 
     return {name: value for name, (value, _) in list_settings(params).items()}
 

@@ -12,12 +12,12 @@ from scipy import stats
 
 from app.session.sample import SAMPLE_RECORDING
 from app.session.state import Session, load_session
-from app.window.tour import wait_until_shown
+from app.shell.tour import wait_until_shown
 from pipeline.calibration.force_scale import fit_force_scale, save_force_scale
-from pipeline.metrics.stage_metrics import UNCALIBRATED_FORCE, UNCALIBRATED_SHEAR
-from widgets.frame_summary import FrameSummary
-from widgets.frames_model import CAUSE, FRAME, METRIC, NOTE, WARNINGS
-from widgets.frames_panel import FramesPanel
+from pipeline.stages.metrics.stage_metrics import UNCALIBRATED_FORCE, UNCALIBRATED_SHEAR
+from widgets.frames.frame_summary import FrameSummary
+from widgets.frames.frames_model import CAUSE, FRAME, METRIC, NOTE, WARNINGS
+from widgets.frames.frames_panel import FramesPanel
 
 LIMIT_MS = 240_000
 _UP, _DOWN = Qt.SortOrder.AscendingOrder, Qt.SortOrder.DescendingOrder
@@ -142,7 +142,7 @@ def test_a_row_has_a_thumbnail_and_the_cause_of_its_error(qtbot, monkeypatch):
     assert cells == ["0.040", "depth", "1"]
     pixmap = model.data(model.index(0, FRAME), Qt.ItemDataRole.DecorationRole)
     assert (pixmap.width(), pixmap.height()) == (40, 30)
-    monkeypatch.setattr("widgets.frames_model.is_dark", lambda _palette: True)
+    monkeypatch.setattr("widgets.frames.frames_model.is_dark", lambda _palette: True)
     dark = model.data(model.index(0, FRAME), Qt.ItemDataRole.DecorationRole)
     assert dark.toImage().pixelColor(0, 0).red() < 100 < pixmap.toImage().pixelColor(0, 0).red()
     assert model.get_values("frame.n_warnings")[:2] == (1.0, 0.0)

@@ -8,19 +8,19 @@ import shlex
 import pytest
 from PyQt6.QtGui import QGuiApplication
 
+from app.compare.comparison import ComparisonController
+from app.compare.variant_jobs import list_axes, suggest_values
 from app.session.sample import SAMPLE_RECORDING
 from app.session.state import Session
-from app.window.comparison import ComparisonController
-from app.window.tour import wait_until_shown
-from app.work.variants import list_axes, suggest_values
-from pipeline.base.errors import SettingProblem
-from pipeline.base.params import Setting, list_settings
+from app.shell.tour import wait_until_shown
 from pipeline.cli.main import build_app, run_app
-from pipeline.evaluation.comparison_tiles import write_tiles
-from pipeline.evaluation.grid_comparison import GridAxis, GridCell, GridPlan, build_tiles, parse_axis
-from pipeline.evaluation.variants import Variant
+from pipeline.core.errors import SettingProblem
+from pipeline.core.params import Setting, list_settings
+from pipeline.lab.evaluation.comparison_tiles import write_tiles
+from pipeline.lab.evaluation.grid_comparison import GridAxis, GridCell, GridPlan, build_tiles, parse_axis
+from pipeline.lab.evaluation.variants import Variant
 from pipeline.translation.catalogue import BUILT_IN
-from widgets.comparison_grid import find_pareto_front
+from widgets.compare.comparison_grid import find_pareto_front
 
 LIMIT_MS = 240_000
 

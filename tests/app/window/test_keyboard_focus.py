@@ -7,11 +7,11 @@ from PyQt6.QtGui import QWheelEvent
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication, QComboBox, QMenu, QWidget
 
+from app.shell.tour import wait_until_shown
 from app.window.actions import MENUS, THEME_COMMANDS
-from app.window.tour import wait_until_shown
-from pipeline.base.params import list_settings
+from pipeline.core.params import list_settings
 from pipeline.translation.catalogue import BUILT_IN
-from widgets.command_palette import CommandPalette
+from widgets.shell.command_palette import CommandPalette
 
 LIMIT_S = 240
 

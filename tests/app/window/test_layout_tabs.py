@@ -11,8 +11,8 @@ from PyQt6.QtWidgets import QMainWindow, QToolButton
 
 from app.session.layout import LAYOUT_NAMES
 from app.window.actions import MENUS, THEME_COMMANDS
-from widgets.command_bar import ActionTabs, CommandBar
-from widgets.icons import make_command_icon
+from widgets.shell.command_bar import ActionTabs, CommandBar
+from widgets.style.icons import make_command_icon
 
 
 def _checkable(window, *names):

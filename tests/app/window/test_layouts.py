@@ -11,10 +11,10 @@ from PyQt6.QtCore import QSize, Qt
 from app.session.layout import Layout
 from app.session.sample import SAMPLE_RECORDING
 from app.session.state import load_session
-from app.window.tour import wait_until_shown
-from pipeline.base.errors import FileProblem
-from pipeline.base.typed_data import convert
-from widgets.panes import PaneSplitter
+from app.shell.tour import wait_until_shown
+from pipeline.core.errors import FileProblem
+from pipeline.core.typed_data import convert
+from widgets.shell.panes import PaneSplitter
 
 LIMIT_S = 240
 # Of picture in a pane of two, by the window's size, with any one drawer open: width and height in pixels.

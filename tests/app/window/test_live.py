@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from PyQt6.QtCore import QCoreApplication
 
-from app.window.live import LiveController
-from app.window.tour import wait_until_shown
-from pipeline.live import reader
-from pipeline.live.source import LiveFrame, LiveSourceLost
-from pipeline.live.source_parsing import SimulatedSource
-from pipeline.recordings import open_recording
+from app.live.live import LiveController
+from app.shell.tour import wait_until_shown
+from pipeline.io import open_recording
+from pipeline.io.live import reader
+from pipeline.io.live.source import LiveFrame, LiveSourceLost
+from pipeline.io.live.source_parsing import SimulatedSource
 from pipeline.sensors.spec import load_sensor
 
 LIMIT_S = 240

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 
 from app.window.logs import LogRelay
-from pipeline.base.errors import SettingProblem
+from pipeline.core.errors import SettingProblem
 
 
 def test_an_uncaught_error_is_printed_too_and_a_mistake_of_the_user_is_not(qtbot, capsys):

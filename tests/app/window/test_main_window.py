@@ -14,22 +14,22 @@ from PyQt6.QtCore import QMimeData, QPoint, QPointF, Qt, QUrl
 from PyQt6.QtGui import QDragEnterEvent, QDropEvent, QSurface
 from PyQt6.QtWidgets import QFileDialog, QLabel
 
+from app.frames import frame_ranking
+from app.frames.frame_ranking import FrameRankingController
 from app.session.sample import SAMPLE_RECORDING
 from app.session.state import load_session
-from app.window import frame_ranking
+from app.shell.tour import run_tour, save_window_screenshot, wait_until_shown
 from app.window.dialogs import OPEN_DIALOGS
-from app.window.frame_ranking import FrameRankingController
-from app.window.tour import run_tour, save_window_screenshot, wait_until_shown
-from pipeline.base.errors import FileProblem
-from pipeline.base.params import replace_value
-from pipeline.engine.graph import Graph
-from pipeline.recordings.hdf5_writer import RecordingWriter
+from pipeline.core.errors import FileProblem
+from pipeline.core.graph import Graph
+from pipeline.core.params import replace_value
+from pipeline.io.hdf5_writer import RecordingWriter
+from pipeline.lab.training.recipe import RECIPES_FOLDER
 from pipeline.stages.cloud.back_projection import BackProjectionParams
 from pipeline.stages.depth.photometric import DepthParams
-from pipeline.training.recipe import RECIPES_FOLDER
 from tests.app.conftest import bubble_frames
-from widgets.frames_model import CONTACT, DEPTH, METRIC
-from widgets.theme import get_theme_colours
+from widgets.frames.frames_model import CONTACT, DEPTH, METRIC
+from widgets.style.theme import get_theme_colours
 
 LIMIT_S = 240
 
@@ -124,7 +124,7 @@ def test_a_failing_stage_of_an_open_recording_undoes_nothing(bubble_window, tmp_
 
     bubble_window.choose_frame(1)
     assert wait_until_shown(bubble_window, LIMIT_S)
-    monkeypatch.setattr("pipeline.engine.graph.Graph.evaluate", fails)
+    monkeypatch.setattr("pipeline.core.graph.Graph.evaluate", fails)
     bubble_window.open_path(tmp_path / "missing.stl")
     wait_until_shown(bubble_window, LIMIT_S)
     assert bubble_window.session.mesh is None
@@ -334,7 +334,7 @@ def test_an_unexpected_error_shows_a_sentence_and_a_traceback(bubble_window, mon
     def fails(*_args, **_kwargs):
         raise RuntimeError("out of memory")
 
-    monkeypatch.setattr("pipeline.engine.graph.Graph.evaluate", fails)
+    monkeypatch.setattr("pipeline.core.graph.Graph.evaluate", fails)
     bubble_window.choose_frame(1)
     wait_until_shown(bubble_window, LIMIT_S)
     banner = bubble_window.window.banner

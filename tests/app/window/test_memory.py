@@ -10,7 +10,7 @@ from PyQt6.QtGui import QImage
 
 from app.session.state import Session
 from app.session.undo import MAX_UNDO_STEPS, SessionChange
-from pipeline.base.memo import Memo
+from pipeline.core.memo import Memo
 from tests.app.window.window_checks import kept_bytes, kept_bytes_of
 
 

@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 from PyQt6.QtWidgets import QLabel, QPushButton
 
+from app.align.ball_calibration import BallCalibrationController
+from app.document.session_controller import SessionController
 from app.session.sample import SAMPLE_RECORDING
-from app.window.ball_calibration import BallCalibrationController
-from app.window.mending import MendingController
-from app.window.session_controller import SessionController
-from app.window.tour import wait_until_shown
-from pipeline.recordings import open_recording
-from pipeline.recordings.formats import list_formats
+from app.shell.mending import MendingController
+from app.shell.tour import wait_until_shown
+from pipeline.io import open_recording
+from pipeline.io.formats import list_formats
 from pipeline.sensors.alignment import Offsets
 from pipeline.sensors.spec import list_sensor_names, load_sensor
-from widgets.welcome import WelcomePage
+from widgets.shell.welcome import WelcomePage
 
 LIMIT_S = 240
 

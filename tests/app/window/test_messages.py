@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from app.window.comparison import ComparisonController
-from app.window.tour import wait_until_shown
-from pipeline.base.params import list_settings
-from pipeline.evaluation.comparison_tiles import Comparison
+from app.compare.comparison import ComparisonController
+from app.shell.tour import wait_until_shown
+from pipeline.core.params import list_settings
+from pipeline.lab.evaluation.comparison_tiles import Comparison
 
 
 def test_undo_names_the_change_in_words(bubble_window):

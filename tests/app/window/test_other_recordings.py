@@ -7,14 +7,14 @@ from pathlib import Path
 import pytest
 from PyQt6.QtWidgets import QPushButton
 
+from app.document.session_controller import SessionController
+from app.frames.frame_ranking import FrameRankingController
 from app.session.sample import SAMPLE_RECORDING
 from app.session.state import Session
-from app.window.frame_ranking import FrameRankingController
-from app.window.mending import MendingController
-from app.window.session_controller import SessionController
-from app.window.tour import wait_until_shown
-from app.work.presentation import make_panes
-from pipeline.previews.contrast import FittedContrast
+from app.shell.mending import MendingController
+from app.shell.presentation_jobs import make_panes
+from app.shell.tour import wait_until_shown
+from pipeline.views.contrast import FittedContrast
 
 LIMIT_S = 240
 RECORDINGS = SAMPLE_RECORDING.parent
@@ -134,13 +134,13 @@ def test_a_new_recording_chooses_its_own_target(open_window, touch_file, before,
 
 
 def test_a_gel_alone_is_translated_to_a_bubble(tmp_path):
-    from app.work.requests import open_request
+    from app.document.requests import open_request
+    from pipeline.core.values.frames import TactileFrame
+    from pipeline.io.hdf5_writer import RecordingWriter
     from pipeline.physics import optics
-    from pipeline.recordings.hdf5_writer import RecordingWriter
     from pipeline.sensors.spec import load_sensor
     from pipeline.translation.catalogue import BUILT_IN
     from pipeline.translation.translate import Request
-    from pipeline.values.frames import TactileFrame
 
     for name in ("digit", "gelslim", "gelsight_mini"):
         still, path = optics.render_reference(load_sensor(name)), tmp_path / f"{name}.h5"

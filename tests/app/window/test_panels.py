@@ -7,10 +7,10 @@ import importlib.metadata
 import pytest
 from PyQt6.QtWidgets import QLabel
 
-from app.window.panels import Panel
-from app.window.session_controller import SessionController
-from app.window.tour import wait_until_shown
-from pipeline.base import entry_points
+from app.document.session_controller import SessionController
+from app.shell.panels import Panel
+from app.shell.tour import wait_until_shown
+from pipeline.core import entry_points
 
 LIMIT_S, GROUP = 60.0, "tactoscope.panels"
 

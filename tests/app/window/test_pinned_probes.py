@@ -7,8 +7,8 @@ from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
 
 from app.session.sample import SAMPLE_RECORDING
-from app.window.tour import wait_until_shown
-from widgets.tables import format_table
+from app.shell.tour import wait_until_shown
+from widgets.style.tables import format_table
 
 LIMIT_S = 240
 PIXELS = [(80, 110), (30, 50), (30, 110), (30, 170), (130, 110)]

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from app.document import preload
+from app.document.preload import PreloadController, preload_depth
 from app.session.sample import SAMPLE_RECORDING
-from app.window import preload
-from app.window.preload import PreloadController, preload_depth
-from pipeline.base.progress import Cancelled
+from pipeline.core.progress import Cancelled
 from pipeline.stages.depth.gel import slopes
 
 

@@ -13,16 +13,16 @@ from PyQt6.QtCore import QCoreApplication, QSize, Qt
 from PyQt6.QtGui import QGuiApplication, QImage
 from PyQt6.QtWidgets import QWidget
 
+from app.export.export import ExportController
+from app.live.live import LiveController
 from app.session.sample import SAMPLE_RECORDING
-from app.window.export import ExportController
-from app.window.live import LiveController
-from app.window.presentation import PresentationController, PresentationVideoController
-from app.window.tour import wait_until_shown
-from pipeline.base.errors import FileProblem
-from pipeline.live.source_parsing import SimulatedSource
-from pipeline.reporting import video
-from widgets.magnifier import MAX_RADIUS_PX
-from widgets.presentation_view import compose
+from app.shell.presentation import PresentationController, PresentationVideoController
+from app.shell.tour import wait_until_shown
+from pipeline.core.errors import FileProblem
+from pipeline.io.live.source_parsing import SimulatedSource
+from pipeline.translation.reports import video
+from widgets.shell.presentation_view import compose
+from widgets.views.magnifier import MAX_RADIUS_PX
 
 LIMIT_S = 240
 MEAN_JPEG_GREY = 4.0  # grey levels that MJPEG changes on average in lines and letters

@@ -7,7 +7,7 @@ import pytest
 from PyQt6.QtCore import QPoint, Qt
 
 from app.session.sample import SAMPLE_RECORDING
-from app.window.tour import wait_until_shown
+from app.shell.tour import wait_until_shown
 
 LIMIT_S = 240
 

@@ -12,7 +12,7 @@ import random
 
 import pytest
 
-from app.window.tour import wait_until_shown
+from app.shell.tour import wait_until_shown
 from pipeline.cli.terminal import print_line
 from tests.app.window.monkey import Monkey
 

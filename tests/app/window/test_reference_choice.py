@@ -6,12 +6,12 @@ import cv2
 import numpy as np
 import pytest
 
+from app.document.requests import make_request
 from app.session.sample import SAMPLE_RECORDING
 from app.session.state import load_session, save_session
-from app.window.tour import wait_until_shown
-from app.work.requests import make_request
-from pipeline.recordings import open_recording
-from pipeline.reporting.export_request import format_options
+from app.shell.tour import wait_until_shown
+from pipeline.io import open_recording
+from pipeline.translation.reports.export_request import format_options
 
 LIMIT_S = 240
 

@@ -11,12 +11,12 @@ from PyQt6.QtCore import Qt
 from PyQt6.QtGui import QGuiApplication
 
 from app.session.state import load_session
-from app.window.rollout_attribution import RolloutAttributionController
-from app.window.rollout_export import RolloutExportController
-from app.window.rollouts import RolloutController
-from pipeline.tasks.rollout_bundle import replay_rollout
-from pipeline.tasks.scene_view import ESTIMATE_NAME, TRUE_NAME
-from widgets.trials_panel import ERROR_MM
+from app.task.rollout_attribution import RolloutAttributionController
+from app.task.rollout_export import RolloutExportController
+from app.task.rollouts import RolloutController
+from pipeline.lab.tasks.rollout_bundle import replay_rollout
+from pipeline.lab.tasks.scene_view import ESTIMATE_NAME, TRUE_NAME
+from widgets.task.trials_panel import ERROR_MM
 
 pytestmark = pytest.mark.timeout(600)  # the first grasp compiles kernels where `tactoscope prepare` has not
 LIMIT_MS = 120_000
@@ -167,7 +167,7 @@ def test_video_has_one_image_per_tick_and_a_bundle_replays(opened, tmp_path, qtb
 def test_nothing_is_read_while_another_layout_is_shown(opened, rollout_folder, qtbot, monkeypatch):
     controller, rollouts = opened
     controller.window.actions_by_name["layout_stages"].trigger()
-    monkeypatch.setattr("app.window.rollouts.open_rollout", lambda *_: pytest.fail("read while hidden"))
+    monkeypatch.setattr("app.task.rollouts.open_rollout", lambda *_: pytest.fail("read while hidden"))
     controller.change("open recording", recording=rollout_folder / FAILS.replace("0.1mm", "2mm"))
     qtbot.waitUntil(lambda: controller.is_idle and not rollouts.is_busy, timeout=LIMIT_MS)
     assert not controller.window.task.isVisible()

@@ -17,10 +17,10 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
-from app.window.tour import wait_until_shown
+from app.shell.tour import wait_until_shown
 from tests.app.window.window_checks import resize_window
-from widgets.base import FixedSizeLabel
-from widgets.colour_bar import ColourBar
+from widgets.style.base import FixedSizeLabel
+from widgets.views.colour_bar import ColourBar
 
 LIMIT_S = 240
 SIZES = ((1366, 768), (1600, 950), (2560, 1440))

@@ -11,12 +11,12 @@ import pytest
 from PyQt6.QtCore import QCoreApplication
 from PyQt6.QtWidgets import QDoubleSpinBox, QLabel, QSlider, QSpinBox
 
-from app.window.tour import wait_until_shown
-from pipeline.engine.graph import Graph
-from pipeline.networks.weights import Weights, save_weights
+from app.shell.tour import wait_until_shown
+from pipeline.core.graph import Graph
+from pipeline.stages.networks.weights import Weights, save_weights
 from pipeline.stages.touch.depth_condition import CONDITION_CHANNELS
 from pipeline.stages.touch.t2d2 import T2D2Params
-from widgets.command_palette import CommandPalette
+from widgets.shell.command_palette import CommandPalette
 
 LIMIT_S = 240
 DRAG_S, SECONDS_PER_DRAFT = 4.0, 0.5  # of a drag; of processor time
@@ -28,7 +28,7 @@ def weights_file(tmp_path_factory):
     """Weights of a small untrained network."""
     import torch
 
-    from pipeline.networks.network_factory import build_network
+    from pipeline.stages.networks.network_factory import build_network
 
     config = {"inputs": CONDITION_CHANNELS, "unit_mm": 0.2, "base_channels": 4, "levels": 2, "max_channels": 8}
     torch.manual_seed(0)

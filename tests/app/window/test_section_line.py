@@ -12,12 +12,12 @@ from PyQt6.QtWidgets import QApplication
 
 from app.session.sample import SAMPLE_RECORDING
 from app.session.state import load_session
-from app.window.tour import wait_until_shown
-from pipeline.base.errors import FileProblem
+from app.shell.tour import wait_until_shown
+from pipeline.core.errors import FileProblem
 from pipeline.translation import cross_section
 from pipeline.translation.cross_section import SectionLine
-from widgets.canvas import Canvas
-from widgets.section_plot import SectionPlot
+from widgets.stages.section_plot import SectionPlot
+from widgets.views.canvas import Canvas
 
 LIMIT_S = 240
 _Left, _Shift = Qt.MouseButton.LeftButton, Qt.KeyboardModifier.ShiftModifier

@@ -8,8 +8,8 @@ from PyQt6.QtCore import Qt
 from PyQt6.QtGui import QAction
 from PyQt6.QtWidgets import QMainWindow, QPushButton
 
-from app.window.tour import wait_until_shown
-from widgets.preview_key_filter import KeyboardFocusFilter
+from app.shell.tour import wait_until_shown
+from widgets.views.preview_key_filter import KeyboardFocusFilter
 
 LIMIT_S = 240
 _Key, _How = Qt.Key, Qt.KeyboardModifier

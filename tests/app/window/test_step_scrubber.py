@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from PyQt6.QtCore import Qt
 
-from app.window.tour import wait_until_shown
-from pipeline.previews.colours import UNMATCHED_POINT_COLOUR
+from app.shell.tour import wait_until_shown
+from pipeline.views.colours import UNMATCHED_POINT_COLOUR
 
 LIMIT_S = 240
 

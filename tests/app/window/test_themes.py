@@ -8,9 +8,9 @@ from PyQt6.QtGui import QGuiApplication
 from PyQt6.QtWidgets import QApplication, QLabel
 
 from app.session.preferences import Preferences
-from app.window import themes as room
-from app.window.tour import wait_until_shown
-from widgets.theme import get_theme_colours, is_dark, make_palette, to_hex
+from app.shell import themes as room
+from app.shell.tour import wait_until_shown
+from widgets.style.theme import get_theme_colours, is_dark, make_palette, to_hex
 
 LIMIT_S = 240
 

@@ -6,10 +6,10 @@ import pytest
 from PyQt6.QtCore import QPoint, QPointF, Qt
 from PyQt6.QtWidgets import QMessageBox
 
+from app.export.export import ExportController
 from app.session.state import load_session
-from app.window.export import ExportController
-from app.window.tour import wait_until_shown
-from widgets.welcome import WelcomePage
+from app.shell.tour import wait_until_shown
+from widgets.shell.welcome import WelcomePage
 
 LIMIT_S, LIMIT_MS = 240, 240_000
 _LEFT, _KEY = Qt.MouseButton.LeftButton, Qt.Key

@@ -9,7 +9,7 @@ import pytest
 
 from app.main import show_window
 from app.session.state import Session, load_session, save_session
-from app.window.tour import wait_until_shown
+from app.shell.tour import wait_until_shown
 from tests.pipeline.translation.toys import TOYS
 
 LIMIT_S = 240

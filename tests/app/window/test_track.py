@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from PyQt6.QtCore import Qt
 
-from app.window.export import ExportController
-from app.window.tour import wait_until_shown
-from app.window.track import TrackController
+from app.export.export import ExportController
+from app.shell.tour import wait_until_shown
+from app.track.track import TrackController
 from pipeline.cli.main import build_app, run_app
-from pipeline.reporting import track_recording
-from pipeline.tracking.track_record import read_record
+from pipeline.lab.tracking import track_recording
+from pipeline.lab.tracking.track_record import read_record
 
 LIMIT_S, LIMIT_MS = 240, 240_000
 
@@ -70,7 +70,7 @@ def test_the_window_writes_what_the_command_writes_and_reads_it_again(track_wind
 
 
 def read_path(folder):
-    from app.work.tracks import make_view
+    from app.track.track_jobs import make_view
 
     return make_view(read_record(folder / "command")).path_mm
 

@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import pytest
 
+from app.compare.comparison import ComparisonController
 from app.session.layout import DEFAULT_STAGE, ComparisonSettings
 from app.session.sample import SAMPLE_RECORDING
 from app.session.state import load_session
-from app.window.comparison import ComparisonController
-from app.window.tour import wait_until_shown
+from app.shell.tour import wait_until_shown
 from tests.app.window.command_runs import same_as_typed
 
 LIMIT_S, LIMIT_MS = 240, 240_000

@@ -7,8 +7,8 @@ from types import SimpleNamespace
 import pytest
 from PyQt6.QtCore import QRect, QSize, Qt
 
+from app.shell.tour import wait_until_shown
 from app.window.main_window import MIN_STRIP_PX, MainWindow
-from app.window.tour import wait_until_shown
 from tests.app.window.window_checks import resize_window
 
 # Width and height in pixels that every picture has at least, by the window's size.

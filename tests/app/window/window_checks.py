@@ -17,13 +17,13 @@ from PyQt6.QtCore import QCoreApplication, QSize
 from PyQt6.QtGui import QImage
 from PyQt6.QtWidgets import QWidget
 
-from app.window.session_controller import SessionController
-from app.window.tour import wait_until_shown
-from app.work.jobs import LatestJob
-from pipeline.base.errors import TouchError
-from pipeline.base.memo import Memo
-from widgets.canvas import Canvas
-from widgets.view_3d import View3D
+from app.document.session_controller import SessionController
+from app.shell.tour import wait_until_shown
+from app.window.jobs import LatestJob
+from pipeline.core.errors import TouchError
+from pipeline.core.memo import Memo
+from widgets.views.canvas import Canvas
+from widgets.views.view_3d import View3D
 
 PATIENCE_S = 20.0  # before what goes on is cancelled
 REST_S = 120.0  # seeds, sweeps and a scan of all frames may go on; on a busy machine they take their time

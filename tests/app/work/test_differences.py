@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+from app.compare.variant_jobs import describe_differences
 from app.session.state import Session
-from app.work.variants import describe_differences
 from pipeline.sensors.alignment import Offsets
 from pipeline.stages.cloud.stage import STAGE as CLOUD
 from pipeline.translation.catalogue import BUILT_IN

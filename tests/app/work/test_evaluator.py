@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from app.document import evaluator
 from app.session.state import Session
-from app.work import evaluator
 
 
 class SilentReporter:

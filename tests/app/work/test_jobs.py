@@ -8,8 +8,8 @@ import time
 import pytest
 from PyQt6 import sip
 
-from app.work.jobs import JobReporter, LatestJob
-from pipeline.base import compiling
+from app.window.jobs import JobReporter, LatestJob
+from pipeline.core import compiling
 
 SOON_MS = 240_000
 

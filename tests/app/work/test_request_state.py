@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.work.requests import Requests
+from app.document.requests import Requests
 
 OPEN = Requests().request(1, 0.0, opens=True, interrupts=True).show_part("source").end()
 

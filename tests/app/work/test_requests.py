@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from app.document.requests import find_undo_target, make_request_if_open
 from app.session.state import Session
-from app.work.requests import find_undo_target, make_request_if_open
 
 NOTHING, A, B, C, BAD = (
     Session(recording=Path(path) if path else None) for path in ("", "a.h5", "b.h5", "c.h5", "bad.h5")

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from scipy import optimize
 
-from pipeline.base.errors import CalibrationError, ShapeError
 from pipeline.calibration import calibration_table as calibration
 from pipeline.calibration.balls import calibrate_balls
 from pipeline.calibration.contact_circles import detect_contact_circle
+from pipeline.core.errors import CalibrationError, ShapeError
+from pipeline.core.values.frames import TactileFrame
 from pipeline.physics import optics
 from pipeline.sensors.spec import load_sensor
 from pipeline.stages.depth.photometric import DepthParams, estimate_depth
-from pipeline.values.frames import TactileFrame
 
 DIAMETER_MM = 6.31
 DIAMETER_TOLERANCE = 0.10  # of the diameter, median: what the calibration promises on real presses

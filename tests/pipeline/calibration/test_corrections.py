@@ -21,8 +21,8 @@ from pipeline.calibration.corrections import (
 )
 from pipeline.calibration.shading_field import ShadingFieldPrior
 from pipeline.physics import optics
+from pipeline.physics.simulation.variation import vary_sensor
 from pipeline.sensors.spec import load_sensor
-from pipeline.simulation.variation import vary_sensor
 from tests.pipeline.calibration.test_balls import hertz
 
 FEW_PRESSES_TOLERANCE = 0.12  # of the diameter, median: what four presses promise

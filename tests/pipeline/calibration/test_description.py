@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.base.errors import StageWarning
 from pipeline.calibration import quality_notes
 from pipeline.calibration.calibration_table import BallFit, ExpectedError, make_built_in
 from pipeline.calibration.quality_notes import UNCALIBRATED
+from pipeline.core.errors import StageWarning
 from pipeline.sensors.spec import load_sensor
 
 PRESS = BallFit(index=0, x_px=10.0, y_px=20.0, radius_px=15.0, residual=0.02, used=True)

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.base.errors import FileProblem, SettingProblem
 from pipeline.calibration import calibration_file
 from pipeline.calibration.calibration_table import make_built_in
 from pipeline.calibration.force_scale import fit_force_scale, load_force_scale, save_force_scale
+from pipeline.core.errors import FileProblem, SettingProblem
 from pipeline.sensors.spec import load_sensor
 
 FORCES = st.floats(0.05, 50.0)

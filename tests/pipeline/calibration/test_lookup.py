@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.base.errors import CalibrationError, FileProblem
 from pipeline.calibration import calibration_file, slope_model
 from pipeline.calibration import calibration_table as calibration
-from pipeline.engine.derived import DERIVED
+from pipeline.core.derived import DERIVED
+from pipeline.core.errors import CalibrationError, FileProblem
 from pipeline.physics import optics
 from pipeline.sensors.spec import load_sensor
 

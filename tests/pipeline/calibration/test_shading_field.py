@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.base.errors import CalibrationError
 from pipeline.calibration import near_led_prior, shading_field, slope_model
 from pipeline.calibration.shading_field import SurfaceSamples
 from pipeline.calibration.slope_model import SlopeSamples
+from pipeline.core.errors import CalibrationError
 from pipeline.sensors.spec import load_sensor
 
 SHAPE, PIXEL_MM = (240, 320), 0.0634

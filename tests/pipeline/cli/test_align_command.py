@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from app.session.state import Session, load_session, save_session
-from pipeline.alignment.nudge import nudge
-from pipeline.base.errors import SettingProblem
 from pipeline.cli.align import parse_frames
 from pipeline.cli.main import EXIT_USER_ERROR, build_app, run_app
-from pipeline.geometry import rigid
+from pipeline.core.errors import SettingProblem
+from pipeline.core.geometry import rigid
 from pipeline.sensors.alignment_files import AlignmentFile, load_alignment, save_alignment
+from pipeline.translation.alignment.nudge import nudge
 from pipeline.translation.translate import Request, open_translation
 from sample_data import make_alignments
 from sample_data.make_samples import RECORDINGS_FOLDER

@@ -11,7 +11,7 @@ import pytest
 
 from pipeline.calibration.force_scale import fit_force_scale, save_force_scale
 from pipeline.cli.main import EXIT_USER_ERROR, build_app, run_app
-from pipeline.recordings import open_recording
+from pipeline.io import open_recording
 from tests.pipeline.cli.test_cli import SAMPLE
 
 

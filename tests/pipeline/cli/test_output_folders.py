@@ -12,10 +12,10 @@ from pathlib import Path
 import h5py
 import pytest
 
-from pipeline.base.errors import FileProblem
-from pipeline.base.files import write_together
 from pipeline.cli.main import EXIT_USER_ERROR, build_app, run_app
-from pipeline.reporting.video import count_frames
+from pipeline.core.errors import FileProblem
+from pipeline.core.files import write_together
+from pipeline.translation.reports.video import count_frames
 
 SAMPLE = Path(__file__).parents[3] / "sample_data" / "recordings" / "first_touch.h5"
 NOWHERE = "/proc/x"
@@ -40,7 +40,7 @@ def write_damaged(path, indices):
         (("attribute", *_ONE, "--json", f"{NOWHERE}/shares.json"), "pipeline.cli.attribute.attribute_error"),
         (("track", *_ONE[:1], "--sensor", "gelslim", "--out", NOWHERE), "pipeline.cli.track.track_recording"),
         (("simulate", "--sensors", "gelslim", "--tools", "square", "--out", NOWHERE, "--jobs", "1"),
-         "pipeline.simulation.recorder.record_plan"),
+         "pipeline.lab.recorder.record_plan"),
     ],
 )  # fmt: skip
 @pytest.mark.skipif(os.access(NOWHERE, os.F_OK), reason="this place exists here")

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.base import compiling
 from pipeline.cli import prepare
-from pipeline.engine.graph import Graph
+from pipeline.core import compiling
+from pipeline.core.graph import Graph
 
 ROOT = Path(__file__).resolve().parents[3]
 

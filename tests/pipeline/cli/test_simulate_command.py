@@ -8,8 +8,8 @@ import signal
 import pytest
 
 from pipeline.cli.main import EXIT_INTERRUPTED, EXIT_USER_ERROR, build_app, run_app
-from pipeline.inspection.recording_report import inspect_recording
-from pipeline.simulation import datasets, shapes
+from pipeline.io.inspection.recording_report import inspect_recording
+from pipeline.physics.simulation import datasets, shapes
 
 ONE, OTHER = shapes.list_shapes("training")[:2]
 

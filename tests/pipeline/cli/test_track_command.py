@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pipeline.cli.main import build_app, run_app
-from pipeline.geometry.meshes import load_mesh
+from pipeline.core.geometry.meshes import load_mesh
 
 SAMPLE = "sample_data/recordings/first_touch.h5"
 

@@ -7,10 +7,10 @@ import json
 import pytest
 
 from pipeline.cli.main import EXIT_INTERRUPTED, EXIT_USER_ERROR, build_app, run_app
-from pipeline.networks import network_factory
-from pipeline.networks.weights import load_weights
-from pipeline.training import task
-from tests.pipeline.training import toy
+from pipeline.lab.training import task
+from pipeline.stages.networks import network_factory
+from pipeline.stages.networks.weights import load_weights
+from tests.pipeline.lab.training import toy
 
 
 @pytest.fixture

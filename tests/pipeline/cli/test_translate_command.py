@@ -13,8 +13,8 @@ import pytest
 
 from pipeline.cli import translate
 from pipeline.cli.main import EXIT_UNEXPECTED, build_app, run_app
-from pipeline.metrics.stage_metrics import UNCALIBRATED_FORCE
-from pipeline.reporting import report
+from pipeline.stages.metrics.stage_metrics import UNCALIBRATED_FORCE
+from pipeline.translation.reports import report
 from pipeline.translation.translate import Translation
 from tests.pipeline.cli.conftest import dent, save
 
@@ -24,7 +24,7 @@ RESUMED = "were finished by an earlier run and are kept"
 @pytest.fixture(autouse=True)
 def blank_sheets(monkeypatch):
     """Sheets take longest to draw, and nothing here looks at one."""
-    monkeypatch.setattr("pipeline.reporting.sheet.write_sheet", lambda path, *_: path.write_bytes(b"a sheet"))
+    monkeypatch.setattr("pipeline.translation.reports.sheet.write_sheet", lambda path, *_: path.write_bytes(b"a sheet"))
 
 
 @pytest.fixture

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.base.errors import FileProblem, SettingProblem
 from pipeline.cli.main import build_app, run_app
-from pipeline.reporting.viewer_files import write_mcap, write_rrd
+from pipeline.core.errors import FileProblem, SettingProblem
+from pipeline.translation.reports.viewer_files import write_mcap, write_rrd
 from pipeline.translation.translate import Request, open_translation
 
 SAMPLE = Path(__file__).parents[3] / "sample_data" / "recordings" / "first_touch.h5"

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import brentq
 
-from pipeline.base.errors import SettingProblem, ShapeError
+from pipeline.core.errors import SettingProblem, ShapeError
 from pipeline.physics import bubble, bubble_camera, lattice
 from pipeline.sensors.spec import load_sensor
 

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.geometry.camera import Camera
+from pipeline.core.geometry.camera import Camera
 from pipeline.physics import bubble, bubble_camera, lattice
 from pipeline.physics.lattice import Lattice
 from pipeline.sensors.parts import DepthCamera

@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.geometry import rigid
+from pipeline.core.geometry import rigid
+from pipeline.core.values.frames import TactileFrame
+from pipeline.physics.simulation import shapes
+from pipeline.physics.simulation.press import simulate_press
 from pipeline.sensors.spec import load_sensor
-from pipeline.simulation import shapes
-from pipeline.simulation.press import simulate_press
 from pipeline.stages.depth.contact_force import FORCE_MODELS
-from pipeline.values.frames import TactileFrame
 
 EXACT_SHARE = 0.05  # contact in whole pixels, on coarser lattices: 0.5 % on gels, 4 % on bubbles (90th percentile)
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.base.errors import ShapeError
+from pipeline.core.errors import ShapeError
 from pipeline.physics import gel
 from pipeline.sensors.parts import Gel
 from pipeline.sensors.spec import load_sensor

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.base.errors import SettingProblem, ShapeError
+from pipeline.core.errors import SettingProblem, ShapeError
 from pipeline.physics import optics
 from pipeline.sensors.spec import load_sensor
 

@@ -8,8 +8,8 @@ import pytest
 
 from pipeline.physics.optics import render_reference
 from pipeline.physics.reference_colours import compare_colours
+from pipeline.physics.simulation.variation import vary_sensor
 from pipeline.sensors.spec import load_sensor
-from pipeline.simulation.variation import vary_sensor
 
 SENSORS = ("gelslim", "gelsight_mini", "digit")
 ROWS, COLS = 240, 320

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from pipeline.base.errors import SettingProblem, ShapeError
+from pipeline.core.errors import SettingProblem, ShapeError
 from pipeline.physics import gel, optics, shear
 from pipeline.physics.lattice import Lattice
 from pipeline.physics.shear import TangentialLoad

@@ -5,16 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.geometry import rigid
+from pipeline.core.geometry import rigid
+from pipeline.core.values.frames import TactileFrame
 from pipeline.physics.contact_force import press_gel_contact
 from pipeline.physics.sensor_images import render_reference
 from pipeline.physics.shear import TangentialLoad
 from pipeline.physics.shear_force import MarkerMotion, estimate_shear_force
+from pipeline.physics.simulation import shapes
+from pipeline.physics.simulation.press import simulate_press
 from pipeline.sensors.spec import load_sensor
-from pipeline.simulation import shapes
-from pipeline.simulation.press import simulate_press
 from pipeline.stages.depth.gel_force import estimate_gel_force
-from pipeline.values.frames import TactileFrame
 
 GELSLIM = load_sensor("gelslim")
 

@@ -5,7 +5,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from pipeline.geometry import rigid
+from pipeline.core.geometry import rigid
 from pipeline.sensors.alignment import resolve_alignment
 from pipeline.sensors.spec import list_sensor_names, load_sensor
 

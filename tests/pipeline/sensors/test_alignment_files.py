@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.base.errors import FileProblem, escape_text
-from pipeline.geometry import rigid
+from pipeline.core.errors import FileProblem, escape_text
+from pipeline.core.geometry import rigid
 from pipeline.sensors.alignment import Alignment, resolve_alignment
 from pipeline.sensors.alignment_files import AlignmentFile, format_alignment, load_alignment, save_alignment
 from pipeline.sensors.spec import load_sensor

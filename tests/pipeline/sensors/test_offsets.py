@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.base.typed_data import InvalidField, check
-from pipeline.geometry import rigid
+from pipeline.core.geometry import rigid
+from pipeline.core.typed_data import InvalidField, check
 from pipeline.sensors.alignment import Offsets, decompose_motion, resolve_alignment
 from pipeline.sensors.spec import load_sensor
 

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.base.errors import CalibrationError, FileProblem, SettingProblem
-from pipeline.engine.digests import compute_digest, is_frozen
+from pipeline.core.digests import compute_digest, is_frozen
+from pipeline.core.errors import CalibrationError, FileProblem, SettingProblem
 from pipeline.sensors import spec
 from pipeline.sensors.parts import DepthCamera
 from pipeline.sensors.spec import list_sensor_names, load_sensor

@@ -10,28 +10,28 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.base import entry_points
-from pipeline.base.arrays import freeze
-from pipeline.base.errors import CalibrationError, SettingProblem, ShapeError
-from pipeline.geometry import membrane
-from pipeline.networks import weights_registry
-from pipeline.networks.weights import NoWeights
+from pipeline.core import entry_points
+from pipeline.core.arrays import freeze
+from pipeline.core.errors import CalibrationError, SettingProblem, ShapeError
+from pipeline.core.geometry import membrane
+from pipeline.core.values.frames import TactileFrame
+from pipeline.core.values.results import DepthMap, make_pixel_index
+from pipeline.io.hdf5_writer import RecordingWriter
 from pipeline.physics.sensor_images import IMAGE_RENDERERS, render_reference
-from pipeline.previews.display_params import DisplayParams
-from pipeline.previews.preview import make_frame_preview, make_indentation_scale
-from pipeline.recordings.hdf5_writer import RecordingWriter
+from pipeline.physics.simulation.press import simulate_press
 from pipeline.sensors import kinds
 from pipeline.sensors.kinds import GEL, GelSensor, SensorKind, register_kind
 from pipeline.sensors.spec import SensorSpec, load_sensor
-from pipeline.simulation.press import simulate_press
 from pipeline.stages.depth import frame_checks, photometric
 from pipeline.stages.depth.contact_force import FORCE_MODELS
 from pipeline.stages.depth.gel.rest import DEPTH_ESTIMATORS, NO_CONTACT_CHECKS
 from pipeline.stages.depth.photometric import DepthParams
+from pipeline.stages.networks import weights_registry
+from pipeline.stages.networks.weights import NoWeights
 from pipeline.stages.touch import latent_diffusion, t2d2, t2t, vqvae
 from pipeline.translation.translate import Request, open_translation
-from pipeline.values.frames import TactileFrame
-from pipeline.values.results import DepthMap, make_pixel_index
+from pipeline.views.display_params import DisplayParams
+from pipeline.views.preview import make_frame_preview, make_indentation_scale
 
 TOML = """kind = "taxels"
 title = "Taxel array"
@@ -171,7 +171,7 @@ def test_a_recording_of_the_third_kind_is_translated(sensor: SensorSpec, path: P
 
 
 def test_what_a_kind_does_not_offer_is_refused_in_words(sensor: SensorSpec):
-    from pipeline.simulation import shapes
+    from pipeline.physics.simulation import shapes
 
     with pytest.raises(SettingProblem, match="taxels"):
         simulate_press(shapes.make_shape("sphere").mesh, np.eye(4), sensor, seed=None)

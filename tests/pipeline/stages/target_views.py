@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pipeline.engine.graph import Graph
+from pipeline.core.graph import Graph
 from pipeline.translation.catalogue import BUILT_IN
 
 

@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.base.errors import CalibrationError, ShapeError
-from pipeline.geometry import rigid
-from pipeline.geometry.camera import Camera
+from pipeline.core.errors import CalibrationError, ShapeError
+from pipeline.core.geometry import rigid
+from pipeline.core.geometry.camera import Camera
+from pipeline.core.values.results import DepthMap
 from pipeline.sensors.alignment import Alignment
 from pipeline.stages.cloud.back_projection import BackProjectionParams, back_project_depth, skip_without_contact
-from pipeline.values.results import DepthMap
 
 CAMERA = Camera(rows=24, cols=32, fx_px=40.0, fy_px=42.0, cx_px=15.2, cy_px=11.7)
 FLOAT32_ULP = 2.0**-23  # relative; a float32 is at most half of it off the exact value

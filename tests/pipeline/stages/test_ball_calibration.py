@@ -9,17 +9,17 @@ import pytest
 from pipeline.calibration import near_led_prior
 from pipeline.calibration.balls import calibrate_balls
 from pipeline.calibration.calibration_table import BallFit, ExpectedError, make_built_in
+from pipeline.core.values.frames import TactileFrame
 from pipeline.physics import optics
+from pipeline.physics.simulation.variation import vary_sensor
 from pipeline.physics.slopes import compute_slopes
 from pipeline.sensors.spec import load_sensor
-from pipeline.simulation.variation import vary_sensor
 from pipeline.stages.depth import ball_calibration
 from pipeline.stages.depth.ball_calibration import add_depth_scale, calibrate_sensor, fit_contact_limit
 from pipeline.stages.depth.gel.result import NOT_SCALED
 from pipeline.stages.depth.illumination import selection
 from pipeline.stages.depth.illumination.light import Illumination
 from pipeline.stages.depth.photometric import DepthParams, estimate_depth
-from pipeline.values.frames import TactileFrame
 from tests.pipeline.calibration.test_balls import hertz
 
 DIAMETER_MM = 6.31

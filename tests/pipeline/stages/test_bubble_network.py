@@ -7,21 +7,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.base.errors import select_warnings
-from pipeline.geometry import rigid
-from pipeline.metrics.stage_metrics import iou
-from pipeline.networks import network_factory
+from pipeline.core.errors import select_warnings
+from pipeline.core.geometry import rigid
+from pipeline.core.values.frames import TactileFrame
+from pipeline.io import open_recording
 from pipeline.physics import bubble_camera
-from pipeline.recordings import open_recording
+from pipeline.physics.simulation import shapes
+from pipeline.physics.simulation.press import simulate_press
+from pipeline.physics.simulation.variation import vary_sensor
 from pipeline.sensors.spec import load_sensor
-from pipeline.simulation import shapes
-from pipeline.simulation.press import simulate_press
-from pipeline.simulation.variation import vary_sensor
 from pipeline.stages.depth import bubble_network
 from pipeline.stages.depth.bubble_network import NetworkParams
 from pipeline.stages.depth.bubble_network_input import N_CHANNELS, estimate_rest_surface, make_network_input
 from pipeline.stages.depth.photometric import DepthParams, estimate_depth
-from pipeline.values.frames import TactileFrame
+from pipeline.stages.metrics.stage_metrics import iou
+from pipeline.stages.networks import network_factory
 
 SPEC = load_sensor("soft_bubble")
 REST = SPEC.rest_depth_mm.astype(np.float32)

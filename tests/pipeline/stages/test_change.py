@@ -8,20 +8,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.base.errors import UNCERTAIN_CONTACT, UncertainContact
-from pipeline.base.params import NoParams
+from pipeline.core.errors import UNCERTAIN_CONTACT, UncertainContact
+from pipeline.core.params import NoParams
+from pipeline.core.values.frames import TactileFrame
+from pipeline.core.values.results import make_depth_map
 from pipeline.physics import gel, optics
+from pipeline.physics.simulation.variation import vary_sensor
 from pipeline.sensors.alignment import resolve_alignment
 from pipeline.sensors.spec import load_sensor
-from pipeline.simulation.variation import vary_sensor
 from pipeline.stages.cloud import back_projection
 from pipeline.stages.depth import contact_force
 from pipeline.stages.depth.gel import change, coarse_light
 from pipeline.stages.depth.photometric import DepthParams, estimate_depth, skip_without_contact
 from pipeline.stages.target_depth import surface_projection
 from pipeline.stages.touch import physical_render
-from pipeline.values.frames import TactileFrame
-from pipeline.values.results import make_depth_map
 from tests.pipeline.stages.test_drift import drifted
 
 GELS = ("gelslim", "gelslim_dotless", "digit", "gelsight_mini")

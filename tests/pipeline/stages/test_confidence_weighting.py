@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pipeline.networks.residual_denoiser import ResidualDenoiser
+from pipeline.stages.networks.residual_denoiser import ResidualDenoiser
 from pipeline.stages.touch.confidence_weighting import (
     ErrorCalibration,
     compute_wiener_gain,

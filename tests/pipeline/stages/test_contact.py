@@ -11,7 +11,6 @@ from hypothesis.extra.numpy import array_shapes, arrays
 from scipy.ndimage import binary_fill_holes, label
 
 from benchmarks.real_things import circle_of, straight
-from pipeline.metrics.stage_metrics import iou
 from pipeline.physics import gel
 from pipeline.sensors.parts import Gel
 from pipeline.stages.depth.contact import (
@@ -22,6 +21,7 @@ from pipeline.stages.depth.contact import (
     remove_border_artifacts,
     remove_weak_specks,
 )
+from pipeline.stages.metrics.stage_metrics import iou
 
 SHAPE = (60, 80)
 PAD, PIXEL_MM = Gel(thickness_mm=2.0, youngs_kpa=120.0, poisson=0.48), 0.05

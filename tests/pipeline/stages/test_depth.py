@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.base.errors import AT_BORDER, CalibrationError, ShapeError, select_warnings
 from pipeline.calibration.calibration_table import BallFit, make_built_in
 from pipeline.calibration.quality_notes import UNCALIBRATED
-from pipeline.geometry.camera import Camera
-from pipeline.geometry.membrane import make_flat_membrane
+from pipeline.core.errors import AT_BORDER, CalibrationError, ShapeError, select_warnings
+from pipeline.core.geometry.camera import Camera
+from pipeline.core.geometry.membrane import make_flat_membrane
+from pipeline.core.values.frames import TactileFrame
 from pipeline.physics import optics
 from pipeline.sensors.spec import load_sensor
 from pipeline.stages.depth import contact, photometric
@@ -18,7 +19,6 @@ from pipeline.stages.depth.photometric import (
     estimate_depth,
     skip_without_contact,
 )
-from pipeline.values.frames import TactileFrame
 from tests.pipeline.calibration.test_balls import hertz
 
 QUIET_MM = 0.03  # what the stage promises far from a contact
@@ -221,8 +221,8 @@ def test_a_bubbles_gaps_are_filled_or_left_without_a_value():
 
 
 def ring_on_a_bubble(seed):
-    from pipeline.simulation import poses, shapes
-    from pipeline.simulation.press import simulate_press as pressed
+    from pipeline.physics.simulation import poses, shapes
+    from pipeline.physics.simulation.press import simulate_press as pressed
 
     source, thing = load_sensor("soft_bubble"), shapes.make_shape("ellipse").mesh
     touch = pressed(thing, poses.make_paper_grid(thing, n=12, seed=50)[7], source, seed=seed)

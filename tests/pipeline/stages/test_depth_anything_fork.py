@@ -9,16 +9,16 @@ import pytest
 import torch
 from torch.nn import functional
 
-from pipeline.base.progress import SILENT
-from pipeline.networks import published_weights, weights_registry
-from pipeline.networks.depth_anything import DepthAnything
-from pipeline.networks.network_factory import load_network
-from pipeline.networks.weights import NoWeights
-from pipeline.recordings import open_recording
+from pipeline.core.progress import SILENT
+from pipeline.io import open_recording
 from pipeline.sensors.spec import load_sensor
 from pipeline.stages.depth.depth_anything import DepthAnythingParams, estimate_depth
 from pipeline.stages.depth.stage import DEPTH_ANYTHING
-from tests.pipeline.recordings.test_tensors import bubble, saved
+from pipeline.stages.networks import published_weights, weights_registry
+from pipeline.stages.networks.depth_anything import DepthAnything
+from pipeline.stages.networks.network_factory import load_network
+from pipeline.stages.networks.weights import NoWeights
+from tests.pipeline.io.test_tensors import bubble, saved
 
 BUBBLE = load_sensor("soft_bubble")
 SIDE = 56

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 import torch
 
-from pipeline.base.progress import SILENT
-from pipeline.engine.graph import Skipped
-from pipeline.networks.depth_anything import DepthAnything
+from pipeline.core.graph import Skipped
+from pipeline.core.progress import SILENT
 from pipeline.stages.depth import photometric
 from pipeline.stages.depth.depth_anything import DepthAnythingParams, estimate_depth
+from pipeline.stages.networks.depth_anything import DepthAnything
 from pipeline.translation.translate import Request, open_translation
 
 SAMPLE = Path(__file__).parents[3] / "sample_data" / "recordings" / "first_touch.h5"

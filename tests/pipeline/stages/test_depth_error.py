@@ -8,19 +8,19 @@ import numpy as np
 import pytest
 
 from pipeline.calibration.calibration_table import USUAL_STD, ExpectedError, make_built_in
-from pipeline.geometry import rigid
+from pipeline.core.geometry import rigid
+from pipeline.core.values.frames import TactileFrame
+from pipeline.core.values.results import DepthMap, make_pixel_index
 from pipeline.physics import optics
+from pipeline.physics.simulation import shapes
+from pipeline.physics.simulation.poses import make_paper_grid
+from pipeline.physics.simulation.press import simulate_press
+from pipeline.physics.simulation.variation import vary_sensor
 from pipeline.sensors.spec import load_sensor
-from pipeline.simulation import shapes
-from pipeline.simulation.poses import make_paper_grid
-from pipeline.simulation.press import simulate_press
-from pipeline.simulation.variation import vary_sensor
 from pipeline.stages.depth import depth_error
 from pipeline.stages.depth.illumination.light import Illumination
 from pipeline.stages.depth.photometric import DepthParams, estimate_depth
 from pipeline.stages.pose.signed_distances import PoseParams, track_pose
-from pipeline.values.frames import TactileFrame
-from pipeline.values.results import DepthMap, make_pixel_index
 
 PRESSES = 6
 WITHIN, LENGTHS_WITHIN = 2.5, 2.5  # one object's six presses; errors of single touches scatter by as much

@@ -5,16 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.base.errors import select_warnings
-from pipeline.engine.graph import Fallback
+from pipeline.core.errors import select_warnings
+from pipeline.core.graph import Fallback
+from pipeline.core.values.frames import TactileFrame
 from pipeline.physics import optics
+from pipeline.physics.simulation.press import move_bubble_closer
 from pipeline.sensors import alignment
 from pipeline.sensors.spec import load_sensor
-from pipeline.simulation.press import move_bubble_closer
 from pipeline.stages.touch import t2t
 from pipeline.stages.touch.residual_diffusion import DiffusionParams
 from pipeline.stages.touch.touch_from_change import check_depth_limit, make_touch_from_change
-from pipeline.values.frames import TactileFrame
 from tests.pipeline.stages.target_views import estimate_views
 from tests.pipeline.stages.test_t2d2_t2t import ConstantDenoiser
 

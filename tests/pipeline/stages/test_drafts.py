@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import pytest
 
 from app.session.sample import SAMPLE_RECORDING
-from pipeline.engine.graph import Graph, Method
-from pipeline.recordings import open_recording
+from pipeline.core.graph import Graph, Method
+from pipeline.io import open_recording
 from pipeline.sensors.spec import load_sensor
 from pipeline.stages.depth import photometric
 from pipeline.stages.depth.illumination.constants import CONSTANTS

@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.base.progress import SILENT
+from pipeline.core.progress import SILENT
+from pipeline.core.values.frames import TactileFrame
 from pipeline.physics import optics
+from pipeline.physics.simulation.variation import vary_sensor
 from pipeline.sensors.spec import load_sensor
-from pipeline.simulation.variation import vary_sensor
 from pipeline.stages.depth.gel import drift, rest
 from pipeline.stages.depth.gel.change import observe_change
 from pipeline.stages.depth.photometric import DepthParams, estimate_depth, skip_without_contact
-from pipeline.values.frames import TactileFrame
 from tests.pipeline.stages.test_depth import contact_of, press
 
 PARAMS = DepthParams()

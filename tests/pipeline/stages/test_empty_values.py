@@ -12,20 +12,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.base.errors import TouchError
-from pipeline.base.params import NoParams
-from pipeline.engine.graph import Fallback, Skipped
-from pipeline.registration import scene
+from pipeline.core.errors import TouchError
+from pipeline.core.graph import Fallback, Skipped
+from pipeline.core.params import NoParams
+from pipeline.core.values.frames import TactileFrame
+from pipeline.core.values.results import Cloud, DepthMap, TargetDepth
+from pipeline.lab.tracking import membrane_surface, patch_map, surface_registration, track
+from pipeline.lab.tracking.tracker import Tracker
 from pipeline.stages.cloud import back_projection
 from pipeline.stages.depth import bubble_depth, contact_force
 from pipeline.stages.pose import signed_distances
+from pipeline.stages.pose.registration import scene
 from pipeline.stages.target_depth import rasterisation, surface_projection
 from pipeline.stages.touch import physical_render
 from pipeline.stages.touch_depth import stage as touch_depth
-from pipeline.tracking import membrane_surface, patch_map, surface_registration, track
-from pipeline.tracking.tracker import Tracker
-from pipeline.values.frames import TactileFrame
-from pipeline.values.results import Cloud, DepthMap, TargetDepth
 from tests.stability.checks import sound
 from tests.stability.scenes import aligned, cloud, depth_map, mesh, projection, small, view
 

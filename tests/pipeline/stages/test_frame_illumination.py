@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.base.progress import SILENT
-from pipeline.engine import disk_store
+from pipeline.core import disk_store
+from pipeline.core.progress import SILENT
 from pipeline.sensors.spec import load_sensor
 from pipeline.stages.depth.gel import light, rest
 from pipeline.stages.depth.illumination import selection

@@ -8,14 +8,14 @@ import cv2
 import numpy as np
 import pytest
 
-from pipeline.base.errors import select_warnings
 from pipeline.calibration.calibration_table import make_built_in, make_thumbnail
+from pipeline.core.errors import select_warnings
+from pipeline.core.values.frames import TactileFrame
 from pipeline.physics import optics
+from pipeline.physics.simulation.variation import vary_sensor
 from pipeline.sensors.spec import load_sensor
-from pipeline.simulation.variation import vary_sensor
 from pipeline.stages.depth import instance_check
 from pipeline.stages.depth.photometric import DepthParams, estimate_depth
-from pipeline.values.frames import TactileFrame
 from tests.pipeline.stages.test_drift import drifted
 
 GELS = ("gelsight_mini", "gelslim", "digit")

@@ -9,20 +9,20 @@ import numpy as np
 import pytest
 import torch
 
-from pipeline.base.arrays import freeze
-from pipeline.base.progress import Cancelled
-from pipeline.engine.graph import Fallback, Graph
-from pipeline.networks.guidance import NO_CONDITION_DROPOUT
-from pipeline.networks.latent_diffusion import LatentDiffusion
-from pipeline.networks.square_images import decode_image, encode_image, normalise
-from pipeline.networks.touch_formats import BUBBLE as BUBBLE_FORMAT
-from pipeline.networks.weights import NoWeights, Weights, save_weights
+from pipeline.core.arrays import freeze
+from pipeline.core.graph import Fallback, Graph
+from pipeline.core.progress import Cancelled
+from pipeline.core.values.results import TargetDepth
 from pipeline.sensors.spec import load_sensor
+from pipeline.stages.networks.guidance import NO_CONDITION_DROPOUT
+from pipeline.stages.networks.latent_diffusion import LatentDiffusion
+from pipeline.stages.networks.square_images import decode_image, encode_image, normalise
+from pipeline.stages.networks.touch_formats import BUBBLE as BUBBLE_FORMAT
+from pipeline.stages.networks.weights import NoWeights, Weights, save_weights
 from pipeline.stages.touch import latent_diffusion
 from pipeline.stages.touch.depth_condition import build_depth_square
 from pipeline.stages.touch.latent_diffusion import LatentParams, sample_image
 from pipeline.translation.catalogue import BUILT_IN
-from pipeline.values.results import TargetDepth
 from tests.pipeline.stages.target_views import estimate_views
 
 SHOWN = np.random.default_rng(0).normal(size=(3, 32, 32)).astype(np.float32)
@@ -120,9 +120,9 @@ def test_generated_imprints_are_renormalised():
 def test_the_condition_is_scaled_as_in_training_and_impossible_depths_are_left_to_physics(
     monkeypatch, setting, trained_raw, times
 ):
+    from pipeline.core.values.frames import TactileFrame
     from pipeline.physics import optics
     from pipeline.sensors import alignment
-    from pipeline.values.frames import TactileFrame
 
     gel, bubble = load_sensor("gelslim"), load_sensor("soft_bubble")
     rest = optics.render_reference(gel)

@@ -8,11 +8,11 @@ import cv2
 import numpy as np
 import pytest
 
-from pipeline.metrics.stage_metrics import iou
+from pipeline.core.values.frames import TactileFrame
 from pipeline.physics import optics
 from pipeline.sensors.spec import load_sensor
 from pipeline.stages.depth.photometric import DepthParams, estimate_depth
-from pipeline.values.frames import TactileFrame
+from pipeline.stages.metrics.stage_metrics import iou
 from tests.pipeline.stages.test_depth import contact_of, press
 
 PARAMS = DepthParams()

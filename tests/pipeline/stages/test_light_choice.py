@@ -8,21 +8,21 @@ import cv2
 import numpy as np
 import pytest
 
-from pipeline.base.progress import SILENT
 from pipeline.calibration import near_led_prior
-from pipeline.geometry.camera import Camera
-from pipeline.geometry.rigid import translation
+from pipeline.core.geometry.camera import Camera
+from pipeline.core.geometry.rigid import translation
+from pipeline.core.progress import SILENT
+from pipeline.core.values.frames import TactileFrame
 from pipeline.physics import optics
+from pipeline.physics.simulation import shapes
+from pipeline.physics.simulation.press import simulate_press
 from pipeline.physics.slopes import compute_slopes
 from pipeline.sensors.spec import load_sensor
-from pipeline.simulation import shapes
-from pipeline.simulation.press import simulate_press
 from pipeline.stages.depth.gel import light as light_node
 from pipeline.stages.depth.gel import rest
 from pipeline.stages.depth.illumination import field_light, selection
 from pipeline.stages.depth.illumination.light import ImagePatch, simulate_recorded_change
 from pipeline.stages.depth.photometric import DepthParams, estimate_gel_depth
-from pipeline.values.frames import TactileFrame
 
 PLACES_MM = (0.6, -0.8), (-1.0, 1.0), (2.0, 1.5)
 DIGIT_PRESSES = 1, 14, 30

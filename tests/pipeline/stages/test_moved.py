@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from pipeline.core.values.frames import TactileFrame
 from pipeline.physics import optics
 from pipeline.sensors.spec import load_sensor
 from pipeline.stages.depth.photometric import DepthParams, estimate_depth
-from pipeline.values.frames import TactileFrame
 from tests.pipeline.calibration.test_balls import hertz
 
 GRAIN_PX, GRAIN_GREY = 5, 9.0  # of a small film that was dithered and then enlarged

@@ -7,19 +7,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.base.errors import AlignmentWarning, UncertainContact
-from pipeline.base.progress import SILENT
-from pipeline.engine.graph import Graph
-from pipeline.geometry import rigid
-from pipeline.networks.weights import NoWeights
+from pipeline.core.errors import AlignmentWarning, UncertainContact
+from pipeline.core.geometry import rigid
+from pipeline.core.graph import Graph
+from pipeline.core.progress import SILENT
+from pipeline.core.values.frames import TactileFrame
 from pipeline.physics import optics
 from pipeline.sensors import alignment
 from pipeline.sensors.spec import load_sensor
 from pipeline.stages.depth.photometric import DepthParams
+from pipeline.stages.networks.weights import NoWeights
 from pipeline.stages.touch import latent_diffusion, physical_render, t2d2, t2t, vqvae
 from pipeline.stages.touch.frame_chain import guard_contact
 from pipeline.translation.catalogue import BUILT_IN
-from pipeline.values.frames import TactileFrame
 from tests.pipeline.stages.target_views import estimate_views
 from tests.pipeline.stages.test_light_changes import add_spot
 

@@ -6,20 +6,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.engine.graph import Graph
-from pipeline.geometry import rigid
+from pipeline.core.geometry import rigid
+from pipeline.core.graph import Graph
+from pipeline.core.values.frames import TactileFrame
 from pipeline.physics.sensor_images import render_reference
-from pipeline.previews.image_views import TOUCH
+from pipeline.physics.simulation import shapes
+from pipeline.physics.simulation.datasets import BUBBLE_DEEPER_MM
+from pipeline.physics.simulation.press import move_bubble_closer, simulate_press
 from pipeline.sensors.alignment import resolve_alignment
 from pipeline.sensors.spec import load_sensor
-from pipeline.simulation import shapes
-from pipeline.simulation.datasets import BUBBLE_DEEPER_MM
-from pipeline.simulation.press import move_bubble_closer, simulate_press
 from pipeline.stages.touch import t2d2
 from pipeline.stages.touch.object_touch import ObjectParams
 from pipeline.stages.touch.stage import OBJECT, STAGE
 from pipeline.translation.catalogue import BUILT_IN
-from pipeline.values.frames import TactileFrame
+from pipeline.views.image_views import TOUCH
 
 GEL, BUBBLE = load_sensor("gelslim"), move_bubble_closer(load_sensor("soft_bubble"), BUBBLE_DEEPER_MM)
 SHAPE = "notched_elbow"

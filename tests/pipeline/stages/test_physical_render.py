@@ -3,15 +3,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.base.errors import ShapeError
-from pipeline.geometry import rigid
-from pipeline.geometry.rasterisation import render_mesh
+from pipeline.core.errors import ShapeError
+from pipeline.core.geometry import rigid
+from pipeline.core.geometry.rasterisation import render_mesh
+from pipeline.core.values.results import TargetDepth
 from pipeline.physics import gel, optics
+from pipeline.physics.simulation.press import simulate_press
+from pipeline.physics.simulation.shapes.solids import make_chamfered_prism
 from pipeline.sensors.spec import load_sensor
-from pipeline.simulation.press import simulate_press
-from pipeline.simulation.shapes.solids import make_chamfered_prism
 from pipeline.stages.touch.physical_render import PhysicalRenderParams, render_touch, skip_without_contact
-from pipeline.values.results import TargetDepth
 
 SURFACE_MM = 2e-3  # the stage's solver tolerance (0.5 um) at a contact edge
 LEFT_OUT_MM = 0.1  # of 0.3 mm: one pixel without a value springs up by 0.065 mm between its neighbours

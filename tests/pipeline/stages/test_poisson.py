@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.base.errors import ShapeError
+from pipeline.core.errors import ShapeError
 from pipeline.stages.depth.poisson import SideBoundaries, integrate_slopes, solve_weighted_slopes
 
 BUMP_TOLERANCE_PX = 1e-3  # what the stage promises; second-order staggering leaves about 7e-4 on this bump

@@ -5,21 +5,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.base.errors import MeshProblem, SettingProblem
-from pipeline.base.progress import Cancelled
-from pipeline.engine.digests import compute_cached_digest
-from pipeline.geometry import rigid
-from pipeline.geometry.distance_grid_store import load_distance_grid
-from pipeline.geometry.meshes import Mesh
-from pipeline.previews import point_views
-from pipeline.registration.model import prepare_object
-from pipeline.registration.observability import assess_observability
-from pipeline.registration.pose_selection import MISSING_CONTACT_WARNING
-from pipeline.registration.ranking import make_judge
-from pipeline.registration.scene import extract_scene
+from pipeline.core.digests import compute_cached_digest
+from pipeline.core.errors import MeshProblem, SettingProblem
+from pipeline.core.geometry import rigid
+from pipeline.core.geometry.distance_grid_store import load_distance_grid
+from pipeline.core.geometry.meshes import Mesh
+from pipeline.core.progress import Cancelled
+from pipeline.core.values.results import DepthErrorModel, PoseStep, make_depth_map
+from pipeline.physics.simulation.press import simulate_press
+from pipeline.physics.simulation.shapes import make_shape
 from pipeline.sensors.spec import load_sensor
-from pipeline.simulation.press import simulate_press
-from pipeline.simulation.shapes import make_shape
+from pipeline.stages.pose.registration.model import prepare_object
+from pipeline.stages.pose.registration.observability import assess_observability
+from pipeline.stages.pose.registration.pose_selection import MISSING_CONTACT_WARNING
+from pipeline.stages.pose.registration.ranking import make_judge
+from pipeline.stages.pose.registration.scene import extract_scene
 from pipeline.stages.pose.signed_distances import (
     PoseParams,
     estimate_or_track_pose,
@@ -29,8 +29,8 @@ from pipeline.stages.pose.signed_distances import (
     skip_without_contact,
     track_pose,
 )
-from pipeline.values.results import DepthErrorModel, PoseStep, make_depth_map
-from tests.pipeline.registration.solids import (
+from pipeline.views import point_views
+from tests.pipeline.stages.pose.registration.solids import (
     CAMERA,
     REST_MM,
     ball,

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from pipeline.geometry import rigid
-from pipeline.geometry.camera import Camera
+from pipeline.core.geometry import rigid
+from pipeline.core.geometry.camera import Camera
+from pipeline.core.values.results import DepthErrorModel, DepthMap, make_pixel_index
 from pipeline.physics import lattice
-from pipeline.simulation import shapes
+from pipeline.physics.simulation import shapes
 from pipeline.stages.pose.signed_distances import PoseParams, track_pose
-from pipeline.values.results import DepthErrorModel, DepthMap, make_pixel_index
 
 CAMERA = Camera(rows=120, cols=160, fx_px=120.0, fy_px=120.0, cx_px=79.5, cy_px=59.5)
 REST_MM, DEEP_MM, PIXEL_MM = 20.0, 1.0, 20.0 / 120.0

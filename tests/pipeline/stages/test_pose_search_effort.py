@@ -6,10 +6,10 @@ from threading import get_ident
 
 import numpy as np
 
-from pipeline.registration.search import PoseSearch
-from pipeline.simulation import shapes
+from pipeline.physics.simulation import shapes
+from pipeline.stages.pose.registration.search import PoseSearch
 from pipeline.stages.pose.signed_distances import PoseParams, estimate_pose
-from tests.pipeline.registration.solids import CAMERA, REST_MM, touch_of
+from tests.pipeline.stages.pose.registration.solids import CAMERA, REST_MM, touch_of
 
 MOST_POLISHED = 2 * 6 + 4 + 12  # two sets of first guesses, the best again, and what fits as badly; 93 before
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import torch
 
-from pipeline.base.progress import Cancelled
+from pipeline.core.progress import Cancelled
 from pipeline.stages.touch.residual_diffusion import FIELD_LIMIT, DiffusionParams, sample_residual
-from tests.pipeline.networks.test_residual_denoiser import PREDICTIONS, small
+from tests.pipeline.stages.networks.test_residual_denoiser import PREDICTIONS, small
 
 SAMPLERS = ("ddim", "dpmpp_2m", "corrected")
 CONDITION = np.random.default_rng(0).normal(size=(3, 12, 16)).astype(np.float32)

@@ -7,16 +7,16 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from pipeline.geometry import rigid
+from pipeline.core.geometry import rigid
+from pipeline.core.values.frames import TactileFrame
 from pipeline.physics import optics
+from pipeline.physics.simulation import shapes
+from pipeline.physics.simulation.press import simulate_press
+from pipeline.physics.simulation.variation import vary_sensor
 from pipeline.sensors.spec import Gel, load_sensor
-from pipeline.simulation import shapes
-from pipeline.simulation.press import simulate_press
-from pipeline.simulation.variation import vary_sensor
 from pipeline.stages.depth import change_detection, rest_level
 from pipeline.stages.depth.gel import contact as gel_contact
 from pipeline.stages.depth.photometric import DepthParams, estimate_depth
-from pipeline.values.frames import TactileFrame
 
 GEL = Gel(thickness_mm=2.0, youngs_kpa=120.0, poisson=0.48)
 PIXEL_MM = 0.06

@@ -10,11 +10,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.networks import weights_registry
-from pipeline.networks.guidance import MAX_WEIGHT, NO_CONDITION_DROPOUT
-from pipeline.networks.network_factory import load_network
-from pipeline.networks.samplers import MAX_STEPS
-from pipeline.networks.weights import load_weights
+from pipeline.stages.networks import weights_registry
+from pipeline.stages.networks.guidance import MAX_WEIGHT, NO_CONDITION_DROPOUT
+from pipeline.stages.networks.network_factory import load_network
+from pipeline.stages.networks.samplers import MAX_STEPS
+from pipeline.stages.networks.weights import load_weights
 from pipeline.stages.touch.latent_diffusion import LatentParams, sample_image
 from pipeline.stages.touch.residual_diffusion import DiffusionParams, sample_residual
 

@@ -9,22 +9,22 @@ import cv2
 import numpy as np
 import pytest
 
-from pipeline.base.progress import SILENT
 from pipeline.calibration import near_led_prior, slope_model
 from pipeline.calibration.calibration_table import BallFit, make_built_in
-from pipeline.geometry.rigid import translation
+from pipeline.core.geometry.rigid import translation
+from pipeline.core.progress import SILENT
+from pipeline.core.values.frames import TactileFrame
 from pipeline.physics import optics
+from pipeline.physics.simulation import shapes, variation
+from pipeline.physics.simulation.press import simulate_press
 from pipeline.physics.slopes import compute_slopes
 from pipeline.sensors.spec import load_sensor
-from pipeline.simulation import shapes, variation
-from pipeline.simulation.press import simulate_press
 from pipeline.stages.depth.gel import rest, slopes
 from pipeline.stages.depth.gel.change import observe_change
 from pipeline.stages.depth.illumination import field_light, selection
 from pipeline.stages.depth.illumination.light import Illumination
 from pipeline.stages.depth.illumination.surface_refinement import refine_surface
 from pipeline.stages.depth.photometric import DepthParams, estimate_depth, estimate_gel_depth
-from pipeline.values.frames import TactileFrame
 from tests.pipeline.calibration.test_balls import hertz
 
 PARAMS = DepthParams()

@@ -6,21 +6,24 @@ import numpy as np
 import pytest
 import torch
 
-from pipeline.base.progress import SILENT
-from pipeline.engine.graph import Fallback, Graph, Skipped
-from pipeline.geometry import rigid
-from pipeline.networks import weights_registry
-from pipeline.networks.network_factory import load_network, load_predictor
-from pipeline.networks.weights import NoWeights, load_weights, save_weights
+from pipeline.core.geometry import rigid
+from pipeline.core.graph import Fallback, Graph, Skipped
+from pipeline.core.progress import SILENT
+from pipeline.core.values.frames import TactileFrame
+from pipeline.core.values.results import TargetDepth, make_pixel_index
+from pipeline.lab.training.touch_residual import TouchResidualTask
 from pipeline.physics import optics
+from pipeline.physics.simulation import poses, shapes
+from pipeline.physics.simulation.press import simulate_press
 from pipeline.sensors import alignment
 from pipeline.sensors.spec import load_sensor
-from pipeline.simulation import poses, shapes
-from pipeline.simulation.press import simulate_press
 from pipeline.stages.cloud.back_projection import BackProjectionParams, back_project_depth
 from pipeline.stages.depth import bubble_network
 from pipeline.stages.depth import photometric as depth
 from pipeline.stages.depth.bubble_network import NetworkParams
+from pipeline.stages.networks import weights_registry
+from pipeline.stages.networks.network_factory import load_network, load_predictor
+from pipeline.stages.networks.weights import NoWeights, load_weights, save_weights
 from pipeline.stages.target_depth.surface_projection import SurfaceProjectionParams, project_cloud
 from pipeline.stages.touch import frame_chain, physical_render, t2d2, t2t
 from pipeline.stages.touch.depth_condition import CONDITION_CHANNELS, make_working_sensor
@@ -28,10 +31,7 @@ from pipeline.stages.touch.image_condition import IMAGE_CHANNELS
 from pipeline.stages.touch.residual_diffusion import DiffusionParams
 from pipeline.stages.touch.stage import PHYSICS, T2D2, T2T
 from pipeline.stages.touch.t2d2 import T2D2Params
-from pipeline.training.touch_residual import TouchResidualTask
 from pipeline.translation.catalogue import BUILT_IN
-from pipeline.values.frames import TactileFrame
-from pipeline.values.results import TargetDepth, make_pixel_index
 from tests.pipeline.stages.target_views import estimate_views
 
 GEL, BUBBLE = load_sensor("gelslim"), load_sensor("soft_bubble")

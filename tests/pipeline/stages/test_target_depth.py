@@ -8,9 +8,10 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from pipeline.base.errors import ShapeError
-from pipeline.geometry import membrane, rigid
-from pipeline.geometry.camera import Camera
+from pipeline.core.errors import ShapeError
+from pipeline.core.geometry import membrane, rigid
+from pipeline.core.geometry.camera import Camera
+from pipeline.core.values.results import Cloud
 from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import load_sensor
 from pipeline.stages.cloud.back_projection import BackProjectionParams, back_project_depth
@@ -21,7 +22,6 @@ from pipeline.stages.target_depth.surface_projection import (
     project_cloud,
     skip_without_contact,
 )
-from pipeline.values.results import Cloud
 from tests.pipeline.stages.test_back_projection import depth_map
 
 PAPER, SURFACE = PointSplatParams(), SurfaceProjectionParams()

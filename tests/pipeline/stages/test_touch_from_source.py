@@ -8,15 +8,16 @@ import numpy as np
 import pytest
 import torch
 
-from pipeline.engine.graph import Graph
-from pipeline.geometry import rigid
-from pipeline.networks.network_factory import build_network
-from pipeline.networks.square_images import SIDE, normalise, resize_to_square
-from pipeline.networks.weights import NoWeights, Weights
+from pipeline.core.geometry import rigid
+from pipeline.core.graph import Graph
+from pipeline.core.values.frames import TactileFrame
 from pipeline.physics import optics
+from pipeline.physics.simulation.shapes import list_labelled_shapes, make_shape
 from pipeline.sensors import alignment
 from pipeline.sensors.spec import load_sensor
-from pipeline.simulation.shapes import list_labelled_shapes, make_shape
+from pipeline.stages.networks.network_factory import build_network
+from pipeline.stages.networks.square_images import SIDE, normalise, resize_to_square
+from pipeline.stages.networks.weights import NoWeights, Weights
 from pipeline.stages.pose import network as pose_network
 from pipeline.stages.touch import vqvae
 from pipeline.stages.touch.image_condition import reproject_square
@@ -24,7 +25,6 @@ from pipeline.stages.touch.physical_render import make_reference_touch
 from pipeline.stages.touch.touch_from_change import make_touch_from_change
 from pipeline.stages.touch_depth.stage import NO_MEMBRANE
 from pipeline.translation.catalogue import BUILT_IN
-from pipeline.values.frames import TactileFrame
 
 GEL, BUBBLE = load_sensor("gelslim"), load_sensor("soft_bubble")
 KINDS = {"source": "gel", "target": "bubble"}
@@ -108,7 +108,7 @@ def test_a_frame_without_contact_skips_the_network(contact_frame, monkeypatch):
 
 
 def test_weights_of_another_direction_are_refused(tmp_path):
-    from pipeline.networks.weights import save_weights
+    from pipeline.stages.networks.weights import save_weights
 
     file = tmp_path / "other.safetensors"
     save_weights(file, weights_of("vqvae", "vqvae", inputs=1, outputs=3, width=4, codes=8))
@@ -169,7 +169,7 @@ def test_a_change_is_added_to_the_reference_image():
 
 
 def test_a_network_pose_stands_on_the_measured_surface(contact_frame):
-    from pipeline.simulation import shapes
+    from pipeline.physics.simulation import shapes
 
     mesh = shapes.make_shape("star").mesh
     weights = weights_of("touch_pose", "touch_pose", inputs=1, n_objects=2, base_channels=4)

@@ -9,15 +9,15 @@ from functools import cache
 import numpy as np
 import pytest
 
-from pipeline.base.errors import OutsideViewWarning, UnseenObjectWarning
-from pipeline.evaluation.variants import list_method_variants
-from pipeline.metrics.stage_metrics import compute_mae_mm
-from pipeline.recordings import open_recording
+from pipeline.core.errors import OutsideViewWarning, UnseenObjectWarning
+from pipeline.core.values.results import GeneratedTouch, TargetDepth
+from pipeline.io import open_recording
+from pipeline.lab.evaluation.variants import list_method_variants
 from pipeline.sensors.spec import load_sensor
+from pipeline.stages.metrics.stage_metrics import compute_mae_mm
 from pipeline.stages.touch import physical_render
 from pipeline.stages.touch.latent_diffusion import LatentParams
 from pipeline.translation.translate import Request, open_translation
-from pipeline.values.results import GeneratedTouch, TargetDepth
 
 GRASPS = ("grasps_cross", "grasps_curve", "grasps_lines_120")  # a bubble is pressed 13 mm deep; in the sample 4 mm
 SAMPLE = ("first_touch", 8)

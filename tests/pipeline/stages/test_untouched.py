@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pipeline.core.values.frames import TactileFrame
 from pipeline.physics.optics import render_reference as untouched_picture
 from pipeline.sensors.spec import load_sensor
 from pipeline.stages.depth.change_detection import compute_block_change
 from pipeline.stages.depth.photometric import DepthParams, skip_without_contact
-from pipeline.values.frames import TactileFrame
 
 BLOCK_PX = 8
 MINI = load_sensor("gelsight_mini")

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.geometry import rigid
+from pipeline.core.geometry import rigid
+from pipeline.core.values.frames import TactileFrame
 from pipeline.physics import optics
+from pipeline.physics.simulation import shapes
+from pipeline.physics.simulation.press import simulate_press
 from pipeline.physics.slopes import compute_slopes
 from pipeline.sensors.spec import load_sensor
-from pipeline.simulation import shapes
-from pipeline.simulation.press import simulate_press
 from pipeline.stages.depth import poisson
 from pipeline.stages.depth.illumination import surface_refinement
 from pipeline.stages.depth.photometric import DepthParams, estimate_depth
-from pipeline.values.frames import TactileFrame
 
 PIXEL_MM = 0.1
 MAX_ERROR_MM = 0.040  # mean in contact; 0.059 while walls were limited to 55 degrees

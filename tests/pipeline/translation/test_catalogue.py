@@ -12,13 +12,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.base.errors import SettingProblem, select_warnings
-from pipeline.base.params import list_settings
-from pipeline.reporting.frame_report import FrameReport
-from pipeline.reporting.report import collect_stage_arrays, write_frame, write_report
+from pipeline.core.errors import SettingProblem, select_warnings
+from pipeline.core.params import list_settings
 from pipeline.stages.touch_depth.stage import NO_MEMBRANE
 from pipeline.translation import pixel_trace
 from pipeline.translation.catalogue import BUILT_IN, with_method
+from pipeline.translation.reports.frame_report import FrameReport
+from pipeline.translation.reports.report import collect_stage_arrays, write_frame, write_report
 from pipeline.translation.translate import Request, open_translation
 from tests.pipeline.translation.toys import TOYS
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.engine.graph import Graph
+from pipeline.core.graph import Graph
 from pipeline.stages.pose.signed_distances import PoseParams, track_pose
 from pipeline.translation.pixel_trace import trace_forward, trace_to_source
 from pipeline.translation.translate import Request, open_translation

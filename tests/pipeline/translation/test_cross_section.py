@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.geometry import rigid
-from pipeline.geometry.camera import Camera
+from pipeline.core.geometry import rigid
+from pipeline.core.geometry.camera import Camera
 from pipeline.translation.cross_section import (
     HeightMap,
     SectionLine,

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from app.session.sample import SAMPLE_RECORDING
-from pipeline.base.arrays import freeze
-from pipeline.base.errors import SettingProblem
-from pipeline.engine.graph import StageResult
+from pipeline.core.arrays import freeze
+from pipeline.core.errors import SettingProblem
+from pipeline.core.graph import StageResult
 from pipeline.translation.error_attribution import OUTSIDE_VIEW, attribute_error
 from pipeline.translation.translate import Request, open_translation
 

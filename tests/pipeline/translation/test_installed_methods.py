@@ -6,14 +6,14 @@ import os
 import subprocess
 import sys
 
-from pipeline.base.params import NoParams
-from pipeline.engine.graph import Method
+from pipeline.core.graph import Method
+from pipeline.core.params import NoParams
 from pipeline.translation.catalogue import BUILT_IN
 from tests.pipeline.translation.toys import MELT
 
 TOY_METHOD = """
-from pipeline.base.params import NoParams
-from pipeline.engine.graph import Method
+from pipeline.core.params import NoParams
+from pipeline.core.graph import Method
 
 def estimate_nothing(frame, sensor, params, progress):
     raise NotImplementedError

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from pipeline.base.errors import SettingProblem, StageWarning
+from pipeline.core.errors import SettingProblem, StageWarning
+from pipeline.core.values.results import make_depth_map
+from pipeline.physics.simulation import poses, shapes
+from pipeline.physics.simulation.press import simulate_press
 from pipeline.sensors.spec import load_sensor
-from pipeline.simulation import poses, shapes
-from pipeline.simulation.press import simulate_press
 from pipeline.translation.object_identification import identify_object
-from pipeline.values.results import make_depth_map
 
 GEL = load_sensor("gelslim")
 NAMES = ("letters", "cone", "star")

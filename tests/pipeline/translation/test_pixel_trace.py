@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.engine.graph import StageResult
-from pipeline.geometry.camera import Camera
+from pipeline.core.geometry.camera import Camera
+from pipeline.core.graph import StageResult
+from pipeline.core.values.results import Cloud, DepthMap, TargetDepth
 from pipeline.translation.catalogue import BUILT_IN
 from pipeline.translation.pixel_trace import trace_forward, trace_to_source
-from pipeline.values.results import Cloud, DepthMap, TargetDepth
 
 CAMERA = Camera(rows=4, cols=5, fx_px=10.0, fy_px=10.0, cx_px=2.0, cy_px=1.5)
 WINDOW = np.zeros((4, 3), np.float32)

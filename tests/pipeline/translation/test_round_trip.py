@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.geometry import rigid
-from pipeline.metrics.stage_metrics import METRICS, ROUND_TRIP, TRAINING_DISTANCE, describe_metric
+from pipeline.core.geometry import rigid
+from pipeline.stages.metrics.stage_metrics import METRICS, ROUND_TRIP, TRAINING_DISTANCE, describe_metric
 from pipeline.translation.round_trip import (
     compute_training_distance,
     describe_touch,

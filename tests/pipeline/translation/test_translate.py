@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.alignment.touches import load_paired_touches
-from pipeline.base.errors import SettingProblem, ShapeError
-from pipeline.evaluation.variant_comparison import find_same_moment
-from pipeline.recordings import open_recording
-from pipeline.recordings.hdf5_writer import RecordingWriter
+from pipeline.core.errors import SettingProblem, ShapeError
+from pipeline.core.values.frames import TactileFrame
+from pipeline.io import open_recording
+from pipeline.io.hdf5_writer import RecordingWriter
+from pipeline.lab.evaluation.variant_comparison import find_same_moment
 from pipeline.sensors.spec import load_sensor
+from pipeline.translation.alignment.touches import load_paired_touches
 from pipeline.translation.translate import Request, estimate_camera_shift_mm, open_translation
-from pipeline.values.frames import TactileFrame
 
 BUBBLE = load_sensor("soft_bubble")
 SAMPLE = Path(__file__).parents[3] / "sample_data" / "recordings" / "first_touch.h5"

@@ -9,18 +9,18 @@ import numpy as np
 import pytest
 
 from app.session.sample import SAMPLE_RECORDING
-from pipeline.base.errors import SettingProblem
-from pipeline.previews.display_params import DisplayParams
-from pipeline.reporting.export import export_file
-from pipeline.reporting.export_request import ExportRequest
-from pipeline.reporting.frame_report import FrameReport
-from pipeline.reporting.pane_figures import render_pane
-from pipeline.reporting.report import collect_stage_arrays
-from pipeline.reporting.sheet import draw_sheet
+from pipeline.core.errors import SettingProblem
 from pipeline.translation.catalogue import BUILT_IN
 from pipeline.translation.error_attribution import DEFAULT_METRIC, attribute_error
 from pipeline.translation.pixel_trace import trace_to_source
+from pipeline.translation.reports.export import export_file
+from pipeline.translation.reports.export_request import ExportRequest
+from pipeline.translation.reports.frame_report import FrameReport
+from pipeline.translation.reports.pane_figures import render_pane
+from pipeline.translation.reports.report import collect_stage_arrays
+from pipeline.translation.reports.sheet import draw_sheet
 from pipeline.translation.translate import Request, open_translation
+from pipeline.views.display_params import DisplayParams
 
 FRAME = 5
 

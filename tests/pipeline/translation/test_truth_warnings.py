@@ -9,18 +9,18 @@ import numpy as np
 import pytest
 
 from app.session.sample import SAMPLE_RECORDING
-from pipeline.base.arrays import freeze
-from pipeline.base.errors import StageWarning, select_warnings
-from pipeline.engine.digests import compute_cached_digest
-from pipeline.engine.graph import StageResult
-from pipeline.geometry.camera import Camera
-from pipeline.recordings import open_recording
+from pipeline.core.arrays import freeze
+from pipeline.core.digests import compute_cached_digest
+from pipeline.core.errors import StageWarning, select_warnings
+from pipeline.core.geometry.camera import Camera
+from pipeline.core.graph import StageResult
+from pipeline.core.values.frames import TactileFrame, Truth
+from pipeline.core.values.results import TargetDepth
+from pipeline.io import open_recording
 from pipeline.stages.stage import GroundTruth
 from pipeline.translation.frame_selection import find_contact_frame, select_context_frames
 from pipeline.translation.translate import Request, open_translation
 from pipeline.translation.truth_view import add_truth_warnings
-from pipeline.values.frames import TactileFrame, Truth
-from pipeline.values.results import TargetDepth
 
 SHAPE = (12, 16)
 

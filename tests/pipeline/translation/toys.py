@@ -6,17 +6,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.base.arrays import Floats, Indices, freeze
-from pipeline.base.params import NoParams, setting
-from pipeline.engine.graph import Method, Skipped
-from pipeline.previews.colours import ColourScale, apply_colour_map
-from pipeline.previews.layers import make_grid_layer
-from pipeline.previews.preview import Preview
-from pipeline.previews.view import ProbePoint, View
-from pipeline.previews.views import VIEWS
+from pipeline.core.arrays import Floats, Indices, freeze
+from pipeline.core.graph import Method, Skipped
+from pipeline.core.params import NoParams, setting
+from pipeline.core.values.results import GeneratedTouch, make_pixel_index
 from pipeline.stages.stage import Stage
 from pipeline.translation.catalogue import BUILT_IN, Catalogue, Route
-from pipeline.values.results import GeneratedTouch, make_pixel_index
+from pipeline.views.colours import ColourScale, apply_colour_map
+from pipeline.views.layers import make_grid_layer
+from pipeline.views.preview import Preview
+from pipeline.views.view import ProbePoint, View
+from pipeline.views.views import VIEWS
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -6,8 +6,8 @@ The graph evaluates them one by one, so that a changed parameter repeats only th
 from collections.abc import Callable
 from typing import Any
 
-from pipeline.base.params import NoParams
-from pipeline.engine.graph import Method
+from pipeline.core.graph import Method
+from pipeline.core.params import NoParams
 from pipeline.stages.depth.depth_params import DepthParams
 from pipeline.stages.depth.gel.change import ChangeParams, detect_press
 from pipeline.stages.depth.gel.contact import ContactParams, detect_contact

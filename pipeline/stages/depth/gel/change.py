@@ -19,13 +19,15 @@ from typing import Literal, NamedTuple, cast
 
 import numpy as np
 
-from pipeline.base.arrays import Doubles, Floats, Image, Mask, freeze
-from pipeline.base.errors import UNCERTAIN_CONTACT
-from pipeline.base.memo import Memo
-from pipeline.base.progress import Progress
 from pipeline.calibration.markers import detect_markers
-from pipeline.engine.digests import compute_cached_digest
-from pipeline.engine.graph import EarlyAnswer, Skipped
+from pipeline.core.arrays import Doubles, Floats, Image, Mask, freeze
+from pipeline.core.digests import compute_cached_digest
+from pipeline.core.errors import UNCERTAIN_CONTACT
+from pipeline.core.graph import EarlyAnswer, Skipped
+from pipeline.core.memo import Memo
+from pipeline.core.progress import Progress
+from pipeline.core.values.frames import TactileFrame
+from pipeline.core.values.results import DepthMap
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import change_detection
 from pipeline.stages.depth.frame_checks import make_untouched_depth
@@ -33,8 +35,6 @@ from pipeline.stages.depth.gel import coarse_light, drift
 from pipeline.stages.depth.gel.coarse_light import COARSE, DentBasis, DriftPrior
 from pipeline.stages.depth.gel.rest import RestState
 from pipeline.stages.depth.gel.result import make_gel_depth
-from pipeline.values.frames import TactileFrame
-from pipeline.values.results import DepthMap
 
 Verdict = Literal["press", "none", "uncertain"]
 

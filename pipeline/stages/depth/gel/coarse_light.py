@@ -12,11 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.base.arrays import Doubles, Floats, Image, Mask, freeze
-from pipeline.base.memo import Memo, memoise
 from pipeline.calibration.markers import detect_markers, remove_printed_markers
-from pipeline.engine.digests import compute_cached_digest
-from pipeline.geometry.camera import Camera
+from pipeline.core.arrays import Doubles, Floats, Image, Mask, freeze
+from pipeline.core.digests import compute_cached_digest
+from pipeline.core.geometry.camera import Camera
+from pipeline.core.memo import Memo, memoise
 from pipeline.physics import gel_layer, optics
 from pipeline.sensors.parts import Gel, Markers
 from pipeline.sensors.spec import SensorSpec

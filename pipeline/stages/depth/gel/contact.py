@@ -5,10 +5,12 @@ from typing import cast
 
 import numpy as np
 
-from pipeline.base.arrays import Floats, Image, Mask
-from pipeline.base.errors import StageWarning
-from pipeline.base.progress import Progress
 from pipeline.calibration import near_led_prior
+from pipeline.core.arrays import Floats, Image, Mask
+from pipeline.core.errors import StageWarning
+from pipeline.core.progress import Progress
+from pipeline.core.values.frames import TactileFrame
+from pipeline.core.values.results import DepthMap
 from pipeline.sensors.spec import Gel, SensorSpec
 from pipeline.stages.depth import contact, false_contacts, light_changes, mirror_check, rest_level
 from pipeline.stages.depth.change_detection import ImageWindow
@@ -18,8 +20,6 @@ from pipeline.stages.depth.gel.result import make_gel_depth
 from pipeline.stages.depth.gel.slopes import FrameSlopes
 from pipeline.stages.depth.gel.surface import FrameSurface
 from pipeline.stages.depth.illumination.light import FrameLight
-from pipeline.values.frames import TactileFrame
-from pipeline.values.results import DepthMap
 
 _FADE_START, _FADE_END = 0.2, 0.6  # gel thicknesses from the contact, see `_relax_surface`
 _FAR = 0.7  # gel thicknesses from the contact: the gel is neither indented nor pulled down there (`rest_level`)

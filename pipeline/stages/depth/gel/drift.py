@@ -24,10 +24,10 @@ from functools import cached_property
 
 import numpy as np
 
-from pipeline.base.arrays import Doubles, Floats, Image, freeze
-from pipeline.base.errors import StageWarning
-from pipeline.base.memo import Memo
-from pipeline.engine.digests import compute_cached_digest
+from pipeline.core.arrays import Doubles, Floats, Image, freeze
+from pipeline.core.digests import compute_cached_digest
+from pipeline.core.errors import StageWarning
+from pipeline.core.memo import Memo
 from pipeline.stages.depth.gel.coarse_light import compute_block_means
 
 

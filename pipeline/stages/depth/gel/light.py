@@ -7,21 +7,21 @@ That of a recording is cached on disk, as its fit takes as long as several frame
 from dataclasses import replace
 from typing import cast
 
-from pipeline.base.arrays import Image
-from pipeline.base.errors import StageWarning
-from pipeline.base.memo import Memo
-from pipeline.base.params import NoParams
-from pipeline.base.progress import Progress
 from pipeline.calibration.calibration_table import Calibration, make_built_in
-from pipeline.engine import disk_store
-from pipeline.engine.digests import compute_cached_digest
+from pipeline.core import disk_store
+from pipeline.core.arrays import Image
+from pipeline.core.digests import compute_cached_digest
+from pipeline.core.errors import StageWarning
+from pipeline.core.memo import Memo
+from pipeline.core.params import NoParams
+from pipeline.core.progress import Progress
+from pipeline.core.values.frames import TactileFrame
 from pipeline.stages.depth.gel.change import FrameChange, observe_change
 from pipeline.stages.depth.gel.rest import RestState
 from pipeline.stages.depth.gel.slopes import ChangedImage, make_changed_image
 from pipeline.stages.depth.illumination import selection
 from pipeline.stages.depth.illumination.light import FrameLight, Illumination, ImagePatch
 from pipeline.stages.depth.poisson import Integrator
-from pipeline.values.frames import TactileFrame
 
 _NOT_COVERED = StageWarning("no indentation of the calibration covers this touch: it is measured without calibration")
 _MIN_CONTEXT_TOUCHES = 2  # one tells no more than the frame itself

@@ -7,18 +7,18 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import cast
 
-from pipeline.base.arrays import Floats, Image
-from pipeline.base.progress import Progress
 from pipeline.calibration.calibration_table import Calibration, check_calibration, make_built_in
-from pipeline.engine.graph import EarlyAnswer, Skipped
+from pipeline.core.arrays import Floats, Image
+from pipeline.core.graph import EarlyAnswer, Skipped
+from pipeline.core.progress import Progress
+from pipeline.core.values.frames import TactileFrame
+from pipeline.core.values.results import DepthMap
 from pipeline.sensors.kinds import BubbleSensor, KindTable
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import bubble_depth, instance_check
 from pipeline.stages.depth.depth_params import DepthParams
 from pipeline.stages.depth.frame_checks import check_frame, make_untouched_depth, see_by_frame
 from pipeline.stages.depth.gel import coarse_light
-from pipeline.values.frames import TactileFrame
-from pipeline.values.results import DepthMap
 
 # Of kinds that measure depth themselves; any other is a gel.
 EstimateDepth = Callable[[TactileFrame, SensorSpec, Calibration | None, DepthParams, Progress], DepthMap]

@@ -5,17 +5,17 @@ from typing import cast
 
 import numpy as np
 
-from pipeline.base.arrays import Floats, Image, Mask
-from pipeline.base.errors import AT_BORDER, StageWarning, UncertainContact
 from pipeline.calibration import quality_notes
 from pipeline.calibration.calibration_table import Calibration
+from pipeline.core.arrays import Floats, Image, Mask
+from pipeline.core.errors import AT_BORDER, StageWarning, UncertainContact
+from pipeline.core.values.frames import TactileFrame
+from pipeline.core.values.results import DepthMap, make_depth_map
 from pipeline.physics.reference_colours import compare_colours
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import depth_error
 from pipeline.stages.depth.gel.rest import RestState
 from pipeline.stages.depth.illumination.light import Illumination
-from pipeline.values.frames import TactileFrame
-from pipeline.values.results import DepthMap, make_depth_map
 
 _FULL_SHARE = 0.9  # of the view: the contact leaves too little of the gel at rest
 NOT_SCALED = "the light is fitted to this touch: the depth scale of the calibration does not apply to it"

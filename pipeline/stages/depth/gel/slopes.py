@@ -7,10 +7,11 @@ from typing import cast
 
 import numpy as np
 
-from pipeline.base.arrays import Floats, Image, Mask, median
-from pipeline.base.errors import CalibrationError, StageWarning
-from pipeline.base.progress import Progress
 from pipeline.calibration.calibration_table import Calibration, compute_slopes
+from pipeline.core.arrays import Floats, Image, Mask, median
+from pipeline.core.errors import CalibrationError, StageWarning
+from pipeline.core.progress import Progress
+from pipeline.core.values.frames import TactileFrame
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import change_detection
 from pipeline.stages.depth.change_detection import ImageWindow
@@ -25,7 +26,6 @@ from pipeline.stages.depth.illumination.light import (
     look_up_slopes,
 )
 from pipeline.stages.depth.poisson import Boundary, Integrator, SideBoundaries, integrate_slopes
-from pipeline.values.frames import TactileFrame
 
 _SATURATED_GREY = 254  # noise of one grey level moves what is clipped at 255 down to here
 _LEVEL_PIXELS = 1000  # outside the changed region, whose median is the level of a surface

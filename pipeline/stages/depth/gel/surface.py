@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.base.arrays import Floats, freeze
-from pipeline.base.params import NoParams
-from pipeline.base.progress import Progress
+from pipeline.core.arrays import Floats, freeze
+from pipeline.core.params import NoParams
+from pipeline.core.progress import Progress
 from pipeline.physics.slopes import compute_slopes
 from pipeline.stages.depth.gel.change import FrameChange
 from pipeline.stages.depth.gel.result import NOT_SCALED

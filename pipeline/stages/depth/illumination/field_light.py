@@ -22,7 +22,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.base.arrays import Doubles, Floats
 from pipeline.calibration import near_led_prior, shading_field, slope_model
 from pipeline.calibration.shading_field import (
     N_POSITION_TERMS,
@@ -31,6 +30,7 @@ from pipeline.calibration.shading_field import (
     ShadingFieldPrior,
     SurfaceSamples,
 )
+from pipeline.core.arrays import Doubles, Floats
 from pipeline.physics import optics
 from pipeline.physics.slopes import compute_slopes
 from pipeline.sensors.spec import SensorSpec

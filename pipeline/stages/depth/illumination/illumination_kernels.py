@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from pipeline.base.cached_kernels import FAST, inline_kernel, kernel
+from pipeline.core.cached_kernels import FAST, inline_kernel, kernel
 
 TILE_PX = 128  # pixels of a row that are processed together, so that loops without branches are vectorised
 N_LINES = 9  # scratch lines of a tile

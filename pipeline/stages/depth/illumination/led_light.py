@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.base.arrays import Doubles, Floats
 from pipeline.calibration import near_led_prior, slope_model
+from pipeline.core.arrays import Doubles, Floats
 from pipeline.physics.optics import apply_shadows, pack_leds, require_optics
 from pipeline.sensors.parts import Led, Optics, compute_mean_reference_light
 from pipeline.sensors.spec import SensorSpec

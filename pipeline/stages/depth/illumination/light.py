@@ -6,10 +6,10 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from pipeline.base.arrays import Floats, Image, Mask
 from pipeline.calibration import slope_model
 from pipeline.calibration.calibration_table import Calibration
 from pipeline.calibration.markers import detect_markers, inpaint_markers, remove_printed_markers
+from pipeline.core.arrays import Floats, Image, Mask
 from pipeline.sensors.spec import Markers, SensorSpec
 from pipeline.stages.depth.change_detection import ImageWindow
 from pipeline.stages.depth.illumination.constants import CONSTANTS, StepRule

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.base.arrays import Doubles, Floats
+from pipeline.core.arrays import Doubles, Floats
 from pipeline.physics import optics
 from pipeline.physics.slopes import compute_slopes
 from pipeline.sensors.parts import Optics

@@ -10,7 +10,7 @@ from functools import cached_property
 
 import numpy as np
 
-from pipeline.base.arrays import Doubles, Floats
+from pipeline.core.arrays import Doubles, Floats
 from pipeline.physics import optics
 from pipeline.sensors.parts import Optics
 from pipeline.sensors.spec import SensorSpec

@@ -25,7 +25,7 @@ the clearest.
 
 import numpy as np
 
-from pipeline.base.arrays import Floats, percentile
+from pipeline.core.arrays import Floats, percentile
 from pipeline.physics.slopes import compute_slopes
 from pipeline.stages.depth.illumination.constants import CONSTANTS
 from pipeline.stages.depth.illumination.light import (

@@ -1,0 +1,320 @@
+"""Runs the pipeline for the window, on the background thread: from a session to previews and 3D layers."""
+
+from __future__ import annotations
+
+import logging
+import math
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+from app.document.requests import apply_session, explain_unavailable, get_depth_params, make_request, open_request
+from app.session.state import Session
+from app.views.stage_previews import PreviewCache, SourcePreview, add_thumbnails, summarise_frame
+from app.views.target_comparison import TargetComparison, build_target_comparison
+from app.window.jobs import JobReporter
+from pipeline.core.cache import Cache
+from pipeline.core.errors import SettingProblem, TouchError
+from pipeline.core.graph import Graph, StageResult
+from pipeline.core.memo import Memo, measure_bytes
+from pipeline.core.processes import release_free_memory
+from pipeline.core.values.frames import TactileFrame
+from pipeline.core.values.results import DepthMap
+from pipeline.stages.depth.photometric import DepthParams
+from pipeline.stages.networks.weights import Weights
+from pipeline.translation.catalogue import BUILT_IN, Catalogue
+from pipeline.translation.error_attribution import DEFAULT_METRIC, ErrorAttribution, attribute_error
+from pipeline.translation.force import measure_force
+from pipeline.translation.frame_selection import find_contact_frame
+from pipeline.translation.round_trip import measure_round_trip
+from pipeline.translation.translate import Request, Translation
+from pipeline.translation.truth_view import add_truth_warnings
+from widgets.frames.frame_summary import FrameSummary
+
+log = logging.getLogger("tactoscope")
+_CACHE_BYTES = 50 * 1024 * 1024  # 16 frames from a 320 x 427 gel to a bubble, or 9 back
+_BACKGROUND_BYTES = 16 * 1024 * 1024  # 1 or 2 background frames, kept apart from the frames on screen
+_TRUTH_BYTES = 24 * 1024 * 1024
+_OUTLINED = "target_depth"  # stage whose preview gets the outline of the target's own touch
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class InitialFrame:
+    """The frame chosen for a session with AUTO_FRAME; delivered first."""
+
+    index: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EvaluatedFrame:
+    """Results and metrics of one frame."""
+
+    index: int
+    settings: Session  # used for the computation
+    frame: TactileFrame
+    results: Mapping[str, StageResult]
+    metrics: Mapping[str, float]
+    summary: FrameSummary | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SummarisedFrame:
+    """Summary of a frame that is not on screen."""
+
+    index: int
+    settings: Session  # used for the computation
+    summary: FrameSummary
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MeasuredQuantities:
+    """Quantities of a frame that were measured on request; NaN where they could not be."""
+
+    index: int
+    settings: Session  # used for the computation
+    quantities: Mapping[str, float]
+
+
+class Evaluator:
+    """Holds the open translation and its caches; used by one thread at a time."""
+
+    def __init__(self, catalogue: Catalogue = BUILT_IN, like: Evaluator | None = None) -> None:
+        """Create an evaluator; it shares the result cache of `like`."""
+        self._catalogue = catalogue
+        self.graph = Graph((), cache=Cache(_CACHE_BYTES)) if like is None else like.graph  # of the frames on screen
+        self._background_graph = Graph((), cache=Cache(_BACKGROUND_BYTES))
+        self._request: Request | None = None
+        self._translation: Translation | None = None
+        self._delivered: Translation | None = None  # the same as it was delivered, before a live recording grew
+        self._preview_bytes = () if like is None else (_BACKGROUND_BYTES,)
+        self._previews = PreviewCache(*self._preview_bytes)
+        self._first_frame = 0  # frame to show for AUTO_FRAME
+        self.unavailable: Mapping[str, Mapping[str, str]] = {}  # method key -> parameter -> why it cannot act
+        self._must_release = False  # whether a recording was opened since memory was last released
+        # Kept for the open recording, so that playing and stepping back need not recompute them.
+        self._comparisons: Memo[tuple[int, DepthParams], TargetComparison] = Memo(most_bytes=_TRUTH_BYTES)
+        self._truths: Memo[tuple[int, tuple[str, ...]], Mapping[str, object]] = Memo(
+            most_bytes=_TRUTH_BYTES, weigh=_size_bytes
+        )
+
+    def evaluate_frame(
+        self,
+        session: Session,
+        stages: tuple[str, ...],
+        report: JobReporter,
+        *,
+        with_observation: bool = False,
+        with_truth: bool = False,
+        get_current: Callable[[], Translation | None] | None = None,
+    ) -> EvaluatedFrame:
+        """Compute `stages` of the session's frame, delivering each part as soon as it is done; raises TouchError.
+
+        `with_observation` outlines what the target sensor itself recorded, `with_truth` adds each stage's truth and
+        the difference to it, where the recording holds them. The translation is delivered when it opens, and again if
+        `get_current()` is another one by then: a newer request drops the parts of an older one.
+        """
+        delivered = self._delivered
+        translation, index = self.open_frame(session, report)
+        if get_current is not None and delivered is self._delivered is not get_current():
+            report.deliver(self._delivered)
+        if session.frame < 0:
+            report.deliver(InitialFrame(index=index))
+        started_s = time.perf_counter()
+        loaded = self._previews.load_frame(translation, index, session.display)
+        truth = loaded.ground_truth
+        ms = 1e3 * (time.perf_counter() - started_s)
+        source = SourcePreview(
+            frame=loaded.frame, ground_truth=truth, preview=loaded.preview, layers=(loaded.layer,), read_ms=ms
+        )
+        report.deliver(source)
+        results: dict[str, StageResult] = {}
+        stages = tuple(name for name in translation.stages if name in stages)
+        truths = self._get_true_outputs(translation, index, stages) if with_truth else None
+
+        def on_stage(result: StageResult) -> None:
+            result = add_truth_warnings(result, truth)
+            results[result.name] = result
+            compares = with_observation and result.name == _OUTLINED and "depth" in results
+            other = self._get_comparison(translation, index, results["depth"].output, session) if compares else None
+            known = truths if result.name in stages else None
+            report.deliver(self._previews.draw_stage(result, results, translation, session, other, known))
+
+        translation.evaluate(loaded.frame, stages, report, on_stage=on_stage)
+        metrics = self._previews.compute_metrics(translation, results, index, truth)
+        self._release_memory(results)
+        return EvaluatedFrame(
+            index=index, settings=replace(session, target=translation.target.name).settings, frame=loaded.frame,
+            results=results, metrics=metrics,
+            summary=summarise_frame(results, metrics, translation) if set(results) == set(translation.stages) else None,
+        )  # fmt: skip
+
+    def _release_memory(self, results: Mapping[str, StageResult]) -> None:
+        """Return freed memory to the system after the first frame of a recording and after computed frames.
+
+        Fragments of temporary arrays reach 40 MB after a few frames; returning them takes milliseconds.
+        """
+        if self._must_release or any(result.state == "computed" for result in results.values()):
+            self._must_release = False
+            release_free_memory()
+
+    def open_frame(self, session: Session, report: JobReporter) -> tuple[Translation, int]:
+        """Open the session's translation with its offsets, and resolve its frame number; raises TouchError."""
+        translation = apply_session(session, self._open(session, report))
+        return replace(translation, graph=self.graph), self._resolve_index(session, translation)
+
+    def _resolve_index(self, session: Session, translation: Translation) -> int:
+        """Return the session's frame number; for AUTO_FRAME the one detected on opening."""
+        return min(self._first_frame if session.frame < 0 else session.frame, translation.n_frames - 1)
+
+    def compare_with_target(self, session: Session, report: JobReporter) -> tuple[Translation, TargetComparison]:
+        """Return the translation without offsets, and the session's frame as both sensors recorded it.
+
+        The comparison is cached, as a drag asks for the same frame many times.
+        """
+        opened = self._open(session, report)
+        index = self._resolve_index(session, opened)
+        cached = self._comparisons.get((index, get_depth_params(session, opened.methods)))
+        if cached is not None:
+            return opened, cached
+        if "depth" not in opened.stages:
+            raise SettingProblem(f"the route {opened.request.route!r} has no depth to align; choose another route")
+        translation = replace(apply_session(session, opened), graph=self.graph)
+        depth = translation.evaluate(index, ["depth"], report)["depth"]
+        return opened, self._get_comparison(opened, index, depth.output, session)
+
+    def evaluate_in_background(
+        self, session: Session, index: int, report: JobReporter, *, completely: bool = False
+    ) -> SummarisedFrame:
+        """Summarise a frame that is not on screen; a frame that fails has the error text as its summary.
+
+        `completely` adds what takes another translation: the round trip, and the cause of the error.
+        """
+        translation = self._open_in_background(session, report)
+        try:
+            frame = translation.stream.frame(index)
+            results = translation.evaluate(frame, progress=report)
+            metrics = translation.compute_metrics(results, index)
+            truth = translation.read_ground_truth(index)
+            results = {name: add_truth_warnings(result, truth) for name, result in results.items()}
+            summary = summarise_frame(results, metrics, translation) or FrameSummary(metrics=metrics)
+            summary = add_thumbnails(summary, frame, translation.source, session.display)
+            if completely:
+                round_trip = measure_round_trip(results, translation, report)
+                cause = _find_cause(translation, results, index, report)
+                summary = replace(summary, metrics={**summary.metrics, **round_trip}, cause=cause, is_complete=True)
+            self._release_memory(results)
+        except TouchError as error:
+            summary = FrameSummary(problem=str(error), is_complete=True)
+        return SummarisedFrame(
+            index=index, settings=replace(session, target=translation.target.name).settings, summary=summary
+        )  # fmt: skip
+
+    def measure_force_in_background(
+        self, session: Session, index: int, metric: str, report: JobReporter
+    ) -> MeasuredQuantities:
+        """Measure the force of a frame, which takes its depth alone; `metric` is NaN where that fails."""
+        translation = self._open_in_background(session, report)
+        quantities: Mapping[str, float] = {metric: math.nan}
+        try:
+            quantities |= measure_force(translation.evaluate(index, ["depth"], report), index, translation)
+        except TouchError as error:
+            log.info("frame %d has no force: %s", index, error)
+        settings = replace(session, target=translation.target.name).settings
+        return MeasuredQuantities(index=index, settings=settings, quantities=quantities)
+
+    def _open_in_background(self, session: Session, report: JobReporter) -> Translation:
+        return replace(apply_session(session, self._open(session, report)), graph=self._background_graph)
+
+    def attribute_frame_error(self, session: Session, metric: str, report: JobReporter) -> ErrorAttribution | None:
+        """Attribute the error `metric` of the session's frame to its stages; None if the metric is unknown."""
+        translation, index = self.open_frame(session, report)
+        return attribute_error(translation, index, metric, report)
+
+    def _get_comparison(
+        self, translation: Translation, index: int, depth: object, session: Session
+    ) -> TargetComparison:
+        assert isinstance(depth, DepthMap)
+        key = (index, get_depth_params(session, translation.methods))
+        comparison = self._comparisons.get(key)
+        if comparison is None:
+            comparison = build_target_comparison(translation, *key, depth)
+            self._drop_if_live(translation)
+            self._comparisons.put(key, comparison)
+        return comparison
+
+    def _get_true_outputs(self, translation: Translation, index: int, stages: tuple[str, ...]) -> Mapping[str, object]:
+        """Return the same object for the same frame and stages, which is what the preview cache compares by."""
+        truths = self._truths.get((index, stages))
+        if truths is None:
+            truths = translation.read_true_outputs(index, stages)
+            self._drop_if_live(translation)
+            self._truths.put((index, stages), truths)
+        return truths
+
+    def _drop_if_live(self, translation: Translation) -> None:
+        """Keep only the newest frame of a live recording, whose zero and oldest frames change."""
+        if translation.recording.refresh is not None:
+            self._clear_truths()
+
+    def _clear_truths(self) -> None:
+        self._comparisons.clear()
+        self._truths.clear()
+
+    def release_caches(self) -> None:
+        """Clear the caches that no other evaluator shares."""
+        self._background_graph.cache.clear()
+        self._previews = PreviewCache(*self._preview_bytes)
+        self._clear_truths()
+
+    @property
+    def weights_in_use(self) -> frozenset[str]:
+        """Content digests of the weights that the open translation uses."""
+        opened = self._translation
+        all_weights = () if opened is None else opened.weights.values()
+        return frozenset(weights.content_digest for weights in all_weights if isinstance(weights, Weights))
+
+    def close(self) -> None:
+        """Close the recording."""
+        if self._translation is not None:
+            self._translation.close()
+            self._translation = self._delivered = None
+
+    def _open(self, session: Session, report: JobReporter) -> Translation:
+        request = make_request(session)
+        if self._translation is not None and request == self._request:
+            self._translation = self._translation.reload_frames()
+            return self._translation
+        report.step(0.0, "opening the recording")
+        translation = open_request(request, self._catalogue)
+        is_first = self._translation is None
+        if self._translation is not None:
+            self._translation.close()
+        self._translation = self._delivered = translation
+        self._previews = PreviewCache(*self._preview_bytes)
+        self._clear_truths()
+        if not is_first:
+            release_free_memory()  # before the new recording takes its own
+        self._must_release = True  # after the first frame, when the window has dropped the old recording
+        self._request = make_request(replace(session, target=translation.target.name))
+        self._first_frame = find_contact_frame(translation.stream) if session.frame < 0 else session.frame
+        if session.frame < 0:
+            report.deliver(InitialFrame(index=self._first_frame))
+        for note in translation.notes:
+            log.info("%s", note)
+        self.unavailable = explain_unavailable(translation, report)
+        report.deliver(translation)
+        return translation
+
+
+def _size_bytes(values: Mapping[str, object]) -> int:
+    return sum(measure_bytes(value) for value in values.values())
+
+
+def _find_cause(translation: Translation, results: Mapping[str, StageResult], index: int, report: JobReporter) -> str:
+    """Return the stage that most of a frame's error comes from, or that has the first warning without truth."""
+    if "touch_depth" in translation.stages:
+        shares = attribute_error(translation, index, DEFAULT_METRIC, report)
+        if shares is not None:
+            return shares.main_cause
+    stage = translation.catalogue.stage
+    return next((stage(name).title.lower() for name, result in results.items() if result.warnings), "")

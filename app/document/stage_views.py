@@ -1,0 +1,323 @@
+"""Shows results in the window: columns, 3D views, captions."""
+
+from collections.abc import Mapping, Sequence
+from typing import Literal
+
+from app.document.evaluator import EvaluatedFrame
+from app.session.state import Session
+from app.views.pixel_trace import PixelProbe
+from app.views.scene_geometry import ViewCameras, compute_view_bounds, show_captions
+from app.views.stage_previews import SourcePreview, StagePreview
+from app.window.main_window import MainWindow
+from pipeline.core.arrays import Doubles
+from pipeline.core.errors import TouchError
+from pipeline.core.graph import StageResult
+from pipeline.stages.truth_method import TRUTH
+from pipeline.translation.translate import Request, Translation
+from pipeline.translation.truth_view import ComparisonMode, TruthView
+from pipeline.views.layers import Layer, ViewBounds
+from pipeline.views.preview import Preview
+from widgets.stages.timings_panel import TimingRow
+from widgets.views.preview_view import PreviewView
+from widgets.views.scene_renderer import SceneRenderer
+from widgets.views.view_3d_panel import AnyStep
+
+PageScene = Literal["track", "task"]  # pages with a 3D scene of their own
+_PREVIEWED = "target_depth"  # stage that an alignment drag previews
+_GENERATED = "touch"  # stage whose truth the Demo layout shows
+
+
+class StageViews:
+    """Shows finished values, and tracks which columns are up to date; runs on the window's thread only."""
+
+    def __init__(self, window: MainWindow, probe: PixelProbe) -> None:
+        self._window, self._probe = window, probe
+        self.scene = SceneRenderer(window.views_3d)  # opened once the window is on screen
+        self.cameras = ViewCameras(tuple(window.columns))
+        self.translation: Translation | None = None  # the recording on screen
+        self.comparison_mode: ComparisonMode = ""  # how columns show the truth
+        self._layers: dict[int, tuple[Layer, ...]] = {}
+        self._steps: dict[str, StagePreview] = {}  # stage -> preview with the kept steps
+        self._fresh: set[str] = set()
+        self._order = tuple(window.columns)
+        self._results: Mapping[str, StageResult] = {}  # on screen
+        self._variants: tuple[
+            tuple[str, Translation | None], ...
+        ] = ()  # stage and translation in the 3D views of the comparison
+        self._shown: dict[str, SourcePreview | StagePreview] = {}
+        last = len(window.views_3d) - 1
+        self.page_views: Mapping[PageScene, int] = {"track": last - 1, "task": last}
+        self._page_layers: dict[PageScene, tuple[Layer, ...]] = {}
+        self._page_bounds: dict[PageScene, ViewBounds] = {}
+        for name, thumbnail in window.panes.filmstrip.thumbnails.items():
+            window.columns[name].state_shown.connect(thumbnail.show_state)
+
+    def show_translation(self, t: Translation, session: Session) -> None:
+        """Show another recording, or the same one between other sensors."""
+        (old, self.translation), window = (self.translation, t), self._window
+        sensors = ", ".join(filter(None, (f"{t.source.title} → {t.target.title}", t.truth_label)))
+        window.setWindowTitle(f"{t.request.recording.name}[*] · {sensors} · Tactoscope")
+        window.timeline.show_frames(t.n_frames)
+        if old is None or old.stream is not t.stream:
+            window.frames.model.reset_frames(t.n_frames)
+        window.warning_line.show_warnings(())
+        self.scene.clear_cache()
+        window.source.setItemText(0, f"{t.source.title} (recorded)")
+        for stage in t.catalogue.stages:
+            window.columns[stage.name].enable_method(TRUTH, t.knows_truth(stage))
+        window.hide_stages(frozenset(stage.name for stage in t.catalogue.stages) - set(t.stages))
+        window.banner.hide()
+        self.reset_cameras(session)
+        self.cameras.apply_requested_cameras(self.scene)
+
+    def clear_recording(self, following: str) -> None:
+        """Show nothing in all columns, 3D views and tables, as a recording of this name is opened; "" = none is."""
+        self.translation, window = None, self._window
+        window.setWindowTitle(f"{following}[*] · Tactoscope" if following else "Tactoscope[*]")
+        window.banner.hide()
+        window.warning_line.show_warnings(())
+        window.warning_line.show_remedies(())
+        window.frames.model.reset_frames(0)
+        window.timeline.show_frames(0)
+        window.timings.show_rows(())
+        window.source.setItemText(0, "as recorded")
+        for column in (*window.columns.values(), window.truth_column):
+            column.view.show_preview(None)
+            column.warnings = ()
+            column.show_state("waiting")
+        for thumbnail in window.panes.filmstrip.thumbnails.values():
+            thumbnail.show_preview(None)
+        for index in self._layers:
+            self.scene.show_layers(index, ())
+        self._layers, self._steps, self._shown, self._results = {}, {}, {}, {}
+        self._probe.set_results(self._results)
+
+    def show_stage(self, part: SourcePreview | StagePreview, *, is_newest: bool = True) -> None:
+        """Show one column's preview, layers and state; unless `is_newest`, the column still counts as pending."""
+        name = part.result.name if isinstance(part, StagePreview) else "source"
+        if self._window.presented_columns:  # what the presentation does not show is shown again after it
+            self._shown[name] = part
+            return
+        column = self._window.columns[name]
+        self._show_preview(column.view, part.preview, part.truth_view if isinstance(part, StagePreview) else None)
+        self._window.panes.filmstrip.thumbnails[name].show_preview(column.view.preview or part.preview)
+        if isinstance(part, StagePreview):
+            if name == _GENERATED:
+                self._show_truth(part)
+            self._results = {**self._results, name: part.result}
+            result = part.result
+            column.show_result(
+                "draft" if result.draft else result.state,
+                result.ms,
+                result.notes,
+                result.warnings,
+                ", ".join(filter(None, (result.badge, self._get_truth_label(name)))),
+                is_fallback=bool(result.fallback),
+            )
+            self._show_who_answered(result)
+            self._probe.set_results(self._results)
+            if name in self._window.steps:
+                self._steps[name] = part
+                self._window.steps[name].show_steps(part.result.output.steps)
+        else:
+            self._results = {}  # the old results are of another frame or other parameters
+            column.show_state("read", part.read_ms)
+            self._probe.set_results(self._results, part.frame, part.ground_truth)
+        column.view.canvas.render_now()
+        index = self._order.index(name)
+        self._layers[index] = part.layers
+        self.scene.show_layers(index, part.layers)
+        if is_newest:
+            self._fresh.add(name)
+        self._shown[name] = part
+
+    def _get_truth_label(self, stage: str) -> str:
+        """Return "with true depth" for a stage that is, or comes after, one whose truth is pinned."""
+        methods = () if self.translation is None else self.translation.methods
+        before = [m.name for m in methods[: 1 + next((i for i, m in enumerate(methods) if m.stage == stage), -1)]]
+        return self.translation.truth_label if self.translation is not None and TRUTH in before else ""
+
+    def _show_who_answered(self, result: StageResult) -> None:
+        """Mark the parameters of a method that did not answer: moving them changes nothing on this frame."""
+        reason = result.fallback or (next(iter(result.notes), "") if result.state == "skipped" else "")
+        self._window.columns[result.name].pinned.show_unused(reason)
+        if result.method is not None:
+            self._window.parameters.show_unused(result.method.key, reason)
+
+    def get_shown_stage(self, name: str) -> SourcePreview | StagePreview | None:
+        """Return what a column shows; None if it is empty."""
+        return self._shown.get(name)
+
+    def _show_preview(self, view: PreviewView, preview: Preview, other: TruthView | None) -> None:
+        """Show a preview and what is known of its truth in the comparison mode."""
+        truth, difference = (None, None) if other is None else (other.truth, other.difference_to_truth)
+        view.show_compared(preview, truth, difference, self.comparison_mode)
+
+    def _show_truth(self, part: StagePreview) -> None:
+        """Show the truth of the generated touch in the column of the Demo layout."""
+        column, other = self._window.truth_column, part.truth_view
+        if column.isHidden():
+            return
+        if other is None:
+            column.show_state("skipped", None, ("the recording has no touch of the target",))
+            return
+        column.view.show_preview(other.truth)
+        column.show_state("read")
+        self.scene.show_layers(len(self._order), other.layers)
+
+    def show_wipe(self, before: Preview, after: Preview) -> None:
+        """Show two target depth previews, divided by a handle, until the stage is computed again."""
+        view = self._window.columns[_PREVIEWED].view
+        view.show_preview(before)
+        view.overlay.show_wipe(after)
+
+    def show_drag_preview(self, preview: Preview, other: TruthView | None, layers: tuple[Layer, ...]) -> None:
+        """Show the target depth of a running drag, and mark the stages after it as stale."""
+        changed = self._find_dependent_stages("alignment")
+        self._fresh -= changed
+        if self._results.keys() & changed:
+            self._results = {name: r for name, r in self._results.items() if name not in changed}
+            self._probe.set_results(self._results)
+        for name in changed - {_PREVIEWED}:
+            column = self._window.columns[name]
+            if column.state != "stale":
+                column.show_state("stale")
+        column = self._window.columns[_PREVIEWED]
+        self._show_preview(column.view, preview, other)
+        column.show_state("preview")
+        self.scene.show_layers(self._order.index(_PREVIEWED), layers)
+
+    def show_frame_summary(self, shown: EvaluatedFrame, *, is_comparable: bool) -> None:
+        """Show the warnings of a finished frame; its summary only if `is_comparable` with the other frames."""
+        if is_comparable and shown.summary is not None:
+            self._window.frames.model.show_summary(shown.index, shown.summary)
+            self._window.frames.show_frame(shown.index)
+        if self.translation is not None:
+            stage = self.translation.catalogue.stage
+            self._window.timings.show_rows(
+                tuple(
+                    TimingRow(title=stage(key).title, state=r.state, time_ms=r.ms, notes=r.notes)
+                    for key, r in shown.results.items()
+                )
+            )
+            common = self._window.frames.model.common_warnings
+            warnings = [(stage(key).title, warning) for key, r in shown.results.items() for warning in r.warnings]
+            # Warnings that every frame has come last.
+            warnings.sort(key=lambda pair: f"{pair[0].lower()}: {pair[1]}" in common)
+            self._window.warning_line.show_warnings(warnings)
+
+    def mark_all_pending(self) -> None:
+        """Mark every column as pending."""
+        self._fresh = set()
+
+    def mark_stale(self) -> None:
+        """Mark pending columns as stale, and the first one as running."""
+        for name in self._list_pending():
+            self._window.columns[name].show_state("stale")
+        self.mark_running()
+
+    def mark_running(self) -> None:
+        """Mark the first pending column as running."""
+        pending = self._list_pending()
+        if pending and self._window.columns[pending[0]].state == "stale":
+            self._window.columns[pending[0]].show_state("running")
+
+    def mark_dropped(self) -> None:
+        """Mark a running column as stale: the computation was dropped."""
+        for name in self._list_pending():
+            if self._window.columns[name].state == "running":
+                self._window.columns[name].show_state("stale")
+
+    def mark_failed(self, error: object) -> None:
+        """Mark the first pending column as failed, and those after it as waiting for it."""
+        pending = self._list_pending()
+        for name in pending:
+            column = self._window.columns[name]
+            text = str(error) if isinstance(error, TouchError) else "failed; see the banner"
+            if name == pending[0]:
+                column.show_state("failed", None, (text,))
+            else:
+                column.show_state("waiting", None, (f"waits for {pending[0]}",))
+
+    def mark_cancelled(self) -> None:
+        """Mark pending columns as cancelled."""
+        for name in self._list_pending():
+            self._window.columns[name].show_state("waiting", None, ("cancelled",))
+
+    def reset_cameras(self, session: Session) -> None:
+        """Fit the cameras of all 3D views, and update their captions."""
+        if self.translation is None:
+            return
+        t, display = self.translation, session.display
+        bounds = compute_view_bounds(t)
+        places = {self._order.index(name): bound for name, bound in bounds.items()}
+        if _GENERATED in bounds:
+            places[len(self._order)] = bounds[_GENERATED]
+        for k, (stage, other) in enumerate(self._variants):
+            if stage in bounds and other is not None:
+                places[len(self._order) + 1 + k] = compute_view_bounds(other)[stage]
+        places |= {self.page_views[page]: bound for page, bound in self._page_bounds.items()}
+        self.scene.fit_cameras(places, linked=session.cameras_linked)
+        self._probe.set_scene(self.scene, display, t)
+        self.update_captions(session)
+
+    def update_captions(self, session: Session) -> None:
+        """Update frame, axes and depth stretch in the captions of the 3D views."""
+        if self.translation is not None:
+            show_captions(self._window, self.translation, session.display)
+
+    def show_variants(
+        self, stage: str, others: Sequence[tuple[tuple[Layer, ...], Translation | None]], session: Session
+    ) -> None:
+        """Show a stage of two sessions in the 3D views of the comparison, with the cameras of the columns."""
+        old, self._variants = self._variants, tuple((stage, other) for _, other in others)
+        if [_get_view_key(*pair) for pair in old] != [_get_view_key(*pair) for pair in self._variants]:
+            kept = {column: at for column, at in self.scene.get_cameras().items() if column <= len(self._order)}
+            self.reset_cameras(session)
+            self.scene.set_cameras(kept)
+        for k, (layers, _) in enumerate(others):
+            self.scene.show_layers(len(self._order) + 1 + k, layers)
+            self._layers[len(self._order) + 1 + k] = layers
+
+    def show_page_scene(
+        self, page: PageScene, layers: Sequence[Layer], bounds: ViewBounds | None, session: Session
+    ) -> None:
+        """Show the scene of a rollout or of a track; its camera stays where the view is the same."""
+        self._page_layers[page], old = tuple(layers), self._page_bounds.pop(page, None)
+        if bounds is not None:
+            self._page_bounds[page] = bounds
+            if bounds != old:
+                self.scene.fit_cameras({self.page_views[page]: bounds}, linked=session.cameras_linked)
+        self.scene.show_layers(self.page_views[page], self._page_layers[page])
+
+    def move_task_bodies(self, poses: Mapping[str, Doubles]) -> None:
+        """Move the bodies of the rollout to these poses."""
+        for layer in self._page_layers.get("task", ()):
+            if layer.name in poses:
+                self.scene.move_layer(self.page_views["task"], layer.name, poses[layer.name])
+
+    def show_step(self, stage: str, _step: AnyStep, at: int) -> None:
+        """Show the preview and layers of a kept step."""
+        part = self._steps.get(stage)
+        if part is None or at >= len(part.step_previews):
+            return
+        self._window.columns[stage].view.show_preview(part.step_previews[at])
+        if part.step_layers[at]:
+            self.scene.show_layers(self._order.index(stage), part.step_layers[at])
+
+    def _find_dependent_stages(self, name: str) -> set[str]:
+        """Return the stages that depend on an input."""
+        changed = {name}
+        for method in self.translation.methods if self.translation is not None else ():
+            if changed.intersection(method.reads):
+                changed.add(method.stage)
+        return changed - {name}
+
+    def _list_pending(self) -> list[str]:
+        shown = () if self._window.presented_columns else self._window.visible_columns()
+        return [name for name in shown if name not in self._fresh]
+
+
+def _get_view_key(stage: str, other: Translation | None) -> tuple[str, Request | None]:
+    """Return what decides the camera of a comparison view: stage and request, not frame or offsets."""
+    return stage, None if other is None else other.request

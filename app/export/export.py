@@ -1,0 +1,226 @@
+"""Exports, repro bundles, and what is on screen as a command line; written in the background, from their own files."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import cast
+
+from PyQt6.QtCore import QPoint, Qt, QUrl
+from PyQt6.QtGui import QDesktopServices
+from PyQt6.QtWidgets import QInputDialog, QMenu
+
+from app.compare.comparison import ComparisonController
+from app.document.autosave import AutosaveController
+from app.document.background_controller import BackgroundController
+from app.document.requests import make_request
+from app.document.session_controller import SessionController
+from app.window import dialogs
+from app.window.jobs import JobFunction, JobReporter
+from pipeline.core.errors import TouchError, escape_text
+from pipeline.translation.reports.export_request import (
+    SHEET,
+    SOURCE,
+    ExportRequest,
+    PaneContent,
+    format_command,
+    format_settings,
+)
+from widgets.export.export_dialog import ExportDialog
+from widgets.style.notification_bar import Choice, NotificationBar
+from widgets.style.styling import copy_text
+
+_NOT_OPEN = "Nothing to export. Open a recording first."
+_BUSY = "An export is already running. Wait for it, or cancel it."
+
+
+class ExportController(BackgroundController):
+    """Connects the export commands with the exports of the pipeline."""
+
+    def __init__(
+        self, controller: SessionController, autosave: AutosaveController, comparison: ComparisonController
+    ) -> None:
+        self.notification = NotificationBar("export_notification")
+        super().__init__("export", controller, self.notification.run_bar)
+        self._autosave, self._comparison = autosave, comparison
+        self.dialog = ExportDialog(self._window)
+        self._window.notifications.add_bar(self.notification)
+        self._written: tuple[Path, str, Callable[[object], str] | None] = Path(), "", None  # see `start_writing`
+        self._window.connect_command("export", self.show_export_dialog)
+        self._window.connect_command("copy_command", self.copy_view_command)
+        self._window.section_panel.command.clicked.connect(self.copy_section_command)
+        self._window.connect_command("export_bundle", self.ask_bundle)
+        self.dialog.export_requested.connect(self._export_selected)
+        self.dialog.command_requested.connect(self.copy_export_command)
+        for name, column in self._window.columns.items():
+            column.setContextMenuPolicy(Qt.ContextMenuPolicy.CustomContextMenu)
+            column.customContextMenuRequested.connect(partial(self._show_menu, name))
+
+    def make_export_request(
+        self, path: Path, pane: str = SHEET, content: str = "computed", frames: str = ""
+    ) -> ExportRequest:
+        """Build the export of what is on screen to one file."""
+        session, opened = self._controller.session, self._controller.views.translation
+        assert opened is not None
+        params = {method.stage: session.get_params(method) for method in opened.methods}
+        return ExportRequest(
+            request=replace(make_request(session), offsets=session.offsets),
+            pane=pane,
+            content=cast("PaneContent", content),
+            settings=format_settings({**params, "display": session.display}),
+            frame=session.frame,
+            frames=frames,
+            path=path,
+        )
+
+    def start_export(self, request: ExportRequest) -> None:
+        """Write a file in the background."""
+        from pipeline.translation.reports.export import ExportOutcome, export_file
+
+        def describe(result: object) -> str:
+            problems = cast("ExportOutcome", result).problems
+            left_out = f"; {len(problems)} left out: {problems[0]}" if problems else ""
+            return f"written: {escape_text(str(request.path))}{left_out}"
+
+        text = f"writing {escape_text(request.path.name)}"
+        self.start_writing(text, partial(export_file, request), request.path, format_command(request), describe)
+
+    def start_bundle(self, folder: Path, note: str) -> None:
+        """Write a repro bundle of the frame on screen in the background."""
+        from pipeline.translation.reports.repro_bundle import write_bundle
+
+        of = self.make_export_request(folder)
+
+        def work(report: JobReporter) -> None:
+            write_bundle(of.request, of.settings, of.frame, folder, note=note, progress=report)
+
+        self.start_writing("writing the repro bundle", work, folder, f"tactoscope replay {dialogs.quote_path(folder)}")
+
+    def copy_export_command(self, pane: str, content: str = "", suffix: str = ".png", frames: str = "") -> None:
+        """Copy the command that writes this export."""
+        if self._controller.views.translation is None:
+            self.notification.show_notification(_NOT_OPEN)
+            return
+        content = content or self._content_on_screen(pane)
+        self._copy(format_command(self.make_export_request(Path(f"{pane}{suffix}"), pane, content, frames)))
+
+    def copy_view_command(self) -> None:
+        """Copy the command that reproduces the screen: all tiles or cells of Compare, else the panes."""
+        session, opened = self._controller.session, self._controller.views.translation
+        if session.layout.name != "compare" or opened is None:
+            self.copy_export_command(self._pane_on_screen())
+            return
+        try:
+            self._copy(self._comparison.format_command(opened, Path("compared")))
+        except TouchError as error:
+            self.notification.show_notification(str(error))
+
+    def copy_section_command(self) -> None:
+        """Copy the command that writes the curves of the section."""
+        line = self._controller.section
+        if line is None or self._controller.views.translation is None:
+            return
+        shown = self._window.visible_columns()
+        pane = SHEET if set(shown) == set(self._window.route_columns) else ",".join(shown)
+        request = self.make_export_request(Path("section.csv"), pane)
+        self._copy(format_command(replace(request, section=tuple(line.plain))))
+
+    def _copy(self, command: str) -> None:
+        copy_text(command)
+        self.notification.show_notification(f"copied: {command}")
+
+    def show_export_dialog(self, pane: str = "") -> None:
+        """Ask what to export."""
+        opened = self._controller.views.translation
+        if opened is None:
+            self.notification.show_notification(_NOT_OPEN)
+            return
+        panes = [(SHEET, "all, side by side"), (SOURCE, "source")]
+        panes += [(name, opened.catalogue.stage(name).title.lower()) for name in opened.stages]
+        pane = pane or self._pane_on_screen()
+        self.dialog.show_panes(panes, pane, self._content_on_screen(pane))
+        self.dialog.show()
+        self.dialog.raise_()
+
+    def ask_bundle(self) -> None:
+        """Ask for a note and a folder, then write the repro bundle."""
+        if self._controller.views.translation is None:
+            self.notification.show_notification(_NOT_OPEN)
+            return
+        note, accepted = QInputDialog.getText(self._window, "Export repro bundle", "What it shows")
+        folder = (
+            dialogs.ask_save_path(self._window, "export_bundle", self._autosave.dialog_folder) if accepted else None
+        )
+        if folder is not None:
+            self.start_bundle(folder, note)
+
+    def _export_selected(self, pane: str, content: str, suffix: str, frames: str) -> None:
+        path = self.ask_path("Export", suffix)
+        if path is not None:
+            self.start_export(self.make_export_request(path, pane, content, frames))
+
+    def ask_path(self, title: str, suffix: str) -> Path | None:
+        """Ask for a file to write; None if nothing is open or the user cancels."""
+        if self._controller.views.translation is None:
+            self.notification.show_notification(_NOT_OPEN)
+            return None
+        path = dialogs.ask_export_path(self._window, title, suffix, self._autosave.dialog_folder)
+        if path is not None:
+            self._autosave.preferences.last_folder = path.parent
+        return path
+
+    def start_writing(
+        self, text: str, work: JobFunction, path: Path, command: str = "",
+        describe: Callable[[object], str] | None = None,
+    ) -> None:  # fmt: skip
+        """Write something in the background, unless an export is running.
+
+        `command` writes the same, `describe` turns the result into a sentence.
+        """
+        if self._controller.views.translation is None or self.job.is_busy:
+            self.notification.show_notification(_BUSY if self.job.is_busy else _NOT_OPEN)
+            return
+        self.notification.show_notification(f"{text}…", stays=True)
+        self._written = path, command, describe
+        self.start(work)
+
+    def show_result(self, result: object) -> None:
+        """Offer the folder and the command of the written file."""
+        path, command, describe = self._written
+        show_folder = partial(QDesktopServices.openUrl, QUrl.fromLocalFile(str(path.parent)))
+        choices: list[Choice] = [("Copy as command", partial(copy_text, command))] if command else []
+        self.notification.show_notification(
+            describe(result) if describe is not None else f"written: {escape_text(str(path))}",
+            (*choices, ("Show folder", show_folder)),
+        )
+
+    def show_failure(self, error: BaseException) -> None:  # noqa: ARG002 - the banner shows it
+        """Leave the place to the banner."""
+        self.notification.hide()
+
+    def show_cancelled(self) -> None:
+        """Show that no file was written."""
+        self.notification.show_notification("cancelled; nothing was written")
+
+    def _pane_on_screen(self) -> str:
+        shown, layout = self._window.visible_columns(), self._controller.session.layout
+        if layout.name == "inspect" and (panes := layout.resolve_panes(self._window.route_columns)):
+            return panes[min(self._window.panes.active_pane, len(panes) - 1)][0]
+        return shown[0] if len(shown) == 1 else SHEET
+
+    def _content_on_screen(self, pane: str) -> str:
+        mode = self._controller.views.comparison_mode
+        return mode if pane not in (SHEET, SOURCE) and mode in ("truth", "difference") else "computed"
+
+    def _show_menu(self, name: str, at: QPoint) -> None:
+        column, menu = self._window.columns[name], QMenu(self._window)
+        choices: tuple[tuple[str, Callable[[], None]], ...] = (
+            ("Export pane…", lambda: self.show_export_dialog(name)),
+            ("Copy as command", lambda: self.copy_export_command(name)),
+            ("Export repro bundle…", self.ask_bundle),
+        )
+        for text, function in choices:
+            action = menu.addAction(text)
+            assert action is not None
+            action.triggered.connect(function)
+        menu.popup(column.mapToGlobal(at))

@@ -1,0 +1,80 @@
+"""Layouts: the commands that change them, and the drawers and modes that come with each."""
+
+from dataclasses import replace
+from functools import partial
+
+from app.document.feature import Feature
+from app.document.session_controller import SessionController
+from app.session.layout import DIMS, LAYOUT_NAMES, Dims, Layout, LayoutName
+from app.session.state import Session
+from pipeline.translation.truth_view import ComparisonMode
+
+_PANES_KEY = "panes"  # consecutive changes of panes are one undo step
+
+
+class LayoutController(Feature):
+    """Connects the layout commands with the session."""
+
+    def __init__(self, controller: SessionController) -> None:
+        super().__init__(controller)
+        self._mode_before_align: ComparisonMode | None = None  # None outside Align
+        self._opened_drawer = False  # whether Align opened the alignment drawer
+        self._shown_layout: LayoutName = "stages"
+        window, panes = self._window, self._window.panes
+        for name in LAYOUT_NAMES:
+            window.connect_command(f"layout_{name}", partial(self.choose_layout, name))
+        window.connect_command("toggle_inspect", self._toggle_inspect)
+        panes.stage_chosen.connect(self._choose_stage)
+        panes.dims_chosen.connect(self._choose_dims)
+        panes.count_chosen.connect(self._choose_count)
+        window.show_layout(controller.session.layout)
+
+    @property
+    def _resolved_layout(self) -> Layout:
+        """The layout with panes of stages that the route computes."""
+        layout = self._controller.session.layout
+        return replace(layout, panes=layout.resolve_panes(self._window.route_columns) or layout.panes)
+
+    def choose_layout(self, name: LayoutName) -> None:
+        """Change to a layout."""
+        layout = replace(self._controller.session.layout, name=name)
+        self._controller.change(f"show {name}", layout=layout)
+        self._window.show_layout(self._controller.session.layout)  # resets the command's check mark
+
+    def show_stage(self, stage: str) -> None:
+        """Show a stage in the active pane."""
+        self._arrange(self._resolved_layout.with_stage(self._window.panes.active_pane, stage))
+
+    def _toggle_inspect(self) -> None:
+        self.choose_layout("stages" if self._controller.session.layout.name == "inspect" else "inspect")
+
+    def _arrange(self, layout: Layout) -> None:
+        self._controller.change("arrange panes", key=_PANES_KEY, layout=layout)
+
+    def _choose_stage(self, pane: int, stage: str) -> None:
+        self._arrange(self._resolved_layout.with_stage(pane, stage))
+
+    def _choose_count(self, count: int) -> None:
+        self._arrange(self._resolved_layout.with_count(count, self._window.route_columns))
+
+    def _choose_dims(self, pane: int, dims: str) -> None:
+        chosen: Dims = next(d for d in DIMS if d == dims)
+        self._arrange(self._resolved_layout.with_dims(pane, chosen))
+
+    def show_session(self, session: Session) -> None:
+        """Open drawer and difference mode for Align, close all drawers for Demo, and undo that afterwards."""
+        drawer, name = self._window.drawers.alignment, session.layout.name
+        is_align = name == "align"
+        if name == "demo" and self._shown_layout != "demo":
+            for other in self._window.drawers.all_drawers:
+                other.hide()
+        self._shown_layout = name
+        if is_align and self._mode_before_align is None:
+            self._mode_before_align, self._opened_drawer = self._controller.views.comparison_mode, drawer.isHidden()
+            self._window.show_drawer(drawer)
+            self._controller.set_comparison_mode(self._mode_before_align or "difference")
+        elif not is_align and self._mode_before_align is not None:
+            mode, self._mode_before_align = self._mode_before_align, None
+            if self._opened_drawer:
+                drawer.hide()
+            self._controller.set_comparison_mode(mode)

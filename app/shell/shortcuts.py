@@ -1,0 +1,111 @@
+"""Keyboard use: the probe by arrow keys, alignment numbers, and parameters by their names."""
+
+from functools import partial
+
+from PyQt6.QtCore import QEvent, QObject, Qt
+from PyQt6.QtGui import QAction
+from PyQt6.QtWidgets import QWidget
+
+from app.document.feature import Feature
+from app.document.session_controller import SessionController
+from app.window.main_window import MainWindow
+from widgets.style.base import EventListener
+from widgets.views.preview_key_filter import PreviewKeyFilter
+
+_HINT = (
+    "arrow keys move the pixel or the section line (Ctrl: end A, Alt: end B), Shift: 10 times as far; "
+    "Enter pins; + and \N{MINUS SIGN} zoom; , and . move the wipe; Tab: next image; P ends"
+)
+
+
+class KeyboardController(Feature):
+    """Gives the keyboard focus to images and to the alignment's first number."""
+
+    def __init__(self, controller: SessionController) -> None:
+        super().__init__(controller)
+        self._probe = controller.probe
+        self._is_open = lambda: controller.views.translation is not None
+        for name, column in self._window.columns.items():
+            keys = PreviewKeyFilter(column.view)
+            keys.pixel_pointed.connect(partial(self._probe.move_to_pixel, name))
+            keys.pixel_pinned.connect(partial(self._probe.toggle_pin, name))
+            keys.focus_passed.connect(partial(self._focus_next, name))
+        self._window.connect_command("probe_by_keys", self._toggle)
+        self._window.connect_command("cancel", self._end)
+        self._window.connect_command("edit_alignment", self._edit_alignment)
+        self._box, self._wants_focus = self._window.alignment.rows["x"].box, False
+        EventListener(self._box, self._focus_box, QEvent.Type.EnabledChange)
+
+    @property
+    def focused_column(self) -> str:
+        """The column whose image has the keyboard focus; "" if none."""
+        return next((name for name, column in self._window.columns.items() if column.view.canvas.hasFocus()), "")
+
+    @property
+    def _visible_columns(self) -> list[str]:
+        return [name for name, column in self._window.columns.items() if column.isVisible() and column.view.preview]
+
+    def _toggle(self) -> None:
+        if self.focused_column:
+            self._end()
+            return
+        panes, shown = self._window.panes, self._visible_columns
+        active = panes.active_stage if panes.isVisible() else ""
+        if shown:
+            self._focus(active if active in shown else shown[0])
+
+    def _focus(self, name: str) -> None:
+        self._window.columns[name].view.canvas.setFocus(Qt.FocusReason.OtherFocusReason)
+        self._window.readout.setText(_HINT)
+        self._window.readout.setToolTip(_HINT)
+
+    def _focus_next(self, name: str, by: int) -> None:
+        shown = self._visible_columns
+        if name in shown:
+            self._focus(shown[(shown.index(name) + by) % len(shown)])
+
+    def _end(self) -> None:
+        if self.focused_column:
+            self._window.setFocus()
+            self._window.readout.setText("")
+
+    def _edit_alignment(self) -> None:
+        self._window.show_drawer(self._window.drawers.alignment)
+        self._wants_focus = self._is_open()  # once the box is enabled
+        self._focus_box()
+
+    def _focus_box(self) -> None:
+        if self._wants_focus and self._box.isEnabled() and self._box.isVisible():
+            self._wants_focus = False
+            self._box.setFocus(Qt.FocusReason.ShortcutFocusReason)
+            self._box.selectAll()
+
+
+def make_parameter_actions(window: MainWindow, parent: QObject) -> list[QAction]:
+    """One action per parameter of the methods in use; those made before for `parent` are deleted."""
+    for old in parent.findChildren(QAction):
+        old.deleteLater()
+    actions: list[QAction] = []
+    for title, setting, control in window.parameters.list_shown():
+        action = QAction(f"{setting.label} ({title})", parent)
+        action.setToolTip(control.toolTip())
+        action.triggered.connect(partial(_focus_parameter, window, control))
+        actions.append(action)
+    return actions
+
+
+def _focus_parameter(window: MainWindow, control: QWidget, _checked: bool = False) -> None:
+    """Give the keyboard to a control, in its column if it is visible there, else in the Parameters drawer."""
+    key, _, name = control.objectName().rpartition(".")
+    column = window.columns[key.partition("/")[0]] if "/" in key else None
+    if column is not None and name in column.pinned.names and column.pinned.isVisible():
+        control = column.pinned.get_control(name)
+    else:
+        window.show_drawer(window.drawers.parameters)
+        window.parameters.ensureWidgetVisible(control)
+    target = next((child for child in control.findChildren(QWidget) if _takes_focus(child)), control)
+    target.setFocus(Qt.FocusReason.ShortcutFocusReason)
+
+
+def _takes_focus(widget: QWidget) -> bool:
+    return widget.focusPolicy() != Qt.FocusPolicy.NoFocus and not widget.isHidden()

@@ -1,0 +1,34 @@
+"""Parse lists of frame numbers."""
+
+import re
+
+from pipeline.core.errors import SettingProblem
+
+_RANGE = re.compile(r"([0-9]{1,12})(?:-([0-9]{1,12}))?")
+
+
+def check_frame_index(index: int, n_frames: int) -> int:
+    """Return `index` if a recording of `n_frames` has it; raises SettingProblem otherwise."""
+    if n_frames < 1:
+        raise SettingProblem("the recording holds no frame; choose another")
+    if not 0 <= index < n_frames:
+        raise SettingProblem(f"no frame {index}; the recording has frames 0 to {n_frames - 1}")
+    return index
+
+
+def parse_frames(listed: str, n_frames: int) -> list[int]:
+    """Return the frame numbers of a text such as `0,3-7`; all if it is empty. Raises SettingProblem."""
+    check_frame_index(0, n_frames)
+    if not listed.strip():
+        return list(range(n_frames))
+    frames: set[int] = set()
+    for part in listed.split(","):
+        match = _RANGE.fullmatch(part.strip())
+        if match is None:
+            raise SettingProblem(f"frames are given as numbers and ranges such as 0,3-7, got {listed[:40]!r}")
+        first, last = int(match[1]), int(match[2] or match[1])
+        check_frame_index(max(first, last), n_frames)
+        if last < first:
+            raise SettingProblem(f"a range of frames goes from the smaller number to the larger, got {part.strip()!r}")
+        frames.update(range(first, last + 1))
+    return sorted(frames)

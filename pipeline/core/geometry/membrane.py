@@ -1,0 +1,132 @@
+"""The rest surface of a sensor: its gel or membrane without contact.
+
+A height field over the sensor's x-y plane, z_mm = h(x_mm, y_mm), covers flat pads and domes, and makes the paper's test
+SDF(p, M_target) <= 0 exact in sign: a point nearer to the camera than the surface has pushed it in.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pipeline.core.arrays import Doubles, freeze
+from pipeline.core.errors import CalibrationError
+from pipeline.core.geometry.camera import Camera
+
+REST_DEPTH_TOLERANCE_MM = 1e-9  # far below the float32 rounding of a depth image
+_MAX_ITERATIONS = 60
+_MANY = 6000  # values from which the compiled loop is worth loading
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Membrane:
+    """Height z of the rest surface on a square grid of `step_mm`, bilinear, level beyond its border."""
+
+    x0_mm: float  # grid column 0
+    y0_mm: float  # grid row 0
+    step_mm: float
+    z_mm: Doubles  # (ny, nx), sensor frame
+
+    def depth_at(self, x_mm: ArrayLike, y_mm: ArrayLike) -> Doubles:
+        """Return z of the rest surface at (x, y), same shape as the input."""
+        return self._sample(x_mm, y_mm)[0]
+
+    def signed_distance_mm(self, points_mm: ArrayLike) -> Doubles:
+        """Return the distance of points (..., 3) to the rest surface, negative on the camera's side (pushed in).
+
+        First-order distance (z - h) / sqrt(1 + |grad h|^2): the sign is exact, the size good near the surface.
+        """
+        p = np.asarray(points_mm)
+        p = p if p.dtype.char in "fd" else p.astype(np.float64)
+        if p.size > _MANY:
+            return self._many_distances(p)
+        p = p.astype(np.float64)
+        h, hx, hy = self._sample(p[..., 0], p[..., 1])
+        return np.asarray((p[..., 2] - h) / np.sqrt(1.0 + hx * hx + hy * hy))
+
+    @property
+    def level_mm(self) -> float | None:
+        """Return the height of a level surface, else None."""
+        height = float(self.z_mm[0, 0])
+        middle = self.z_mm[self.z_mm.shape[0] // 2, self.z_mm.shape[1] // 2]  # one look identifies a dome
+        return height if middle == height and bool((self.z_mm == height).all()) else None
+
+    def _many_distances(self, points_mm: NDArray[np.floating]) -> Doubles:
+        from pipeline.core.geometry import membrane_kernels
+
+        out = np.empty(points_mm.size // 3, dtype=np.float64)
+        flat_points = np.ascontiguousarray(points_mm).reshape(-1)
+        level_mm = self.level_mm
+        if level_mm is not None:
+            membrane_kernels.measure_level_distance(flat_points, level_mm, out)
+        else:
+            ny, nx = self.z_mm.shape
+            surface = np.ascontiguousarray(self.z_mm).reshape(-1)
+            membrane_kernels.measure_signed_distance(
+                flat_points, self.x0_mm, self.y0_mm, self.step_mm, surface, nx, ny, out
+            )
+        return out.reshape(points_mm.shape[:-1])
+
+    def rest_depth_mm(self, camera: Camera) -> Doubles:
+        """Return z (rows, cols) where each pixel's ray meets the rest surface.
+
+        Newton on f(z) = h(x z, y z) - z along the ray; raises CalibrationError if a ray never meets the surface.
+        """
+        rx, ry = (a for a in np.broadcast_arrays(camera.rays()[0][None, :], camera.rays()[1][:, None]))
+        z = np.full(camera.shape, float(self.z_mm.mean()))
+        for _ in range(_MAX_ITERATIONS):
+            h, hx, hy = self._sample(rx * z, ry * z)
+            step = (h - z) / np.minimum(hx * rx + hy * ry - 1.0, -0.1)
+            z = z - step
+            if np.abs(step).max() < REST_DEPTH_TOLERANCE_MM:
+                return freeze(z)
+        # Newton can hop between two bilinear cells across a crease; the error is far below a micrometre.
+        if np.abs(self._sample(rx * z, ry * z)[0] - z).max() < 1e-6:
+            return freeze(z)
+        raise CalibrationError(
+            "some camera rays do not meet the sensor's rest surface; check [rest] and [camera] of its description"
+        )
+
+    def _sample(self, x_mm: ArrayLike, y_mm: ArrayLike) -> tuple[Doubles, Doubles, Doubles]:
+        """Return (h, dh/dx, dh/dy): bilinear, clamped to the grid."""
+        ny, nx = self.z_mm.shape
+        u = np.clip((np.asarray(x_mm, dtype=np.float64) - self.x0_mm) / self.step_mm, 0.0, nx - 1.0)
+        v = np.clip((np.asarray(y_mm, dtype=np.float64) - self.y0_mm) / self.step_mm, 0.0, ny - 1.0)
+        i = np.minimum(np.nan_to_num(u).astype(np.intp), nx - 2)
+        j = np.minimum(np.nan_to_num(v).astype(np.intp), ny - 2)
+        a, b = u - i, v - j
+        z, first = self.z_mm.ravel(), j * nx + i  # a flat index is twice as fast as a pair
+        z00, z01, z10, z11 = z[first], z[first + 1], z[first + nx], z[first + nx + 1]
+        h = (z00 * (1 - a) + z01 * a) * (1 - b) + (z10 * (1 - a) + z11 * a) * b
+        hx = ((z01 - z00) * (1 - b) + (z11 - z10) * b) / self.step_mm
+        hy = ((z10 - z00) * (1 - a) + (z11 - z01) * a) / self.step_mm
+        return h, hx, hy
+
+
+def make_flat_membrane(z_mm: float, half_width_mm: float, half_height_mm: float) -> Membrane:
+    """Return a level pad at distance `z_mm` from the camera."""
+    step = max(half_width_mm, half_height_mm) / 8.0
+    nx, ny = int(np.ceil(2 * half_width_mm / step)) + 1, int(np.ceil(2 * half_height_mm / step)) + 1
+    return Membrane(
+        x0_mm=-half_width_mm, y0_mm=-half_height_mm, step_mm=step, z_mm=freeze(np.full((ny, nx), float(z_mm)))
+    )
+
+
+def make_dome_membrane(
+    rim_z_mm: float, height_mm: float, half_width_mm: float, half_height_mm: float, step_mm: float = 0.5
+) -> Membrane:
+    """Return an inflated membrane over an elliptic rim, its apex farthest from the camera.
+
+    h = rim + height (1 - (x/a)^2 - (y/b)^2) solves T lap h = -p exactly on the ellipse, so it is the rest shape of a
+    pre-stretched membrane under pressure; outside the rim it is level.
+    """
+    nx, ny = (2 * int(np.ceil(a / step_mm)) + 1 for a in (half_width_mm, half_height_mm))
+    x = (np.arange(nx) - nx // 2) * step_mm
+    y = (np.arange(ny) - ny // 2) * step_mm
+    bulge = 1.0 - (x[None, :] / half_width_mm) ** 2 - (y[:, None] / half_height_mm) ** 2
+    return Membrane(
+        x0_mm=float(x[0]),
+        y0_mm=float(y[0]),
+        step_mm=step_mm,
+        z_mm=freeze(rim_z_mm + height_mm * np.maximum(bulge, 0.0)),
+    )

@@ -1,0 +1,118 @@
+"""Stage parameters: frozen dataclasses whose fields describe how they are set.
+
+The command line's `--set stage.field=value` and the app's controls are derived from them.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, TypeVar, cast, get_args
+
+from pipeline.core.errors import SettingProblem, hint_decimal_comma
+
+P = TypeVar("P")
+Value = bool | int | float | str
+
+_KINDS: dict[type, str] = {bool: "on or off", int: "a whole number", float: "a number", str: "a text"}
+_YES, _NO = {"true", "on", "yes", "1"}, {"false", "off", "no", "0"}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Setting:
+    """Label, limits and help of one parameter."""
+
+    label: str
+    unit: str = ""
+    low: float = -math.inf
+    high: float = math.inf
+    step: float = 0.0  # of a spin box; 0 = a tenth of the range
+    choices: tuple[str, ...] = ()
+    help: str = ""
+    source: str = ""  # of the equation that uses it
+    sensor_kind: str = ""  # that the parameter applies to, "" = any
+    pinned: str = ""  # short label of a parameter that stays in sight in the stage's column
+    sweep: tuple[Value, ...] = ()  # values that a sweep starts with; () = multiples of the current value
+
+    def applies_to(self, kind: str) -> bool:
+        """Return whether the parameter applies to a sensor of that kind; "" = unknown kind."""
+        return not (self.sensor_kind and kind) or self.sensor_kind == kind
+
+
+def is_draft(params: object) -> bool:
+    """Return whether the parameters are those of a faster draft."""
+    return bool(getattr(params, "draft", False))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NoParams:
+    """Parameters of a method without settings."""
+
+
+def setting(
+    default: Value,
+    label: str,
+    *,
+    unit: str = "",
+    low: float = -math.inf,
+    high: float = math.inf,
+    step: float = 0.0,
+    choices: Any = (),
+    help: str = "",  # noqa: A002 - the word users know
+    source: str = "",
+    only: str = "",
+    pinned: str = "",
+    sweep: tuple[Value, ...] = (),
+) -> Any:
+    """Return a dataclass field with a default and its `Setting`; `choices` is the field's `Literal` type."""
+    words = get_args(choices) or tuple(choices)
+    rule = Setting(
+        label=label, unit=unit, low=low, high=high, step=step, choices=words, help=help, source=source,
+        sensor_kind=only, pinned=pinned, sweep=sweep,
+    )  # fmt: skip
+    return field(default=default, metadata={"setting": rule})
+
+
+def list_settings(params: object) -> Mapping[str, tuple[Value, Setting]]:
+    """Return name -> (value, setting) of every parameter, in the order of definition."""
+    return {
+        f.name: (getattr(params, f.name), f.metadata["setting"])
+        for f in fields(cast("Any", params))
+        if "setting" in f.metadata
+    }
+
+
+def replace_value(params: P, name: str, value: Value) -> P:
+    """Return `params` with one value replaced, after checking its type and range; raises SettingProblem."""
+    known = list_settings(params)
+    if name not in known:
+        raise SettingProblem(f"no parameter {name!r}; there are {', '.join(known)}")
+    old, rule = known[name]
+    try:
+        new = _convert(value, type(old))
+    except ValueError:
+        raise SettingProblem(
+            f"{name} must be {_KINDS[type(old)]}, got {value!r}{hint_decimal_comma(str(value))}"
+        ) from None
+    if rule.choices and new not in rule.choices:
+        raise SettingProblem(f"{name} must be one of {', '.join(rule.choices)}, got {value!r}")
+    if isinstance(new, (int, float)) and not isinstance(new, bool):
+        check_range(name, new, rule.low, rule.high, rule.unit)
+    return cast("P", replace(cast("Any", params), **{name: new}))
+
+
+def check_range(name: str, value: float, low: float, high: float, unit: str = "") -> None:
+    """Raise SettingProblem for a value outside [low, high], and for NaN."""
+    if not low <= value <= high:
+        least, most, got = (str(one) if isinstance(one, int) else f"{one:g}" for one in (low, high, value))
+        raise SettingProblem(f"{name} must lie within {least} and {most}{f' {unit}' if unit else ''}, got {got}")
+
+
+def _convert(value: Value, kind: type) -> Value:
+    if kind is bool:
+        word = str(value).lower()
+        if word not in _YES | _NO:
+            raise ValueError(value)
+        return word in _YES
+    if kind is int and isinstance(value, float) and not value.is_integer():
+        raise ValueError(value)
+    return cast("Value", kind(value))

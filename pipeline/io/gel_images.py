@@ -1,0 +1,142 @@
+"""What all readers of gel images share: sensor, size and reference.
+
+Some training sets keep differences only, frames minus their reference, with mid-grey (or zero, in floats) for no
+change. Slopes follow from the change relative to the reference brightness, so a described reference is good enough.
+"""
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.core.arrays import Image, freeze
+from pipeline.core.errors import FileProblem
+from pipeline.core.values.frames import TactileFrame
+from pipeline.io import resampling
+from pipeline.io.resampling import ResamplingFit
+from pipeline.io.sensor_guess import resolve_sensor_name
+from pipeline.sensors.parts import compute_reference_light
+from pipeline.sensors.spec import SensorSpec, load_sensor
+
+MID_GREY = 128.0  # grey level
+_MAX_FROM_MID_GREY = 16.0  # grey levels of a pixel without change
+_MIN_QUIET_SHARE = 0.5  # of the pixels of a difference; at most a third of a gel's reference image is mid-grey
+_UNIFORM_GREY, _MIN_COLOUR_GREY = 8, 0.5  # grey levels: range of an image that says nothing; mean between channels
+DIFFERENCE_NOTE = (
+    "the images are differences from a reference (mid-grey or zero is no change); the reference follows from the "
+    "sensor description, and a difference that was halved gives half the depth"
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ImpliedReference:
+    """The reference image that differences imply."""
+
+    reference: Image  # (rows, cols, 3)
+    no_change_grey: float  # grey level of no change
+
+    def restore_image(self, difference: NDArray[np.generic]) -> Image:
+        """The frame (rows, cols, 3) uint8 whose difference this is."""
+        image = self.reference.astype(np.float32) + difference.astype(np.float32) - np.float32(self.no_change_grey)
+        return freeze(np.clip(np.rint(image), 0, 255).astype(np.uint8))
+
+
+def estimate_no_change_grey(image: Image) -> float | None:
+    """The grey level of no change in a difference image (rows, cols, 3); None for an image of a camera."""
+    near = (np.abs(image.astype(np.float32) - MID_GREY) <= _MAX_FROM_MID_GREY).all(axis=2)
+    return float(np.median(image[near])) if near.mean() > _MIN_QUIET_SHARE else None
+
+
+def derive_implied_reference(
+    spec: SensorSpec | None, shape: tuple[int, int], no_change_grey: float
+) -> ImpliedReference:
+    """The described reference image without markers; plain mid-grey where the sensor or its optics are not known."""
+    if spec is None or spec.optics is None or spec.camera.shape != shape:
+        light = np.full((*shape, 3), MID_GREY)
+    else:
+        light = np.clip(np.rint(compute_reference_light(spec.camera, spec.optics)), 0, 255)
+    return ImpliedReference(reference=freeze(light.astype(np.uint8)), no_change_grey=no_change_grey)
+
+
+def require_colour(images: Iterable[Image], path: Path) -> None:
+    """Raise FileProblem where all images are grey; one that is uniform (black) says nothing."""
+    textured = [image for image in images if int(image.max()) - int(image.min()) > _UNIFORM_GREY]
+    if textured and all(
+        float((image.max(axis=2) - image.min(axis=2)).mean(dtype=np.float64)) < _MIN_COLOUR_GREY for image in textured
+    ):
+        raise FileProblem(
+            "the images are grey, and a gel's slopes are read from its colours: record or convert it in colour; depth "
+            "is read from images of 16 bits",
+            path,
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GelImageConverter:
+    """Converts images of one size to the sensor's; made once for all frames of a stream."""
+
+    sensor: str  # "" = not known
+    reference: Image | None  # (rows, cols, 3) of the sensor's size
+    notes: tuple[str, ...]
+    resampling_fit: ResamplingFit | None  # None = no resampling
+    implied_reference: ImpliedReference | None  # None = the images are no differences
+
+    def convert_image(self, raw: NDArray[np.generic]) -> Image:
+        """The camera image (rows, cols, 3) uint8 of the sensor's size for a stored image; of a difference, restored."""
+        stored = self._convert_stored(raw)
+        return stored if self.implied_reference is None else self.implied_reference.restore_image(stored)
+
+    def _convert_stored(self, raw: NDArray[np.generic]) -> Image:
+        if self.implied_reference is not None and raw.dtype != np.uint8:  # signed difference in grey levels
+            raw = np.clip(np.rint(raw.astype(np.float32) + self.implied_reference.no_change_grey), 0, 255)
+        image = np.asarray(raw, np.uint8)
+        return image if self.resampling_fit is None else self.resampling_fit.resample_image(image)
+
+    def make_frame(self, raw: NDArray[np.generic], index: int, origin: str, time_s: float = math.nan) -> TactileFrame:
+        """The frame of a stored image, which holds a difference as it is stored too."""
+        stored = None if self.implied_reference is None else self._convert_stored(raw)
+        return TactileFrame(sensor=self.sensor, image=self.convert_image(raw), reference=self.reference, index=index,
+                            time_s=time_s, origin=origin, stored_image=stored)  # fmt: skip
+
+
+def make_gel_converter(
+    sensor: str,
+    shape: tuple[int, int],
+    reference: Image | None,
+    read_first: Callable[[], NDArray[np.generic]],
+    *,
+    file_names: Sequence[str] = (),
+) -> GelImageConverter:
+    """The converter for stored images of `shape` (rows, cols).
+
+    `sensor` is the stated sensor or "", `reference` the stored reference image, `read_first` reads one stored image,
+    uint8 or a signed difference; `file_names` of the images may name the sensor. Raises SettingProblem for an unknown
+    sensor, and what `read_first` raises.
+    """
+    name, notes = resolve_sensor_name(sensor, shape, is_depth=False, file_names=file_names)
+    spec = load_sensor(sensor or name) if sensor or name else None
+    first = read_first() if reference is None else reference
+    example = np.asarray(first, np.uint8) if first.dtype == np.uint8 else None
+    fit = None if spec is None else resampling.fit_resampling(spec, shape, example)
+    no_change_grey = None if reference is not None else _find_no_change_grey(first)
+    implied = None
+    if no_change_grey is not None:
+        implied = derive_implied_reference(spec, shape if fit is None else fit.shape, no_change_grey)
+        reference = implied.reference
+    elif reference is not None and fit is not None:
+        reference = fit.resample_image(reference)
+    notes += () if fit is None else (fit.note,)
+    notes += () if implied is None else (DIFFERENCE_NOTE,)
+    return GelImageConverter(
+        sensor=name, reference=reference, notes=notes, resampling_fit=fit, implied_reference=implied
+    )
+
+
+def _find_no_change_grey(image: NDArray[np.generic]) -> float | None:
+    """The grey level of no change; signed differences are shifted to mid-grey before resampling."""
+    if image.dtype != np.uint8:
+        return MID_GREY
+    return estimate_no_change_grey(np.asarray(image, np.uint8))

@@ -1,0 +1,122 @@
+"""What the numbers of stored images mean: 0 to 255, 0 to 1, -1 to 1, or differences from the reference.
+
+A few values beyond a range (noise, interpolation) do not change it: ranges are compared with quantiles. A difference
+has its mode at "no change", and both signs. What fits several meanings, or none, is refused.
+"""
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.core.arrays import Floats, Image, freeze
+from pipeline.core.errors import FileProblem, escape_text
+
+WHITE = 255.0  # grey level
+_MAX_SAMPLED, _MAX_VALUES = 16, 2_000_000  # frames, and values of all of them, that the range is inferred from
+_QUANTILE, _PEAK_QUANTILE = 1e-3, 5e-5  # beyond the first: overshoot of noise and resizing; beyond the second: defects
+_MAX_UNIT = 1.25  # largest value of a range up to 1: interpolation overshoots a sharp edge by a fifth
+_MIN_GREY = 8.0  # grey levels: an image or difference in these reaches more
+_MAX_NEGATIVE_SHARE, _MIN_NEGATIVE_SHARE = 0.15, 0.02  # of the largest value: overshoot is less; noise of black is more
+_QUIET_GREY, _MIN_QUIET_SHARE = 16.0, 0.5  # share of a difference that has changed by less than this
+_HALF_RANGE = 0.52  # signed values up to here may be of -0.5 to 0.5 as well as of -1 to 1
+_DIFFERENCE_KEY = re.compile(r"(^|_)(diff|difference|differences|delta)(_|$)", re.IGNORECASE)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GreyScale:
+    """The grey level of a stored value: factor * value + offset."""
+
+    factor: float = 1.0
+    offset: float = 0.0
+    is_difference: bool = False  # grey levels are changes from the reference
+    note: str = ""  # "" where bytes are stored
+
+    def convert_image(self, raw: NDArray[np.generic], where: str, path: Path) -> Image:
+        """The stored image as bytes; raises FileProblem for values that are not finite."""
+        if raw.dtype == np.uint8:
+            return freeze(np.ascontiguousarray(raw, np.uint8))
+        return freeze(np.clip(np.rint(self.convert_difference(raw, where, path)), 0, 255).astype(np.uint8))
+
+    def convert_difference(self, raw: NDArray[np.generic], where: str, path: Path) -> Floats:
+        """The stored image in grey levels, which may be signed; raises FileProblem for values that are not finite."""
+        grey = np.asarray(raw, np.float32) * np.float32(self.factor) + np.float32(self.offset)
+        if not np.isfinite(grey).all():
+            raise FileProblem(
+                f"{where} has values that are not finite (NaN or infinite); repair it, or leave it out",
+                path,
+                field=where,
+            )
+        return freeze(grey)
+
+
+def sample_values(read: Callable[[int], NDArray[np.generic]], n: int) -> NDArray[np.generic]:
+    """Values of frames spread evenly over a stack of `n`, (k,)."""
+    parts = list[NDArray[np.generic]]()
+    for index in sorted({round(k) for k in np.linspace(0, n - 1, min(n, _MAX_SAMPLED))}):
+        values = read(index).ravel()
+        parts.append(values[:: 1 + values.size * min(n, _MAX_SAMPLED) // _MAX_VALUES])
+    return np.concatenate(parts)
+
+
+def infer_grey_scale(
+    values: NDArray[np.generic], key: str, path: Path, *, of_reference: NDArray[np.generic] | None = None
+) -> GreyScale:
+    """The meaning of the sampled `values` of the array `key`; those of a reference of the same type help to tell.
+
+    Raises FileProblem for values that are not finite, and where the meaning cannot be told.
+    """
+    if values.dtype == np.uint8:
+        return GreyScale()
+    numbers = np.asarray(values, np.float32)
+    if not np.isfinite(numbers).all():
+        raise FileProblem(
+            f"the array {key!r} has values that are not finite (NaN or infinite); leave those frames out",
+            path,
+            field=key,
+        )
+    is_whole, shown = values.dtype.kind in "iu", escape_text(key)
+    low_peak, low, high, high_peak = (
+        float(q) for q in np.quantile(numbers, (_PEAK_QUANTILE, _QUANTILE, 1 - _QUANTILE, 1 - _PEAK_QUANTILE))
+    )
+    unit = _find_unit(max(-low_peak, high_peak), is_whole)
+    if unit and low < 0 and (_is_difference(numbers, low, high, unit) or _DIFFERENCE_KEY.search(key)):
+        white = "1 is white" if unit == 1.0 else "255 is white"
+        note = f"{shown} has negative values, most of them near 0: {white}, and 0 is no change"
+        return GreyScale(factor=WHITE / unit, is_difference=True, note=note)
+    if of_reference is not None and of_reference.dtype == values.dtype:
+        both = np.append(numbers, np.asarray(of_reference, np.float32))
+        low, high = (float(q) for q in np.quantile(both, (_QUANTILE, 1 - _QUANTILE)))
+    unit, beyond = _find_unit(high, is_whole), -low / high if high > 0 else np.inf
+    is_black = unit and low < 0 and beyond > _MIN_NEGATIVE_SHARE and _is_quiet(numbers, unit)
+    if unit and beyond <= _MAX_NEGATIVE_SHARE and not is_black:
+        note = f"{shown} holds {values.dtype}: {unit:g} is white"
+        return GreyScale(factor=WHITE / unit, note=note)
+    if not is_whole and not is_black and _HALF_RANGE < max(-low, high) <= _MAX_UNIT and low < 0:
+        note = f"{shown} has negative values, and not most of them near 0: -1 is black, 1 is white"
+        return GreyScale(factor=0.5 * WHITE, offset=0.5 * WHITE, note=note)
+    raise FileProblem(
+        f"{key} must hold grey levels of 0 to 255, 0 to 1 or -1 to 1, or differences that are mostly 0; it holds "
+        f"{values.dtype} of {low:.3g} to {high:.3g}: save images as uint8, differences from the reference as int16",
+        path,
+        field=key,
+    )
+
+
+def _find_unit(largest: float, is_whole: bool) -> float:
+    """The value that is white, 1 or 255; 0 where it cannot be told."""
+    if not is_whole and largest <= _MAX_UNIT:
+        return 1.0
+    return WHITE if (is_whole or largest >= _MIN_GREY) and largest <= WHITE * _MAX_UNIT else 0.0
+
+
+def _is_difference(numbers: Floats, low: float, high: float, unit: float) -> bool:
+    return -low > _MAX_NEGATIVE_SHARE * high and _is_quiet(numbers, unit)
+
+
+def _is_quiet(numbers: Floats, unit: float) -> bool:
+    """Whether most values are near 0."""
+    return float((np.abs(numbers) <= _QUIET_GREY / WHITE * unit).mean()) > _MIN_QUIET_SHARE

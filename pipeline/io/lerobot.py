@@ -1,0 +1,180 @@
+"""Cameras of a LeRobot data set (v3, and v2 of the same file kinds) as streams: videos, or images in parquet tables."""
+
+from bisect import bisect_right
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import partial
+from itertools import islice
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+import numpy as np
+
+from pipeline.core.arrays import Image
+from pipeline.core.errors import FileProblem, StageWarning
+from pipeline.core.files import read_json, require_file
+from pipeline.core.typed_data import Name, convert
+from pipeline.core.values.frames import Recording
+from pipeline.io.encoded_images import decode_rgb
+from pipeline.io.formats import ReadOptions, RecordingFiles
+from pipeline.io.image_sequence import ImageSequence
+from pipeline.io.lerobot_episodes import NO_FRAME, import_parquet, list_episodes, list_videos, require_group_budget
+from pipeline.io.stream_choice import make_streams
+from pipeline.io.video import VideoDecoder
+
+_INFO = Path("meta") / "info.json"
+
+
+class _Feature(msgspec.Struct):
+    dtype: Name
+
+
+class _Info(msgspec.Struct):
+    """What is read of meta/info.json."""
+
+    fps: Annotated[float, msgspec.Meta(gt=0, le=1e6)]
+    features: dict[Name, _Feature]
+    total_episodes: Annotated[int, msgspec.Meta(ge=0)] = 0
+
+
+def is_data_set(folder: Path) -> bool:
+    """Whether a folder is a LeRobot data set."""
+    return (folder / _INFO).is_file()
+
+
+def read(files: RecordingFiles, options: ReadOptions) -> Recording:
+    """All cameras that record touch, see `stream_choice.make_streams`; episodes follow each other.
+
+    Raises FileProblem, and SettingProblem where a package for parquet is missing.
+    """
+    path = files.path
+    info = convert(read_json(path / _INFO, "the data set's description"), _Info, "the data set", path / _INFO)
+    kinds = {name: feature.dtype for name, feature in info.features.items() if feature.dtype in ("video", "image")}
+    if not kinds:
+        raise FileProblem("the data set has no camera", path / _INFO, field="features")
+    videos = list[_Videos]()
+
+    def open_camera(name: str) -> ImageSequence:
+        if kinds[name] == "image":
+            return _TableImages(path, name, info.fps)
+        videos.append(_Videos(path, name, info.fps))
+        return videos[-1]
+
+    def close() -> None:
+        for images in videos:
+            images.close()
+
+    try:
+        streams, notes = make_streams({name: partial(open_camera, name) for name in kinds}, path, options)
+    except Exception:
+        close()
+        raise
+    if len({stream.n_frames for stream in streams}) > 1:
+        counts = ", ".join(f"{stream.name} {stream.n_frames}" for stream in streams)
+        notes += (StageWarning(f"the cameras have different numbers of frames ({counts}), so that pairs may be wrong"),)
+    notes += (f"{info.total_episodes} episodes follow each other",) if info.total_episodes > 1 else ()
+    return Recording(path=path, format="LeRobot data set", streams=streams, close=close,
+                     notes=(*files.notes, *notes))  # fmt: skip
+
+
+class _Videos:
+    """The frames of a camera's videos, one episode after the other."""
+
+    def __init__(self, root: Path, name: str, rate_hz: float) -> None:
+        self._root, self._rate_hz = root, rate_hz
+        episodes = list_episodes(root, name)
+        files = list(dict.fromkeys(e.file for e in episodes)) or list_videos(root, name)
+        self._videos = {file: VideoDecoder(file) for file in files}
+        self._frames = list[tuple[VideoDecoder, int]]()
+        for episode in episodes:
+            video = self._videos[episode.file]
+            times_s = np.array([video.time_s(k) for k in range(video.n_frames)])
+            self._frames += [(video, k) for k in episode.select_frames(times_s, rate_hz).tolist()]
+        if not episodes:
+            self._frames = [(video, k) for video in self._videos.values() for k in range(video.n_frames)]
+
+    @property
+    def n_frames(self) -> int:
+        """Number of frames of all episodes."""
+        return len(self._frames)
+
+    def frame(self, index: int) -> Image:
+        """(rows, cols, 3) RGB."""
+        video, number = self._frames[index]
+        if number == NO_FRAME:
+            raise FileProblem(f"the video ends before frame {index}", self._root, field=f"frame {index}")
+        return video.frame(number)
+
+    def time_s(self, index: int) -> float:
+        """Time by the data set's rate."""
+        return index / self._rate_hz
+
+    def close(self) -> None:
+        """Release the files."""
+        for video in self._videos.values():
+            video.close()
+
+
+@dataclass(frozen=True, slots=True)
+class _Rows:
+    """A part of a parquet file."""
+
+    file: Path
+    group: int
+    end: int  # number of images up to its last row
+
+
+class _TableImages:
+    """Images in a column of parquet tables, read one by one: a group of rows unfolds to any size."""
+
+    def __init__(self, root: Path, name: str, rate_hz: float) -> None:
+        parquet, error_class = import_parquet()
+        self._parquet: Any = parquet
+        self._error, self._name, self._rate_hz, self._rows = error_class, name, rate_hz, list[_Rows]()
+        end = 0
+        self._open: tuple[int, int, Iterator[Any]] = -1, 0, iter(())  # group, next row, batches from there
+        for file in sorted((root / "data").rglob("*.parquet")):
+            require_file(file, "the table", most_bytes=1 << 50)
+            try:
+                about = parquet.ParquetFile(file).metadata
+            except (error_class, OSError) as error:
+                raise FileProblem("the table cannot be read", file) from error
+            for group in range(about.num_row_groups):
+                end += about.row_group(group).num_rows
+                self._rows.append(_Rows(file, group, end))
+        if not end:
+            raise FileProblem(f"the data set lacks the images of {name}", root, field=name)
+
+    @property
+    def n_frames(self) -> int:
+        """Number of rows of all tables."""
+        return self._rows[-1].end
+
+    def frame(self, index: int) -> Image:
+        """(rows, cols, 3) RGB."""
+        at = bisect_right([rows.end for rows in self._rows], index)
+        part = self._rows[at]
+        try:
+            cell = self._read_cell(at, index - (self._rows[at - 1].end if at else 0))
+        except (self._error, OSError, LookupError, StopIteration) as error:
+            raise FileProblem(f"the table's column {self._name} cannot be read", part.file) from error
+        content = cell.get("bytes") if isinstance(cell, dict) else cell
+        if not isinstance(content, bytes):
+            raise FileProblem(f"frame {index} of {self._name} holds no image", part.file, field=f"frame {index}")
+        return decode_rgb(content, f"frame {index}", part.file)
+
+    def _read_cell(self, at: int, row: int) -> Any:
+        """The cell in a row of a group; the rows before it are passed, from the last one that was read."""
+        group, next_row, cells = self._open
+        if group != at or next_row > row:
+            part = self._rows[at]
+            file = self._parquet.ParquetFile(part.file)
+            require_group_budget(file.metadata.row_group(part.group), part.file)
+            next_row, cells = 0, file.iter_batches(1, row_groups=[part.group], columns=[self._name])
+        self._open = at, row + 1, cells
+        return next(islice(cells, row - next_row, None)).column(0)[0].as_py()
+
+    def time_s(self, index: int) -> float:
+        """Time by the data set's rate."""
+        return index / self._rate_hz

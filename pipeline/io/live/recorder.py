@@ -1,0 +1,115 @@
+"""Record a live sensor on a thread of its own, so that a slow disk delays nothing else."""
+
+import queue
+import threading
+import time
+from contextlib import closing
+from pathlib import Path
+from types import TracebackType
+from typing import BinaryIO
+
+from pipeline.core.errors import FileProblem, TouchError
+from pipeline.core.files import check_folder_for, open_growing_file, read_back
+from pipeline.core.values.frames import TactileFrame, Truth
+from pipeline.io import hdf5
+from pipeline.io import hdf5_layout as layout
+from pipeline.io.hdf5_layout import Coding
+from pipeline.io.hdf5_writer import RecordingWriter
+
+FLUSH_INTERVAL_S = 0.25  # largest loss by a kill
+
+
+class LiveRecordingWriter(RecordingWriter):
+    """A recording written directly to its path, which can be read at any moment, also after a kill.
+
+    HDF5's single-writer-multiple-readers mode keeps the file consistent on disk. All datasets must exist before it
+    begins, so that the first frame decides what the others may hold.
+    """
+
+    def _begin(self, path: Path, coding: Coding, depth_step_mm: float) -> None:
+        check_folder_for(path)
+        if path.exists():
+            raise FileProblem("a file of this name exists; choose another name", path)
+        super()._begin(path, coding, depth_step_mm)
+        self._flushed_s = 0.0
+
+    def _open_place(self, path: Path) -> BinaryIO:
+        return self._place.enter_context(open_growing_file(path, "the recording"))
+
+    def append(self, stream: str, frame: TactileFrame, truth: Truth | None = None) -> None:
+        """Add one frame to the only stream; raises ShapeError where it differs in shape from the first."""
+        super().append(stream, frame, truth)
+        if not self._file.swmr_mode:
+            self._file.swmr_mode = True
+        now_s = time.monotonic()
+        if now_s - self._flushed_s > FLUSH_INTERVAL_S:
+            self._flushed_s = now_s
+            self._file.flush()
+
+    def __exit__(
+        self, _kind: type[BaseException] | None, error: BaseException | None, _at: TracebackType | None
+    ) -> None:
+        """Close the file and keep all frames, also after an error; delete a file without frames."""
+        with self._place:
+            empty = self._file is None or not len(self._file.get("streams", ()))
+            if self._file is not None:
+                self._file.close()
+                layout.truncate_to_size(self._temporary)
+            if empty:
+                self._path.unlink(missing_ok=True)
+            if error is not None:
+                raise error
+            if not empty:
+                read_back(self._path, self._path, "the recording", _read_last)
+
+
+def _read_last(path: Path) -> None:
+    """Read the last frame of a recording."""
+    with closing(hdf5.read(path)) as recording:
+        for stream in recording.streams:
+            stream.frame(stream.n_frames - 1)
+
+
+_QUEUE_FRAMES = 240  # some seconds of a fast sensor
+_Item = tuple[TactileFrame, Truth | None] | None  # None ends the thread
+
+
+class LiveRecorder:
+    """Writes the frames that a reader offers; pass `offer` to `LiveReader.set_listener`."""
+
+    def __init__(self, path: Path, about: str) -> None:
+        """Begin a recording; raises FileProblem where nothing can be written."""
+        self.path = path
+        self._writer = LiveRecordingWriter(path, notes=(f"recorded live: {about}",), coding="row differences")
+        self._queue: queue.Queue[_Item] = queue.Queue(_QUEUE_FRAMES)
+        self.n_written = self.n_dropped = 0
+        self.problem = ""  # why writing has ended
+        self._thread = threading.Thread(target=self._write_frames, name="recorder", daemon=True)
+        self._thread.start()
+
+    def offer(self, frame: TactileFrame, truth: Truth | None) -> None:
+        """Write a frame that has a reference; it is dropped if the queue is full."""
+        if frame.reference is None:
+            return
+        try:
+            self._queue.put_nowait((frame, truth))
+        except queue.Full:
+            self.n_dropped += 1
+
+    def close(self, timeout_s: float = 10.0) -> bool:
+        """Write the queue and close the file; whether that was done in time."""
+        self._queue.put(None)
+        self._thread.join(timeout_s)
+        return not self._thread.is_alive()
+
+    def _write_frames(self) -> None:
+        try:
+            with self._writer as writer:
+                while (item := self._queue.get()) is not None:
+                    frame, truth = item
+                    writer.append(frame.sensor, frame, truth)
+                    self.n_written += 1
+        except (TouchError, OSError) as error:
+            self.problem = str(error)
+            while self._queue.get() is not None:
+                self.n_dropped += 1

@@ -1,0 +1,272 @@
+"""Image topics of an MCAP file as streams: Foxglove's schemas (protobuf, JSON) and those of ROS 2.
+
+Images of a topic are in the order of their header stamps, then of their sequence numbers, then of the file. The time at
+which a message was written is used where there are no stamps: a bag's clock may stand still.
+"""
+
+import base64
+import json
+import struct
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from pipeline.core.arrays import Image
+from pipeline.core.errors import FileProblem, SettingProblem, TouchError
+from pipeline.core.files import require_file
+from pipeline.core.values.frames import Recording
+from pipeline.io.encoded_images import NO_DEPTH, decode_rgb, unpack_rgb
+from pipeline.io.formats import ReadOptions, RecordingFiles
+from pipeline.io.mcap_records import McapChannel, McapFile, McapMessage
+from pipeline.io.stream_choice import make_streams
+
+PREVIEW_PROFILE = "tactoscope previews"  # profile of the files that are exported for viewers
+IMAGE_SCHEMAS = frozenset({
+    "foxglove.CompressedImage", "foxglove.RawImage", "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Image",
+})  # fmt: skip
+_VIDEO = "CompressedVideo"  # end of the names of video schemas
+_NS_PER_S = 10**9
+_MAX_STEPS_BACK = 10  # frames by which an image may be written too late; more is a clock that was set back
+_MAX_CLOCK_GAP_NS = 10 * _NS_PER_S  # by which header and log times of two topics may differ; more is two clocks
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _StampedImage:
+    """One image message, and the time in its header."""
+
+    message: McapMessage
+    stamp_ns: int  # 0 = none
+
+
+def read(files: RecordingFiles, options: ReadOptions) -> Recording:
+    """Every topic of colour images that records touch as one stream, by its name; see `stream_choice.make_streams`.
+
+    Raises FileProblem, and SettingProblem where the package `mcap` is missing.
+    """
+    path = files.path
+    require_file(path, "the MCAP file", most_bytes=1 << 50)
+    decoders, file = make_decoders(), McapFile(path)
+    try:
+        topics, others = _list_images(file, decoders)
+        if file.profile == PREVIEW_PROFILE:
+            raise FileProblem(
+                "the file holds coloured previews that were exported for viewers, not images of a sensor; open the "
+                "recording that they were made from", path,
+            )  # fmt: skip
+        if not topics:
+            raise FileProblem(_describe_lack(others, file.notes), path)
+        times_ns, notes = _choose_times(topics)
+        start_ns = min((t for of_topic in times_ns.values() for t in of_topic.values()), default=0)
+        cameras: dict[str, Callable[[], _Topic]] = {
+            topic.strip("/"): partial(
+                _Topic, file, _sort_images(images),
+                {k: (t - start_ns) / _NS_PER_S for k, t in times_ns[topic].items()}, decoders, path,
+            )
+            for topic, images in sorted(topics.items())
+        }  # fmt: skip
+        streams, about = make_streams(cameras, path, options)
+    except TouchError:
+        file.close()
+        raise
+    except Exception as error:
+        file.close()
+        raise FileProblem(f"the MCAP file is damaged ({error!r:.80})", path) from error
+    return Recording(path=path, format="MCAP file", streams=streams, close=file.close,
+                     notes=(*files.notes, *file.notes, *notes, *about))  # fmt: skip
+
+
+class Decoders:
+    """Decoders of messages, by the packages that are installed."""
+
+    def __init__(self, factories: Sequence[Any]) -> None:
+        self._factories, self._of_channel = factories, dict[int, Any]()
+
+    def decode(self, channel: McapChannel, content: bytes) -> Any:
+        """The message with its fields as attributes; raises ValueError where no package decodes it."""
+        if id(channel) not in self._of_channel:
+            found = (f.decoder_for(channel.message_encoding, channel.schema) for f in self._factories)
+            self._of_channel[id(channel)] = next((decoder for decoder in found if decoder is not None), None)
+        decoder = self._of_channel[id(channel)]
+        if decoder is None:
+            raise ValueError(f"no decoder for {channel.message_encoding!r}")
+        return decoder(content)
+
+
+def make_decoders() -> Decoders:
+    """Decoders of JSON, protobuf and ROS 2 messages; raises SettingProblem without the package `mcap`."""
+    try:
+        import mcap.reader as _  # noqa: F401 # the packages below need it, and it brings what unfolds chunks
+    except ImportError as error:
+        raise SettingProblem(
+            "messages are read by mcap, which is not installed; pip install mcap-protobuf-support"
+        ) from error
+    factories: list[Any] = [_JsonDecoders()]
+    try:
+        from mcap_protobuf.decoder import DecoderFactory
+
+        factories.append(DecoderFactory())
+    except ImportError:
+        pass
+    try:
+        from mcap_ros2.decoder import DecoderFactory as RosDecoderFactory
+
+        factories.append(RosDecoderFactory())
+    except ImportError:
+        pass
+    return Decoders(factories)
+
+
+class _JsonDecoders:
+    """Decoders of JSON messages, whose bytes are base64."""
+
+    def decoder_for(self, message_encoding: str, _schema: Any) -> Any:
+        """The decoder; None for other encodings."""
+        return _decode_json if message_encoding == "json" else None
+
+
+def _decode_json(content: bytes) -> Any:
+    fields = json.loads(content)
+    return SimpleNamespace(**{**fields, "data": base64.b64decode(fields["data"])})
+
+
+def _list_images(file: McapFile, decoders: Decoders) -> tuple[dict[str, list[_StampedImage]], dict[str, str]]:
+    """(topic -> its images in the order of the file, topic -> schema of everything else)."""
+    topics, others = dict[str, list[_StampedImage]](), dict[str, str]()
+    for message, content in file.iterate():
+        schema = "" if message.channel.schema is None else message.channel.schema.name
+        if schema in IMAGE_SCHEMAS:
+            stamp_ns = read_stamp_ns(message.channel, content, decoders)
+            topics.setdefault(message.channel.topic, []).append(_StampedImage(message=message, stamp_ns=stamp_ns))
+        else:
+            others[message.channel.topic] = schema
+    return topics, others
+
+
+def read_stamp_ns(channel: McapChannel, content: bytes, decoders: Decoders) -> int:
+    """The time in the header of an image; 0 where it has none or cannot be decoded."""
+    try:
+        if channel.message_encoding == "cdr":  # the header comes first; to decode all would take a copy of the pixels
+            seconds, rest = struct.unpack_from("<iI" if content[1] & 1 else ">iI", content, 4)
+            return seconds * _NS_PER_S + rest
+        if channel.message_encoding == "json":
+            fields = json.loads(content)
+            stamp = fields.get("timestamp") or fields.get("header", {}).get("stamp") or {}
+            return int(stamp.get("sec", 0)) * _NS_PER_S + int(stamp.get("nsec", stamp.get("nanosec", 0)))
+        return int(decoders.decode(channel, content).timestamp.ToNanoseconds())
+    except (ValueError, TypeError, AttributeError, LookupError, struct.error):
+        return 0
+
+
+def _sort_images(images: Sequence[_StampedImage]) -> list[McapMessage]:
+    """Messages by stamp where all have one, then sequence number, then place in the file."""
+    by_stamp = _has_stamps(images)
+    return [
+        image.message
+        for image in sorted(
+            images, key=lambda i: (i.stamp_ns if by_stamp else i.message.log_time_ns, i.message.sequence)
+        )
+    ]
+
+
+def _tells_times(times_ns: Sequence[int]) -> bool:
+    """Whether times tell one moment from another."""
+    return min(times_ns) >= 0 and (len(times_ns) == 1 or len(set(times_ns)) > 1)
+
+
+def _has_stamps(images: Sequence[_StampedImage]) -> bool:
+    """Whether all headers tell their time; a clock may begin at 0, which else means "not set"."""
+    stamps_ns = [image.stamp_ns for image in images]
+    return _tells_times(stamps_ns) and stamps_ns.count(0) < 2 and not _is_set_back(images)
+
+
+def _is_set_back(images: Sequence[_StampedImage]) -> bool:
+    """Whether the clock of the headers was set back while that of the log went on."""
+    if len(images) < 2 or not _tells_times([image.message.log_time_ns for image in images]):
+        return False
+    written = sorted(images, key=lambda image: (image.message.log_time_ns, image.message.sequence))
+    steps_ns = np.diff([image.stamp_ns for image in written])
+    return bool(steps_ns.min() < -_MAX_STEPS_BACK * np.median(np.abs(steps_ns)))
+
+
+def _choose_times(topics: Mapping[str, Sequence[_StampedImage]]) -> tuple[dict[str, dict[int, int]], tuple[str, ...]]:
+    """(topic -> id of a message -> its time in ns, notes): one clock for all topics; {} where none tells the time."""
+    stamps = {topic: [i.stamp_ns for i in images] for topic, images in topics.items()}
+    logs = {topic: [i.message.log_time_ns for i in images] for topic, images in topics.items()}
+    has_stamps, has_logs = all(map(_has_stamps, topics.values())), all(map(_tells_times, logs.values()))
+    gaps_ns = [float(np.median(np.subtract(stamps[topic], logs[topic]))) for topic in topics]
+    is_one_clock = not has_logs or max(gaps_ns) - min(gaps_ns) <= _MAX_CLOCK_GAP_NS
+    notes: tuple[str, ...] = ()
+    if has_stamps and not is_one_clock:
+        notes = ("the headers of the topics are of different clocks, so the times at which they were written are used",)
+    if has_logs and any(map(_is_set_back, topics.values())):
+        notes = ("the clock of the headers was set back, so the times at which images were written are used",)
+    if has_stamps and is_one_clock:
+        chosen = stamps
+    elif has_logs:
+        chosen = logs
+    else:
+        chosen = {
+            topic: stamps[topic] if _has_stamps(images) else logs[topic] if _tells_times(logs[topic]) else []
+            for topic, images in topics.items()
+        }
+    return {
+        topic: {id(image.message): t for image, t in zip(topics[topic], times, strict=False)}
+        for topic, times in chosen.items()
+    }, notes
+
+
+def _describe_lack(others: Mapping[str, str], notes: Sequence[str]) -> str:
+    """Why a file holds no images, as a clause."""
+    video = [topic for topic, schema in others.items() if schema.endswith(_VIDEO)]
+    if video:
+        return f"the topic {video[0]} holds video, which is not read; export it as a video file or as images"
+    if others:
+        return f"the MCAP file has no topic of images, but {', '.join(sorted(others))}"
+    return f"the MCAP file has no topic of images{f'; {notes[0]}' if notes else ''}"
+
+
+def decode_image(message: Any, where: str, path: Path) -> Image:
+    """(rows, cols, 3) RGB of a decoded image message, compressed or plain; raises FileProblem."""
+    if hasattr(message, "format"):
+        if "compresseddepth" in str(message.format).lower():
+            raise FileProblem(f"{where} holds depth: {NO_DEPTH}", path, field=where)
+        return decode_rgb(bytes(message.data), where, path)
+    shape = int(message.height), int(message.width)
+    return unpack_rgb(bytes(message.data), shape, int(message.step), str(message.encoding), where, path)
+
+
+class _Topic:
+    """The images of one topic."""
+
+    def __init__(
+        self, file: McapFile, messages: Sequence[McapMessage], times_s: Mapping[int, float], decoders: Decoders,
+        path: Path,
+    ) -> None:  # fmt: skip
+        self._file, self._messages, self._decoders, self._path = file, messages, decoders, path
+        self._times_s = [times_s.get(id(message), float("nan")) for message in messages]
+
+    @property
+    def n_frames(self) -> int:
+        """Number of images."""
+        return len(self._messages)
+
+    def frame(self, index: int) -> Image:
+        """(rows, cols, 3) RGB."""
+        message, where = self._messages[index], f"frame {index}"
+        try:
+            image = self._decoders.decode(message.channel, self._file.read_content(message))
+            return decode_image(image, where, self._path)
+        except TouchError:
+            raise
+        except Exception as error:
+            topic = message.channel.topic
+            raise FileProblem(f"{where} of {topic} cannot be read", self._path, field=where) from error
+
+    def time_s(self, index: int) -> float:
+        """Time since the first image of the file; NaN where no clock tells it."""
+        return self._times_s[index]

@@ -1,0 +1,277 @@
+"""Scores of one recording in one direction, as a pure function that any process can run."""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Iterator, Mapping
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.core.arrays import Doubles, Floats
+from pipeline.core.cache import Cache
+from pipeline.core.errors import SettingProblem
+from pipeline.core.geometry import rigid
+from pipeline.core.geometry.meshes import Mesh
+from pipeline.core.graph import Graph, StageResult
+from pipeline.core.params import list_settings
+from pipeline.core.progress import SILENT, Progress
+from pipeline.core.values.frames import TactileFrame, Truth
+from pipeline.core.values.results import DepthMap, GeneratedTouch, ObjectPose, TargetDepth
+from pipeline.io import open_recording
+from pipeline.lab.evaluation import touch_features
+from pipeline.lab.evaluation.candidates import (
+    BASELINES,
+    MEAN_TOUCH,
+    NO_CONTACT,
+    OWN,
+    RECORDED,
+    Candidate,
+    compute_mean_change,
+)
+from pipeline.lab.evaluation.held_out import PressRecordings
+from pipeline.lab.evaluation.recorded_touch import (
+    RecordedTouch,
+    build_recorded_touch,
+    build_without_truth,
+    compute_generated_change,
+)
+from pipeline.lab.evaluation.touch_metrics import TouchMetrics, compute_touch_metrics
+from pipeline.lab.training.recorded_pairs import derive_contact
+from pipeline.stages.touch.physical_render import make_reference_touch
+from pipeline.stages.touch.touch_from_change import make_touch_from_change
+from pipeline.translation.catalogue import default_params, with_setting
+from pipeline.translation.translate import Request, Translation, open_translation
+
+PAPER_GRASP = "paper_grasp"  # pose by both fingers of a grasp, see `registration.planar`
+_CACHE_BYTES = 64 * 1024 * 1024  # one frame's stages by every candidate
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ScoringJob:
+    """All candidates on all touches of one recording in one direction."""
+
+    recordings: PressRecordings
+    source: str
+    target: str
+    candidates: tuple[Candidate, ...]
+    training_recordings: tuple[PressRecordings, ...] = ()  # for the mean touch
+    weights: Mapping[str, Path] = field(default_factory=dict)  # touch method or stage -> file in place of shipped ones
+    methods: Mapping[str, str] = field(default_factory=dict)  # stage -> method, without touch
+    settings: tuple[str, ...] = ()  # stage.parameter=value
+    pose_methods: tuple[str, ...] = ()  # pose methods that judge the touches
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ScoredTouch:
+    """Metrics of one touch by one candidate."""
+
+    candidate: str
+    touch_name: str  # recording and frame
+    metrics: TouchMetrics
+    ms: float  # of all stages up to the touch; 0 for baselines
+    pose_errors: Mapping[str, tuple[float, float]]  # method -> (mm, deg) in the target's image plane; absent = no pose
+    features: Floats | None  # of the encoder; None = no encoder for this sensor
+    notes: tuple[str, ...] = ()
+    finger: GraspFinger | None = None  # for poses of both fingers together; None = not known
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GraspFinger:
+    """One finger's contact in the frame of the grasp, with the truth."""
+
+    points_mm: Doubles  # (n, 3)
+    grasp_from_object: Doubles  # (4, 4)
+    mesh: Mesh
+
+
+def score_recording(job: ScoringJob, progress: Progress = SILENT) -> list[ScoredTouch]:
+    """Every touch of the job by every candidate, in the order of the recording."""
+    with open_presses(job.recordings, job.source, job.target, job.methods) as translation:
+        return list(_score_touches(job, translation, progress))
+
+
+@contextmanager
+def open_presses(
+    of: PressRecordings, source: str, target: str, methods: Mapping[str, str]
+) -> Generator[Translation, None, None]:
+    """Translate presses of a source that also know what the target recorded of them."""
+    translation = open_translation(Request(
+        recording=of.source, target=target, source=source, stream=of.source_stream, mesh=of.mesh,
+        mesh_unit="m" if of.mesh else "auto", methods=tuple(methods.items()),
+    ))  # fmt: skip
+    with closing(translation), closing(open_recording(of.target)) as other:
+        streams = translation.stream, other.stream(of.target_stream or target)
+        yield replace(translation, recording=replace(translation.recording, streams=streams))
+
+
+def _score_touches(job: ScoringJob, translation: Translation, progress: Progress) -> Iterator[ScoredTouch]:
+    mean = compute_mean_change(job.training_recordings, job.target) if job.training_recordings else None
+    indices = job.recordings.frames or translation.select_paired(range(translation.n_frames))
+    for k, index in enumerate(indices):
+        progress.step(k / len(indices), f"{job.recordings.object_name} {k + 1} of {len(indices)}")
+        other = translation.read_target_observation(index)
+        assert other is not None
+        names = job.recordings.frame_names
+        name = names[k] if names else f"{job.recordings.object_name} {index}"
+        scorer = _TouchScorer(job, translation, index, name, other, mean)
+        for candidate in job.candidates:
+            yield scorer.score_candidate(candidate)
+
+
+class _TouchScorer:
+    """Scores candidates on one recorded touch, with a cache of what they have in common."""
+
+    def __init__(
+        self, job: ScoringJob, translation: Translation, index: int, name: str,
+        observed: tuple[TactileFrame, Truth | None], mean: Floats | None,
+    ) -> None:  # fmt: skip
+        self._job, self._index, self._name, self._mean = job, index, name, mean
+        self._translation = replace(translation, graph=Graph((), cache=Cache(_CACHE_BYTES)))  # of this touch alone
+        self._true, self._truth = self._read_recorded_touch(*observed), observed[1]
+        self._ms: dict[str, float] = {}
+        target_depth = self._evaluate("physics", {}, "target_depth")["target_depth"].output
+        assert isinstance(target_depth, TargetDepth)
+        self._known = target_depth.in_view
+
+    def score_candidate(self, candidate: Candidate) -> ScoredTouch:
+        if candidate.name == OWN:
+            return self._score_own_sensor(candidate)
+        given = self._make_baseline(candidate)
+        results = {} if given else self._evaluate(candidate.name, {}, "touch")
+        touch = given.get("touch") or results["touch"].output
+        assert isinstance(touch, GeneratedTouch)
+        change = compute_generated_change(touch, self._translation.target)
+        touch_depth = given.get("touch_depth") or self._measure_touch_depth(touch)
+        assert touch_depth is None or isinstance(touch_depth, DepthMap)
+        mean = self._mean if candidate.name not in (*BASELINES, RECORDED) else None
+        metrics = compute_touch_metrics(change, touch_depth, self._true, self._known, mean)
+        if candidate.name == RECORDED:
+            metrics = replace(metrics, values={})
+        return ScoredTouch(
+            candidate=candidate.name,
+            touch_name=self._name,
+            metrics=metrics,
+            ms=sum(self._ms[result.method.key] for result in results.values() if result.method is not None),
+            pose_errors=self._compute_pose_errors(candidate, {**given, "touch": touch, "touch_depth": touch_depth}),
+            features=touch_features.encode_change(self._translation.target, change),
+            notes=tuple(dict.fromkeys(result.fallback for result in results.values() if result.fallback)),
+            finger=self._find_finger(touch_depth) if PAPER_GRASP in self._job.pose_methods else None,
+        )
+
+    def _score_own_sensor(self, candidate: Candidate) -> ScoredTouch:
+        """Poses of the source's own depth, registered in its frame; there is no touch to compare."""
+        results = self._evaluate("physics", {}, "depth")
+        given = {"touch": make_reference_touch(self._translation.target), "touch_depth": results["depth"].output}
+        return ScoredTouch(
+            candidate=candidate.name, touch_name=self._name, features=None,
+            ms=sum(self._ms[result.method.key] for result in results.values() if result.method is not None),
+            metrics=TouchMetrics(values={}, n_pixels={}, peak_value=self._true.peak_value),
+            pose_errors=self._compute_pose_errors(candidate, given),
+        )  # fmt: skip
+
+    def _find_finger(self, touch_depth: DepthMap | None) -> GraspFinger | None:
+        """The contact of a touch in the grasp frame; None where the frame, the tool or its pose is not known."""
+        truth, mesh = self._truth, self._translation.mesh
+        if touch_depth is None or truth is None or mesh is None:
+            return None
+        if truth.grasp_from_sensor is None or truth.sensor_from_object is None:
+            return None
+        points = touch_depth.camera.back_project(touch_depth.depth_mm)[touch_depth.contact]
+        points = points[np.isfinite(points).all(axis=1)]
+        return GraspFinger(
+            points_mm=rigid.apply(truth.grasp_from_sensor, points), mesh=mesh,
+            grasp_from_object=truth.grasp_from_sensor @ truth.sensor_from_object,
+        )  # fmt: skip
+
+    def _evaluate(self, touch: str, given: Mapping[str, object], stage: str, pose: str = "") -> dict[str, StageResult]:
+        """Results up to a stage with one touch and pose method; remembers the times of computed stages."""
+        chosen = {**self._job.methods, "touch": touch} | ({"pose": pose} if pose else {})
+        files = {stage: file for stage, file in self._job.weights.items() if stage in chosen or stage == "depth"}
+        if touch in self._job.weights:
+            files["touch"] = self._job.weights[touch]
+        request = replace(self._translation.request, methods=tuple(chosen.items()), weights=tuple(files.items()))
+        like = replace(self._translation, request=request)
+        params = default_params(like.methods)
+        for assignment in self._job.settings:
+            if _has_setting(assignment, params):
+                params = with_setting(params, assignment)
+        results = replace(like, params=params).evaluate(self._index, [stage], given=given)
+        for result in results.values():
+            if result.method is not None and result.state in ("computed", "skipped"):
+                self._ms.setdefault(result.method.key, result.ms)
+        return results
+
+    def _make_baseline(self, candidate: Candidate) -> dict[str, object]:
+        """Stage -> value of a baseline or the recorded touch; empty for touch methods."""
+        target = self._translation.target
+        if candidate.name == NO_CONTACT:
+            return {"touch": make_reference_touch(target)}
+        if candidate.name == MEAN_TOUCH:
+            return (
+                {"touch": make_touch_from_change(target, self._mean)}
+                if self._mean is not None
+                else {"touch": make_reference_touch(target)}
+            )
+        if candidate.name == RECORDED:
+            depth = self._estimate_target_depth()
+            return {"touch": make_touch_from_change(target, self._true.change), "touch_depth": depth}
+        return {}
+
+    def _estimate_target_depth(self) -> DepthMap:
+        """Depth of the target's own frame."""
+        read = self._translation.with_target_as_source()
+        read = replace(read, request=replace(read.request, methods=tuple(self._job.methods.items())))
+        output = read.evaluate(self._index, ["depth"])["depth"].output
+        assert isinstance(output, DepthMap)
+        return output
+
+    def _read_recorded_touch(self, frame: TactileFrame, truth: Truth | None) -> RecordedTouch:
+        """The recorded touch with its truth, or with the depth of its own frame where no truth is recorded."""
+        target = self._translation.target
+        if truth is not None and truth.indentation_mm is not None:
+            return build_recorded_touch(frame, replace(truth, contact=derive_contact(truth, target)), target)
+        depth = self._estimate_target_depth()
+        recorded = build_without_truth(frame, target)
+        if recorded.contact.shape != depth.contact.shape:
+            raise SettingProblem(
+                f"frame {frame.index} of {frame.sensor} has {recorded.contact.shape} pixels, but "
+                f"{depth.contact.shape} are described"
+            )
+        return replace(recorded, indentation_mm=np.nan_to_num(depth.indentation_mm), contact=depth.contact)
+
+    def _measure_touch_depth(self, touch: GeneratedTouch) -> DepthMap | None:
+        """The touch's own membrane if it has one, else depth estimated from its image as from a frame of the target."""
+        how = "from_image" if touch.membrane is None else "membrane"
+        chosen = replace(self._translation, request=replace(
+            self._translation.request, methods=(*self._job.methods.items(), ("touch_depth", how))
+        ))  # fmt: skip
+        result = chosen.evaluate(self._index, ["touch_depth"], given={"touch": touch})["touch_depth"].output
+        assert isinstance(result, DepthMap)
+        return result
+
+    def _compute_pose_errors(self, candidate: Candidate, given: Mapping[str, object]) -> dict[str, tuple[float, float]]:
+        """Method -> (mm, deg) in the target's image plane; methods without a pose are absent."""
+        pose_errors: dict[str, tuple[float, float]] = {}
+        truth = self._translation.read_ground_truth(self._index)
+        stage = self._translation.catalogue.stage("pose")
+        for name in self._job.pose_methods:
+            is_own = candidate.name == OWN
+            if candidate.name == NO_CONTACT or name == PAPER_GRASP or (is_own and name == "network"):
+                continue
+            pose = self._evaluate("physics", given, "pose", name)["pose"].output
+            assert isinstance(pose, ObjectPose)
+            if is_own and pose.sensor_from_object is not None:
+                in_target = self._translation.alignment.target_from_source @ pose.sensor_from_object
+                pose = replace(pose, sensor_from_object=in_target)
+            errors = stage.compute_metrics(pose, truth)
+            if "se2_mm" in errors and "se2_deg" in errors:
+                pose_errors[name] = errors["se2_mm"], errors["se2_deg"]
+        return pose_errors
+
+
+def _has_setting(assignment: str, params: Mapping[str, object]) -> bool:
+    """Whether these methods have a setting; touch methods differ in their parameters."""
+    stage, _, name = assignment.partition("=")[0].strip().partition(".")
+    return stage != "touch" or name in list_settings(params[stage])

@@ -1,0 +1,223 @@
+"""Insertion: a tool that two fingers hold in an unknown pose is aligned over its hole and lowered compliantly.
+
+The controller is made for soft bubbles and reads GelSlims through a translation (paper, downstream tasks). Clearance,
+lead-in, force limit and compliance are not in the paper and are chosen here.
+"""
+
+import math
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Literal
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+
+from pipeline.core.arrays import Doubles
+from pipeline.core.derived import derive_once
+from pipeline.core.files import read_toml
+from pipeline.core.geometry import rigid
+from pipeline.core.geometry.meshes import Mesh
+from pipeline.core.progress import SILENT, Progress
+from pipeline.core.typed_data import FileName, Number, convert
+from pipeline.core.units import MeshUnit
+from pipeline.lab.tasks.grasp import SOURCE, TARGET, run_through_touches
+from pipeline.lab.tasks.in_hand import PlanarPose, parse_planar_pose
+from pipeline.lab.tasks.peg import Peg, cut_peg, make_hole_mesh, write_hole
+from pipeline.lab.tasks.scene import Scene, write_compliant_joints, write_pose
+from pipeline.lab.tasks.scene_bodies import make_fingers
+from pipeline.lab.tasks.task import (
+    Attempt,
+    ManipulationTask,
+    RecordedRollout,
+    Rollout,
+    SceneBody,
+    TaskScene,
+    Tick,
+    TrialPlan,
+)
+from pipeline.physics.simulation import shapes
+from pipeline.physics.simulation.shapes.solids import transform_mesh
+
+LEAD_IN_MM = 0.5  # 45 degree chamfer of the hole
+FORCE_LIMIT_N = 15.0
+TOLERANCES_MM = (0.25, 0.5, 1.0, 2.0)
+_Positive = Annotated[float, Meta(gt=0.0, le=1e4)]
+
+
+class _ToolFile(msgspec.Struct, kw_only=True, frozen=True, forbid_unknown_fields=True):
+    """A user's tool, see `load_tool`."""
+
+    mesh: FileName
+    depth_mm: _Positive
+    mesh_unit: MeshUnit = "auto"
+    face: Literal["-x", "+x", "-y", "+y", "-z", "+z"] = "-z"
+    axis_deg: Number = 0.0
+    lead_in_mm: Annotated[float, Meta(ge=0.0, le=1e3)] = LEAD_IN_MM
+    force_limit_n: _Positive = FORCE_LIMIT_N
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Tool:
+    """A tool and its hole; the tool frame has +x along the insertion and z along the fingers' normal."""
+
+    name: str
+    mesh: Mesh
+    depth_mm: float
+    lead_in_mm: float = LEAD_IN_MM
+    force_limit_n: float = FORCE_LIMIT_N
+
+    @property
+    def peg(self) -> Peg:
+        """The part that is inserted."""
+        return cut_peg(self.mesh, self.depth_mm)
+
+
+_TOOLS: dict[str, tuple[Doubles, float]] = {  # tool_from_shape, depth of the hole in mm
+    "hex_key": (rigid.rotation((0.0, 0.0, -0.5 * math.pi)), 8.0),  # the long arm
+    "screwdriver": (rigid.translation(10.0, 0.0, 0.0) @ rigid.rotation((0.0, -0.5 * math.pi, 0.0)), 5.0),
+    "spanner": (rigid.rotation((0.0, 0.0, -math.radians(195.0))), 8.0),  # the handle
+    "pencil": (np.eye(4), 8.0),
+}
+PAPER = {  # of 30; the paper's tools 1 to 3 are others
+    ("hex_key", "t2t"): "18/30", ("screwdriver", "t2t"): "10/30", ("spanner", "t2t"): "15/30",
+    ("pencil", "t2t"): "21/30", ("hex_key", "vqvae"): "9/30", ("screwdriver", "vqvae"): "8/30",
+    ("spanner", "vqvae"): "15/30", ("pencil", "vqvae"): "7/30",
+}  # fmt: skip
+
+
+@derive_once
+def make_tool(case: str) -> Tool:
+    """A tool of the catalogue, or of a TOML file; raises FileProblem for a damaged one."""
+    if case not in _TOOLS:
+        return load_tool(Path(case))
+    tool_from_shape, depth_mm = _TOOLS[case]
+    mesh = transform_mesh(shapes.make_shape(case).mesh, tool_from_shape)
+    return Tool(name=case, mesh=mesh, depth_mm=depth_mm)
+
+
+def load_tool(path: Path) -> Tool:
+    """A user's tool: a TOML file with `mesh`, `depth_mm`, and if need be `mesh_unit`, `face`, `axis_deg` and limits.
+
+    The mesh is laid with `face` to the left finger and turned by `axis_deg` in the fingers' plane, so that its
+    inserted end points to +x. Raises FileProblem.
+    """
+    read = convert(read_toml(path, "the task"), _ToolFile, "the task", path)
+    shape = shapes.load_mesh_shape(path.parent / read.mesh, read.mesh_unit, read.face)
+    mesh = transform_mesh(shape.mesh, rigid.rotation((0.0, 0.0, math.radians(read.axis_deg))))
+    tool = Tool(
+        name=path.stem, mesh=mesh, depth_mm=read.depth_mm, lead_in_mm=read.lead_in_mm,
+        force_limit_n=read.force_limit_n,
+    )  # fmt: skip
+    assert tool.peg.depth_mm  # raises MeshProblem now and not in a trial
+    return tool
+
+
+def run(plan: TrialPlan, progress: Progress = SILENT) -> tuple[Rollout, ...]:
+    """One grasp, estimated through every touch, inserted at every clearance."""
+    tool = make_tool(plan.case)
+    return run_through_touches(
+        plan, tool.mesh, tool.name, partial(measure_miss_mm, tool.peg), partial(_lower, tool), progress
+    )
+
+
+def measure_miss_mm(peg: Peg, held: PlanarPose, believed: PlanarPose) -> float:
+    """How far the inserted part lies off the hole's axis in the fingers' plane: the larger of its two ends."""
+    y, z = 0.5 * (peg.points_mm.min(axis=0) + peg.points_mm.max(axis=0))[1:]
+    ends = np.array([(peg.tip_mm, y, z), (peg.tip_mm - peg.depth_mm, y, z)])
+    off = rigid.apply(rigid.invert(believed.matrix) @ held.matrix, ends) - ends
+    return float(np.abs(off[:, 1]).max())
+
+
+def _lower(tool: Tool, held: PlanarPose, believed: PlanarPose, clearance_mm: float) -> Attempt:
+    return insert(
+        tool.peg, held.matrix, believed.matrix, clearance_mm=clearance_mm, lead_in_mm=tool.lead_in_mm,
+        force_limit_n=tool.force_limit_n,
+    )  # fmt: skip
+
+
+def build_scene(rollout: RecordedRollout) -> TaskScene:
+    """The hole's plate and both fingers around the tool."""
+    tool, first = make_tool(rollout.plan.case), rollout.summary.decisions[0]
+    plate = make_hole_mesh(tool.peg, rollout.summary.tolerance_mm, tool.lead_in_mm)
+    fingers = make_fingers(tool.mesh, parse_planar_pose(first.truth))
+    return TaskScene(
+        bodies=(SceneBody(name="hole", mesh=plate), *fingers),
+        hand_from_estimate=lambda decision: parse_planar_pose(decision.estimate).matrix,
+    )
+
+
+TASK = ManipulationTask(
+    name="insertion", title="Peg insertion", source=SOURCE, target=TARGET, cases=tuple(_TOOLS),
+    touches=("t2t", "vqvae", "true", "none"), tolerances_mm=TOLERANCES_MM, tolerance_title="clearance, mm", n_trials=30,
+    error_title="off the hole's axis", run=run, build_scene=build_scene, published=PAPER,
+    load_case=lambda path: load_tool(path).name,
+)  # fmt: skip
+
+
+TICK_S = 0.02
+STIFFNESS_N_MM, STIFFNESS_NMM_RAD, HAND_KG = 2.0, 2000.0, 0.5  # of the hand's impedance control
+SPEED_MM_S, START_MM = 30.0, 15.0  # of the descent, and the tip's height at its start if the belief is true
+BEYOND_MM = 4.0  # commanded beyond the full depth, for a tip that is shorter than believed
+SETTLE_S = 0.2
+SHORT_MM = 0.3  # of the full depth that still counts
+WORLD_FROM_UPRIGHT: Doubles = np.array(
+    [[0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
+)
+"""A tool over its hole: its x points down, its z, the normal of the fingers, along the world's y."""
+
+
+def insert(
+    peg: Peg,
+    hand_from_tool: Doubles,
+    believed: Doubles,
+    *,
+    clearance_mm: float,
+    lead_in_mm: float,
+    force_limit_n: float,
+) -> Attempt:
+    """Lower a tool that the hand holds at `hand_from_tool` as if it held it at `believed` (4, 4)."""
+    joints, actuators = write_compliant_joints("hand", STIFFNESS_N_MM, STIFFNESS_NMM_RAD, HAND_KG)
+    above = WORLD_FROM_UPRIGHT @ rigid.translation(-peg.tip_mm - START_MM, 0.0, 0.0)
+    world_from_hand = above @ rigid.invert(believed)  # at the joints' zero
+    turned = world_from_hand.copy()
+    turned[:3, 3] = 0.0
+    # The joints move along the world's axes, the hand is turned inside.
+    start = rigid.translation(*world_from_hand[:3, 3])
+    body = (
+        f'<body name="hand" gravcomp="1" {write_pose(start)}>{joints}'
+        f'<inertial pos="0 0 0" mass="{HAND_KG}" diaginertia="2e-4 2e-4 2e-4"/>'
+        f'<geom type="mesh" mesh="peg" friction="0.3" mass="0" {write_pose(turned @ hand_from_tool)}/></body>'
+    )
+    scene = Scene(
+        write_hole(peg, clearance_mm, lead_in_mm) + body, extra_xml=actuators, meshes_mm={"peg": peg.points_mm}
+    )
+    ticks: list[Tick] = []
+    full_mm = START_MM + peg.depth_mm + BEYOND_MM
+    largest, cause, depth = 0.0, "", -START_MM
+    n_ticks = round((full_mm / SPEED_MM_S + SETTLE_S) / TICK_S)
+    for tick in range(n_ticks):
+        lowered = min(full_mm, SPEED_MM_S * TICK_S * (tick + 1))
+        scene.command("hand_z", -1e-3 * lowered)
+        scene.advance(TICK_S)
+        hand, force = scene.get_pose("hand") @ turned, scene.measure_contact_force("hand")
+        world_from_tool = hand @ hand_from_tool
+        depth = -float(rigid.apply(world_from_tool, (peg.tip_mm, 0.0, 0.0))[2])
+        ticks.append(Tick(
+            time_s=TICK_S * (tick + 1), world_from_object=world_from_tool, world_from_hand=hand,
+            commanded=rigid.translation(0.0, 0.0, -lowered) @ world_from_hand, force_n=force,
+        ))  # fmt: skip
+        largest = max(largest, float(np.linalg.norm(force)))
+        if largest > force_limit_n:
+            cause = f"jams {depth:.1f} mm deep of {peg.depth_mm:g} mm: the force exceeds {force_limit_n:g} N"
+            break
+        if depth >= peg.depth_mm:  # at the bottom of the hole: pushing on would jam it
+            break
+    inserted = depth >= peg.depth_mm - SHORT_MM
+    if not cause:
+        cause = "inserted" if inserted else f"stops {depth:.1f} mm deep of {peg.depth_mm:g} mm"
+    return Attempt(
+        ticks=tuple(ticks), succeeds=inserted and largest <= force_limit_n, cause=cause,
+        measures={"depth_mm": depth, "largest_force_n": largest},
+    )  # fmt: skip

@@ -1,0 +1,224 @@
+"""Marble rolling: a gel plate rolls a marble from a random start to the centre of its view and holds it there.
+
+The controller is cloned on a GelSlim's images and reads a DIGIT through a translation (paper, downstream tasks). Sizes,
+load, speeds, the expert and the network are not in the paper and are chosen here.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, cast
+
+import numpy as np
+
+from pipeline.core.arrays import Doubles, Floats, Image
+from pipeline.core.progress import SILENT, Progress
+from pipeline.core.values.frames import TactileFrame, Truth
+from pipeline.lab.tasks.attribution import CorrectedEstimate, describe_decision, list_true_stages, share_error
+from pipeline.lab.tasks.marble_trial import N_TICKS, SOURCE, TARGET, MarbleTrial, RecordedFrame, draw_trial
+from pipeline.lab.tasks.rolling import TICK_S, make_ball
+from pipeline.lab.tasks.scene_bodies import make_box
+from pipeline.lab.tasks.task import (
+    Decision,
+    ManipulationTask,
+    RecordedRollout,
+    Rollout,
+    SceneBody,
+    TaskScene,
+    Tick,
+    TrialPlan,
+)
+from pipeline.lab.tasks.touches import NONE, OWN, TRUE, make_pairing
+from pipeline.stages.networks.network_factory import load_predictor
+from pipeline.stages.networks.weights_registry import load_for_task
+
+EXPERT = "expert"
+POLICY_TASK, WEIGHTS = "cloned_policy", "marble_gelslim"  # of `pipeline.lab.training`; shipped
+_ROWS, _COLS = 48, 64  # of the policy's input
+N_HOLD_TICKS = 10
+LOST_MM = 7.0  # from the centre: the contact is outside the view
+GAIN, MAX_STEP_MM = 0.5, 0.8  # of the expert: plate's motion per tick over the ball's distance, and its limit
+_VIEW_HALF_MM, _PLATE_MM = (9.0, 6.75), 1.0  # halves of the gel that the target sees, and of the plate in the scene
+_LAST_STAGE = "touch"  # that the controller reads
+
+
+def command_as_expert(contact_mm: Doubles) -> Doubles:
+    """The plate's step (2,) in mm that rolls a ball at `contact_mm` (2,) of the gel toward the centre."""
+    return limit_step(GAIN * contact_mm)
+
+
+def limit_step(step_mm: Doubles) -> Doubles:
+    """A step of the plate, at most `MAX_STEP_MM` long."""
+    return step_mm * min(1.0, MAX_STEP_MM / max(float(np.linalg.norm(step_mm)), 1e-9))
+
+
+def shrink_image(image: np.ndarray[Any, Any]) -> Floats:
+    """The policy's input (3, 48, 64) in shares of full brightness from an image (rows, cols, 3) of any size."""
+    import cv2
+
+    small = cv2.resize(image, (_COLS, _ROWS), interpolation=cv2.INTER_AREA)
+    return np.ascontiguousarray(small.transpose(2, 0, 1)).astype(np.float32) / np.float32(255.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RollingRun:
+    """What happened on one start by one touch; entry k of every tuple is tick k."""
+
+    steps: tuple[Doubles, ...]
+    decisions: tuple[Decision, ...]
+    ticks: tuple[Tick, ...]
+    distances_mm: tuple[float, ...]  # of the contact from the centre, after each tick
+    frames: tuple[tuple[str, TactileFrame, Truth | None], ...] = ()
+
+
+def roll(
+    trial: MarbleTrial, touch: str, *, replayed: Sequence[Doubles] = (), n_true: int = 0, record: Sequence[str] = ()
+) -> RollingRun:
+    """Control the ball for `N_TICKS` by one touch, after the steps `replayed`.
+
+    The first `n_true` stages of its translation are replaced by ground truth; `record` names sensors whose frames are
+    kept although the controller does not read them.
+    """
+    ball = trial.start(replayed)
+    sensors = list_read_sensors(touch, needs_truth=n_true > 0) | dict.fromkeys(record)
+    run = RollingRun(steps=(), decisions=(), ticks=(), distances_mm=())
+    for tick in range(len(replayed), len(replayed) + N_TICKS):
+        recorded = {name: trial.record(name, ball, tick) for name in sensors}
+        expert = command_as_expert(ball.contact_mm)
+        step = choose_step(trial, touch, recorded, ball.contact_mm, n_true)
+        decision = Decision(
+            tick=tick, error_mm=float(np.linalg.norm(step - expert)), estimate=_describe(step), truth=_describe(expert)
+        )
+        done = ball.move_plate(step)
+        run = replace(
+            run, steps=(*run.steps, step), decisions=(*run.decisions, decision), ticks=(*run.ticks, done),
+            distances_mm=(*run.distances_mm, float(np.linalg.norm(ball.contact_mm))),
+            frames=(*run.frames, *((f"{name}_plate", *recorded[name]) for name in record)),
+        )  # fmt: skip
+        if run.distances_mm[-1] > LOST_MM:
+            break
+    return run
+
+
+def list_read_sensors(touch: str, *, needs_truth: bool = False) -> dict[str, None]:
+    """The sensors whose frames a touch is made of, in order; with ground truth both."""
+    if touch in (NONE, EXPERT):
+        return {}
+    if touch == TRUE:
+        return {TARGET: None}
+    return {SOURCE: None, TARGET: None} if needs_truth else {SOURCE: None}
+
+
+def choose_step(
+    trial: MarbleTrial, touch: str, recorded: Mapping[str, RecordedFrame], contact_mm: Doubles, n_true: int = 0
+) -> Doubles:
+    """The plate's step by one touch; raises ModelMissing without the policy's weights."""
+    if touch == NONE:
+        return np.zeros(2)
+    if touch == EXPERT:
+        return command_as_expert(contact_mm)
+    if touch == TRUE:
+        image = recorded[TARGET][0].image
+    elif touch == OWN:
+        image = recorded[TARGET if n_true else SOURCE][0].image
+    else:
+        moment = trial.make_moment([recorded[name] for name in list_read_sensors(touch, needs_truth=n_true > 0)])
+        steps = list_true_stages(moment, touch, _LAST_STAGE)[:n_true] if n_true else ()
+        image = moment.generate_touch(touch, {stage: value for stage, _, value in steps}).image
+    policy: Any = load_predictor(load_for_task(POLICY_TASK, WEIGHTS, None))
+    return limit_step(np.asarray(policy(shrink_image(cast("Image", image)))[0], np.float64))
+
+
+def attribute_worst_decision(trial: MarbleTrial, touch: str, run: RollingRun, tolerance_mm: float) -> Decision:
+    """The decision that is farthest from the expert's, with the shares of its error.
+
+    Each share says whether the rollout, run again from that tick with the truth so far, succeeds.
+    """
+    worst = max(run.decisions, key=lambda decision: decision.error_mm)
+    replayed = run.steps[: worst.tick]
+    ball = trial.start(replayed)
+    recorded = {name: trial.record(name, ball, worst.tick) for name in (SOURCE, TARGET)}
+    titles = _list_titles(trial, touch, recorded)
+
+    def judge(n_true: int) -> tuple[float, bool]:
+        by = touch if n_true <= len(titles) else EXPERT
+        step = choose_step(trial, by, recorded, ball.contact_mm, n_true)
+        again = roll(trial, by, replayed=replayed, n_true=n_true if by == touch else 0)
+        error_mm = float(np.linalg.norm(step - command_as_expert(ball.contact_mm)))
+        return error_mm, is_held(again, tolerance_mm)
+
+    corrected = [
+        CorrectedEstimate(stage=stage, title=title, estimate=n)
+        for n, (stage, title) in enumerate((*titles, ("policy", "policy")), start=1)
+    ]
+    return replace(worst, shares=share_error(worst.error_mm, corrected, judge))
+
+
+def _list_titles(trial: MarbleTrial, touch: str, recorded: Mapping[str, RecordedFrame]) -> tuple[tuple[str, str], ...]:
+    """(stage, title) of what ground truth can replace before the policy."""
+    if touch in (NONE, TRUE, EXPERT):
+        return ()
+    if touch == OWN:
+        return (("touch", "missing translation"),)
+    moment = trial.make_moment(list(recorded.values()))
+    return tuple((stage, title) for stage, title, _ in list_true_stages(moment, touch, _LAST_STAGE))
+
+
+def is_held(run: RollingRun, tolerance_mm: float) -> bool:
+    """Whether the ball was within the tolerance of the centre during the last ticks."""
+    return len(run.steps) == N_TICKS and measure_held_mm(run) <= tolerance_mm
+
+
+def measure_held_mm(run: RollingRun) -> float:
+    """Largest distance of the contact from the centre in the last ticks."""
+    return max(run.distances_mm[-N_HOLD_TICKS:])
+
+
+def run_trial(plan: TrialPlan, progress: Progress = SILENT) -> Iterator[Rollout]:
+    """One start, rolled by every touch and judged by every tolerance."""
+    trial = draw_trial(plan.seed, plan.index, plan.vary)
+    for done, touch in enumerate(plan.touches):
+        progress.step(done / len(plan.touches), f"rollout by {touch}")
+        record: tuple[str, ...] = ()
+        if plan.record_frames:
+            record = (TARGET,) if touch == EXPERT else (SOURCE, TARGET)
+        run = roll(trial, touch, record=record)
+        for tolerance_mm in plan.tolerances_mm:
+            succeeds, decisions = is_held(run, tolerance_mm), run.decisions
+            cause = _describe_end(run, tolerance_mm)
+            if plan.attribute and not succeeds:
+                worst = attribute_worst_decision(trial, touch, run, tolerance_mm)
+                decisions = tuple(worst if one.tick == worst.tick else one for one in decisions)
+                cause += f"; worst command {TICK_S * worst.tick:.1f} s after the start, {describe_decision(worst)}"
+            pairing = make_pairing("plate", trial.source.nominal, trial.target.nominal)
+            yield Rollout(
+                case=plan.case, trial=plan.index, touch=touch, tolerance_mm=tolerance_mm, succeeds=succeeds,
+                cause=cause, measures={"end_mm": run.distances_mm[-1], "held_mm": measure_held_mm(run)},
+                decisions=decisions, ticks=run.ticks, frames=run.frames, pairings=(pairing,) if len(record) > 1 else (),
+                mesh=make_ball(),
+            )  # fmt: skip
+
+
+def _describe_end(run: RollingRun, tolerance_mm: float) -> str:
+    if run.distances_mm[-1] > LOST_MM:
+        return f"rolls out of view {TICK_S * len(run.steps):.1f} s after the start"
+    held_mm = measure_held_mm(run)
+    return f"{'held' if held_mm <= tolerance_mm else 'ends'} within {held_mm:.1f} mm of the centre"
+
+
+def _describe(step_mm: Doubles) -> dict[str, float]:
+    return {"x_mm": float(step_mm[0]), "y_mm": float(step_mm[1])}
+
+
+def build_scene(_rollout: RecordedRollout) -> TaskScene:
+    """The gel plate under the ball, as large as the target's view."""
+    plate = make_box((*_VIEW_HALF_MM, _PLATE_MM), "gel plate", (0.0, 0.0, -_PLATE_MM))
+    return TaskScene(bodies=(SceneBody(name="gel plate", mesh=plate, parent="hand"),))
+
+
+TASK = ManipulationTask(
+    name="marble", title="Marble rolling", source=SOURCE, target=TARGET, cases=("marble",),
+    touches=(TRUE, "t2d2", OWN), further_touches=(EXPERT,), tolerances_mm=(1.0,),
+    error_title="from the expert's step", build_scene=build_scene,
+    tolerance_title="held within, mm", n_trials=20, run=run_trial,
+    published={("marble", TRUE): "20/20", ("marble", "t2d2"): "15/20"},
+)  # fmt: skip

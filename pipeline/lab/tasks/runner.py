@@ -1,0 +1,118 @@
+"""Run trials in worker processes or on a cluster; rollouts on disk are not run again."""
+
+from collections.abc import Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, wait
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from pipeline import __version__
+from pipeline.core.cluster import ClusterPool
+from pipeline.core.digests import compute_digest
+from pipeline.core.errors import NotConverged, SettingProblem
+from pipeline.core.params import check_range
+from pipeline.core.processes import WorkerPool, limit_threads
+from pipeline.core.progress import SILENT, Progress
+from pipeline.lab.tasks.rollout_file import read_summary, summarise, write_rollout
+from pipeline.lab.tasks.task import TrialPlan, load_task
+from pipeline.lab.tasks.touches import check_touch
+
+TASKS_VERSION = 2  # incremented when a plan gives another rollout: older ones on disk are run again then
+MAX_TRIALS = 10_000
+_POLL_S = 0.5
+Summary = Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrialJob:
+    """One trial, and where its rollouts go; None = nowhere."""
+
+    plan: TrialPlan
+    folder: Path | None
+
+
+def make_jobs(
+    task_name: str, *, cases: Sequence[str] = (), touches: Sequence[str] = (), tolerances_mm: Sequence[float] = (),
+    n_trials: int = 0, seed: int = 0, vary: float = 1.0, attribute: bool = False, folder: Path | None = None,
+) -> list[TrialJob]:  # fmt: skip
+    """One job per case and trial; what is not given is the task's own. Raises SettingProblem and other TouchErrors."""
+    is_file = task_name.endswith(".toml")
+    task = load_task("insertion" if is_file else task_name)
+    if is_file and task.load_case is not None:
+        path = Path(task_name).resolve()
+        task.load_case(path)
+        task, cases = replace(task, cases=(str(path),)), ()
+    unknown = [case for case in cases if case not in task.cases]
+    if unknown:
+        raise SettingProblem(f"{task.name} has no case {unknown[0]!r}; there are {', '.join(task.cases)}")
+    check_range("--trials", n_trials or 1, 1, MAX_TRIALS)
+    if any(not 0.0 < one <= 20.0 for one in tolerances_mm):
+        raise SettingProblem("--tolerance-mm must lie above 0 and within 20 mm")
+    check_range("--seed", seed, 0, (1 << 31) - 1)
+    for touch in touches:
+        if touch not in task.further_touches:
+            check_touch(touch, task.source, task.target)
+    return [
+        TrialJob(
+            plan=TrialPlan(
+                task=task.name, case=case, index=index, touches=tuple(touches) or task.touches,
+                tolerances_mm=tuple(tolerances_mm) or task.tolerances_mm, seed=seed, vary=vary, attribute=attribute,
+                record_frames=folder is not None,
+            ),
+            folder=folder,
+        )
+        for case in cases or task.cases for index in range(n_trials or task.n_trials)
+    ]  # fmt: skip
+
+
+def run_job(job: TrialJob) -> list[Summary]:
+    """Run one trial and write its rollouts, or read those that are on disk; the summaries in the plan's order."""
+    key = compute_digest((__version__, TASKS_VERSION, repr(asdict(job.plan))))
+    finished = _read_finished(job, key)
+    if finished is not None:
+        return finished
+    limit_threads()
+    summaries: list[Summary] = []
+    for rollout in load_task(job.plan.task).run(job.plan):
+        if job.folder is not None:
+            write_rollout(rollout, job.folder / f"{rollout.name}.h5", key, job.plan)
+        summaries.append(summarise(rollout))
+    return summaries
+
+
+def _read_finished(job: TrialJob, key: str) -> list[Summary] | None:
+    if job.folder is None:
+        return None
+    case = Path(job.plan.case).stem
+    found = [
+        read_summary(job.folder / f"{case}_{touch}_{tolerance:g}mm_{job.plan.index:03d}.h5", key)
+        for touch in job.plan.touches for tolerance in job.plan.tolerances_mm
+    ]  # fmt: skip
+    return None if None in found else [one for one in found if one is not None]
+
+
+def run_jobs(
+    jobs: Sequence[TrialJob], n_processes: int, cluster: ClusterPool | None = None, progress: Progress = SILENT
+) -> list[Summary]:
+    """The summaries of all rollouts in the order of the jobs, however many processes run them.
+
+    Whatever `progress` raises ends the run; rollouts on disk are complete and are not run again.
+    """
+    if cluster is not None:
+        return [one for found in cluster.map(run_job, jobs, progress) for one in found]
+    check_range("--jobs", n_processes, 1, 64)
+    done = 0
+    try:
+        with WorkerPool(n_processes) as pool:
+            futures = [pool.submit(run_job, job) for job in jobs]
+            waiting = set(futures)
+            while waiting:
+                finished, waiting = wait(waiting, timeout=_POLL_S, return_when=FIRST_COMPLETED)
+                for future in finished:
+                    future.result()
+                done += len(finished)
+                progress.step(done / len(jobs), f"{done} of {len(jobs)} trials")
+    except BrokenProcessPool as error:
+        raise NotConverged("a worker process died, perhaps out of memory; run again with --jobs 1") from error
+    return [one for future in futures for one in future.result()]

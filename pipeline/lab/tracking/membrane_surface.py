@@ -1,0 +1,187 @@
+"""The moved part of a membrane as a surface that can be registered: smoothed depth, and points with normals.
+
+Around a contact the membrane bends with the object, so a rim of its moved part takes part, not the contact alone: the
+flat face of a tool shows its motion only where the membrane bends around its edge. Farther out a bubble's membrane
+follows its own rim.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.core.arrays import Doubles, Floats, Mask, freeze
+from pipeline.core.geometry.camera import Camera
+from pipeline.core.values.results import DepthErrorModel, DepthMap
+
+COMPUTED = DepthErrorModel(rms_mm=0.01, correlation_mm=0.5)  # where a depth map does not state its error
+N_POINTS = 800  # of a surface: twice as many change a pose by a fifth of its uncertainty
+MIN_POINTS = 60  # fewer moved pixels are no touch that could be followed
+_MOVED_SHARE, _MOVED_MM = 0.15, 0.03  # moved: indented by this share of the touch, and at least by that much
+RIM_MM = 0.8  # moved part around the contact that takes part
+_SMOOTHING_MM, _COARSER = 0.08, 3.0  # standard deviation of the fine level, at least 1 px; that of the coarse one
+_MAX_SMOOTHING_PX = 10.0  # pixels of no depth have no width
+OUTLINE_REACH_MM = 1.0  # distances to the contact's outline are cut off here
+_STENCIL_PX = 2  # normals and their change along the image reach this far
+# Offsets of depth samples: the pixel, its neighbours, and theirs.
+_OFFSETS = (
+    (0, 0),
+    (1, 0),
+    (-1, 0),
+    (0, 1),
+    (0, -1),
+    (2, 0),
+    (-2, 0),
+    (0, 2),
+    (0, -2),
+    (1, 1),
+    (1, -1),
+    (-1, 1),
+    (-1, -1),
+)
+# Of those, the samples right, left, below and above each of the pixel and its four neighbours.
+_NEIGHBOURS = ((1, 2, 3, 4), (5, 0, 9, 10), (0, 6, 11, 12), (9, 11, 7, 0), (10, 12, 0, 8))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SmoothedDepth:
+    """A depth image after a Gaussian filter, and how near to the image's border its values are usable."""
+
+    depth_mm: Floats  # (rows, cols)
+    margin_px: float  # the filter mixes in what is beyond the border
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LocalSurface:
+    """The surface at some image positions."""
+
+    points_mm: Doubles  # (n, 3)
+    normals: Doubles  # (n, 3) unit, toward the camera
+    normals_along_x: Doubles  # (n, 3) change of the normal per pixel to the right
+    normals_along_y: Doubles  # (n, 3) per pixel down
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MembraneSurface:
+    """The moved part of one frame's membrane, in the sensor frame."""
+
+    camera: Camera
+    levels: tuple[SmoothedDepth, ...]  # coarse, fine
+    moved: Floats  # (rows, cols) 1 where the membrane is moved, else 0
+    outline_mm: Floats  # (rows, cols) distance to the contact's outline, negative inside
+    contact: Mask  # (rows, cols)
+    depth_mm: Floats  # (rows, cols) as measured; NaN = no value
+    pixels: Doubles  # (n, 2) x, y of chosen moved pixels
+    error: DepthErrorModel
+    pixel_mm: float  # width of a pixel on the membrane
+    n_frames: int = 1  # that it is the mean of
+
+    @property
+    def is_touched(self) -> bool:
+        """Whether enough of the membrane is moved to be followed."""
+        return len(self.pixels) >= MIN_POINTS
+
+
+def make_surface(depth: DepthMap) -> MembraneSurface:
+    """The surface of a depth map; the same map gives the same points."""
+    import cv2
+
+    known = np.isfinite(depth.depth_mm) & np.isfinite(depth.indentation_mm)
+    indentation = np.where(known, depth.indentation_mm, np.float32(0.0))
+    typical_mm = float(np.median(depth.depth_mm[known])) if known.any() else 0.0
+    filled: Floats = np.where(known, depth.depth_mm, np.float32(typical_mm))
+    pixel_mm = typical_mm / depth.camera.fx_px
+    moved = _find_moved(indentation, depth.contact, RIM_MM / max(pixel_mm, 1e-9))
+    fine_px = _find_fine_px(pixel_mm)
+    unknown_px = cv2.distanceTransform(known.astype(np.uint8), cv2.DIST_L2, 3) if not known.all() else None
+    if unknown_px is not None:
+        moved &= unknown_px > 2.5 * fine_px
+    return MembraneSurface(
+        camera=depth.camera,
+        levels=smooth_levels(filled, pixel_mm),
+        moved=moved.astype(np.float32), contact=depth.contact,
+        outline_mm=_measure_outline(depth.contact, pixel_mm), depth_mm=depth.depth_mm,
+        pixels=choose_pixels(moved), error=depth.error or COMPUTED, pixel_mm=pixel_mm,
+    )  # fmt: skip
+
+
+def choose_pixels(moved: Mask) -> Doubles:
+    """At most `N_POINTS` x, y (n, 2) of the moved pixels; the same mask gives the same ones."""
+    rows, cols = np.nonzero(moved)
+    if rows.size > N_POINTS:
+        chosen = np.linspace(0, rows.size - 1, N_POINTS).astype(np.intp)
+        chosen = np.random.default_rng(0).permutation(rows.size)[chosen]  # no stripes of a regular choice
+        rows, cols = rows[chosen], cols[chosen]
+    return freeze(np.column_stack([cols, rows]).astype(np.float64))
+
+
+def _find_moved(indentation_mm: Floats, contact: Mask, rim_px: float) -> Mask:
+    import cv2
+
+    if not contact.any():
+        return np.zeros(contact.shape, np.bool_)
+    typical_mm = float(np.percentile(indentation_mm[contact], 90.0))
+    off_px = cv2.distanceTransform((~contact).astype(np.uint8), cv2.DIST_L2, 5)
+    return (off_px <= rim_px) & (indentation_mm > max(_MOVED_MM, _MOVED_SHARE * typical_mm))
+
+
+def _measure_outline(contact: Mask, pixel_mm: float) -> Floats:
+    """Signed distance (rows, cols) to the contact's outline, smoothed over a pixel."""
+    import cv2
+
+    inside, outside = (cv2.distanceTransform(m.astype(np.uint8), cv2.DIST_L2, 5) for m in (contact, ~contact))
+    apart = np.clip((outside - inside) * np.float32(pixel_mm), -OUTLINE_REACH_MM, OUTLINE_REACH_MM)
+    return np.asarray(cv2.GaussianBlur(apart, (0, 0), 1.0), np.float32)
+
+
+def _find_fine_px(pixel_mm: float) -> float:
+    return min(max(1.0, _SMOOTHING_MM / max(pixel_mm, 1e-9)), _MAX_SMOOTHING_PX)
+
+
+def smooth_levels(depth_mm: Floats, pixel_mm: float) -> tuple[SmoothedDepth, ...]:
+    """The coarse and the fine level of a depth image without gaps."""
+    fine_px = _find_fine_px(pixel_mm)
+    return tuple(_smooth(depth_mm, sigma_px) for sigma_px in (_COARSER * fine_px, fine_px))
+
+
+def _smooth(depth_mm: Floats, sigma_px: float) -> SmoothedDepth:
+    import cv2
+
+    smooth: Floats = np.asarray(cv2.GaussianBlur(depth_mm, (0, 0), sigma_px), np.float32)
+    return SmoothedDepth(depth_mm=smooth, margin_px=2.5 * sigma_px + _STENCIL_PX)
+
+
+def sample_outline(outline_mm: Floats, pixels: Doubles) -> tuple[Doubles, Doubles]:
+    """Distances (n,) to the outline at image positions (n, 2), and their change (n, 2) per pixel right and down."""
+    offsets = np.array(_OFFSETS[:5], np.float64)
+    x, y = (pixels[:, k] + offsets[:, k, None] for k in (0, 1))
+    apart = _interpolate(outline_mm, x, y)
+    return apart[0], 0.5 * np.column_stack([apart[1] - apart[2], apart[3] - apart[4]])
+
+
+def sample_surface(level: SmoothedDepth, camera: Camera, pixels: Doubles) -> LocalSurface:
+    """Points, normals and their change at image positions (n, 2) x, y, which lie inside the level's margin."""
+    offsets = np.array(_OFFSETS, np.float64)
+    x, y = (pixels[:, k] + offsets[:, k, None] for k in (0, 1))  # (13, n)
+    z = _interpolate(level.depth_mm, x, y)
+    ray_x, ray_y = (x - camera.cx_px) / camera.fx_px, (y - camera.cy_px) / camera.fy_px
+    right, left, below, above = (list(side) for side in zip(*_NEIGHBOURS, strict=True))
+    # With p = fx z_x / z and q = fy z_y / z, a pinhole's depth image has the normal (p, q, -(1 + p x/z + q y/z)).
+    p = 0.5 * camera.fx_px * (z[right] - z[left]) / z[:5]
+    q = 0.5 * camera.fy_px * (z[below] - z[above]) / z[:5]
+    normals = np.stack([p, q, -(1.0 + p * ray_x[:5] + q * ray_y[:5])], axis=1)  # (5, 3, n): fast along the points
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    return LocalSurface(
+        points_mm=np.stack([ray_x[0] * z[0], ray_y[0] * z[0], z[0]]).T,
+        normals=normals[0].T,
+        normals_along_x=0.5 * (normals[1] - normals[2]).T,
+        normals_along_y=0.5 * (normals[3] - normals[4]).T,
+    )
+
+
+def _interpolate(image: Floats, x_px: Doubles, y_px: Doubles) -> Doubles:
+    """Values of an image at positions of any shape, also of none, which OpenCV refuses."""
+    import cv2
+
+    if not x_px.size:
+        return np.zeros(x_px.shape)
+    return cv2.remap(image, x_px.astype(np.float32), y_px.astype(np.float32), cv2.INTER_LINEAR).astype(np.float64)

@@ -1,0 +1,284 @@
+"""Recorded pairs of two sensors as training examples: folders of a data set, with validation pairs held out.
+
+Both fingers of a grasp are pairs of their own and have one role. Pairs are read when they are drawn.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from pipeline.core.arrays import Mask, freeze
+from pipeline.core.errors import FileProblem, SettingProblem
+from pipeline.core.memo import Memo
+from pipeline.core.values.frames import Grasp, Recording, Stream, TactileFrame, Truth
+from pipeline.core.values.pairing import NO_PARTNER, pair_frames
+from pipeline.io import open_recording
+from pipeline.io.grasp_files import is_grasp_folder
+from pipeline.io.inspection.synchrony import compare_streams
+from pipeline.lab.training.hold_out import Role, assign_roles
+from pipeline.lab.training.task import Split, Task
+from pipeline.sensors import alignment as alignments
+from pipeline.sensors.alignment import Alignment
+from pipeline.sensors.spec import SensorSpec, load_sensor
+
+if TYPE_CHECKING:
+    from torch import Tensor, nn
+
+    from pipeline.lab.training.task import Example
+
+_MAX_UNTOUCHED = 1000  # pairs in a row that a task cannot use
+_MAX_NAMES = 5  # in a note
+_SUFFIXES = (".h5", ".hdf5", ".pt")
+_SPLIT_NAME = re.compile(r"^(?P<tool>.+)_(?P<split>train|val|validation|test)$")  # of files of gelslim_depth
+_SEED = 29  # of validation examples
+
+
+class NoPairs(SettingProblem):
+    """A recording does not hold both sensors."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PairFolder:
+    """Recorded pairs that a recipe trains on."""
+
+    path: str = ""  # file or folder; "" = none
+    hold_out: str = ""  # as `hold_out.HOLD_OUT_HELP` says
+    share: float = 1.0  # of the grasps to train on that is used
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecordedPair:
+    """The frames of one touch by both sensors."""
+
+    source: SensorSpec
+    target: SensorSpec
+    source_frame: TactileFrame
+    target_frame: TactileFrame
+    target_truth: Truth | None
+    alignment: Alignment
+
+
+class LearnsFromPairs(Protocol):
+    """Further methods of a task that trains on recorded pairs."""
+
+    @property
+    def pair_sensors(self) -> tuple[str, str]:
+        """Names of source and target."""
+        ...
+
+    def prepare_pair(self, pair: RecordedPair) -> Any:
+        """What examples of a pair are made of; None where the task cannot use it. The result is cached."""
+        ...
+
+    def make_pair_example(self, prepared: Any, rng: np.random.Generator, *, is_validation: bool) -> Example:
+        """An example with the arrays of a simulated one; augmented unless it validates."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PairPlace:
+    """Where a pair is: streams of one recording, and the frame."""
+
+    recording: Recording
+    source_stream: Stream
+    target_stream: Stream
+    index: int  # of the source's frame
+    target_index: int
+    grasp: Grasp
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PairSet:
+    """All pairs of two sensors in a file or folder."""
+
+    source: SensorSpec
+    target: SensorSpec
+    places: Mapping[Role, tuple[PairPlace, ...]]
+    notes: tuple[str, ...]
+
+    def load(self, place: PairPlace) -> RecordedPair:
+        """Read the frames of a pair; raises FileProblem."""
+        recording, one, other = place.recording, place.source_stream, place.target_stream
+        transform = recording.target_from_source(one.name, other.name)
+        return RecordedPair(
+            source=self.source, target=self.target, source_frame=one.frame(place.index),
+            target_frame=other.frame(place.target_index), target_truth=other.truth(place.target_index),
+            alignment=alignments.resolve_alignment(self.source, self.target, transform),
+        )  # fmt: skip
+
+
+@lru_cache(maxsize=4)
+def open_pairs(folder: PairFolder, source_name: str, target_name: str) -> PairSet:
+    """The pairs of a recording, a data set's folder, or a folder of recordings, by role.
+
+    A sensor with itself gives its touches with their truth.
+
+    Raises NoPairs where a sensor has no stream, FileProblem where nothing is paired.
+    """
+    source, target, path = load_sensor(source_name), load_sensor(target_name), Path(folder.path)
+    files = _list_recordings(path)
+    notes: dict[str, None] = {}
+    found: list[tuple[PairPlace, ...]] = []  # of each moment, one per finger
+    for file in files:
+        recording = open_recording(file)
+        streams = _match_streams(recording, source_name, target_name)
+        if not streams:
+            raise NoPairs(f"{str(file)!r} holds no pairs of {source.title} and {target.title}")
+        moments = _list_moments(recording, streams, file)
+        wrong = [moment[0].grasp.name for moment in moments if recording.find_pair_problem(moment[0].index)]
+        found += [moment for moment in moments if not recording.find_pair_problem(moment[0].index)]
+        notes |= dict.fromkeys(_describe_recording(recording, streams, wrong))
+    if not found:
+        raise FileProblem("both sensors are recorded at no moment", path)
+    hold_out = assign_roles([moment[0].grasp for moment in found], folder.hold_out, folder.share)
+    places: dict[Role, list[PairPlace]] = {}
+    for moment, role in zip(found, hold_out.roles, strict=True):
+        places.setdefault(role, []).extend(moment)
+    return PairSet(
+        source=source, target=target, notes=(*hold_out.notes, *notes),
+        places={role: _shuffle(of_role) for role, of_role in places.items()},
+    )  # fmt: skip
+
+
+def _shuffle(places: Sequence[PairPlace]) -> tuple[PairPlace, ...]:
+    """Mix the tools, so that the first pairs are of all of them."""
+    return tuple(places[k] for k in np.random.default_rng(0).permutation(len(places)))
+
+
+def _list_recordings(path: Path) -> list[Path]:
+    """The recordings of a folder that is not one recording itself, else the path."""
+    if not path.is_dir() or is_grasp_folder(path):
+        return [path]
+    return sorted(file for file in path.rglob("*") if file.suffix in _SUFFIXES) or [path]
+
+
+def _name_grasps(file: Path, n: int) -> tuple[Grasp, ...]:
+    """Grasps of a recording of one tool, which its name tells, perhaps with the split: `<tool>_train.pt`."""
+    match = _SPLIT_NAME.match(file.stem)
+    tool, split = (match["tool"], match["split"]) if match else (file.stem, "")
+    return tuple(Grasp(tool=tool, split=split, number=k) for k in range(n))
+
+
+def _match_streams(recording: Recording, source: str, target: str) -> list[tuple[Stream, Stream]]:
+    """Streams of both sensors in their order: right finger with right finger."""
+    ones, others = ([s for s in recording.streams if s.sensor == name] for name in (source, target))
+    return list(zip(ones, others, strict=False))
+
+
+def _list_moments(
+    recording: Recording, streams: Sequence[tuple[Stream, Stream]], file: Path
+) -> list[tuple[PairPlace, ...]]:
+    """The places of every frame of the source that any finger has a partner for."""
+    n = max(one.n_frames for one, _ in streams)
+    grasps = recording.grasps or _name_grasps(file, n)
+    moments = [list[PairPlace]() for _ in range(n)]
+    for one, other in streams:
+        for index, partner in enumerate(pair_frames(one, other).partners.tolist()):
+            if partner != NO_PARTNER:
+                moments[index].append(
+                    PairPlace(recording=recording, source_stream=one, target_stream=other, index=index,
+                              target_index=partner, grasp=grasps[index])
+                )  # fmt: skip
+    return [tuple(moment) for moment in moments if moment]
+
+
+def _describe_recording(
+    recording: Recording, streams: Sequence[tuple[Stream, Stream]], wrong: Sequence[str]
+) -> list[str]:
+    one, other = streams[0]
+    notes = list(recording.notes)
+    if wrong:
+        more = ", ..." if len(wrong) > _MAX_NAMES else ""
+        notes.append(f"{len(wrong)} wrong pairs are left out: {', '.join(wrong[:_MAX_NAMES])}{more}; see inspect")
+    notes += [note for pair in streams if (note := pair_frames(*pair).note)]
+    if one.sensor != other.sensor and recording.target_from_source(one.name, other.name) is None:
+        notes.append("the recording has no target_from_source: the sensors' descriptions are used")
+    for stream in (one, other):
+        if stream.n_frames and stream.frame(0).reference is None:
+            notes.append(f"{stream.name} has no reference image: the nominal one is used")
+    synchrony = compare_streams(one, other) if one.sensor != other.sensor else None
+    if synchrony is not None and synchrony.warning is not None:
+        notes.append(str(synchrony.warning))
+    return notes
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PairTask:
+    """A task on recorded pairs; loss and metrics are the task's."""
+
+    task: Any  # a Task that is LearnsFromPairs
+    folder: PairFolder
+
+    def sample(self, rng: np.random.Generator) -> Example:
+        """An example of a pair that is trained on."""
+        places = self._pairs.places["training"]
+        order = (places[int(rng.integers(len(places)))] for _ in range(_MAX_UNTOUCHED))
+        return self._make_example(order, rng, is_validation=False)
+
+    def make_validation_example(self, split: Split, index: int) -> Example:
+        """An example of a held-out pair."""
+        places = self._pairs.places[split]
+        order = (places[(index + k) % len(places)] for k in range(len(places)))
+        return self._make_example(order, np.random.default_rng([_SEED, index]), is_validation=True)
+
+    def count_validation_examples(self, split: Split) -> int:
+        """Number of held-out pairs of a split."""
+        return len(self._pairs.places.get(split, ()))
+
+    def collect_notes(self) -> tuple[str, ...]:
+        """What was held out, assumed or left out."""
+        return self._pairs.notes
+
+    def compute_loss(self, network: nn.Module, batch: Mapping[str, Tensor]) -> tuple[Tensor, dict[str, Any]]:
+        """The task's."""
+        return self.task.compute_loss(network, batch)
+
+    def evaluate(self, network: nn.Module, held_out: Sequence[Example]) -> dict[str, float]:
+        """The task's."""
+        return self.task.evaluate(network, held_out)
+
+    @property
+    def _pairs(self) -> PairSet:
+        return open_pairs(self.folder, *self.task.pair_sensors)
+
+    def _make_example(self, order: Any, rng: np.random.Generator, *, is_validation: bool) -> Example:
+        for place in order:
+            key = self.task, self.folder, str(place.recording.path), place.source_stream.name, place.index
+            (prepared,) = _prepared.get_or_make(key, lambda p=place: (self.task.prepare_pair(self._pairs.load(p)),))
+            if prepared is not None:
+                return self.task.make_pair_example(prepared, rng, is_validation=is_validation)
+        raise FileProblem(
+            "no pair that was tried is touched on both sides and has what is trained on", self.folder.path
+        )
+
+
+def derive_contact(truth: Truth, sensor: SensorSpec) -> Mask:
+    """The contact of a truth; where none is stored, the indentation beyond the sensor's smallest.
+
+    Public sets store the overlap of object and gel, which is 0 outside the contact.
+    """
+    if truth.contact is not None:
+        return truth.contact
+    assert truth.indentation_mm is not None
+    return freeze(np.nan_to_num(truth.indentation_mm) > sensor.limits.contact_min_mm)
+
+
+_prepared: Memo[tuple[Any, ...], tuple[Any]] = Memo(most_bytes=1 << 30)
+
+
+def use_pairs(task: Task, folder: PairFolder) -> Task:
+    """`task` on recorded pairs; `task` itself without a folder. Raises SettingProblem for a task that cannot."""
+    if not folder.path:
+        return task
+    if not hasattr(task, "make_pair_example"):
+        raise SettingProblem(
+            f"the task {type(task).__name__} does not train on pairs; train t2t, latent, vqvae or depth_anything"
+        )
+    return PairTask(task=task, folder=folder)

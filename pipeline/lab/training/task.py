@@ -1,0 +1,127 @@
+"""Tasks that can be trained: each gives examples, a loss and metrics, is one module and one line of `TASKS`.
+
+Loads neither torch nor numpy: the command line reads the table to list what can be trained.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal, Protocol, runtime_checkable
+
+from pipeline.core.errors import SettingProblem
+from pipeline.core.params import setting
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+    from torch import Tensor, nn
+
+    Example = dict[str, NDArray[Any]]
+
+Split = Literal["unseen_grasps", "unseen_tools"]
+SPLITS: tuple[Split, ...] = ("unseen_grasps", "unseen_tools")
+VALIDATION_SEED = 7  # of presses for validation; recipes train with press_seed 1
+
+
+class Task(Protocol):
+    """A frozen dataclass whose fields are `pipeline.core.params.setting`s: the [settings] of a recipe.
+
+    Worker processes receive it to make examples, so its module loads no torch on import.
+    """
+
+    def sample(self, rng: np.random.Generator) -> Example:
+        """One training example; `rng` is its only randomness.
+
+        Arrays have the same shapes every time, channels first, uint8 or float32.
+        """
+        ...
+
+    def make_validation_example(self, split: Split, index: int) -> Example:
+        """Validation example `index`; the same on every call, and never trained on."""
+        ...
+
+    def compute_loss(self, network: nn.Module, batch: Mapping[str, Tensor]) -> tuple[Tensor, dict[str, Any]]:
+        """The loss, a mean over the examples, and its named terms (numbers or scalar tensors).
+
+        `network` is only called: it may be wrapped for several processes. `distributed.unwrap_network` gives its
+        configuration. Its output is float32 in any precision.
+        """
+        ...
+
+    def evaluate(self, network: nn.Module, held_out: Sequence[Example]) -> dict[str, float]:
+        """Metrics on validation examples: name with unit -> value, such as "error in contact, um"."""
+        ...
+
+
+@runtime_checkable
+class HasNotes(Protocol):
+    """Further method of a task that trains on recordings."""
+
+    def collect_notes(self) -> tuple[str, ...]:
+        """Open the recordings and return what was assumed or left out; called before training starts."""
+        ...
+
+
+@runtime_checkable
+class HasFewExamples(Protocol):
+    """Further method of a task whose validation examples are limited."""
+
+    def count_validation_examples(self, split: Split) -> int:
+        """Number of validation examples of a split; 0 = none."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TaskEntry:
+    """One line of the table."""
+
+    subcommand: str  # of `tactoscope train`
+    import_path: str  # module:class
+
+
+TASKS: dict[str, TaskEntry] = {
+    "depth_anything": TaskEntry(
+        subcommand="depth", import_path="pipeline.lab.training.depth_anything:DepthAnythingTask"
+    ),
+    "vqvae": TaskEntry(subcommand="vqvae", import_path="pipeline.lab.training.vqvae:VqVaeTask"),
+    "latent": TaskEntry(subcommand="latent", import_path="pipeline.lab.training.latent:LatentTask"),
+    "touch_pose": TaskEntry(subcommand="pose", import_path="pipeline.lab.training.touch_pose:TouchPoseTask"),
+    "bubble_depth": TaskEntry(subcommand="depth", import_path="pipeline.lab.training.bubble_depth:BubbleDepthTask"),
+    "touch_residual": TaskEntry(
+        subcommand="t2d2", import_path="pipeline.lab.training.touch_residual:TouchResidualTask"
+    ),
+    "cloned_policy": TaskEntry(subcommand="policy", import_path="pipeline.lab.tasks.cloning:ClonedPolicyTask"),
+    "touch_to_touch": TaskEntry(subcommand="t2t", import_path="pipeline.lab.training.touch_to_touch:TouchToTouchTask"),
+}
+
+
+def import_task_class(name: str) -> type[Any]:
+    """The class of a task; raises SettingProblem for an unknown name."""
+    if name not in TASKS:
+        raise SettingProblem(f"no task {name!r}; there are {', '.join(TASKS)}")
+    module, _, class_name = TASKS[name].import_path.partition(":")
+    return getattr(importlib.import_module(module), class_name)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StoredPresses:
+    """Settings of the simulated presses that a task's examples are made of."""
+
+    press_seed: int = setting(1, "Seed of presses", low=0, high=2**31 - 1)
+    folder: str = setting("", "Folder", help="stores simulated presses for other runs; empty = simulated in every run")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SimulatedPresses(StoredPresses):
+    """Settings of a task whose examples are drawn from a number of presses."""
+
+    n_presses: int = setting(
+        2000, "Presses", low=1, high=10_000_000, help="simulated presses that all examples are drawn from"
+    )
+
+
+def augmentation_setting(help: str = "rotated or mirrored examples") -> Any:  # noqa: A002 - as `setting` has it
+    """Share of augmented examples."""
+    return setting(0.5, "Augmentation share", low=0.0, high=1.0, help=help)

@@ -1,0 +1,140 @@
+"""The encoder of Depth Anything V2: a DINOv2 vision transformer with the published tensor names.
+
+Oquab et al. 2023, patches of 14 pixels, no register tokens; small, base and large.
+"""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from pipeline.stages.networks.depth_anything_input import PATCH_PX
+
+_TRAINED_PATCHES = 37  # per side of the position embeddings, 518 px
+_OFFSET = 0.1  # patches, added when position embeddings are resized, as in the published training
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EncoderSize:
+    """One of the published model sizes."""
+
+    width: int
+    depth: int
+    heads: int
+    output_blocks: tuple[int, ...]  # blocks whose tokens the decoder reads
+
+
+ENCODER_SIZES = {
+    "vits": EncoderSize(width=384, depth=12, heads=6, output_blocks=(2, 5, 8, 11)),
+    "vitb": EncoderSize(width=768, depth=12, heads=12, output_blocks=(2, 5, 8, 11)),
+    "vitl": EncoderSize(width=1024, depth=24, heads=16, output_blocks=(4, 11, 17, 23)),
+}
+
+
+class DinoV2Encoder(nn.Module):
+    """Normalised patch tokens after the selected blocks."""
+
+    def __init__(self, size: EncoderSize) -> None:
+        super().__init__()
+        self.output_blocks = size.output_blocks
+        self.cls_token = nn.Parameter(torch.zeros(1, 1, size.width))
+        self.pos_embed = nn.Parameter(torch.zeros(1, _TRAINED_PATCHES**2 + 1, size.width))
+        self.mask_token = nn.Parameter(torch.zeros(1, size.width))  # used in pre-training only
+        self.patch_embed = _PatchEmbed(size.width)
+        self.blocks = nn.ModuleList(_Block(size) for _ in range(size.depth))
+        self.norm = nn.LayerNorm(size.width, eps=1e-6)
+        nn.init.trunc_normal_(self.pos_embed, std=0.02)
+        nn.init.normal_(self.cls_token, std=1e-6)
+
+    def forward(self, image: Tensor, window: tuple[int, int, int, int]) -> list[Tensor]:
+        """List of tokens (n, patches, width), one per output block, for images (n, 3, rows, cols) of whole patches.
+
+        `window` (top, left, rows, cols) in patches places this crop in an image of rows x cols patches.
+        """
+        patches = self.patch_embed(image)
+        n, _, rows, cols = patches.shape
+        top, left, whole_rows, whole_cols = window
+        first, positions = self._position_embeddings(whole_rows, whole_cols)
+        positions = positions[:, :, top : top + rows, left : left + cols]
+        tokens = (patches + positions).flatten(2).transpose(1, 2)
+        tokens = torch.cat((self.cls_token.expand(n, -1, -1) + first, tokens), dim=1)
+        outputs: list[Tensor] = []
+        for index, block in enumerate(self.blocks):
+            tokens = block(tokens)
+            if index in self.output_blocks:
+                outputs.append(self.norm(tokens)[:, 1:])
+        return outputs
+
+    def _position_embeddings(self, rows: int, cols: int) -> tuple[Tensor, Tensor]:
+        """Position embeddings of the class token (1, 1, width) and of all patches (1, width, rows, cols)."""
+        first, positions = self.pos_embed[:, :1], self.pos_embed[:, 1:]
+        side = _TRAINED_PATCHES
+        positions = positions.reshape(1, side, side, -1).permute(0, 3, 1, 2)
+        if (rows, cols) == (side, side):
+            return first, positions
+        scale = ((rows + _OFFSET) / math.sqrt(side**2), (cols + _OFFSET) / math.sqrt(side**2))
+        return first, functional.interpolate(positions.float(), scale_factor=scale, mode="bicubic")
+
+
+class _PatchEmbed(nn.Module):
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self.proj = nn.Conv2d(3, width, PATCH_PX, stride=PATCH_PX)
+
+    def forward(self, image: Tensor) -> Tensor:
+        return self.proj(image)
+
+
+class _Block(nn.Module):
+    def __init__(self, size: EncoderSize) -> None:
+        super().__init__()
+        self.norm1 = nn.LayerNorm(size.width, eps=1e-6)
+        self.attn = _Attention(size.width, size.heads)
+        self.ls1 = _Scale(size.width)
+        self.norm2 = nn.LayerNorm(size.width, eps=1e-6)
+        self.mlp = _Mlp(size.width)
+        self.ls2 = _Scale(size.width)
+
+    def forward(self, tokens: Tensor) -> Tensor:
+        tokens = tokens + self.ls1(self.attn(self.norm1(tokens)))
+        return tokens + self.ls2(self.mlp(self.norm2(tokens)))
+
+
+class _Attention(nn.Module):
+    def __init__(self, width: int, heads: int) -> None:
+        super().__init__()
+        self.heads = heads
+        self.qkv, self.proj = _linear(width, 3 * width), _linear(width, width)
+
+    def forward(self, tokens: Tensor) -> Tensor:
+        n, count, width = tokens.shape
+        parts = self.qkv(tokens).reshape(n, count, 3, self.heads, width // self.heads).permute(2, 0, 3, 1, 4)
+        attended = functional.scaled_dot_product_attention(parts[0], parts[1], parts[2])
+        return self.proj(attended.transpose(1, 2).reshape(n, count, width))
+
+
+class _Mlp(nn.Module):
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self.fc1, self.fc2 = _linear(width, 4 * width), _linear(4 * width, width)
+
+    def forward(self, tokens: Tensor) -> Tensor:
+        return self.fc2(functional.gelu(self.fc1(tokens)))
+
+
+class _Scale(nn.Module):
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self.gamma = nn.Parameter(torch.ones(width))
+
+    def forward(self, tokens: Tensor) -> Tensor:
+        return tokens * self.gamma
+
+
+def _linear(inputs: int, outputs: int) -> nn.Linear:
+    layer = nn.Linear(inputs, outputs)
+    nn.init.trunc_normal_(layer.weight, std=0.02)
+    nn.init.zeros_(layer.bias)
+    return layer

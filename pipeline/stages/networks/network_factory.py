@@ -1,0 +1,209 @@
+"""Builds networks from weights. A network is one module of this package and one line of `NETWORK_CLASSES`."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import importlib.metadata
+import inspect
+import warnings
+from collections.abc import Container, Generator, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.core import disk_store
+from pipeline.core.arrays import Floats
+from pipeline.core.errors import ModelMissing
+from pipeline.core.memo import Memo
+from pipeline.core.params import Value
+from pipeline.stages.networks.first_pass import FirstPassPredictor
+from pipeline.stages.networks.onnx_predictor import OnnxPredictor, export_onnx
+from pipeline.stages.networks.weights import NoWeights, Weights
+
+if TYPE_CHECKING:
+    from torch import nn
+
+
+NETWORK_CLASSES: dict[str, str] = {  # kind -> module:class; importing a module loads torch
+    "compact_unet": "pipeline.stages.networks.compact_unet:CompactUnet",
+    "depth_anything": "pipeline.stages.networks.depth_anything:DepthAnything",
+    "residual_denoiser": "pipeline.stages.networks.residual_denoiser:ResidualDenoiser",
+    "latent": "pipeline.stages.networks.latent_diffusion:LatentDiffusion",
+    "unet": "pipeline.stages.networks.unet:UNet",
+    "touch_policy": "pipeline.stages.networks.touch_policy:TouchPolicy",
+    "touch_pose": "pipeline.stages.networks.touch_pose:TouchPose",
+    "vqvae": "pipeline.stages.networks.vqvae:VqVae",
+}
+ONNX_KINDS = frozenset({"compact_unet", "residual_denoiser", "touch_policy"})  # answered by OpenCV, without torch
+_MAX_BYTES = 2 << 30  # of cached networks; the largest takes 1.3 GB
+_MOST_COUNT = 1024  # of channels, levels, steps or pixels that a small network may state
+_loaded_networks: Memo[str, nn.Module] = Memo(
+    4, most_bytes=_MAX_BYTES, weigh=lambda net: sum(p.numel() * p.element_size() for p in net.parameters())
+)
+_RESIDUAL = "residual_denoiser"
+_predictors: Memo[str, OnnxPredictor | FirstPassPredictor] = Memo(4)
+
+
+def build_network(kind: str, config: Mapping[str, Value]) -> nn.Module:
+    """A network of this kind with random parameters; raises ModelMissing for an unknown kind or wrong arguments."""
+    if kind not in NETWORK_CLASSES:
+        raise ModelMissing(f"unknown network {kind!r}; known are {', '.join(NETWORK_CLASSES)}")
+    module, _, name = NETWORK_CLASSES[kind].partition(":")
+    network_class = getattr(importlib.import_module(module), name)
+    unknown = sorted(config.keys() - inspect.signature(network_class).parameters.keys())
+    if unknown:
+        raise ModelMissing(
+            f"these weights have settings that a {kind!r} lacks ({', '.join(unknown)}): another version of the program "
+            "wrote them; export or train them again"
+        )
+    try:
+        return network_class(**config)
+    except (TypeError, ValueError, LookupError, ArithmeticError, RuntimeError) as error:
+        raise ModelMissing(f"cannot build network {kind!r}: {error}") from error
+
+
+def load_network(weights: Weights | NoWeights) -> nn.Module:
+    """The network of these weights in eval mode, float32, on the CPU, without gradients.
+
+    It is cached; do not modify it. Raises ModelMissing where there are no weights or they do not fit their network.
+    """
+    if isinstance(weights, NoWeights):
+        raise ModelMissing(weights.why)
+    return _loaded_networks.get_or_make(weights.content_digest, lambda: _build_with_weights(weights))
+
+
+def load_predictor(weights: Weights | NoWeights) -> Any:
+    """A predictor for these weights: an `OnnxPredictor` for `ONNX_KINDS`, else `load_network`.
+
+    Raises ModelMissing as `load_network` does. Weights without an ONNX file are exported first, which loads torch; a
+    residual denoiser, whose ONNX file is that of its first pass, is then `load_network`.
+    """
+    if isinstance(weights, NoWeights) or weights.kind not in ONNX_KINDS:
+        return load_network(weights)
+    if weights.kind == _RESIDUAL and not weights.onnx:
+        return load_network(weights)
+    return _predictors.get_or_make(weights.content_digest, lambda: _load_predictor(weights))
+
+
+def release_networks(keep: Container[str] = ()) -> None:
+    """Drop cached networks except those whose weights have one of these digests."""
+    _loaded_networks.keep_only(keep)
+    _predictors.keep_only(keep)
+
+
+def export_weights(weights: Weights) -> bytes:
+    """An ONNX file of weights of `ONNX_KINDS`; raises ModelMissing where they do not fit their network."""
+    network: Any = load_network(weights)
+    if weights.kind == _RESIDUAL:
+        network = network.make_first_pass()
+    return export_onnx(network, int(weights.config["inputs"]))
+
+
+def _load_predictor(weights: Weights) -> OnnxPredictor | FirstPassPredictor:
+    try:
+        if weights.kind == _RESIDUAL:
+            return FirstPassPredictor(weights, load_network)
+        return OnnxPredictor(weights.read_onnx() or _export_once(weights), fold=int(weights.config.get("fold", 2)))
+    except ValueError as error:
+        raise ModelMissing(f"the weights {weights.name!r} cannot be run: {error}") from error
+
+
+@dataclass(frozen=True, slots=True)
+class _ExportedNetwork:
+    content: NDArray[np.uint8]  # of its ONNX file
+
+
+def _export_once(weights: Weights) -> bytes:
+    """An ONNX file of weights that come without one, made once and kept in the user's cache: torch takes seconds."""
+    made_of = weights.content_digest, importlib.metadata.version("torch")
+    code = "pipeline.stages.networks.onnx_predictor", *(path.partition(":")[0] for path in NETWORK_CLASSES.values())
+
+    def export() -> _ExportedNetwork:
+        return _ExportedNetwork(np.frombuffer(export_weights(weights), np.uint8))
+
+    exported = disk_store.load_or_make(_ExportedNetwork, made_of, code, export, "onnx")
+    return exported.content.tobytes()
+
+
+def use_channels_last(net: nn.Module) -> nn.Module:
+    """The same network with channels-last filters, whose steps take 3/4 of the time."""
+    import torch
+
+    convert: Any = net.to  # this overload is missing from torch's types
+    return convert(memory_format=torch.channels_last)
+
+
+def _build_with_weights(weights: Weights) -> nn.Module:
+    from pipeline.stages.networks.uninitialised import WithoutInitialisation
+
+    tensors = dict(weights.tensors)
+    shapes = [side for tensor in tensors.values() for side in tensor.shape]
+    most = max(_MOST_COUNT, len(tensors), *shapes)
+    if any(abs(value) > most for value in weights.config.values() if isinstance(value, (int, float))):
+        raise ModelMissing(f"the weights {weights.name!r} state a network that their tensors cannot fill")
+    with WithoutInitialisation():
+        net = build_network(weights.kind, weights.config)
+    expected: dict[str, Any] = net.state_dict()
+    mismatched = expected.keys() ^ tensors.keys()
+    mismatched |= {
+        name for name, tensor in expected.items() if name not in mismatched and tensor.shape != tensors[name].shape
+    }
+    if mismatched:
+        examples = ", ".join(repr(name) for name in sorted(mismatched)[:2])
+        raise ModelMissing(
+            f"the weights {weights.name!r} do not fit the network {weights.kind!r}: {len(mismatched)} tensors are "
+            f"missing, unexpected or of another shape, such as {examples}"
+        )
+    _share_tensors(net, tensors)
+    return use_channels_last(net).eval().requires_grad_(requires_grad=False)
+
+
+def initialise_from(net: nn.Module, weights: Weights) -> int:
+    """Copy the tensors that match the network by name and shape; returns their number.
+
+    Raises ModelMissing where none matches.
+    """
+    import torch
+
+    expected: dict[str, Any] = net.state_dict()
+    matching = [
+        name for name, tensor in weights.tensors.items() if name in expected and expected[name].shape == tensor.shape
+    ]
+    if not matching:
+        raise ModelMissing(
+            f"the weights {weights.name!r} share no tensor with this network; choose other initial weights"
+        )
+    net.load_state_dict({name: torch.from_numpy(weights.tensors[name].copy()) for name in matching}, strict=False)
+    return len(matching)
+
+
+def _share_tensors(net: nn.Module, tensors: Mapping[str, Floats]) -> None:
+    """Make frozen arrays a network's tensors, without a copy where they have its type and order."""
+    import torch
+
+    shared: dict[str, Any] = {}
+    for name, tensor in net.state_dict().items():
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # "not writable": nothing writes to a loaded network
+            shared[name] = torch.from_numpy(tensors[name]).to(tensor.dtype)
+    net.load_state_dict(shared, assign=True)
+
+
+@contextlib.contextmanager
+def reproducible_inference(n_threads: int = 1) -> Generator[None, None, None]:
+    """Run torch without gradients on `n_threads`, whose number changes the last digits of sums.
+
+    On a busy machine one thread is also the fastest: threads wait for each other at every layer.
+    """
+    import torch
+
+    before = torch.get_num_threads()
+    torch.set_num_threads(n_threads)
+    try:
+        with torch.inference_mode():
+            yield
+    finally:
+        torch.set_num_threads(before)

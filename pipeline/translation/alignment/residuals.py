@@ -1,0 +1,183 @@
+"""Residuals of a paired touch under an alignment: two kinds of distances without bias.
+
+*Surface.* Where both membranes touch the object they lie on the same rigid surface, whatever their stiffness. So a
+contact point of the source, transferred, lies on the target's measured surface: its distance along that surface's
+normal, only where the target is in contact too.
+
+*Outline.* A softer sensor has more contact, so outlines differ; but they grow on all sides. So each touch may have its
+own growth, with a weak prior at 0, and the residual is the signed distance beyond it: the outline's place, not its
+size.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pipeline.core.arrays import Doubles, Mask
+from pipeline.core.geometry.camera import MIN_DEPTH_MM, Camera
+from pipeline.core.geometry.normals import compute_area_vectors
+from pipeline.core.values.results import DepthMap
+from pipeline.translation.alignment.touches import AlignmentTouch
+
+SURFACE_POINTS = 600  # per touch; more add no information
+OUTLINE_POINTS = 300
+_NORMAL_BLUR_MM = 0.5  # smoothing of the surface that normals are taken from
+_BORDER_PX = 2  # an outline this near to the border is the image's end
+_INSIDE_PX = 1.0  # margin within the target's contact: its rim is half air
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Evidence:
+    """Points of the source and fields of the target of one touch, independent of the alignment."""
+
+    index: int
+    surface_mm: Doubles  # (n, 3) contact points, frame of the described source
+    outline_mm: Doubles  # (m, 3) points between a contact pixel and a free one
+    instance_shift_mm: Doubles  # (3,) offset of the target instance's camera against the described one
+    camera: Camera  # of the target
+    depth_mm: Doubles  # (rows, cols) of the target in its own camera; NaN outside its contact
+    normal: Doubles  # (rows, cols, 3) unit, of the target's surface
+    outside_px: Doubles  # (rows, cols) signed distance to the target's contact outline, negative inside
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Distances:
+    """Distances of one kind and their derivatives by the points."""
+
+    mm: Doubles  # (k,)
+    jacobian: Doubles  # (k, 3) d mm / d point
+    points_mm: Doubles  # (k, 3) target frame
+    n_points: int  # all points; those with nothing to compare with are not among the k
+
+
+def collect_evidence(touch: AlignmentTouch) -> Evidence:
+    """Collect what does not depend on the alignment."""
+    target = touch.target
+    usable = target.contact & np.isfinite(target.depth_mm)
+    depth = np.where(usable, target.depth_mm, np.nan).astype(np.float64)
+    lift = np.array([0.0, 0.0, touch.source_shift_mm])
+    return Evidence(
+        index=touch.index,
+        surface_mm=_surface_points(touch.source) + lift,
+        outline_mm=_outline_points(touch.source) + lift,
+        instance_shift_mm=np.array([0.0, 0.0, touch.target_shift_mm]),
+        camera=target.camera,
+        depth_mm=depth,
+        normal=_normals(depth, target.camera),
+        outside_px=_outside_px(target.contact),
+    )
+
+
+def thin_points(touch: Evidence, points: int) -> Evidence:
+    """Return the evidence with at most about `points` points of each kind."""
+    surface, outline = (p[:: max(1, len(p) // points)] for p in (touch.surface_mm, touch.outline_mm))
+    return replace(touch, surface_mm=surface, outline_mm=outline)
+
+
+def compute_surface_distances(touch: Evidence, points_mm: Doubles) -> Distances:
+    """Distances of contact points (n, 3) in the target's camera frame to the target's surface along its normal."""
+    x, y, visible = touch.camera.project(points_mm)
+    visible &= points_mm[:, 2] > MIN_DEPTH_MM
+    inside = np.zeros(visible.shape, np.bool_)
+    inside[visible] = sample_bilinear(touch.outside_px, x[visible], y[visible]) < -_INSIDE_PX
+    p = points_mm[inside]
+    depth = sample_bilinear(touch.depth_mm, x[inside], y[inside])
+    row, col = np.rint(y[inside]).astype(np.intp), np.rint(x[inside]).astype(np.intp)
+    normal = touch.normal[row, col]
+    weights = np.isfinite(depth) & np.isfinite(normal).all(axis=1)
+    p, depth, normal = p[weights], depth[weights], normal[weights]
+    # On the ray through p the surface is at p * depth / p_z: the gap lies along the ray.
+    gap = (p * (1.0 - depth / p[:, 2])[:, None] * normal).sum(axis=1)
+    return Distances(mm=gap, jacobian=normal, points_mm=p, n_points=len(points_mm))
+
+
+def compute_outline_distances(touch: Evidence, points_mm: Doubles) -> Distances:
+    """Distances (mm) of outline points (m, 3) in the target's camera frame to the target's outline in its image."""
+    camera = touch.camera
+    x, y, visible = camera.project(points_mm)
+    margin = _BORDER_PX
+    visible &= (x > margin) & (x < camera.cols - 1 - margin) & (y > margin) & (y < camera.rows - 1 - margin)
+    p, x, y = points_mm[visible], x[visible], y[visible]
+    field, h = touch.outside_px, 0.5
+    slope_x = sample_bilinear(field, x + h, y) - sample_bilinear(field, x - h, y)
+    slope_y = sample_bilinear(field, x, y + h) - sample_bilinear(field, x, y - h)
+    # u = fx X/Z + cx: a motion of p in mm moves its pixel by fx/Z, less Z's share; in mm at the touch's distance.
+    ratio = camera.fy_px / camera.fx_px
+    jacobian = np.stack([slope_x, slope_y * ratio, -(slope_x * p[:, 0] + slope_y * ratio * p[:, 1]) / p[:, 2]], axis=-1)
+    return Distances(
+        mm=sample_bilinear(field, x, y) * p[:, 2] / camera.fx_px,
+        jacobian=jacobian,
+        points_mm=p,
+        n_points=len(points_mm),
+    )
+
+
+def sample_bilinear(field: Doubles, x_px: Doubles, y_px: Doubles) -> Doubles:
+    """Sample a field (rows, cols) bilinearly (k,), clamped at its border; NaN where a corner is NaN."""
+    rows, cols = field.shape
+    x, y = np.clip(x_px, 0.0, cols - 1.0), np.clip(y_px, 0.0, rows - 1.0)
+    col, row = np.minimum(x.astype(np.intp), cols - 2), np.minimum(y.astype(np.intp), rows - 2)
+    a, b = x - col, y - row
+    flat, first = field.ravel(), row * cols + col
+    top = flat[first] * (1.0 - a) + flat[first + 1] * a
+    return np.asarray(top * (1.0 - b) + (flat[first + cols] * (1.0 - a) + flat[first + cols + 1] * a) * b)
+
+
+def _surface_points(depth: DepthMap) -> Doubles:
+    usable = depth.contact & (depth.depth_mm > MIN_DEPTH_MM) & np.isfinite(depth.depth_mm)
+    every = max(1, int(np.ceil(np.sqrt(np.count_nonzero(usable) / SURFACE_POINTS))))
+    chosen = np.zeros_like(usable)
+    chosen[every // 2 :: every, every // 2 :: every] = True
+    row, col = np.nonzero(usable & chosen)
+    return depth.camera.back_project_at(
+        col.astype(np.float64), row.astype(np.float64), depth.depth_mm[row, col].astype(np.float64)
+    )
+
+
+def _outline_points(depth: DepthMap) -> Doubles:
+    """Return points half way between a contact pixel and its free neighbour, at the contact pixel's depth."""
+    contact = depth.contact
+    rows, cols = contact.shape
+    found: list[Doubles] = []
+    for axis in (0, 1):
+        first, second = (contact[:-1], contact[1:]) if axis == 0 else (contact[:, :-1], contact[:, 1:])
+        row, col = np.nonzero(first != second)
+        inner_row, inner_col = (row + ~contact[row, col], col) if axis == 0 else (row, col + ~contact[row, col])
+        y, x = (row + 0.5, col + 0.0) if axis == 0 else (row + 0.0, col + 0.5)
+        z = depth.depth_mm[inner_row, inner_col]
+        found.append(np.stack([x, y, z], axis=-1).astype(np.float64))
+    x, y, z = np.concatenate(found).T
+    margin = _BORDER_PX
+    kept = (x > margin) & (x < cols - 1 - margin) & (y > margin) & (y < rows - 1 - margin) & (z > MIN_DEPTH_MM)
+    x, y, z = x[kept], y[kept], z[kept]
+    every = max(1, int(np.ceil(x.size / OUTLINE_POINTS)))
+    return depth.camera.back_project_at(x[::every], y[::every], z[::every])
+
+
+def _normals(depth_mm: Doubles, camera: Camera) -> Doubles:
+    """Return unit normals (rows, cols, 3), z > 0, of the smoothed surface; NaN where it is unknown."""
+    import cv2
+
+    known = np.isfinite(depth_mm)
+    if not known.any():
+        return np.full((*depth_mm.shape, 3), np.nan)
+    blur_px = max(_NORMAL_BLUR_MM * camera.fx_px / float(np.median(depth_mm[known])), 0.7)
+    share = np.asarray(cv2.GaussianBlur(known.astype(np.float64), (0, 0), blur_px))
+    level = float(np.median(depth_mm[known]))
+    smooth = np.asarray(cv2.GaussianBlur(np.where(known, depth_mm - level, 0.0), (0, 0), blur_px))
+    smooth = level + np.divide(smooth, share, out=np.zeros_like(smooth), where=share > 1e-6)
+    normal = -compute_area_vectors(camera.back_project(smooth))
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    return np.where(known[..., None], normal, np.nan)
+
+
+def _outside_px(contact: Mask) -> Doubles:
+    """Return the signed distance (rows, cols) in pixels to the contact's outline; one sign if all pixels are alike."""
+    import cv2
+
+    def to(mask: Mask) -> Doubles:
+        if mask.all():
+            return np.full(mask.shape, float(max(mask.shape)))
+        return np.asarray(cv2.distanceTransform(mask.view(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE), np.float64)
+
+    return np.where(contact, 0.5 - to(contact), to(~contact) - 0.5)

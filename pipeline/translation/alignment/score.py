@@ -1,0 +1,201 @@
+"""How well a touch transferred by an alignment agrees with the target's observation of it, and how sensitively."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.core.arrays import Doubles, Mask
+from pipeline.core.progress import SILENT, Progress
+from pipeline.core.values.results import TargetDepth
+from pipeline.sensors.alignment import AXES, Alignment, Axis
+from pipeline.stages.cloud.back_projection import BackProjectionParams, back_project_depth
+from pipeline.stages.target_depth.surface_projection import ProjectionParams, SurfaceProjectionParams, project_cloud
+from pipeline.translation.alignment.nudge import axis_unit, nudge
+from pipeline.translation.alignment.target_observation import TargetObservation, compute_distance_px, find_edge
+from pipeline.translation.alignment.touches import AlignmentTouch, find_pivot
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AlignmentScore:
+    """Agreement within the source's field of view; None where there is nothing to compare."""
+
+    iou: float  # of the contact masks; 1 where both are empty
+    edge_px: float | None  # mean distance of the outlines, both ways, in pixels of the target's full image
+    depth_mm: float | None  # median |difference| of depth where both are in contact
+    depth_rms_mm: float | None
+    bias_mm: float | None  # median of transferred - observed; positive = too far from the target's camera
+    overlap_px: int  # pixels of the scored grid in contact on both sides
+
+
+def score_alignment(view: TargetDepth, observation: TargetObservation) -> AlignmentScore:
+    """Compare a target depth rendered into `observation.spec` with the observation.
+
+    Outlines at the border of either sensor's image are cut off and left out.
+    """
+    there = observation.contact & view.in_view
+    both = view.contact & there
+    either = int(np.count_nonzero(view.contact | there))
+    overlap = int(np.count_nonzero(both))
+    gap = (view.depth_mm[both] - observation.depth_mm[both]).astype(np.float64)
+    gap = gap[np.isfinite(gap)]
+    return AlignmentScore(
+        iou=overlap / either if either else 1.0,
+        edge_px=_edge_px(view, observation),
+        depth_mm=float(np.median(np.abs(gap))) if gap.size else None,
+        depth_rms_mm=float(np.sqrt(np.mean(gap * gap))) if gap.size else None,
+        bias_mm=float(np.median(gap)) if gap.size else None,
+        overlap_px=overlap,
+    )
+
+
+def score_preview(
+    touch: AlignmentTouch, alignment: Alignment, observation: TargetObservation, params: ProjectionParams | None = None
+) -> tuple[TargetDepth, AlignmentScore]:
+    """Render the touch under the alignment on the observation's grid, and score it."""
+    aligned, drawn = touch.apply_instance_shifts(alignment), params or SurfaceProjectionParams()
+    cloud = back_project_depth(touch.source, aligned, BackProjectionParams(stride=_stride(touch, observation)))
+    view = project_cloud(cloud, observation.spec, drawn)
+    return view, score_alignment(view, observation)
+
+
+def score_touches(
+    touches: Sequence[AlignmentTouch],
+    observations: Sequence[TargetObservation],
+    alignment: Alignment,
+    progress: Progress = SILENT,
+) -> tuple[AlignmentScore, ...]:
+    """Score every touch; shows what one frame gains at the cost of the others."""
+    found: list[AlignmentScore] = []
+    for done, (touch, side) in enumerate(zip(touches, observations, strict=True)):
+        progress.step(done / len(touches), f"scoring frame {touch.index}")
+        found.append(score_preview(touch, alignment, side)[1])
+    return tuple(found)
+
+
+def median_score(found: Sequence[AlignmentScore]) -> AlignmentScore | None:
+    """Return medians over the frames that have a value; None without frames."""
+    if not found:
+        return None
+
+    def middle(name: str) -> float | None:
+        values = [value for s in found if (value := getattr(s, name)) is not None]
+        return float(np.median(values)) if values else None
+
+    return AlignmentScore(
+        iou=float(np.median([s.iou for s in found])),
+        edge_px=middle("edge_px"),
+        depth_mm=middle("depth_mm"),
+        depth_rms_mm=middle("depth_rms_mm"),
+        bias_mm=middle("bias_mm"),
+        overlap_px=int(np.median([s.overlap_px for s in found])),
+    )
+
+
+def _stride(touch: AlignmentTouch, observation: TargetObservation) -> int:
+    """Return a stride of source pixels: at most the observation's factor, no sparser than its pixels."""
+    camera, depth = touch.source.camera, touch.source.depth_mm[::16, ::16]
+    seen = depth[np.isfinite(depth)]
+    if observation.factor == 1 or not seen.size:
+        return 1
+    pixel_mm = float(np.median(seen)) / camera.fx_px
+    return int(np.clip(observation.spec.pixel_mm / pixel_mm, 1, observation.factor))
+
+
+def _edge_px(view: TargetDepth, observation: TargetObservation) -> float | None:
+    inside = _inside(view.in_view)
+    drawn, there = find_edge(view.contact) & inside, observation.edge & inside
+    if not drawn.any() or not there.any():
+        return None
+    onward = float(observation.edge_distance_px[drawn].mean())
+    back = float(compute_distance_px(drawn)[there].mean())
+    return 0.5 * (onward + back) * observation.factor
+
+
+def _inside(known: Mask) -> Mask:
+    """Return the mask without its outermost two pixels, where a touch is cut off."""
+    import cv2
+
+    return cv2.erode(known.view(np.uint8), np.ones((5, 5), np.uint8)).view(np.bool_)
+
+
+UNIT_STEP = 0.1  # mm or deg: unit of all stated changes
+_STEP_PX = 0.5  # masks change by whole pixels: smaller motions show nothing
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ScoreChange:
+    """Change of one figure of the score along one axis, per 0.1 mm or 0.1 deg; None where unknown."""
+
+    slope: float | None  # signed, toward the axis' positive direction
+    magnitude: float | None  # mean |change| to both sides: how much the axis matters, also at the optimum
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sensitivity:
+    """One axis."""
+
+    axis: Axis
+    unit: str  # mm or deg
+    step: float  # motion to either side
+    iou: ScoreChange
+    edge_px: ScoreChange
+    depth_mm: ScoreChange  # of the rms difference, which is smooth
+
+
+def compute_sensitivities(
+    touch: AlignmentTouch,
+    alignment: Alignment,
+    observation: TargetObservation,
+    params: ProjectionParams | None = None,
+    *,
+    pivot: Doubles | None = None,
+    progress: Progress = SILENT,
+) -> tuple[Sensitivity, ...]:
+    """Estimate the six axes by differences of thirteen previews on the grid of `observation`.
+
+    Moves by about half a pixel of that grid and states the change per 0.1 mm or 0.1 deg. Rotations are about `pivot`
+    (3,) mm in the target frame, by default the contact's centroid.
+    """
+    about = find_pivot(touch, alignment) if pivot is None else pivot
+    here = score_preview(touch, alignment, observation, params)[1]
+    shift_mm = max(UNIT_STEP, _STEP_PX * observation.spec.pixel_mm)
+    turn_deg = max(UNIT_STEP, float(np.rad2deg(shift_mm / _radius_mm(touch))))
+    score: list[Sensitivity] = []
+    for done, axis in enumerate(AXES):
+        progress.step(done / len(AXES), f"moving along {axis}")
+        step = turn_deg if axis_unit(axis) == "deg" else shift_mm
+        down, up = (
+            score_preview(touch, nudge(alignment, axis, amount, pivot_mm=about), observation, params)[1]
+            for amount in (-step, step)
+        )
+        score.append(
+            Sensitivity(
+                axis=axis,
+                unit=axis_unit(axis),
+                step=step,
+                iou=_change(down, here, up, "iou", step),
+                edge_px=_change(down, here, up, "edge_px", step),
+                depth_mm=_change(down, here, up, "depth_rms_mm", step),
+            )
+        )
+    return tuple(score)
+
+
+def _change(down: AlignmentScore, here: AlignmentScore, up: AlignmentScore, name: str, step: float) -> ScoreChange:
+    a, b, c = (getattr(s, name) for s in (down, here, up))
+    per = UNIT_STEP / step
+    slope = None if a is None or c is None else 0.5 * (c - a) * per
+    sides = [abs(side - b) for side in (a, c) if side is not None] if b is not None else []
+    return ScoreChange(slope=slope, magnitude=per * sum(sides) / len(sides) if sides else None)
+
+
+def _radius_mm(touch: AlignmentTouch) -> float:
+    """Return the contact's root mean square radius, at least a millimetre."""
+    row, col = np.nonzero(touch.source.contact)
+    if not row.size:
+        return 1.0
+    camera = touch.source.camera
+    z = float(np.nanmedian(touch.source.depth_mm))
+    spread = np.hypot(np.std(col) * z / camera.fx_px, np.std(row) * z / camera.fy_px)
+    return max(float(spread), 1.0)

@@ -1,0 +1,279 @@
+"""Export one file of a translation, as the window shows it: image, points, arrays, table, video or viewer file.
+
+The window and the command line both call `export_file`, so that they write the same bytes.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+
+from pipeline.core.errors import FileProblem, SettingProblem
+from pipeline.core.files import check_folder_for, open_atomic, require_separate, write_arrays
+from pipeline.core.frame_lists import parse_frames
+from pipeline.core.geometry import rigid
+from pipeline.core.graph import StageResult
+from pipeline.core.progress import SILENT, Progress
+from pipeline.core.values.frames import TactileFrame
+from pipeline.translation import cross_section
+from pipeline.translation.force import measure_force
+from pipeline.translation.reports import pane_figures, viewer_files
+from pipeline.translation.reports.export_request import SHEET, SOURCE, ExportRequest
+from pipeline.translation.reports.frame_report import FrameReport
+from pipeline.translation.reports.report import collect_stage_arrays
+from pipeline.translation.reports.video import write_video
+from pipeline.translation.reports.viewer_files import StageSample
+from pipeline.translation.translate import Translation, open_translation
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+T = TypeVar("T")
+DEFAULT_VIDEO_RATE_HZ = 10.0  # of a video, where the recording has no timestamps
+_CACHE_BYTES = 32 * 1024 * 1024
+_UNDATED: Mapping[str, Mapping[str, None]] = {  # no dates in the files: the same content gives the same bytes
+    "png": {"Software": None}, "pdf": {"CreationDate": None, "Creator": None, "Producer": None},
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExportOutcome:
+    """What the reader of a written file should know."""
+
+    fallbacks: tuple[str, ...]  # stages that another method or the recording's truth answered, and why
+    problems: tuple[str, ...]  # frames that could not be read and are left out, and why
+
+
+def export_file(asked: ExportRequest, progress: Progress = SILENT) -> ExportOutcome:
+    """Write the requested file, complete or not at all; of many frames, those that can be read.
+
+    Raises TouchError.
+    """
+    write = _WRITERS.get(asked.path.suffix.lower())
+    if asked.section:
+        write = _section
+        if asked.path.suffix.lower() != ".csv":
+            raise FileProblem("a section is written as a table, .csv", asked.path)
+    if write is None:
+        raise FileProblem(f"nothing is written as this kind of file; known are {', '.join(_WRITERS)}", asked.path)
+    request = asked.request
+    inputs = (request.recording, request.reference, request.calibration, request.mesh, request.alignment)
+    require_separate(asked.path, [*filter(None, inputs), *(file for _, file in request.weights)])
+    check_folder_for(asked.path)
+    with open_translation(request, settings=asked.stage_settings, cache_bytes=_CACHE_BYTES) as translation:
+        for pane in asked.pane.split(",") if asked.section else [asked.pane]:
+            if pane not in (SHEET, SOURCE, *translation.stages):
+                known = ", ".join((SHEET, SOURCE, *translation.stages))
+                raise SettingProblem(f"no pane {pane!r} on this route; there are {known}")
+        work = _Work(asked, translation, progress)
+        write(work)
+    problems = tuple(f"frame {index}: {problem}" for index, problem in work.problems.items())
+    return ExportOutcome(fallbacks=tuple(sorted(work.replaced)), problems=problems)
+
+
+class _Work:
+    """Open resources of one export."""
+
+    def __init__(self, asked: ExportRequest, translation: Translation, progress: Progress) -> None:
+        self.asked, self.translation, self.progress = asked, translation, progress
+        self.display = asked.display_params
+        self.replaced = {translation.truth_label} if translation.truth_label else set[str]()
+        self.problems: dict[int, FileProblem] = {}
+
+    @property
+    def frame_indices(self) -> list[int]:
+        """Frames of a table or a video."""
+        return parse_frames(self.asked.frames, self.translation.n_frames)
+
+    def make_each(self, make: Callable[[int], T]) -> Iterator[T]:
+        """Yield what `make` returns for each requested frame; those that cannot be read are noted and left out."""
+        indices = self.frame_indices
+        for done, index in enumerate(indices):
+            self.progress.step(done / len(indices), f"frame {index}")
+            try:
+                made = make(index)
+            except FileProblem as error:
+                self.problems[index] = error
+            else:
+                yield made
+        if len(self.problems) == len(indices):
+            raise self.problems[indices[0]]
+
+    def evaluate_frame(self, index: int, *, every: bool = False) -> tuple[TactileFrame, dict[str, StageResult]]:
+        """Return a frame and its stages up to the requested one, or `every` one."""
+        stages = self.translation.stages
+        if self.asked.pane in stages and not every:
+            stages = stages[: stages.index(self.asked.pane) + 1]
+        elif self.asked.pane == SOURCE and not every:
+            stages = ()
+        frame = self.translation.stream.frame(self.translation.check_index(index))
+        results = self.translation.evaluate(frame, stages, self.progress) if stages else {}
+        self.replaced |= {f"{name}: {result.fallback}" for name, result in results.items() if result.fallback}
+        return frame, results
+
+    def compute_all_metrics(self, results: Mapping[str, StageResult], index: int) -> Mapping[str, float]:
+        """Return the metrics of a frame, with its force."""
+        force = measure_force(results, index, self.translation)
+        return {**self.translation.compute_metrics(results, index), **force}
+
+    def draw_figure(self, index: int) -> Figure:
+        """Return the sheet or the pane of a frame."""
+        frame, results = self.evaluate_frame(index)
+        if self.asked.pane == SHEET:
+            from pipeline.translation.reports.sheet import draw_sheet
+
+            metrics = self.translation.compute_metrics(results, index)
+            report = FrameReport(index=index, results=results, metrics=metrics)
+            return draw_sheet(frame, report, self.translation, display=self.display, timed=False)
+        time = f", {frame.time_s:.2f} s" if np.isfinite(frame.time_s) else ""
+        return pane_figures.draw_pane_figure(self._pane(frame, results), f"frame {index}{time}")
+
+    def render_pane(self, index: int) -> pane_figures.RenderedPane:
+        """Return the requested pane of a frame."""
+        if self.asked.pane == SHEET:
+            raise SettingProblem("a sheet is no cloud of points; name one pane of it with --pane")
+        return self._pane(*self.evaluate_frame(index))
+
+    def _pane(self, frame: TactileFrame, results: Mapping[str, StageResult]) -> pane_figures.RenderedPane:
+        asked = self.asked
+        return pane_figures.render_pane(asked.pane, frame, results, self.translation, self.display, asked.content)
+
+
+def _picture(work: _Work) -> None:
+    kind = work.asked.path.suffix.lower().removeprefix(".")
+    drawn = work.draw_figure(work.translation.check_index(work.asked.frame))
+    with open_atomic(work.asked.path, "the picture", None) as file:
+        drawn.savefig(file, format=kind, metadata=dict(_UNDATED[kind]))
+
+
+def _points(work: _Work) -> None:
+    shown = work.render_pane(work.translation.check_index(work.asked.frame))
+    if not len(shown.points_mm):
+        raise SettingProblem(
+            f"{work.asked.pane} of frame {work.asked.frame} has no point: nothing touches there; choose another frame"
+        )
+    head = (
+        f"ply\nformat binary_little_endian 1.0\ncomment {shown.title}, mm, {shown.preview.frame_name}\n"
+        f"element vertex {len(shown.points_mm)}\nproperty float x\nproperty float y\nproperty float z\n"
+        "property uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n"
+    )
+    rows: Any = np.empty(len(shown.points_mm), dtype=[("xyz", "<f4", 3), ("rgb", "u1", 3)])
+    rows["xyz"], rows["rgb"] = shown.points_mm, shown.rgb
+    with open_atomic(work.asked.path, "the points", None) as file:
+        file.write(head.encode("ascii", "replace"))
+        file.write(rows.tobytes())
+
+
+def _arrays(work: _Work) -> None:
+    frame, results = work.evaluate_frame(work.translation.check_index(work.asked.frame))
+    pane = work.asked.pane
+    wanted = results if pane == SHEET else {name: result for name, result in results.items() if name == pane}
+    write_arrays(work.asked.path, collect_stage_arrays(frame, wanted))
+
+
+def _table(work: _Work) -> None:
+    """Write force and all metrics against truth, one row per frame; up to the requested stage, if it is one."""
+
+    def make_row(index: int) -> tuple[int, float, Mapping[str, float]]:
+        frame, results = work.evaluate_frame(index, every=work.asked.pane == SOURCE)
+        return index, frame.time_s, work.compute_all_metrics(results, index)
+
+    rows = list(work.make_each(make_row))
+    names = sorted({name for _, _, metrics in rows for name in metrics})
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    label = work.translation.truth_label
+    table.writerow(["frame", "time_s", *names, *([label] if label else [])])
+    for index, time_s, metrics in rows:
+        values = (_number(metrics.get(name, np.nan)) for name in names)
+        table.writerow([index, _number(time_s), *values, *(["yes"] if label else [])])
+    with open_atomic(work.asked.path, "the table", None) as file:
+        file.write(text.getvalue().encode())
+
+
+def _section(work: _Work) -> None:
+    """Write the heights of all panes along a line, as the window's tab copies them."""
+    x0, y0, x1, y1 = work.asked.section
+    line, translation = cross_section.SectionLine(begin_mm=(x0, y0), end_mm=(x1, y1)), work.translation
+    if not (np.isfinite(work.asked.section).all() and line.length_mm > 0):
+        raise SettingProblem(f"a section needs a line that is longer than nothing, got {x0}, {y0} to {x1}, {y1} mm")
+    index = translation.check_index(work.asked.frame)
+    frame, results = work.evaluate_frame(index, every=True)
+    wanted = (SOURCE, *translation.stages) if work.asked.pane == SHEET else work.asked.pane.split(",")
+    shown = [
+        (name, pane_figures.render_pane(name, frame, results, translation, work.display).preview,
+         None if name == SOURCE else results[name].output)
+        for name in wanted
+    ]  # fmt: skip
+    fields = cross_section.collect_height_maps(translation, translation.read_ground_truth(index), shown)
+    if not fields:
+        raise SettingProblem(f"{work.asked.pane} of frame {index} has no heights to be cut; name another pane")
+    with open_atomic(work.asked.path, "the section", None) as file:
+        file.write(cross_section.format_csv(cross_section.cut_section(line, fields)).encode())
+
+
+def _video(work: _Work) -> None:
+    """Write the frames at the recording's own rate."""
+    images = work.make_each(lambda index: _rgb(work.draw_figure(index)))
+    write_video(work.asked.path, images, _rate_hz(work.translation, work.frame_indices))
+
+
+def _sample_stages(work: _Work) -> Iterator[StageSample]:
+    """Yield source and stages of every requested frame, or the requested pane, with points in the target's frame."""
+    translation = work.translation
+    panes = (SOURCE, *translation.stages) if work.asked.pane == SHEET else (work.asked.pane,)
+
+    def evaluate(index: int) -> tuple[TactileFrame, dict[str, StageResult], dict[str, float]]:
+        frame, results = work.evaluate_frame(index, every=True)
+        return frame, results, translation.compute_metrics(results, index)
+
+    for frame, results, metrics in work.make_each(evaluate):
+        target_from_source = translation.alignment.target_from_source
+        for name in panes:
+            shown = pane_figures.render_pane(name, frame, results, translation, work.display, work.asked.content)
+            is_source = name == SOURCE or translation.catalogue.stage(name).sensor_role == "source"
+            value = None if name == SOURCE else results[name].output
+            points_mm = rigid.apply(target_from_source, shown.points_mm) if is_source else shown.points_mm
+            yield StageSample(
+                name=name, frame=frame.index, pixels=shown.preview.pixels, points_mm=points_mm.astype(np.float32),
+                rgb=shown.rgb, depth_mm=getattr(value, "depth_mm", None),
+                time_s=frame.time_s if np.isfinite(frame.time_s) else frame.index / DEFAULT_VIDEO_RATE_HZ,
+                target_from_object=getattr(value, "sensor_from_object", None),
+                metrics={key: number for key, number in metrics.items() if key.startswith(f"{name}.")},
+            )  # fmt: skip
+
+
+def _rgb(drawn: Figure) -> Any:
+    """Return (rows, cols, 3) uint8 with even sizes, which most codecs need."""
+    canvas: Any = drawn.canvas
+    canvas.draw()
+    pixels = np.asarray(canvas.buffer_rgba())
+    return pixels[: pixels.shape[0] // 2 * 2, : pixels.shape[1] // 2 * 2, :3]
+
+
+def _rate_hz(translation: Translation, indices: Sequence[int]) -> float:
+    times: list[float] = []
+    for index in indices[:32]:
+        with suppress(FileProblem):
+            times.append(translation.stream.frame(index).time_s)
+    steps = np.diff(times)
+    steps = steps[np.isfinite(steps) & (steps > 0)]
+    return float(np.clip(1.0 / np.median(steps), 1.0, 120.0)) if steps.size else DEFAULT_VIDEO_RATE_HZ
+
+
+def _number(value: float) -> str:
+    return f"{value:.9g}" if np.isfinite(value) else ""
+
+
+_WRITERS: Mapping[str, Callable[[_Work], None]] = {
+    ".png": _picture, ".pdf": _picture, ".ply": _points, ".npz": _arrays, ".csv": _table,
+    ".mp4": _video, ".avi": _video,
+    ".rrd": lambda work: viewer_files.write_rrd(work.asked.path, _sample_stages(work), work.translation.mesh),
+    ".mcap": lambda work: viewer_files.write_mcap(work.asked.path, _sample_stages(work)),
+}  # fmt: skip

@@ -1,0 +1,24 @@
+"""Report of one translated frame."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+from pipeline.core.graph import StageResult
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FrameReport:
+    """Stages and metrics of one frame; `problem` is the reason if there are none."""
+
+    index: int
+    results: Mapping[str, StageResult]
+    metrics: Mapping[str, float]
+    problem: str = ""
+    is_user_error: bool = True  # whether the user can mend the problem
+
+    @property
+    def without_arrays(self) -> FrameReport:
+        """Return the report without arrays, small enough to keep thousands of them."""
+        return replace(self, results={name: replace(r, output=None) for name, r in self.results.items()})

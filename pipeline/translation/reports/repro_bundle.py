@@ -1,0 +1,297 @@
+"""Repro bundle: a folder with one frame, all that its translation reads, and its results.
+
+bundle.json      request with paths within the folder, metrics, a note, the command that replays it
+frame.h5         the frame of both sensors with ground truth, the object and the alignment; then the context frames
+                 that the illumination of the sensor instance is estimated from
+alignment.toml   the alignment in use, with offsets
+expected.npz     every array of every stage
+sheet.png        the same as an image
+truth.npz, difference.npz, truth.png, attribution.json   what is known of the truth, `truth_files`
+mesh.*, calibration.npz, weights_*, source.toml, target.toml   where they were given as files
+"""
+
+import shlex
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, cast
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline import __version__
+from pipeline.core.errors import FileProblem
+from pipeline.core.files import read_arrays, read_json, write_arrays, write_folder, write_json, write_text
+from pipeline.core.geometry import urdf
+from pipeline.core.graph import StageResult
+from pipeline.core.progress import SILENT, Progress, SubProgress
+from pipeline.core.typed_data import FileName, Name, Note, convert
+from pipeline.core.values.frames import TactileFrame
+from pipeline.io.formats import DepthUnit
+from pipeline.io.hdf5_writer import RecordingWriter
+from pipeline.sensors.alignment import Offsets
+from pipeline.sensors.alignment_files import AlignmentFile, save_alignment
+from pipeline.translation.frame_selection import select_context_frames
+from pipeline.translation.reports.export_request import format_options
+from pipeline.translation.reports.frame_report import FrameReport
+from pipeline.translation.reports.report import collect_stage_arrays
+from pipeline.translation.reports.sheet import write_sheet
+from pipeline.translation.reports.truth_files import write_truth
+from pipeline.translation.translate import Request, Translation, open_translation
+
+REPLAY_TOLERANCE = 1e-4  # share of an array's own range: rounding of another processor
+_VERSION = 1
+_CACHE_BYTES = 64 * 1024 * 1024  # one frame's stages, with and without truth in their place
+_VERSION_KEY = "tactoscope bundle"
+_WORDS = ("source", "target", "stream", "route", "mesh_unit", "depth_unit")
+_FILES = ("recording", "mesh", "calibration", "alignment")
+
+
+class _RequestFile(msgspec.Struct):
+    source: Name
+    target: Name
+    stream: Name
+    route: Name
+    mesh_unit: Name
+    depth_unit: DepthUnit
+    recording: FileName
+    mesh: FileName | None = None
+    calibration: FileName | None = None
+    alignment: FileName | None = None
+    methods: dict[Name, Name] = {}
+    weights: dict[Name, FileName] = {}
+
+
+class _BundleFile(msgspec.Struct):
+    """What is read of `bundle.json`."""
+
+    request: _RequestFile
+    settings: tuple[Name, ...]
+    note: Note = ""
+    metrics: dict[Name, float | None] = {}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StageAgreement:
+    """Agreement of one stage of a replayed bundle with the recorded result."""
+
+    stage: str
+    n_arrays: int
+    largest_difference: (
+        float  # difference, as a share of the array's own range; 0 = the same bytes, inf = another shape
+    )
+    worst_array: str  # that differs most
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReplayResult:
+    """Result of a replayed bundle."""
+
+    note: str
+    agreements: tuple[StageAgreement, ...]
+    metrics: Mapping[str, float]
+    expected_metrics: Mapping[str, float]
+
+    @property
+    def is_same(self) -> bool:
+        """Whether all results are the same but for rounding."""
+        return all(agreement.largest_difference <= REPLAY_TOLERANCE for agreement in self.agreements)
+
+
+def write_bundle(
+    request: Request,
+    settings: tuple[str, ...],
+    frame: int,
+    folder: Path,
+    *,
+    note: str = "",
+    progress: Progress = SILENT,
+) -> None:
+    """Write the repro bundle of one frame into a new `folder`; raises TouchError."""
+    if folder.exists():
+        raise FileProblem("something of this name is there already and is kept; choose another", folder)
+    with open_translation(request) as translation:
+        index = translation.check_index(frame)
+
+        def fill(part: Path) -> None:
+            inside = _copy_inputs(translation, part)
+            _record(translation, index, part / "frame.h5")
+            values = {name: getattr(inside, name) for name in _WORDS}
+            values |= {name: getattr(getattr(inside, name), "name", None) for name in _FILES}
+            values |= {"methods": dict(inside.methods), "weights": {stage: file.name for stage, file in inside.weights}}
+            metrics = _write_results(part, inside, settings, index, progress)
+            write_json(
+                part / "bundle.json",
+                {
+                    _VERSION_KEY: _VERSION, "made with": __version__, "note": note, "frame": index,
+                    "of": str(request.recording),
+                    "command": shlex.join(["tactoscope", "replay", str(folder.absolute())]),
+                    "translate": _translating(inside, settings), "request": values, "settings": list(settings),
+                    "metrics": metrics,
+                },
+                "the repro bundle",
+                lambda written: _read(written.parent),
+            )  # fmt: skip
+
+        write_folder(folder, fill)
+
+
+def replay_bundle(folder: Path, progress: Progress = SILENT) -> ReplayResult:
+    """Translate a bundle's frame again and compare it with the recorded results; raises TouchError."""
+    said = _read(folder)
+    request = _request(said.request, folder)
+    with _open(request, said.settings) as translation:
+        frame, results, metrics = _translate(translation, progress)
+    now, kept = collect_stage_arrays(frame, results), read_arrays(folder / "expected.npz", "the expected results")
+    stages = dict.fromkeys(name.partition(".")[0] for name in (*kept, *now))
+    return ReplayResult(
+        note=said.note, metrics=metrics,
+        expected_metrics={k: float("nan") if v is None else v for k, v in said.metrics.items()},
+        agreements=tuple(_agreement(stage, now, kept) for stage in stages),
+    )  # fmt: skip
+
+
+def _write_results(
+    part: Path, inside: Request, settings: tuple[str, ...], index: int, progress: Progress
+) -> dict[str, float]:
+    """Translate the copied frame, write what was computed and what is known of the truth; returns the metrics.
+
+    `index` is the frame's number in the recording, by which the sheets name it.
+    """
+    with _open(inside, settings) as translation:
+        frame, results, metrics = _translate(translation, SubProgress(progress, 0.0, 0.6))
+        write_arrays(part / "expected.npz", collect_stage_arrays(frame, results))
+        report = FrameReport(index=index, results=results, metrics=metrics)
+        write_sheet(part / "sheet.png", frame, report, translation)
+        write_truth(part, report, translation, 0, SubProgress(progress, 0.6, 0.4))
+        return metrics
+
+
+def _open(request: Request, settings: tuple[str, ...]) -> Translation:
+    """Open a bundle's translation; settings of the display change no result."""
+    of_stages = [line for line in settings if not line.startswith("display.")]
+    return open_translation(request, settings=of_stages, cache_bytes=_CACHE_BYTES)
+
+
+def _translate(
+    translation: Translation, progress: Progress
+) -> tuple[TactileFrame, Mapping[str, StageResult], dict[str, float]]:
+    results = translation.evaluate(0, progress=progress)
+    return translation.stream.frame(0), results, translation.compute_metrics(results, 0)
+
+
+def _copy_inputs(translation: Translation, part: Path) -> Request:
+    """Copy all input files into the folder; returns the request of the copies."""
+    request = translation.request
+    source, target = translation.source.name, translation.target.name
+    aligned = AlignmentFile(
+        alignment=translation.alignment, source=source, target=target,
+        origin=f"in use on {request.recording.name} when the bundle was written",
+    )  # fmt: skip
+    save_alignment(part / "alignment.toml", aligned)
+    weights = tuple((stage, _copy(file, part / f"weights_{stage}{file.suffix}")) for stage, file in request.weights)
+    return replace(
+        request, recording=part / "frame.h5", reference=None, reference_frames="",
+        alignment=part / "alignment.toml", offsets=Offsets(),
+        source=_sensor(request.source or source, part / "source.toml"),
+        target=_sensor(request.target or target, part / "target.toml"), stream=translation.stream.name,
+        mesh=None if request.mesh is None else _copy_mesh(request.mesh, part),
+        calibration=None if request.calibration is None else _copy(request.calibration, part / "calibration.npz"),
+        weights=weights,
+    )  # fmt: skip
+
+
+def _sensor(said: str, place: Path) -> str:
+    """Return a sensor's name, or the copy of its description."""
+    return said if not said.endswith(".toml") else str(_copy(Path(said), place))
+
+
+def _copy_mesh(file: Path, part: Path) -> Path:
+    """Copy a mesh; of a URDF also the file that it names."""
+    if file.suffix.lower() != urdf.SUFFIX:
+        return _copy(file, part / f"mesh{file.suffix}")
+    named, scale = urdf.read_mesh_place(file)
+    place = part / f"mesh{urdf.SUFFIX}"
+    text = urdf.format_urdf(_copy(named, part / f"mesh{named.suffix}").name, scale)
+    write_text(place, text, "the mesh", urdf.read_mesh_place)
+    return place
+
+
+def _copy(file: Path, place: Path) -> Path:
+    shutil.copyfile(file, place)
+    return place
+
+
+def _record(translation: Translation, index: int, path: Path) -> None:
+    """Write the frame of both sensors with ground truth, and its context frames."""
+    recording, stream = translation.recording, translation.stream
+    other = recording.find_partner(stream.name, translation.target.name)
+    names = {stream.name, *(() if other is None else (other.name,))}
+    pairings = [pair for pair in recording.pairings if {pair.source, pair.target} <= names]
+    with RecordingWriter(
+        path, object_mesh=recording.object_mesh, symmetry=recording.symmetry, pairings=pairings, notes=recording.notes
+    ) as writer:
+        reference = stream.frame(index).reference
+        context = select_context_frames(stream) if translation.load_context_images(reference) else ()
+        is_observed = False
+        for place, k in enumerate(dict.fromkeys((index, *(frame.index for frame in context)))):
+            source_frame = replace(stream.frame(k), sensor=translation.source.name, index=place)
+            writer.append(stream.name, source_frame, stream.truth(k))
+            observed = translation.read_target_observation(k)
+            is_observed = observed is not None and (place == 0 or is_observed)  # else a later one would be the first
+            if is_observed and observed is not None and other is not None:
+                writer.append(other.name, replace(observed[0], index=place), observed[1])
+
+
+def _translating(request: Request, settings: tuple[str, ...]) -> str:
+    """Return the command that translates the frame within the folder."""
+    words = [word.removeprefix(str(request.recording.parent.absolute()) + "/") for word in format_options(request)]
+    sets = [word for line in settings if not line.startswith("display.") for word in ("--set", line)]
+    return shlex.join(["tactoscope", "translate", *words, *sets, "--frame", "0", "--out", "out"])
+
+
+def _agreement(stage: str, now: Mapping[str, NDArray[Any]], kept: Mapping[str, NDArray[Any]]) -> StageAgreement:
+    names = sorted(name for name in {*now, *kept} if name.partition(".")[0] == stage)
+    gaps = {name: _gap(now.get(name), kept.get(name)) for name in names}
+    worst = max(gaps, key=gaps.__getitem__)
+    return StageAgreement(stage=stage, n_arrays=len(names), largest_difference=gaps[worst], worst_array=worst)
+
+
+def _gap(now: NDArray[Any] | None, kept: NDArray[Any] | None) -> float:
+    """Return the largest difference as a share of the recorded range; of masks and indices the share that changed."""
+    if now is None or kept is None or now.shape != kept.shape or now.dtype != kept.dtype:
+        return float("inf")
+    if now.dtype.kind != "f" or not kept.size:
+        return float((now != kept).mean()) if kept.size else 0.0
+    if np.array_equal(now, kept, equal_nan=True):
+        return 0.0
+    if not np.array_equal(np.isnan(now), np.isnan(kept)):
+        return float("inf")
+    spread = float(np.nanmax(kept) - np.nanmin(kept)) or max(1.0, float(np.nanmax(np.abs(kept))))
+    return float(np.nanmax(np.abs(now.astype(np.float64) - kept))) / spread
+
+
+def _read(folder: Path) -> _BundleFile:
+    path = folder / "bundle.json"
+    said: object = read_json(path, "the repro bundle")
+    known = cast("dict[str, Any]", said) if isinstance(said, dict) else {}
+    if _VERSION_KEY not in known:
+        raise FileProblem("this folder holds no repro bundle; `tactoscope bundle` writes one", folder)
+    if known[_VERSION_KEY] != _VERSION:
+        raise FileProblem(f"the repro bundle has version {known[_VERSION_KEY]!r}, this program reads {_VERSION}", path)
+    return convert(known, _BundleFile, "the repro bundle", path)
+
+
+def _request(asked: _RequestFile, folder: Path) -> Request:
+    def inside(name: str) -> Path:
+        return folder / Path(name).name
+
+    words = {name: getattr(asked, name) for name in _WORDS}
+    for side in ("source", "target"):
+        if words[side].endswith(".toml"):
+            words[side] = str(inside(words[side]))
+    files = {name: None if getattr(asked, name) is None else inside(getattr(asked, name)) for name in _FILES}
+    weights = tuple((stage, inside(name)) for stage, name in asked.weights.items())
+    return Request(**cast("Any", files), **cast("Any", words), methods=tuple(asked.methods.items()), weights=weights)

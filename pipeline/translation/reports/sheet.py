@@ -1,0 +1,118 @@
+"""All stages of one frame side by side on one sheet, with units and scale bars."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pipeline.core.figures import make_figure, save_figure
+from pipeline.core.graph import StageResult
+from pipeline.core.values.frames import TactileFrame
+from pipeline.translation.reports.frame_report import FrameReport
+from pipeline.translation.translate import Translation
+from pipeline.views.colours import ColourScale, get_colour_table
+from pipeline.views.display_params import DisplayParams
+from pipeline.views.drawing import Line, list_outlines, make_scale_bar
+from pipeline.views.preview import Preview, make_recorded_preview
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_POINTS_PER_PX = 72.0 / 96.0
+_PANEL_IN = 3.5  # width of a panel
+DEFAULT_DISPLAY = DisplayParams()
+
+
+def write_sheet(path: Path, frame: TactileFrame, report: FrameReport, translation: Translation) -> None:
+    """Write the columns of the window as one PNG."""
+    save_figure(draw_sheet(frame, report, translation), path, "the sheet")
+
+
+def draw_sheet(
+    frame: TactileFrame,
+    report: FrameReport,
+    translation: Translation,
+    *,
+    display: DisplayParams = DEFAULT_DISPLAY,
+    timed: bool = True,
+) -> Figure:
+    """Return the columns of the window as one figure; `timed` adds times and cache states."""
+    source, n = translation.source, 1 + len(translation.stages)
+    figure = make_figure(figsize=(_PANEL_IN * n, 4.3), dpi=90)
+    # Fixed positions: an automatic layout costs more time than all the drawing.
+    axes = [figure.add_axes(((0.07 + i) / n, 0.2, 0.76 / n, 0.6)) for i in range(n)]
+    draw_panel(figure, axes[0], make_recorded_preview(frame, source, display)[0], f"Source · {source.title}")
+    seen = translation.make_preview_context(report.results, display)
+    for ax, name in zip(axes[1:], translation.stages, strict=True):
+        stage, result = translation.catalogue.stage(name), report.results.get(name)
+        if result is None:
+            ax.set_axis_off()
+            continue
+        title = stage.title if result.method is None else f"{stage.title} · {result.answered_by}"
+        draw_panel(figure, ax, translation.catalogue.views[name].make_preview(result.output, seen), title)
+        _footer(ax, result, timed=timed)
+    sensors = f"{source.name} → {translation.target.name}"
+    words = "   ".join(filter(None, (f"frame {report.index}", sensors, translation.truth_label)))
+    figure.suptitle(words, fontsize=11, y=0.985)
+    figure.text(0.5, 0.925, _figures(report), fontsize=8, ha="center", va="top", color="0.3")
+    return figure
+
+
+def draw_panel(figure: Figure, ax: Axes, picture: Preview, title: str) -> None:
+    """Draw a preview with outlines, scale bar, caption and colour bar."""
+    ax.imshow(picture.pixels, interpolation="nearest")
+    ax.set_title(title, fontsize=10)
+    ax.set(xticks=[], yticks=[])
+    rows, cols = picture.pixels.shape[:2]
+    for line in list_outlines(picture):
+        _draw_line(ax, line)
+    bar = make_scale_bar(picture, (0.0, 0.0, cols, rows))
+    if bar is not None:
+        _draw_line(ax, bar.line)
+        x, y = bar.line.points_px.mean(axis=0) - 0.5
+        ax.annotate(
+            bar.text, (x, y), (0, 2), textcoords="offset points", ha="center", fontsize=8, color=_to_hex(bar.line)
+        )
+    ax.set_xlim(-0.5, cols - 0.5)
+    ax.set_ylim(rows - 0.5, -0.5)
+    ax.text(0.0, -0.06, picture.caption[:64], transform=ax.transAxes, fontsize=7.5, va="top", color="0.3")
+    if picture.scale is not None:
+        _colour_bar(figure, ax, picture.scale)
+
+
+def _colour_bar(figure: Figure, ax: Axes, scale: ColourScale) -> None:
+    box = ax.get_position()
+    bar = figure.add_axes((box.x1 + 0.004, box.y0 + 0.1, 0.005, box.height - 0.2))
+    colours = get_colour_table(scale.colour_map)[:, None, :]
+    bar.imshow(colours, origin="lower", aspect="auto", extent=(0.0, 1.0, scale.low, scale.high))
+    bar.set_xticks([])
+    bar.yaxis.tick_right()
+    bar.set_title(f"({scale.unit})", fontsize=7, loc="left")
+    bar.tick_params(labelsize=7)
+
+
+def _draw_line(ax: Axes, line: Line) -> None:
+    x, y = line.points_px.T - 0.5
+    ax.plot(x, y, color=_to_hex(line), alpha=line.opacity, lw=_POINTS_PER_PX * line.width, solid_capstyle="butt")
+
+
+def _to_hex(line: Line) -> str:
+    return "#{:02x}{:02x}{:02x}".format(*line.rgb)
+
+
+def _footer(ax: Axes, result: StageResult, *, timed: bool) -> None:
+    """Write time, state and the first warning, or else note, below a panel."""
+    notes = result.warnings or result.notes
+    lines = [f"{result.ms:.2f} ms · {'warning' if result.warnings else result.state}"] if timed else []
+    lines += [notes[0][:62]] if notes else []
+    ax.text(0.0, -0.13, "\n".join(lines), transform=ax.transAxes, fontsize=7.5, va="top")
+
+
+def _figures(report: FrameReport) -> str:
+    """Return the metrics of the frame as text, those of the pose on a line of their own."""
+    lines = (
+        "   ".join(f"{k} {v:.3g}" for k, v in report.metrics.items() if k.startswith("pose.") == of_pose)
+        for of_pose in (False, True)
+    )
+    return "\n".join(lines)

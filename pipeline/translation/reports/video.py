@@ -1,0 +1,158 @@
+"""Write videos: encoded in a temporary folder, read back, then put in their place.
+
+An .mp4 is H.264 where an ffmpeg with libx264 is on the PATH, else OpenCV's MPEG-4; an .avi is MJPEG.
+"""
+
+import contextlib
+import os
+import select
+import shutil
+import signal
+import subprocess
+import tempfile
+import time
+from collections.abc import Callable, Generator, Iterable
+from contextlib import contextmanager
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.core.arrays import Image
+from pipeline.core.errors import FileProblem
+from pipeline.core.files import check_folder_for, open_atomic
+from pipeline.core.native_stderr import silence_native_libraries
+
+CODECS = {".mp4": ("mp4v", "MPEG-4"), ".avi": ("MJPG", "MJPEG")}  # OpenCV's name of the codec, and the usual one
+_LIST_S = 10.0  # in which ffmpeg lists its encoders
+_STALL_S = 30.0  # without progress of ffmpeg, after which it is given up; it may take any time as long as it works
+_POLL_S = 0.2
+_H264 = ("-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "18", "-movflags", "+faststart")
+_WriteImage = Callable[[Image], object]
+
+
+def find_h264_encoder() -> str:
+    """Return the path of an ffmpeg that encodes H.264; "" where there is none."""
+    ffmpeg = shutil.which("ffmpeg")
+    if ffmpeg is None:
+        return ""
+    with contextlib.suppress(OSError, subprocess.SubprocessError), tempfile.TemporaryFile() as listed:
+        with _start([ffmpeg, "-hide_banner", "-encoders"], subprocess.DEVNULL, listed) as process:
+            process.wait(_LIST_S)
+        listed.seek(0)
+        if b" libx264 " in listed.read():
+            return ffmpeg
+    return ""
+
+
+@contextmanager
+def _start(command: list[str], stdin: int, stdout: Any) -> Generator[subprocess.Popen[bytes]]:
+    """A process that has ended when the block has, with all that it started."""
+    process = subprocess.Popen(  # noqa: S603 - no shell, and the program is the PATH's own
+        command, stdin=stdin, stdout=stdout, stderr=subprocess.DEVNULL, bufsize=0, start_new_session=True
+    )
+    try:
+        yield process
+    finally:
+        with contextlib.suppress(OSError):  # all have ended
+            os.killpg(process.pid, signal.SIGKILL)
+        if process.stdin is not None:
+            process.stdin.close()
+        process.wait()
+
+
+def write_video(path: Path, images: Iterable[Image], rate_hz: float) -> str:
+    """Write images (rows, cols, 3) of equal, even sizes, each once; returns the codec. Raises FileProblem."""
+    suffix, images = path.suffix.lower(), iter(images)
+    if suffix not in CODECS:
+        raise FileProblem(f"videos are written as {' or '.join(CODECS)}", path)
+    ffmpeg = find_h264_encoder() if suffix == ".mp4" else ""
+    first, n_images = next(images), 0
+    check_folder_for(path)
+    with tempfile.TemporaryDirectory() as folder:
+        made = Path(folder) / f"video{suffix}"
+        encode = _encode_by_ffmpeg(ffmpeg, made, first, rate_hz) if ffmpeg else _encode(made, first, rate_hz)
+        try:
+            with encode as write:
+                for pixels in chain([first], images):
+                    write(pixels)
+                    n_images += 1
+        except FileProblem as error:
+            raise error.relocate(path, instead_of=made) from error
+        if count_frames(made) < n_images:  # the encoder does not report a full disk
+            raise FileProblem(f"cannot write the video (no room for it in {folder!r}?)", path)
+        with made.open("rb") as video, open_atomic(path, "the video", None) as file:
+            shutil.copyfileobj(video, file)
+    return "H.264" if ffmpeg else CODECS[suffix][1]
+
+
+@contextmanager
+def _encode(path: Path, first: Image, rate_hz: float) -> Generator[_WriteImage]:
+    import cv2
+
+    codec: Any = cv2.VideoWriter.fourcc(*CODECS[path.suffix][0])
+    with silence_native_libraries():
+        writer = cv2.VideoWriter(str(path), codec, rate_hz, (first.shape[1], first.shape[0]))
+    if not writer.isOpened():
+        raise FileProblem("this machine's OpenCV cannot write such a video; try .avi or .mp4", path)
+    try:
+        yield lambda pixels: writer.write(np.ascontiguousarray(pixels[:, :, ::-1]))
+    finally:
+        writer.release()
+
+
+@contextmanager
+def _encode_by_ffmpeg(ffmpeg: str, path: Path, first: Image, rate_hz: float) -> Generator[_WriteImage]:
+    shape = f"{first.shape[1]}x{first.shape[0]}"
+    raw = ("-f", "rawvideo", "-pix_fmt", "rgb24", "-s", shape, "-r", f"{rate_hz:g}", "-i", "-")
+    command = [ffmpeg, "-loglevel", "error", "-y", *raw, *_H264, str(path)]
+    with _start(command, subprocess.PIPE, subprocess.DEVNULL) as process:
+        pipe = process.stdin
+        assert pipe is not None
+        os.set_blocking(pipe.fileno(), False)
+        try:
+            yield lambda pixels: _feed(pipe.fileno(), np.ascontiguousarray(pixels).tobytes(), path)
+        except BrokenPipeError as error:
+            raise FileProblem("ffmpeg stopped before the video was complete (no room for it?)", path) from error
+        pipe.close()
+        _wait_until_written(process, path)
+
+
+def _feed(pipe: int, content: bytes, path: Path) -> None:
+    """Write all of `content`; raises FileProblem where nothing is read for `_STALL_S`."""
+    left = memoryview(content)
+    while left:
+        if not select.select([], [pipe], [], _STALL_S)[1]:
+            raise _make_stall_problem(path)
+        left = left[os.write(pipe, left) :]
+
+
+def _wait_until_written(process: subprocess.Popen[bytes], path: Path) -> None:
+    """Wait for the end of a process as long as its file changes; raises FileProblem."""
+    seen, changed_s = None, time.monotonic()
+    while process.poll() is None:
+        now = (found.st_size, found.st_mtime_ns) if path.exists() and (found := path.stat()) else None
+        if now != seen:
+            seen, changed_s = now, time.monotonic()
+        elif time.monotonic() - changed_s > _STALL_S:
+            raise _make_stall_problem(path)
+        time.sleep(_POLL_S)
+
+
+def _make_stall_problem(path: Path) -> FileProblem:
+    return FileProblem(
+        f"ffmpeg did nothing for {_STALL_S:g} s and was ended; take it from the PATH, or write .avi", path
+    )
+
+
+def count_frames(video: Path) -> int:
+    """Return the number of frames that can be read."""
+    import cv2
+
+    with silence_native_libraries():
+        reader, n = cv2.VideoCapture(str(video)), 0
+        while reader.grab():
+            n += 1
+        reader.release()
+    return n

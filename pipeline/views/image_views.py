@@ -1,0 +1,209 @@
+"""How values are shown that are images of a sensor: source and touch depth, target depth, generated touch."""
+
+from dataclasses import replace
+from itertools import pairwise
+from typing import Literal
+
+import numpy as np
+
+from pipeline.core.arrays import Floats, freeze
+from pipeline.core.values.results import SAME_SURFACE_MM, DepthMap, GeneratedTouch, TargetDepth
+from pipeline.sensors.spec import SensorSpec
+from pipeline.views.layers import Layer, make_frame_layer, make_grid_layer, make_membrane_layer, make_surface_layer
+from pipeline.views.preview import (
+    INDENTATION_LABEL,
+    Preview,
+    compute_rest_depth_mm,
+    make_frame_preview,
+    make_indentation_preview,
+)
+from pipeline.views.view import PreviewContext, ProbePoint, StepCurve, StepHistory, View, look_up_element
+
+
+def make_depth_view(name: str, legend: str, sensor_role: Literal["source", "target"]) -> View:
+    """The view of the stage `name`, which holds the indentation of the membrane of the sensor in `sensor_role`."""
+
+    def select_sensor(context: PreviewContext) -> SensorSpec:
+        return context.source if sensor_role == "source" else context.target
+
+    def make_preview(depth: DepthMap, context: PreviewContext) -> Preview:
+        return make_indentation_preview(
+            depth.indentation_mm, depth.depth_mm, depth.contact, depth.camera, select_sensor(context), context.display
+        )
+
+    def make_layers(depth: DepthMap, context: PreviewContext, preview: Preview) -> tuple[Layer, ...]:
+        stretch = context.display.get_depth_stretch(select_sensor(context))
+        surface = make_surface_layer(name, depth.depth_mm, depth.indentation_mm, depth.camera, preview, stretch)
+        return (surface,) if sensor_role == "source" else (surface, make_membrane_layer(context.target))
+
+    def trace_point(depth: DepthMap, before: ProbePoint) -> ProbePoint:
+        index = look_up_element(depth.source_index, before.index)
+        return (
+            _make_probe_point(name, depth, index)
+            if index >= 0
+            else ProbePoint(stage=name, index=-1, text="outside the depth map")
+        )
+
+    return View(legend=legend, make_preview=make_preview, make_layers=make_layers, trace_point=trace_point)
+
+
+def _make_probe_point(stage: str, depth: DepthMap, index: int) -> ProbePoint:
+    """Position and value of one pixel on the membrane."""
+    row, col = divmod(index, depth.camera.cols)
+    value, z = float(depth.indentation_mm[row, col]), float(depth.depth_mm[row, col])
+    ray_x, ray_y = depth.camera.rays()
+    if not np.isfinite(value):
+        text = "no depth measured here"
+    elif not depth.contact[row, col]:
+        text = f"{value:.3f} mm, not in contact"
+    else:
+        text = f"{value:.3f} mm"
+    point = (float(ray_x[col]) * z, float(ray_y[row]) * z, z) if np.isfinite(z) else None
+    return ProbePoint(stage=stage, index=index, row=row, col=col, point_mm=point, text=text)
+
+
+def _draw_target_depth(depth: TargetDepth, context: PreviewContext) -> Preview:
+    """Indentation of the target's rest surface wherever there is depth, with the contact outline."""
+    shown = freeze(np.asarray(compute_rest_depth_mm(context.target, depth.camera) - depth.depth_mm, dtype=np.float32))
+    caption = f"{INDENTATION_LABEL}; mask outlined"
+    return make_indentation_preview(
+        shown, depth.depth_mm, depth.contact, depth.camera, context.target, context.display, caption
+    )
+
+
+def _layer_target_depth(depth: TargetDepth, context: PreviewContext, preview: Preview) -> tuple[Layer, ...]:
+    """The surface seen by the target, over its faint rest surface."""
+    rest = compute_rest_depth_mm(context.target, depth.camera)
+    shown = rest - context.display.get_depth_stretch(context.target) * (rest - depth.depth_mm)
+    return (
+        make_grid_layer("target_depth", depth.camera.back_project(shown), preview),
+        make_membrane_layer(context.target),
+    )
+
+
+def _trace_target_depth(depth: TargetDepth, before: ProbePoint) -> ProbePoint:
+    """The target pixel of a cloud point; several points share one where the target is coarser."""
+    point = before.point_mm
+    if point is None:
+        return ProbePoint(stage="target_depth", index=-1, text="not in the cloud")
+    x_px, y_px, visible = (a[0] for a in depth.camera.project(np.array([point])))
+    if not visible:
+        out_x = max(-x_px, x_px - depth.camera.cols + 1, 0.0)
+        out_y = max(-y_px, y_px - depth.camera.rows + 1, 0.0)
+        return ProbePoint(
+            stage="target_depth", index=-1, point_mm=point, text=f"outside the image by {max(out_x, out_y):.0f} px"
+        )
+    row, col = int(np.floor(y_px + 0.5)), int(np.floor(x_px + 0.5))
+    seen_mm = float(depth.depth_mm[row, col])
+    index, pixel_text = -1, f"({col}, {row})"
+    if not np.isfinite(seen_mm):
+        text = f"{pixel_text}, omitted at a depth jump"
+    elif point[2] > seen_mm + SAME_SURFACE_MM:
+        text = f"{pixel_text}, hidden by a surface {point[2] - seen_mm:.2f} mm nearer"
+    else:
+        pushed_mm = float(depth.indentation_mm[row, col])
+        index = row * depth.camera.cols + col
+        text = f"{pixel_text}, " + (
+            f"{pushed_mm:.3f} mm in" if depth.contact[row, col] else "does not reach the membrane"
+        )
+    return ProbePoint(stage="target_depth", index=index, row=row, col=col, point_mm=point, text=text)
+
+
+TARGET_DEPTH = View(
+    legend="surface seen by the target",
+    make_preview=_draw_target_depth,
+    make_layers=_layer_target_depth,
+    trace_point=_trace_target_depth,
+)
+
+
+def _draw_touch(touch: GeneratedTouch, context: PreviewContext) -> Preview:
+    membrane = touch.membrane
+    return make_frame_preview(
+        touch.image, touch.camera, context.target, context.display,
+        depth_mm=None if membrane is None else membrane.depth_mm,
+        contact=None if membrane is None else membrane.contact, reference=touch.reference, is_recorded=False,
+    )  # fmt: skip
+
+
+def _layer_touch(touch: GeneratedTouch, context: PreviewContext, preview: Preview) -> tuple[Layer, ...]:
+    """The target's membrane, textured with the generated image."""
+    at = touch.membrane
+    if at is None:
+        return (make_frame_layer("touch", touch.image, touch.camera, preview, context.target),)
+    times = context.display.get_depth_stretch(context.target)
+    return (make_surface_layer("touch", at.depth_mm, at.indentation_mm, touch.camera, preview, times),)
+
+
+def _trace_touch(touch: GeneratedTouch, before: ProbePoint) -> ProbePoint:
+    index = look_up_element(touch.source_index, before.index)
+    if index < 0:
+        has_no_contact = touch.membrane is not None and not touch.membrane.contact.any()
+        text = "generated without contact" if has_no_contact else "source pixel unknown for this method"
+        return ProbePoint(stage="touch", index=-1, text=text)
+    row, col = divmod(index, touch.camera.cols)
+    if touch.image.ndim == 2:
+        text = f"{_describe_displacement(touch, row, col)}{float(touch.image[row, col]):.2f} mm from the camera"
+    else:
+        text = "generated rgb {} {} {}".format(*(int(v) for v in touch.image[row, col]))
+    return ProbePoint(stage="touch", index=index, row=row, col=col, point_mm=before.point_mm, text=text)
+
+
+def _describe_displacement(touch: GeneratedTouch, row: int, col: int) -> str:
+    """Displacement of a bubble's membrane and its direction, where it is known."""
+    if touch.membrane is None:
+        return ""
+    moved_mm = float(touch.membrane.indentation_mm[row, col])
+    return f"{abs(moved_mm):.2f} mm {'out' if moved_mm < 0 else 'in'}, "
+
+
+def _split_steps(touch: GeneratedTouch) -> tuple[GeneratedTouch, ...]:
+    return tuple(replace(touch, image=step.image, membrane=step.membrane, steps=()) for step in touch.steps)
+
+
+def _summarise_steps(touch: GeneratedTouch) -> StepHistory | None:
+    """Change per step and distance from the last step, and the step of convergence."""
+    if not touch.steps:
+        return None
+    if np.isnan(touch.steps[0].sigma):
+        return _summarise_poses(touch)
+    heights = [np.nan_to_num(step.membrane.indentation_mm) for step in touch.steps]
+    changes = [heights[0] * 0, *(b - a for a, b in pairwise(heights))]
+    last_mm = tuple(_rms_mm(h - heights[-1]) for h in heights)
+    span_mm = max(float(np.ptp(heights[-1])), 1e-9)
+    settled = next(k for k, h in enumerate(heights) if np.percentile(np.abs(h - heights[-1]), 99.0) <= span_mm / 255)
+    return StepHistory(
+        curves=(
+            StepCurve(name="changed", unit="mm", values=tuple(_rms_mm(o) for o in changes)),
+            StepCurve(name="from the last", unit="mm", values=last_mm),
+        ),
+        stop_reason=f"converged at step {settled + 1} of {len(heights)}: after it 99 % of the pixels "
+        "change by less than 1/255 of the indentation range",
+        descriptions=tuple(f"noise level {s.sigma:.3g}, {d:.3g} mm (rms) from the last step"
+                    for s, d in zip(touch.steps, last_mm, strict=True)),
+    )  # fmt: skip
+
+
+def _summarise_poses(touch: GeneratedTouch) -> StepHistory:
+    """Distance of every pose's touch from the best one's."""
+    best = touch.steps[-1].membrane.indentation_mm
+    off_mm = tuple(_rms_mm(step.membrane.indentation_mm - best) for step in touch.steps)
+    return StepHistory(
+        curves=(StepCurve(name="from the best pose", unit="mm", values=off_mm),),
+        stop_reason=f"{len(off_mm)} poses of the object that explain the source, each pressed into the target",
+        descriptions=tuple(f"pose {k + 1}, {mm:.3g} mm (rms) from the best one" for k, mm in enumerate(off_mm)),
+    )
+
+
+def _rms_mm(gap: Floats) -> float:
+    return float(np.sqrt((gap.astype(np.float64) ** 2).mean()))
+
+
+TOUCH = View(
+    legend="target's membrane",
+    make_preview=_draw_touch,
+    make_layers=_layer_touch,
+    trace_point=_trace_touch,
+    split_steps=_split_steps,
+    summarise_steps=_summarise_steps,
+)

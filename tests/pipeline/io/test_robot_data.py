@@ -1,0 +1,146 @@
+"""Robot-learning data sets, and files that are refused by name."""
+
+from __future__ import annotations
+
+import json
+import os
+import sqlite3
+from pathlib import Path
+
+import cv2
+import h5py
+import numpy as np
+import pytest
+
+from pipeline.core.errors import FileProblem, SettingProblem
+from pipeline.io import open_recording
+
+
+def test_robomimic_demonstrations_follow_each_other(tmp_path: Path, touches):
+    with h5py.File(tmp_path / "a.hdf5", "w") as file:
+        for demo in (0, 1, 2, 10):
+            observed = file.create_group(f"data/demo_{demo}/obs")
+            observed["tactile_left"] = touches.images[: demo + 4]
+            observed["agentview_image"] = touches.images
+            file[f"data/demo_{demo}/next_obs/tactile_left"] = touches.images
+            file[f"data/demo_{demo}"].attrs["model_file"] = "x" * 30_000
+    recording = open_recording(tmp_path / "a.hdf5")
+    (stream,) = recording.streams
+    assert stream.n_frames == 4 + 5 + 6 + 14
+    assert np.array_equal(stream.frame(4 + 5 + 6 + 13).image, touches.images[13])  # demo_10 is the last
+    assert any("agentview_image" in note for note in recording.notes)
+    recording.close()
+
+
+@pytest.mark.parametrize("how", ["plain", "padded", "varying"])
+def test_cameras_of_act_are_read_plain_and_encoded(tmp_path: Path, touches, how: str):
+    encoded = [cv2.imencode(".png", np.ascontiguousarray(image[..., ::-1]))[1].ravel() for image in touches.images]
+    with h5py.File(tmp_path / "episode_0.hdf5", "w") as file:
+        place = file.create_group("observations/images")
+        if how == "plain":
+            place.create_dataset("gelsight", data=touches.images, chunks=(1, *touches.images.shape[1:]))
+        elif how == "padded":
+            longest = max(map(len, encoded))
+            place["gelsight"] = np.stack([np.pad(row, (0, longest - len(row))) for row in encoded])
+        else:
+            rows = place.create_dataset("gelsight", (len(encoded),), h5py.vlen_dtype(np.uint8))
+            for i, row in enumerate(encoded):
+                rows[i] = row
+        file["action"] = np.zeros((len(encoded), 7))
+    (stream,) = open_recording(tmp_path / "episode_0.hdf5").streams
+    assert np.array_equal(stream.frame(8).image, touches.images[8])
+
+
+def test_cameras_that_name_no_touch_are_not_guessed_among(tmp_path: Path, touches):
+    with h5py.File(tmp_path / "a.hdf5", "w") as file:
+        file["observations/images/front"] = file["observations/images/wrist"] = touches.images
+    with pytest.raises(FileProblem, match="named after touch \\(front, wrist\\); choose the sensor's with --stream"):
+        open_recording(tmp_path / "a.hdf5")
+    (stream,) = open_recording(tmp_path / "a.hdf5", stream="wrist", sensor="gelslim").streams
+    assert (stream.name, stream.sensor) == ("wrist", "gelslim")
+
+
+def test_a_reference_is_of_the_camera_that_the_user_names(tmp_path: Path, touches):
+    with h5py.File(tmp_path / "a.hdf5", "w") as file:
+        for camera in ("tactile_left", "tactile_right"):
+            file[f"data/demo_0/obs/{camera}"] = touches.images
+    assert cv2.imwrite(str(tmp_path / "r.png"), np.full_like(touches.images[0], 77))
+    with pytest.raises(SettingProblem, match=r"choose it with --stream \(tactile_left, tactile_right\)"):
+        open_recording(tmp_path / "a.hdf5", reference=tmp_path / "r.png")
+    recording = open_recording(tmp_path / "a.hdf5", reference=tmp_path / "r.png", stream="tactile_right")
+    assert (recording.stream("tactile_right").frame(0).reference == 77).all()
+    assert not (recording.stream("tactile_left").frame(0).reference == 77).all()
+
+
+def test_an_hdf5_file_that_points_outside_itself_shows_nothing_of_it(tmp_path: Path, touches):
+    with h5py.File(tmp_path / "secret.hdf5", "w") as file:
+        file["tactile"] = touches.images
+    with h5py.File(tmp_path / "a.hdf5", "w") as file:
+        file["tactile"] = h5py.ExternalLink(str(tmp_path / "secret.hdf5"), "tactile")
+    with pytest.raises(FileProblem, match="no colour images"):
+        open_recording(tmp_path / "a.hdf5")
+
+
+@pytest.fixture
+def buffer(tmp_path: Path, touches) -> Path:
+    zarr = pytest.importorskip("zarr")
+    path = tmp_path / "replay_buffer.zarr"
+    group = zarr.open_group(str(path), mode="w", zarr_format=2)
+    group.create_array("data/tactile_img", data=touches.images, chunks=(4, *touches.images.shape[1:]))
+    group.create_array("data/external_img", data=touches.images)
+    group.create_array("meta/episode_ends", data=np.array([5, 16]))
+    return path
+
+
+def test_a_zarr_replay_buffer_is_read(buffer: Path, touches):
+    for path in (buffer, buffer.parent):
+        recording = open_recording(path)
+        (stream,) = recording.streams
+        assert stream.name == "tactile_img"
+        assert np.array_equal(stream.frame(8).image, touches.images[8])
+        assert any("external_img" in note for note in recording.notes)
+    assert "2 episodes follow each other; the reference is of the first" in recording.notes
+
+
+def test_a_zarr_array_whose_codec_runs_code_or_that_is_a_pipe_is_refused(buffer: Path):
+    described = buffer / "data" / "tactile_img" / ".zarray"
+    content = json.loads(described.read_text())
+    described.write_text(json.dumps({**content, "filters": [{"id": "pickle"}]}))
+    with pytest.raises(FileProblem, match="pickle"):
+        open_recording(buffer)
+    described.write_text(json.dumps(content))
+    chunk = buffer / "data" / "tactile_img" / "0.0.0.0"
+    chunk.unlink()
+    os.mkfifo(chunk)
+    with pytest.raises(FileProblem, match="a pipe"):
+        open_recording(buffer)
+
+
+@pytest.mark.parametrize(("name", "content", "why"), [
+    ("a.bag", b"#ROSBAG V2.0\n" + bytes(99), "ROS 1 bag.*mcap convert"), ("a.db3", None, "ROS 2 bag.*mcap convert"),
+    ("a.mat", b"MATLAB 5.0 MAT-file" + bytes(99), "MATLAB.*numpy"), ("a.zip", b"PK\x03\x04" + bytes(99), "unpack it"),
+    ("a.tfrecord-00000-of-00001", bytes(64), "TFRecords"), ("a.tar.gz", b"\x1f\x8b" + bytes(64), "unpack it"),
+])  # fmt: skip
+@pytest.mark.parametrize("in_folder", [False, True])
+def test_known_kinds_that_are_not_read_are_refused_by_name(tmp_path: Path, name, content, why, in_folder: bool):
+    if content is None:
+        with sqlite3.connect(tmp_path / name) as database:
+            database.execute("create table topics(id integer)")
+    else:
+        (tmp_path / name).write_bytes(content)
+    with pytest.raises(FileProblem, match=why):
+        open_recording(tmp_path if in_folder else tmp_path / name)
+
+
+def test_a_folder_with_tactile_images_and_depth_opens_the_first_and_names_the_other(tmp_path: Path, touches):
+    for i, image in enumerate(touches.images):
+        for name, pixels in (("tactile", image[..., ::-1]), ("depth", image[..., 0].astype(np.uint16) * 20)):
+            (tmp_path / name).mkdir(exist_ok=True)
+            cv2.imwrite(str(tmp_path / name / f"{i}.png"), np.ascontiguousarray(pixels))
+    recording = open_recording(tmp_path)
+    assert np.array_equal(recording.streams[0].frame(8).image, touches.images[8])
+    assert any("depth" in note for note in recording.notes)
+    (tmp_path / "tactile").rename(tmp_path / "rgb")
+    with pytest.raises(FileProblem, match="or open rgb of the same folder"):
+        open_recording(tmp_path)
+    assert open_recording(tmp_path / "rgb").streams[0].sensor == "gelslim"

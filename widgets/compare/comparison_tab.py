@@ -1,0 +1,130 @@
+"""Tabs of the comparison page: controls, a message with progress, and results as tiles or as a grid."""
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+
+from PyQt6.QtCore import Qt
+from PyQt6.QtWidgets import (
+    QGridLayout,
+    QHBoxLayout,
+    QLabel,
+    QLayout,
+    QLineEdit,
+    QPushButton,
+    QSizePolicy,
+    QVBoxLayout,
+    QWidget,
+)
+
+from pipeline.lab.evaluation.comparison_tiles import Comparison
+from pipeline.lab.evaluation.grid_comparison import GridComparison, GridPlan, format_value
+from widgets.compare.comparison_grid import CellGrid, CellPlot
+from widgets.compare.tile_grid import TileGrid
+from widgets.style.base import ChoiceBox
+from widgets.style.run_bar import RunBar
+from widgets.style.styling import fill, make_splitter, set_spacing
+
+
+class ComparisonTab(QWidget):
+    """Controls above a message above the widget with the results."""
+
+    def __init__(self, controls: Sequence[QWidget] | QLayout, results: QWidget) -> None:
+        super().__init__()
+        self.message, self.run_bar = QLabel(), RunBar("compare", keeps_room=True)
+        self.message.setWordWrap(True)
+        self.message.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Minimum)
+        self.head = set_spacing(QHBoxLayout(), 6)
+        fill(self.head, *([(controls, 1)] if isinstance(controls, QLayout) else [*controls, 1]))
+        self.stack = fill(
+            set_spacing(QVBoxLayout(self), 4, (4, 4, 4, 2)), self.head,
+            fill(set_spacing(QHBoxLayout(), 6), (self.message, 1), self.run_bar), (results, 3),
+        )  # fmt: skip
+
+    def show_comparison(self, comparison: Comparison) -> None:
+        """Show what is computed so far."""
+        self.message.setText(comparison.summary)
+
+
+class TileTab(ComparisonTab):
+    """A tab whose results are tiles."""
+
+    def __init__(self, controls: Sequence[QWidget]) -> None:
+        self.grid = TileGrid()
+        super().__init__(controls, self.grid)
+
+    def show_comparison(self, comparison: Comparison) -> None:
+        """Show the tiles."""
+        super().show_comparison(comparison)
+        self.grid.show_tiles(comparison.tiles)
+
+
+_AXES = "columns", "rows"
+_GRID_SIZE = 720  # of 1000: the grid next to the plot
+GRID_HINT = "choose what columns and rows try, then press Start; a click on a cell uses its values"
+
+
+class GridTab(ComparisonTab):
+    """Axes, values and metric of a grid, and its cells."""
+
+    def __init__(self) -> None:
+        self.axes = tuple(ChoiceBox(f"grid_{word}", f"what the {word} try") for word in _AXES)  # across, down
+        self.values = QLineEdit(), QLineEdit()
+        self.metric_box, self.start_button = ChoiceBox("grid_metric", "metric"), QPushButton("Start")
+        self.grid, self.plot = CellGrid(), CellPlot()
+        self._offers: Mapping[str, str] = {}
+        controls = set_spacing(QGridLayout(), 6)
+        results = make_splitter(Qt.Orientation.Horizontal, (self.grid, 3), (self.plot, 2))
+        results.setSizes([_GRID_SIZE, 1000 - _GRID_SIZE])
+        super().__init__(controls, results)
+        for which, (word, box, line) in enumerate(zip(_AXES, self.axes, self.values, strict=True)):
+            line.setObjectName(f"grid_{word}_values")
+            line.setAccessibleName(f"values of the {word}")
+            line.setToolTip("Comma-separated values")
+            line.returnPressed.connect(self.start_button.click)
+            box.chosen.connect(partial(self._suggest_values, line))
+            for col, widget in enumerate((QLabel(word), box, line)):
+                controls.addWidget(widget, which, col)
+        self.start_button.setObjectName("grid_start")
+        controls.addWidget(QLabel("metric"), 0, 3)
+        controls.addWidget(self.metric_box, 0, 4)
+        controls.addWidget(self.start_button, 1, 4)
+        controls.setColumnStretch(2, 1)
+        self.message.setText(GRID_HINT)
+
+    def _suggest_values(self, line: QLineEdit, title: str) -> None:
+        line.setText(self._offers.get(title, ""))
+
+    def offer_axes(self, offers: Mapping[str, str], metrics: Mapping[str, str], metric: str) -> None:
+        """Offer axes (title -> suggested values) and metrics (name -> title); emits no signal.
+
+        The chosen axes and their values stay while they are offered, else the first ones are chosen.
+        """
+        first = (*offers, "", "")[:2]
+        self._offers = offers
+        for box, line, default, none in zip(self.axes, self.values, first, ({}, {"": "one row"}), strict=True):
+            titles = {**none, **{title: title for title in offers}}
+            keeps = box.count() > 0 and box.choice in titles
+            box.offer(titles, box.choice if keeps else default)
+            if not keeps:
+                line.setText(offers.get(default, ""))
+        self.metric_box.offer(metrics, metric)
+
+    @property
+    def axis_texts(self) -> tuple[str, str]:
+        """Columns and rows as `stage.name=value,value`; "" for one row."""
+        across, down = (f"{box.choice}={line.text()}" for box, line in zip(self.axes, self.values, strict=True))
+        return across, down if self.axes[1].choice else ""
+
+    def show_plan(self, plan: GridPlan | None, unit: str = "") -> None:
+        """Show an empty grid, or none."""
+        values = [] if plan is None else [[format_value(value) for value in axis.values] for axis in plan.axes]
+        across, down = (*values, [""] if values else [], list[str]())[:2]
+        self.grid.show_axes(across, down, unit)
+        self.plot.show_cells({}, unit)
+
+    def show_comparison(self, comparison: Comparison) -> None:
+        """Show the newest cell."""
+        super().show_comparison(comparison)
+        if isinstance(comparison, GridComparison) and comparison.cells:
+            self.grid.show_cell(comparison.cells[-1])
+            self.plot.show_cells(self.grid.cells, self.grid.unit)

@@ -1,0 +1,105 @@
+"""Sensitivity bars: how much each metric of the score changes per 0.1 mm or 0.1 degrees of each axis."""
+
+from collections.abc import Sequence
+
+from PyQt6.QtCore import QRectF, Qt
+from PyQt6.QtGui import QPainter
+
+from pipeline.translation.alignment.score import UNIT_STEP, ScoreChange, Sensitivity
+from widgets.style.base import FIXED, PaintedWidget, resize_font
+from widgets.style.theme import ThemeColours, to_qcolor
+
+# title, unit, digits, whether larger is better
+_FIGURES = (("depth", "mm", 3, False), ("edge", "px", 2, False), ("IoU", "", 3, True))
+_FULL_IOU = 0.02
+_NEARER, _FARTHER = "\N{BLACK UP-POINTING TRIANGLE}", "\N{BLACK DOWN-POINTING TRIANGLE}"
+_CELL_ROOM_PX = 10  # padding of a cell
+_TIP = (
+    "change of the score per {step:g} mm or {step:g}° along each axis, mean of either side; the triangle shows "
+    "whether raising or lowering the axis improves it, none at the optimum; bars are full at {full}"
+)
+
+
+class SensitivityBars(PaintedWidget):
+    """One row per axis, one column per metric: a bar, its number and the direction that improves it."""
+
+    def __init__(self) -> None:
+        super().__init__("sensitivity", "sensitivity of the axes", down=FIXED)
+        self.axes: tuple[Sensitivity, ...] = ()  # the axes on display
+        resize_font(self)
+        self.preferred_px = 200, 7 * self._row_px()  # a header and six rows
+        self._full = (UNIT_STEP, 1.0, _FULL_IOU)
+        wide = self.fontMetrics().horizontalAdvance
+        widest = max(wide(f"{_NEARER} 0.000"), wide("depth mm")) + _CELL_ROOM_PX
+        self.setMinimumWidth(self._left_px() + len(_FIGURES) * widest)
+        self.set_pixel_size(UNIT_STEP)
+
+    def set_pixel_size(self, pixel_mm: float) -> None:
+        """Set the change at which a bar is full, that of a surface that moves as far as the alignment does."""
+        self._full = (UNIT_STEP, UNIT_STEP / pixel_mm, _FULL_IOU)
+        names = zip(_FIGURES, self._full, strict=True)
+        full = ", ".join(f"{name} {limit:.2g} {unit}".strip() for (name, unit, *_), limit in names)
+        self.setToolTip(_TIP.format(step=UNIT_STEP, full=full))
+
+    def show_sensitivities(self, axes: Sequence[Sensitivity]) -> None:
+        """Show these axes; none clears the table."""
+        self.axes = tuple(axes)
+        rows = [f"{s.axis}: " + ", ".join(_format_change(c, i) for i, c in enumerate(_changes(s))) for s in self.axes]
+        self.setAccessibleDescription("; ".join(rows))
+        self.update()
+
+    def paint(self, painter: QPainter, ink: ThemeColours) -> None:
+        """Paint header and rows."""
+        row, left = self._row_px(), self._left_px()
+        width = (self.width() - left) / len(_FIGURES)
+        soft, text = self.palette().placeholderText().color(), self.palette().text().color()
+        painter.setPen(soft)
+        middle = int(Qt.AlignmentFlag.AlignVCenter)
+        painter.drawText(QRectF(0, 0, left, row), middle, "per")
+        for i, (name, unit, *_) in enumerate(_FIGURES):
+            cell = QRectF(left + i * width, 0, width - 4, row)
+            painter.drawText(cell, middle | int(Qt.AlignmentFlag.AlignRight), f"{name} {unit}".strip())
+        for n, axis in enumerate(self.axes):
+            top = (n + 1) * row
+            painter.setPen(text)
+            painter.drawText(QRectF(0, top, left, row), middle, axis.axis)
+            painter.setPen(soft)
+            unit = "°" if axis.unit == "deg" else " mm"
+            painter.drawText(QRectF(self.fontMetrics().horizontalAdvance("rx  "), top, left, row), middle,
+                             f"{UNIT_STEP:g}{unit}")  # fmt: skip
+            for i, change in enumerate(_changes(axis)):
+                cell = QRectF(left + i * width, top + 1, width - 4, row - 2)
+                painter.fillRect(cell, to_qcolor(ink.gauge_background))
+                share = min(1.0, (change.magnitude or 0.0) / self._full[i])
+                bar = QRectF(cell.left(), cell.top(), share * cell.width(), cell.height())
+                painter.fillRect(bar, to_qcolor(ink.sensitivity))
+                painter.setPen(text)
+                right = middle | int(Qt.AlignmentFlag.AlignRight)
+                painter.drawText(cell.adjusted(2, 0, -3, 0), right, _format_change(change, i))
+
+    def _left_px(self) -> int:
+        """Return the width of an axis' name and step."""
+        return self.fontMetrics().horizontalAdvance(f"rx  {UNIT_STEP:g} mm") + 8
+
+    def _row_px(self) -> int:
+        return self.fontMetrics().height() + 4
+
+
+def _changes(axis: Sensitivity) -> tuple[ScoreChange, ScoreChange, ScoreChange]:
+    return axis.depth_mm, axis.edge_px, axis.iou
+
+
+def _format_change(change: ScoreChange, figure: int) -> str:
+    if change.magnitude is None:
+        return "-"
+    *_, digits, more_is_better = _FIGURES[figure]
+    number = f"{change.magnitude:.{digits}f}"
+    return f"{_better_way(change, more_is_better)} {number}".strip() if float(number) else number
+
+
+def _better_way(change: ScoreChange, more_is_better: bool) -> str:
+    """Return whether raising or lowering the axis improves the metric; "" where both are about as bad."""
+    if change.slope is None or change.magnitude is None or abs(change.slope) < 0.5 * change.magnitude:
+        return ""
+    raising_helps = (change.slope > 0) == more_is_better
+    return _NEARER if raising_helps else _FARTHER

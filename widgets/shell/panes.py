@@ -1,0 +1,229 @@
+"""Two or three large panes under a filmstrip of all stages."""
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from typing import Any
+
+from PyQt6.QtCore import QEvent, QObject, QSize, Qt, pyqtSignal
+from PyQt6.QtWidgets import QFrame, QHBoxLayout, QLabel, QToolButton, QVBoxLayout, QWidget
+
+from widgets.stages.stage_column import StageColumn
+from widgets.style.base import EventListener, resize_font
+from widgets.style.styling import FittingSplitter, fill, set_spacing
+from widgets.timeline.filmstrip import Filmstrip
+from widgets.views.view_3d_panel import View3DPanel
+
+_MOST_HIGH = 0.74  # largest share of a pane's height for the image when stacked
+_LEAST_WIDE, _MOST_WIDE = 0.45, 0.66  # limits of its share of the width when side by side
+_USUAL_TALL = 0.78  # rows over columns for the layout: all panes use the same one
+_WORTH, _STILL = 1.15, 1.08  # gain in image size that switches to side by side, and back
+_WAY = Qt.Orientation
+
+
+class PaneSplitter(FittingSplitter):
+    """Fits the image."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._held: tuple[StageColumn, View3DPanel] | None = None
+
+    def set_contents(self, column: StageColumn, cell: View3DPanel) -> None:
+        """Show these widgets; the previous ones must have been released."""
+        self.is_user_sized = False
+        for widget in (column, cell):
+            self.addWidget(widget)
+        column.view.shape_changed.connect(self._soon.start)
+        self._held = column, cell
+        self._soon.start()
+
+    def release_contents(self) -> None:
+        """Release the widgets before they move to another parent."""
+        if self._held is not None:
+            self._held[0].view.shape_changed.disconnect(self._soon.start)
+        self._held = None
+
+    def fit_sizes(self) -> None:
+        """Choose the sizes that make the image largest, unless the user set them."""
+        if self._held is None or self.is_user_sized or not all(_is_shown_in(widget, self) for widget in self._held):
+            return
+        column, _ = self._held
+        around, room = _around(column), self.size() - QSize(self.handleWidth(), self.handleWidth())
+        under, at_side = _wide(room, around, _USUAL_TALL)
+        stands = self.orientation() == _WAY.Vertical
+        if at_side > _WORTH * under if stands else at_side < _STILL * under:
+            self.setOrientation(_WAY.Horizontal if stands else _WAY.Vertical)
+            stands = not stands
+        tall = column.view.height_over_width
+        under, at_side = _wide(room, around, tall)
+        if stands:
+            whole, first = room.height(), round(around.height() + tall * under)
+        else:
+            whole, first = room.width(), round(max(_LEAST_WIDE * room.width(), around.width() + at_side))
+        if abs(self.sizes()[0] - first) > 1:
+            self.setSizes([first, whole - first])
+
+
+def _is_shown_in(widget: QWidget, by: QWidget) -> bool:
+    return widget.parentWidget() is by and widget.isVisibleTo(by)
+
+
+def _wide(room: QSize, around: QSize, tall: float) -> tuple[float, float]:
+    """Return the image width stacked over the 3D view, and next to it."""
+    under = min(room.width() - around.width(), (_MOST_HIGH * room.height() - around.height()) / tall)
+    at_side = min(_MOST_WIDE * room.width() - around.width(), (room.height() - around.height()) / tall)
+    return under, at_side
+
+
+def _around(column: StageColumn) -> QSize:
+    """Return the size of a column without its image."""
+    return column.size() - column.view.canvas.size()
+
+
+MAX_PANES = 3
+DIMS = ("2D", "3D", "both")
+_FOLDED_BELOW_PX = 550  # a lower page collapses the filmstrip to names
+
+
+class Pane(QFrame):
+    """A column and its 3D view, together or alone; `activated` by a click anywhere in it."""
+
+    activated = pyqtSignal()
+    dims_chosen = pyqtSignal(str)
+
+    def __init__(self, number: int) -> None:
+        super().__init__()
+        self.setObjectName(f"pane_{number}")
+        self.setFrameShape(QFrame.Shape.NoFrame)
+        self._rim = QFrame()
+        self._rim.setFixedHeight(3)
+        self._rim.setAutoFillBackground(True)
+        self._buttons = {dims: QToolButton() for dims in DIMS}
+        word = QLabel(f"pane {number}")
+        resize_font(word)
+        for dims, button in self._buttons.items():
+            button.setText(dims)
+            button.setCheckable(True)
+            button.setAutoRaise(True)
+            resize_font(button)
+            button.setObjectName(f"pane_{number}_{dims.lower()}")
+            button.setToolTip(f"Show {'the image and the 3D view' if dims == 'both' else dims} in this pane")
+            button.clicked.connect(partial(self.dims_chosen.emit, dims))
+        self._both = PaneSplitter()
+        self._both.setObjectName(f"split_pane_{number}")
+        head = fill(set_spacing(QHBoxLayout(), 1), word, 1, *self._buttons.values())
+        fill(set_spacing(QVBoxLayout(self), 0), self._rim, head, (self._both, 1))
+        self._held: tuple[QWidget, ...] = ()
+
+    def set_contents(self, column: StageColumn, cell: View3DPanel, dims: str) -> None:
+        """Show these widgets; the previous ones must have been released."""
+        if self._held != (column, cell):
+            self._both.release_contents()
+            self._both.set_contents(column, cell)
+            for widget in (column, cell):
+                _watch(widget, self)
+            self._held = (column, cell)
+        column.set_wide(True)
+        column.view.colour_bar.show()
+        column.setVisible(dims != "3D")
+        cell.setVisible(dims != "2D")
+        for name, button in self._buttons.items():
+            button.setChecked(name == dims)
+
+    def release_contents(self) -> None:
+        """Release the widgets before they move to another parent."""
+        self._both.release_contents()
+        self._held = ()
+
+    def set_active(self, active: bool) -> None:
+        """Set whether a click in the filmstrip fills this pane."""
+        palette = self.palette()
+        self._rim.setPalette(palette)
+        role = palette.ColorRole.Highlight if active else palette.ColorRole.Midlight
+        self._rim.setBackgroundRole(role)
+
+    def eventFilter(self, a0: QObject | None, a1: QEvent | None) -> bool:  # noqa: N802
+        """Activate the pane on a press in any child."""
+        if a1 is not None and a1.type() == QEvent.Type.MouseButtonPress and self._held:
+            self.activated.emit()
+        return super().eventFilter(a0, a1)
+
+    def mousePressEvent(self, a0: Any) -> None:  # noqa: N802
+        """Activate the pane on a press outside its children."""
+        super().mousePressEvent(a0)
+        self.activated.emit()
+
+
+class PanesPage(QWidget):
+    """Filmstrip over panes; emits `stage_chosen(pane, stage)`, `dims_chosen(pane, dims)` and `count_chosen(n)`."""
+
+    stage_chosen = pyqtSignal(int, str)
+    dims_chosen = pyqtSignal(int, str)
+    count_chosen = pyqtSignal(int)
+
+    def __init__(self, titles: Mapping[str, str]) -> None:
+        super().__init__()
+        self.filmstrip = Filmstrip(titles)
+        self.panes = tuple(Pane(number + 1) for number in range(MAX_PANES))
+        self.active_pane = 0
+        self._stages: tuple[str, ...] = ()
+        self._count = QToolButton()
+        self._count.setObjectName("pane_count")
+        self._count.setAccessibleName("third pane")
+        self._count.setAutoRaise(True)
+        self._count.clicked.connect(lambda: self.count_chosen.emit(2 if len(self._stages) == MAX_PANES else MAX_PANES))
+        self.filmstrip.row.addWidget(self._count)
+        row = fill(set_spacing(QHBoxLayout(), 3), *((pane, 1) for pane in self.panes))
+        fill(set_spacing(QVBoxLayout(self), 2), self.filmstrip, (row, 1))
+        for number, pane in enumerate(self.panes):
+            pane.activated.connect(partial(self.activate_pane, number))
+            pane.dims_chosen.connect(partial(self.dims_chosen.emit, number))
+        self.filmstrip.stage_chosen.connect(self._choose)
+        EventListener(self, self._fold_filmstrip, QEvent.Type.Resize)
+
+    @property
+    def active_stage(self) -> str:
+        """The stage in the active pane; "" where there is none."""
+        return self._stages[self.active_pane] if self._stages else ""
+
+    def activate_pane(self, number: int) -> None:
+        """Make this pane the one that a click in the filmstrip fills."""
+        self.active_pane = min(number, max(0, len(self._stages) - 1))
+        for other, pane in enumerate(self.panes):
+            pane.set_active(other == self.active_pane)
+        self.filmstrip.show_pane_stages(self._stages, self.active_stage)
+
+    def show_panes(self, held: Sequence[tuple[str, StageColumn, View3DPanel, str]]) -> None:
+        """Show (stage, column, cell, dims) in one pane each."""
+        self._stages = tuple(stage for stage, *_ in held)
+        for number, pane in enumerate(self.panes):
+            pane.setVisible(number < len(held))
+            if number < len(held):
+                _, column, cell, dims = held[number]
+                pane.set_contents(column, cell, dims)
+        more = len(held) < MAX_PANES
+        self._count.setText("+" if more else "\N{MINUS SIGN}")
+        self._count.setToolTip("Add a third pane" if more else "Remove the third pane")
+        self.activate_pane(self.active_pane)
+
+    def minimumSizeHint(self) -> QSize:  # noqa: N802
+        """Return the height with collapsed thumbnails: a hidden page must not keep the window from being low."""
+        hint = super().minimumSizeHint()
+        return QSize(hint.width(), hint.height() - self.filmstrip.collapsible_px)
+
+    def _fold_filmstrip(self) -> None:
+        self.filmstrip.set_collapsed(self.height() < _FOLDED_BELOW_PX)
+
+    def _choose(self, stage: str) -> None:
+        self.stage_chosen.emit(self.active_pane, stage)
+
+    def release_contents(self) -> None:
+        """Release the columns before they move to another parent."""
+        for pane in self.panes:
+            pane.release_contents()
+
+
+def _watch(widget: QWidget, by: QObject) -> None:
+    """Install an event filter on a widget and its children."""
+    for one in (widget, *widget.findChildren(QWidget)):
+        one.removeEventFilter(by)
+        one.installEventFilter(by)

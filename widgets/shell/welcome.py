@@ -1,0 +1,103 @@
+"""Welcome page of an empty window: sample, recent files, and a drop area."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from PyQt6.QtCore import QEvent, QPoint, QRectF, QSize, Qt, pyqtSignal
+from PyQt6.QtGui import QAction, QPainter, QPaintEvent, QPen
+from PyQt6.QtWidgets import QHBoxLayout, QLabel, QListWidget, QListWidgetItem, QToolButton, QVBoxLayout, QWidget
+
+from pipeline.core.errors import escape_text
+from widgets.style.base import EventListener, resize_font
+from widgets.style.styling import ThemedLabel, fill, make_bold, set_spacing
+from widgets.style.theme import get_theme_colours, to_qcolor
+
+_WIDTH_PX, _ROW_PX = 620, 24
+_PURPOSE = (
+    "Translate the touch of one tactile sensor into another's: every stage side by side, compared with the truth "
+    "where it is recorded."
+)
+
+
+class DropArea(QLabel):
+    """Text in a dashed frame that is visible in every theme."""
+
+    def paintEvent(self, a0: QPaintEvent | None) -> None:  # noqa: N802
+        """Paint the text, then the frame."""
+        super().paintEvent(a0)
+        painter = QPainter(self)
+        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+        painter.setPen(QPen(to_qcolor(get_theme_colours(self.palette()).secondary_text), 1.5, Qt.PenStyle.DashLine))
+        painter.drawRoundedRect(QRectF(self.rect()).adjusted(1, 1, -1, -1), 6, 6)
+
+
+class WelcomePage(QWidget):
+    """Covers `first` and everything below it until a recording is open; `recent_chosen` carries a file."""
+
+    recent_chosen = pyqtSignal(object)  # Path
+
+    def __init__(self, over: QWidget, first: QWidget, commands: Sequence[QAction], formats: str, sensors: str) -> None:
+        """`formats` and `sensors` are the names of what can be opened."""
+        super().__init__(over)
+        self._first = first
+        self.setObjectName("welcome")
+        self.setAutoFillBackground(True)
+        title, purpose, drop = QLabel("Tactoscope"), QLabel(_PURPOSE), DropArea(f"Drop a recording here: {formats}")
+        known = ThemedLabel(lambda colours: colours.secondary_text, f"Sensors: {sensors}")
+        make_bold(title)
+        resize_font(title, 9.0)
+        for label in (purpose, drop, known):
+            label.setWordWrap(True)
+        drop.setAlignment(Qt.AlignmentFlag.AlignCenter)
+        drop.setMinimumHeight(72)
+        drop.setMargin(10)
+        self.buttons = [_button(command) for command in commands]
+        self._told = QLabel("Recent")
+        make_bold(self._told)
+        self.recent = QListWidget()
+        self.recent.setObjectName("recent")
+        self.recent.setAccessibleName("recent recordings")
+        self.recent.itemActivated.connect(self._open_recent)
+        self.recent.itemClicked.connect(self._open_recent)
+        self._sheet = QWidget()
+        self._sheet.setMaximumWidth(_WIDTH_PX)
+        row = fill(set_spacing(QHBoxLayout(), 8), *self.buttons, 1)
+        column = set_spacing(QVBoxLayout(self._sheet), 12)
+        fill(column, title, purpose, row, drop, known, self._told, self.recent)
+        fill(QHBoxLayout(self), 1, (fill(QVBoxLayout(), 1, self._sheet, 2), 10), 1)
+        for widget in (over, first):
+            EventListener(widget, self._cover, QEvent.Type.Resize, QEvent.Type.Move)
+        self._cover()
+
+    def show_recent(self, paths: Sequence[Path]) -> None:
+        """Show recent files, the latest first."""
+        self.recent.clear()
+        for path in paths:
+            item = QListWidgetItem(f"{escape_text(path.name)}    {escape_text(str(path.parent))}")
+            item.setData(Qt.ItemDataRole.UserRole, path)
+            item.setToolTip(escape_text(str(path)))
+            item.setSizeHint(QSize(10, _ROW_PX))
+            self.recent.addItem(item)
+        for widget in (self._told, self.recent):
+            widget.setVisible(bool(paths))
+        self.recent.setFixedHeight(min(len(paths), 8) * _ROW_PX + 6)
+
+    def _cover(self) -> None:
+        over = self.parentWidget()
+        if over is not None:
+            top = self._first.mapTo(over, QPoint(0, 0)).y()
+            self.setGeometry(0, top, over.width(), over.height() - top)
+            self.raise_()
+
+    def _open_recent(self, item: QListWidgetItem) -> None:
+        self.recent_chosen.emit(item.data(Qt.ItemDataRole.UserRole))
+
+
+def _button(command: QAction) -> QToolButton:
+    button = QToolButton()
+    button.setDefaultAction(command)
+    button.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextBesideIcon)
+    button.setIconSize(QSize(20, 20))
+    button.setMinimumHeight(34)
+    button.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+    return button

@@ -1,0 +1,231 @@
+"""Controls for single parameters, derived from their type and `Setting`."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from PyQt6.QtCore import QSignalBlocker, Qt
+from PyQt6.QtWidgets import (
+    QAbstractSpinBox,
+    QCheckBox,
+    QComboBox,
+    QDoubleSpinBox,
+    QHBoxLayout,
+    QLineEdit,
+    QSizePolicy,
+    QSlider,
+    QSpinBox,
+    QWidget,
+)
+
+from pipeline.core.params import Setting, Value
+from widgets.style.base import ChoiceBox, NumberBox
+
+_SLIDER_STEPS, _SLIDER_PX, _NARROW_PX = 400, 40, 24
+_MANY, _TOO_MANY, _BEND = (
+    200,
+    10_000,
+    3.0,
+)  # integer ranges up to the first have a linear slider, up to the second one that favours small values
+_TIP = "tip"  # property that keeps the tooltip while a reason is shown
+_USED_TIP = "used_tip"  # property: tooltip of a widget that is marked as unused
+_NARROW_DECIMALS = 2  # of a number with little room
+_WIDEST = 1e9  # stands for "no limit" in a spin box
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ParameterControl:
+    """One parameter on screen: its widget and a setter for its value, which emits nothing."""
+
+    widget: QWidget
+    show: Callable[[Value], None]
+
+    @property
+    def sliders(self) -> list[QSlider]:
+        """Its sliders, none or one."""
+        return self.widget.findChildren(QSlider)
+
+    def set_names(self, object_name: str, text: str) -> None:
+        """Set the name that finds it, and the one that a screen reader says for each of its parts."""
+        self.widget.setObjectName(object_name)
+        for part in (self.widget, *self.sliders, *self._spin_boxes):
+            part.setAccessibleName(text)
+
+    def set_unavailable(self, reason: str) -> None:
+        """Grey it out with the reason as its tooltip; "" = it can act."""
+        if self.widget.isEnabled() == bool(reason):
+            self.widget.setEnabled(not reason)
+        if reason:
+            self.widget.setProperty(_TIP, self.widget.property(_TIP) or self.widget.toolTip())
+            self.widget.setToolTip(reason)
+        elif self.widget.property(_TIP):
+            self.widget.setToolTip(self.widget.property(_TIP))
+
+    @property
+    def _spin_boxes(self) -> list[QSpinBox | QDoubleSpinBox]:
+        """Its spin boxes, none or one."""
+        return [
+            box
+            for box in (self.widget, *self.widget.findChildren(QWidget))
+            if isinstance(box, QSpinBox | QDoubleSpinBox)
+        ]
+
+    def set_narrow(self) -> None:
+        """Take little room: the spin box has no buttons, and the slider may be short."""
+        for box in self._spin_boxes:
+            box.setButtonSymbols(QAbstractSpinBox.ButtonSymbols.NoButtons)
+            if isinstance(box, QDoubleSpinBox):
+                box.setDecimals(min(_NARROW_DECIMALS, box.decimals()))
+        for slider in self.sliders:
+            slider.setMinimumWidth(_NARROW_PX)
+
+    def set_compact(self, compact: bool, prefix: str) -> None:
+        """Show the number without its slider, after `prefix`."""
+        for slider in self.sliders:
+            slider.setHidden(compact)
+        across = QSizePolicy.Policy.Ignored if compact else QSizePolicy.Policy.Minimum
+        for box in self._spin_boxes:
+            box.setSizePolicy(across, QSizePolicy.Policy.Fixed)
+            box.setPrefix(prefix if compact else "")
+
+
+def mark_unused(widget: QWidget, reason: str) -> None:
+    """Strike out a widget whose value has no effect on what is shown, with the reason as its tooltip; "" = it has."""
+    for part in (widget, *widget.findChildren(QWidget)):
+        if part.font().strikeOut() != bool(reason):
+            font = part.font()
+            font.setStrikeOut(bool(reason))
+            part.setFont(font)
+    if reason:
+        widget.setProperty(_USED_TIP, widget.property(_USED_TIP) or widget.toolTip() or " ")
+        widget.setToolTip(f"without effect on this frame: {reason}")
+    elif widget.property(_USED_TIP):
+        widget.setToolTip(widget.property(_USED_TIP).strip())
+        widget.setProperty(_USED_TIP, None)
+
+
+def make_control(value: Value, setting: Setting, edited: Callable[[Value], None]) -> ParameterControl:
+    """Return the control of a parameter of this type; `edited` is called with a new value."""
+    if isinstance(value, bool):
+        return _switch(value, edited)
+    if setting.choices:
+        return _choice(str(value), setting, edited)
+    if isinstance(value, int):
+        return _whole(value, setting, edited)
+    if isinstance(value, float):
+        return _number(value, setting, edited)
+    return _text(value, edited)
+
+
+def describe_setting(setting: Setting, qualified_name: str) -> str:
+    """Return the tooltip: help, name on the command line, range and source."""
+    tip = f"{setting.help or setting.label} ({qualified_name}{_range(setting)})"
+    return f"{tip}\nsource: {setting.source}" if setting.source else tip
+
+
+def format_label(setting: Setting) -> str:
+    """Return the label with its unit."""
+    return (
+        f"{setting.label}, {setting.unit}"
+        if setting.unit and setting.unit not in setting.label.lower()
+        else setting.label
+    )
+
+
+def _range(setting: Setting) -> str:
+    """Return the allowed range with its unit."""
+    unit = f" {setting.unit}" if setting.unit else ""
+    if setting.choices:
+        return f", {', '.join(setting.choices)}"
+    if math.isfinite(setting.low) and math.isfinite(setting.high):
+        return f", {setting.low:g} to {setting.high:g}{unit}"
+    return f", in{unit}" if unit else ""
+
+
+def _quiet(box: QWidget, put: Callable[[Any], object]) -> ParameterControl:
+    """Return a control whose setter emits no signal."""
+
+    def show(new: Value) -> None:
+        with QSignalBlocker(box):
+            put(new)
+
+    return ParameterControl(widget=box, show=show)
+
+
+def _switch(value: bool, edited: Callable[[Value], None]) -> ParameterControl:
+    box = QCheckBox()
+    box.setChecked(value)
+    box.toggled.connect(edited)
+    return _quiet(box, box.setChecked)
+
+
+def _choice(value: str, setting: Setting, edited: Callable[[Value], None]) -> ParameterControl:
+    box = ChoiceBox("", setting.label, {name: name for name in setting.choices})
+    box.setCurrentText(value)
+    box.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToContentsOnFirstShow)
+    box.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
+    box.currentTextChanged.connect(edited)
+    return _quiet(box, box.setCurrentText)
+
+
+def _text(value: str, edited: Callable[[Value], None]) -> ParameterControl:
+    line = QLineEdit(value)
+    line.editingFinished.connect(lambda: edited(line.text()))
+    return _quiet(line, line.setText)
+
+
+def _whole(value: int, setting: Setting, edited: Callable[[Value], None]) -> ParameterControl:
+    box = QSpinBox()
+    box.setRange(int(max(setting.low, -_WIDEST)), int(min(setting.high, _WIDEST)))
+    box.setSingleStep(max(1, int(setting.step)))
+    bend = _BEND if _MANY <= setting.high - setting.low <= _TOO_MANY else 0.0
+    return _with_slider(box, lambda new: box.setValue(round(new)), value, setting, edited, bend)
+
+
+def _number(value: float, setting: Setting, edited: Callable[[Value], None]) -> ParameterControl:
+    box = NumberBox()
+    low, high = max(setting.low, -_WIDEST), min(setting.high, _WIDEST)
+    is_bounded = math.isfinite(setting.low) and math.isfinite(setting.high)
+    step = setting.step or ((high - low) / 10 if is_bounded else 0.1)
+    box.setDecimals(max(2, min(6, 2 - math.floor(math.log10(step)))))
+    box.setRange(low, high)
+    box.setSingleStep(step)
+    return _with_slider(box, box.setValue, value, setting, edited, float(is_bounded))
+
+
+def _with_slider(
+    box: QSpinBox | QDoubleSpinBox, put: Callable[[float], object], value: float, setting: Setting,
+    edited: Callable[[Value], None], bend: float,
+) -> ParameterControl:  # fmt: skip
+    """Return a spin box with a slider whose values grow by the power `bend`; without one for 0."""
+    box.setKeyboardTracking(False)
+    put(value)
+    box.valueChanged.connect(edited)
+    if not bend:
+        return _quiet(box, put)
+    both, slider = QWidget(), QSlider(Qt.Orientation.Horizontal)
+    row = QHBoxLayout(both)
+    row.setContentsMargins(0, 0, 0, 0)
+    low, span = setting.low, setting.high - setting.low
+    slider.setRange(0, _SLIDER_STEPS)
+    slider.setMinimumWidth(_SLIDER_PX)
+
+    def place_slider(new: float) -> None:
+        with QSignalBlocker(slider):
+            slider.setValue(round(((new - low) / span) ** (1 / bend) * _SLIDER_STEPS))
+
+    def show(new: Value) -> None:
+        with QSignalBlocker(box):
+            put(float(new))
+        place_slider(float(new))
+
+    def apply_dragged(at: int) -> None:
+        put(low + span * (at / _SLIDER_STEPS) ** bend)
+
+    place_slider(value)
+    box.valueChanged.connect(place_slider)
+    slider.valueChanged.connect(apply_dragged)
+    row.addWidget(slider, 1)
+    row.addWidget(box)
+    return ParameterControl(widget=both, show=show)

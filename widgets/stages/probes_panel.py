@@ -1,0 +1,132 @@
+"""The probe: the trace of one pixel through the stages, and the table of the pinned pixels."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
+
+from PyQt6.QtCore import QEvent, QSignalBlocker, Qt, pyqtSignal
+from PyQt6.QtGui import QColor, QIcon, QPixmap
+from PyQt6.QtWidgets import (
+    QFrame,
+    QHBoxLayout,
+    QHeaderView,
+    QLabel,
+    QPushButton,
+    QScrollArea,
+    QTableWidget,
+    QTableWidgetItem,
+    QVBoxLayout,
+    QWidget,
+)
+
+from widgets.style.base import EventListener
+from widgets.style.styling import fill, set_spacing
+from widgets.style.tables import prepare_table
+from widgets.style.theme import get_probe_colour, get_theme_colours, to_hex, to_qcolor
+
+_HINT = "A click on an image pins a pixel, up to five; a click on its mark releases it."
+_ICON_PX = 10
+_INVITATION = (
+    "Move the mouse over an image to follow that pixel through every stage. "
+    "A click pins it, up to five (again, or <b>F</b>, to release); <b>Esc</b> clears all."
+)
+_LINES = 2  # more lines scroll
+
+
+class TracePanel(QScrollArea):
+    """Shows a pixel trace, one titled step after the other."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.setObjectName("trace")
+        self.setAccessibleName("trace of the pixel")
+        self.setWidgetResizable(True)
+        self.setFrameShape(QFrame.Shape.NoFrame)
+        self._label = QLabel(_INVITATION)
+        self._label.setWordWrap(True)
+        self._label.setTextFormat(Qt.TextFormat.RichText)
+        self._label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+        self._label.setAlignment(Qt.AlignmentFlag.AlignTop)
+        body = QWidget()
+        layout = QVBoxLayout(body)
+        layout.setContentsMargins(6, 1, 6, 1)
+        layout.addWidget(self._label)
+        self.setWidget(body)
+        self.setFixedHeight(_LINES * self.fontMetrics().lineSpacing() + 3)
+        self.text = ""
+        self._shown: tuple[Sequence[tuple[str, str]], bool, str, bool] = ((), False, "", False)
+        EventListener(self, self._show_again, QEvent.Type.PaletteChange)
+
+    def _show_again(self) -> None:
+        steps, pinned, ending, waits = self._shown
+        self.show_steps(steps, pinned=pinned, ending=ending, is_waiting=waits)
+
+    def show_steps(
+        self, steps: Sequence[tuple[str, str]], *, pinned: bool = False, ending: str = "", is_waiting: bool = False
+    ) -> None:
+        """Show (stage title, text) pairs in order, and why the trace ends; in plain colour while `is_waiting`."""
+        self._shown = steps, pinned, ending, is_waiting
+        self.text = " → ".join(text for _, text in steps)
+        if not steps:
+            self._label.setText(_INVITATION)
+            return
+        soft, alarm = (
+            to_hex(get_theme_colours(self.palette()).secondary_text),
+            to_hex(get_theme_colours(self.palette()).warning_text),
+        )
+        parts = [f"<span style='color:{soft}'>{escape(title)}</span> <b>{escape(text)}</b>" for title, text in steps]
+        sentence = " &nbsp;→&nbsp; ".join(parts)
+        if ending:
+            sentence += f" &nbsp; <span style='color:{soft if is_waiting else alarm}'>{escape(ending)}</span>"
+        self._label.setText(sentence + (" &nbsp; <i>pinned</i>" if pinned else ""))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProbeRow:
+    """One pinned pixel."""
+
+    number: int
+    cells: tuple[str, ...]  # as the titles
+    tips: tuple[str, ...]  # one per cell
+
+
+class ProbesPanel(QWidget):
+    """Shows one row per pinned pixel; `probe_chosen` carries the number of the selected row."""
+
+    probe_chosen = pyqtSignal(int)
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.table, self.clear_button = QTableWidget(0, 0), QPushButton("Release all")
+        columns = prepare_table(self.table, "probes", "pinned pixels")
+        columns.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
+        self.table.cellClicked.connect(self._choose)
+        self._numbers: tuple[int, ...] = ()
+        self.clear_button.setEnabled(False)
+        head = fill(set_spacing(QHBoxLayout(), 8), (QLabel(_HINT), 1), self.clear_button)
+        fill(set_spacing(QVBoxLayout(self), 3, (6, 3, 6, 2)), head, (self.table, 1))
+
+    def _choose(self, row: int, _: int) -> None:
+        self.probe_chosen.emit(self._numbers[row])
+
+    def show_probes(self, titles: Sequence[str], rows: Sequence[ProbeRow]) -> None:
+        """Show these pinned pixels under these titles."""
+        self._numbers = tuple(row.number for row in rows)
+        self.clear_button.setEnabled(bool(rows))
+        with QSignalBlocker(self.table):
+            self.table.setColumnCount(len(titles))
+            self.table.setHorizontalHeaderLabels(titles)
+            self.table.setRowCount(len(rows))
+            for at, row in enumerate(rows):
+                for column, (text, tip) in enumerate(zip(row.cells, row.tips, strict=True)):
+                    item = QTableWidgetItem(text)
+                    item.setToolTip(tip)
+                    if column == 0:
+                        item.setIcon(_make_icon(row.number))
+                    self.table.setItem(at, column, item)
+
+
+def _make_icon(number: int) -> QIcon:
+    pixmap = QPixmap(_ICON_PX, _ICON_PX)
+    pixmap.fill(QColor(to_qcolor(get_probe_colour(number))))
+    return QIcon(pixmap)

@@ -1,0 +1,86 @@
+"""One axis of an alignment: a slider and a spin box."""
+
+from PyQt6.QtCore import QObject, QSignalBlocker, Qt, pyqtSignal
+from PyQt6.QtWidgets import QSizePolicy, QSlider
+
+from pipeline.sensors.alignment import Axis
+from pipeline.translation.alignment.nudge import axis_unit
+from widgets.style.base import NumberBox
+from widgets.style.styling import ThemedLabel, make_bold
+
+_PER_UNIT = {"mm": 20, "deg": 10}  # slider steps per unit: 0.05 mm, 0.1 deg
+_REACH = {"mm": 5, "deg": 10}  # range of the slider to either side
+_FARTHEST = {"mm": 200.0, "deg": 179.0}  # range of the spin box
+_STEP = {"mm": 0.05, "deg": 0.1}
+_DIGITS = {"mm": 3, "deg": 2}
+_SIGN = {"mm": " mm", "deg": "°"}
+
+
+class AxisRow(QObject):
+    """Label, slider and spin box of one axis, which show the same number."""
+
+    value_changed = pyqtSignal(str, float)  # axis, mm or degrees
+
+    def __init__(self, axis: Axis, parent: QObject | None = None) -> None:
+        super().__init__(parent)
+        self.axis: Axis = axis
+        unit = axis_unit(axis)
+        self._per_unit = _PER_UNIT[unit]
+        self.label = ThemedLabel(lambda inks: inks.axes["xyz".index(axis[-1])], axis)
+        make_bold(self.label)
+        self.slider = QSlider(Qt.Orientation.Horizontal)
+        self.slider.setRange(-_REACH[unit] * self._per_unit, _REACH[unit] * self._per_unit)
+        self.slider.setSingleStep(1)
+        self.slider.setPageStep(self._per_unit)
+        self.slider.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
+        self.box = NumberBox()
+        self.box.setDecimals(_DIGITS[unit])
+        self.box.setRange(-_FARTHEST[unit], _FARTHEST[unit])
+        self.box.setSingleStep(_STEP[unit])
+        self.box.setSuffix(_SIGN[unit])
+        self.box.setKeyboardTracking(False)
+        self.box.setAlignment(Qt.AlignmentFlag.AlignRight)
+        self._explain(axis, unit)
+        self.slider.valueChanged.connect(self._slid)
+        self.box.valueChanged.connect(self._apply_typed)
+
+    def _explain(self, axis: Axis, unit: str) -> None:
+        along = axis[-1]
+        what = f"translation along {along}" if unit == "mm" else f"rotation about {along}"
+        self.show_frame_name("target")
+        for widget, kind in ((self.slider, "slider"), (self.box, "box")):
+            widget.setObjectName(f"align_{axis}_{kind}")
+            widget.setAccessibleName(f"{what}, {'millimetres' if unit == 'mm' else 'degrees'}")
+
+    def show_frame_name(self, frame: str) -> None:
+        """Show the name of the frame that the axes belong to."""
+        along = self.axis[-1]
+        if axis_unit(self.axis) == "mm":
+            tip = f"Translate the touch along {along} of the {frame} frame, mm"
+        else:
+            tip = (
+                f"Rotate the touch about {along} of the {frame} frame, degrees, about the centre "
+                f"of the contact; the three form a rotation vector"
+            )
+        tip += f"; offset from the open alignment. Wheel and arrow keys: steps of {_STEP[axis_unit(self.axis)]:g}"
+        tip += _SIGN[axis_unit(self.axis)]
+        for widget in (self.label, self.slider, self.box):
+            widget.setToolTip(tip)
+
+    def show_value(self, value: float) -> None:
+        """Show a number without emitting a signal."""
+        with QSignalBlocker(self.slider), QSignalBlocker(self.box):
+            if not self.slider.isSliderDown():
+                self.slider.setValue(round(value * self._per_unit))
+            self.box.setValue(value)
+
+    def _slid(self, position: int) -> None:
+        value = position / self._per_unit
+        with QSignalBlocker(self.box):
+            self.box.setValue(value)
+        self.value_changed.emit(self.axis, value)
+
+    def _apply_typed(self, value: float) -> None:
+        with QSignalBlocker(self.slider):
+            self.slider.setValue(round(value * self._per_unit))
+        self.value_changed.emit(self.axis, value)

@@ -1,0 +1,102 @@
+"""One metric as a bar with fixed limits, and a tick at its value before a drag."""
+
+import math
+from dataclasses import dataclass
+
+from PyQt6.QtCore import QPointF, QRectF, Qt
+from PyQt6.QtGui import QColor, QPainter, QPen, QPolygonF
+
+from widgets.style.base import FIXED, PaintedWidget
+from widgets.style.theme import ThemeColours, to_qcolor
+
+_BAR_PX = 9
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GaugeScale:
+    """Range and unit of a gauge; the limits are absolute."""
+
+    name: str
+    unit: str  # "" for a share
+    full_value: float  # the bar is full at this value and beyond
+    digits: int
+    higher_is_better: bool
+    help: str
+
+
+class Gauge(PaintedWidget):
+    """Name, bar from 0 to the full value, number with unit, and ghost tick."""
+
+    def __init__(self, scale: GaugeScale) -> None:
+        super().__init__("gauge", scale.name, down=FIXED)
+        self._scale = scale
+        self.value: float | None = None  # None = no value
+        self.ghost: float | None = None  # position of the ghost tick
+        self.preferred_px = 180, self.fontMetrics().height() + 4  # one line
+        better = "higher is better" if scale.higher_is_better else "lower is better"
+        self.setToolTip(
+            f"{scale.help}; {better}; the bar is full at {scale.full_value:g}{self._unit()}; "
+            f"the tick marks the value before the last drag"
+        )
+
+    @property
+    def text(self) -> str:
+        """The value with its unit."""
+        known = self.value is not None and math.isfinite(self.value)
+        return f"{self.value:.{self._scale.digits}f}{self._unit()}" if known else "-"
+
+    def show_value(self, value: float | None) -> None:
+        """Show a value; None for none."""
+        if value != self.value:
+            self.value = value
+            self.setAccessibleDescription(self.text)
+            self.update()
+
+    def show_scale(self, scale: GaugeScale) -> None:
+        """Change the limits."""
+        if scale != self._scale:
+            self._scale = scale
+            self.update()
+
+    def mark_ghost(self, value: float | None) -> None:
+        """Set the ghost tick; None removes it."""
+        if value != self.ghost:
+            self.ghost = value
+            self.update()
+
+    def paint(self, painter: QPainter, ink: ThemeColours) -> None:
+        """Paint name, bar, tick and number."""
+        metrics = self.fontMetrics()
+        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+        left = metrics.horizontalAdvance("mask IoU") + 8
+        right = metrics.horizontalAdvance("00.000 mm") + 6
+        height = self.height()
+        painter.setPen(self.palette().text().color())
+        middle = int(Qt.AlignmentFlag.AlignVCenter)
+        painter.drawText(QRectF(0, 0, left, height), middle | int(Qt.AlignmentFlag.AlignLeft), self._scale.name)
+        number = QRectF(self.width() - right, 0, right, height)
+        painter.drawText(number, middle | int(Qt.AlignmentFlag.AlignRight), self.text)
+        bar = QRectF(left, (height - _BAR_PX) / 2, max(10.0, self.width() - left - right), _BAR_PX)
+        painter.setPen(Qt.PenStyle.NoPen)
+        painter.setBrush(to_qcolor(ink.gauge_background))
+        painter.drawRoundedRect(bar, 2, 2)
+        if self.value is not None and math.isfinite(self.value):
+            painter.setBrush(to_qcolor(ink.gauge))
+            painter.drawRoundedRect(QRectF(bar.left(), bar.top(), bar.width() * self._share(self.value), _BAR_PX), 2, 2)
+        if self.ghost is not None and math.isfinite(self.ghost):
+            self._draw_ghost(painter, bar, to_qcolor(ink.ghost))
+
+    def _draw_ghost(self, painter: QPainter, bar: QRectF, colour: QColor) -> None:
+        x = bar.left() + bar.width() * self._share(self.ghost or 0.0)
+        painter.setPen(QPen(colour, 1.6))
+        painter.drawLine(QPointF(x, bar.top() - 2), QPointF(x, bar.bottom() + 2))
+        painter.setPen(Qt.PenStyle.NoPen)
+        painter.setBrush(colour)
+        top = bar.top() - 1
+        painter.drawPolygon(QPolygonF([QPointF(x - 3, top - 3), QPointF(x + 3, top - 3), QPointF(x, top + 1)]))
+
+    def _share(self, value: float) -> float:
+        return min(max(value / self._scale.full_value, 0.0), 1.0)
+
+    def _unit(self) -> str:
+        return f" {self._scale.unit}" if self._scale.unit else ""

@@ -1,0 +1,242 @@
+"""Plots in the theme's colours, with pan, zoom and export; pyqtgraph is imported when the first one is shown."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
+from typing import Any
+
+import numpy as np
+from PyQt6.QtCore import QEvent, QSize, Qt, pyqtSignal
+from PyQt6.QtGui import QAction, QPalette
+from PyQt6.QtWidgets import QVBoxLayout, QWidget
+
+from widgets.style.base import EventListener
+from widgets.style.styling import fill, set_spacing
+from widgets.style.theme import ThemeColours, get_theme_colours, to_hex, to_qcolor
+
+_LABEL_PX = 52  # width of the numbers at the left: axes above each other begin at the same place
+_GRID_ALPHA = 40
+_N_LABELS, _BAND_ALPHA, _COVER_ALPHA = 8, 60, 200  # most names of steps; opacity of bands, and behind titles
+_STYLES = Qt.PenStyle.SolidLine, Qt.PenStyle.DashLine, Qt.PenStyle.DotLine  # of the curves of a strip
+
+
+class Plot(QWidget):
+    """Axes above each other; subclasses override `draw`, and call `redraw` when their data change."""
+
+    preferred_px = 320, 320  # width, height
+
+    def __init__(self, name: str, description: str) -> None:
+        """`name` finds the widget, `description` is what a screen reader says."""
+        super().__init__()
+        self.setObjectName(name)
+        self.setAccessibleName(description)
+        self._view: Any = None
+        self._axes: list[Axes] = []
+        self._layout = set_spacing(QVBoxLayout(self), 0)
+        EventListener(self, self.redraw, QEvent.Type.Show, QEvent.Type.PaletteChange)
+        self.setContextMenuPolicy(Qt.ContextMenuPolicy.ActionsContextMenu)
+        for text, act in (("View all", self._view_all), ("Export…", self._export)):
+            action = QAction(text, self)
+            action.triggered.connect(act)
+            self.addAction(action)
+
+    def sizeHint(self) -> QSize:  # noqa: N802
+        """Return the same size before the first drawing and after."""
+        return QSize(*self.preferred_px)
+
+    def redraw(self) -> None:
+        """Draw again; a plot that is not visible is drawn when it is shown."""
+        if not self.isVisible():
+            return
+        import pyqtgraph
+
+        if self._view is None:
+            self._view = pyqtgraph.GraphicsLayoutWidget()
+            for part in (self._view, self._view.viewport()):
+                part.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+            self._view.setContextMenuPolicy(Qt.ContextMenuPolicy.NoContextMenu)  # this widget has one
+            self._view.ci.layout.setSpacing(2)
+            self._view.scene().sigMouseClicked.connect(self.handle_click)
+            fill(self._layout, (self._view, 1))
+        self._view.setBackground(self.palette().color(QPalette.ColorRole.Base))
+        for axes in self._axes:
+            axes.view.clear()
+        self.draw(pyqtgraph, get_theme_colours(self.palette()))
+
+    def draw(self, pyqtgraph: Any, ink: ThemeColours) -> None:
+        """Draw the data on axes from `prepare_axes`."""
+        raise NotImplementedError
+
+    def handle_click(self, event: Any) -> None:
+        """Handle a click (a `pyqtgraph` event of the scene)."""
+
+    def prepare_axes(self, pyqtgraph: Any, row: int, across: str = "", up: str = "") -> Axes:
+        """Return the empty axes of a row, with these labels; pan and zoom stay."""
+        while len(self._axes) <= row:
+            self._axes.append(Axes(pyqtgraph, self._view, len(self._axes)))
+            if len(self._axes) > 1:
+                self._axes[-1].view.setXLink(self._axes[0].view)
+        palette, axes = self.palette(), self._axes[row]
+        for axis, label in ((axes.bottom, across), (axes.left, up)):
+            axis.setPen(palette.color(QPalette.ColorRole.Mid))
+            axis.setTextPen(palette.color(QPalette.ColorRole.WindowText))
+            axis.setLabel(label, siPrefixEnableRanges=())  # values as they are, in the unit of the label
+        return axes
+
+    def _view_all(self) -> None:
+        for axes in self._axes:
+            axes.view.autoRange()
+
+    def _export(self) -> None:
+        if self._axes:
+            scene = self._view.scene()
+            scene.contextMenuItem = self._axes[0].view
+            scene.showExportDialog()
+
+
+class Axes:
+    """A view of data with an axis at its left and one below; a `pyqtgraph.PlotItem` brings menus of 60 controls."""
+
+    def __init__(self, pyqtgraph: Any, layout: Any, row: int) -> None:
+        self._pyqtgraph = pyqtgraph
+        self.view = pyqtgraph.ViewBox(enableMenu=False)
+        self.left, self.bottom = (pyqtgraph.AxisItem(side, linkView=self.view) for side in ("left", "bottom"))
+        self.left.setWidth(_LABEL_PX)
+        self.left.setGrid(_GRID_ALPHA)
+        self.left.setZValue(-1000)  # its grid is below the curves
+        layout.addItem(self.left, row=2 * row, col=0)
+        layout.addItem(self.view, row=2 * row, col=1)
+        layout.addItem(self.bottom, row=2 * row + 1, col=1)
+
+    def plot(self, *data: Any, **style: Any) -> Any:
+        """Add a curve or points (a `pyqtgraph.PlotDataItem`)."""
+        item = self._pyqtgraph.PlotDataItem(*data, **style)
+        self.view.addItem(item)
+        return item
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Strip:
+    """Curves over the same steps, on axes of their own."""
+
+    title: str  # with the unit
+    curves: Sequence[tuple[str, Sequence[float]]]  # name, and a value per step; NaN = none
+    has_axis_colours: bool = False  # curves are x, y and z
+    least_span: float = 0.0  # noise does not fill the axes
+
+
+class StripPlot(Plot):
+    """Strips over the same steps with a cursor; a click, a drag of the cursor or an arrow key chooses a step."""
+
+    step_chosen = pyqtSignal(int)
+    preferred_px, across = (400, 130), "step"
+
+    def __init__(self, name: str, description: str) -> None:
+        super().__init__(name, description)
+        self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+        self.strips: Sequence[Strip] = ()
+        self.marks: Sequence[int] = ()
+        self._labels: Sequence[str] = ()
+        self._bands: Sequence[tuple[int, int, bool]] = ()
+        self._turns: Sequence[int] = ()
+        self._cursors: list[Any] = []
+        self.current_step = -1
+
+    def show_strips(
+        self, strips: Sequence[Strip], labels: Sequence[str] = (), *, marks: Sequence[int] = (),
+        bands: Sequence[tuple[int, int, bool]] = (), turns: Sequence[int] = (),
+    ) -> None:  # fmt: skip
+        """Show strips over steps that `labels` name, by default by their numbers.
+
+        `marks` are steps with a triangle at the top, `bands` (first, last, is bad) are steps with a background, and a
+        line stands before each of the `turns`.
+        """
+        self.strips, self._labels, self.marks, self._bands, self._turns = strips, labels, marks, bands, turns
+        self.redraw()
+
+    def show_step(self, at: int) -> None:
+        """Mark a step."""
+        self.current_step = at
+        for cursor in self._cursors:
+            cursor.setValue(at)
+
+    @property
+    def n_steps(self) -> int:
+        """Number of steps."""
+        return len(self.strips[0].curves[0][1]) if self.strips else 0
+
+    def draw(self, pyqtgraph: Any, ink: ThemeColours) -> None:
+        """Draw the strips."""
+        for axes in self._axes[len(self.strips) :]:
+            for item in (axes.left, axes.view, axes.bottom):
+                self._view.removeItem(item)
+        del self._axes[len(self.strips) :]
+        self._cursors = [self._draw_strip(pyqtgraph, ink, row, strip) for row, strip in enumerate(self.strips)]
+
+    def _draw_strip(self, pyqtgraph: Any, ink: ThemeColours, row: int, strip: Strip) -> Any:
+        """Draw a strip; returns its cursor."""
+        is_last, palette = row == len(self.strips) - 1, self.palette()
+        axes = self.prepare_axes(pyqtgraph, row, self.across if is_last else "")
+        axes.bottom.setVisible(is_last)
+        every = max(1, len(self._labels) // _N_LABELS)
+        ticks = [(k, label) for k, label in enumerate(self._labels) if k % every == 0]
+        axes.bottom.setTicks([ticks] if ticks else None)
+        for first, last, is_bad in self._bands:
+            colour = to_qcolor(ink.worse, _BAND_ALPHA) if is_bad else palette.color(QPalette.ColorRole.Midlight)
+            limits = first - 0.5, last + 0.5
+            axes.view.addItem(
+                pyqtgraph.LinearRegionItem(limits, movable=False, brush=colour, pen=pyqtgraph.mkPen(None))
+            )
+        for turn in self._turns:
+            pen = pyqtgraph.mkPen(palette.color(QPalette.ColorRole.Mid), style=Qt.PenStyle.DashLine)
+            axes.view.addItem(pyqtgraph.InfiniteLine(turn - 0.5, pen=pen))
+        colours = ink.axes if strip.has_axis_colours else (ink.accent, ink.worse)
+        words = [
+            f"<span style='color: {palette.color(QPalette.ColorRole.WindowText).name()}'>{escape(strip.title)}</span>"
+        ]
+        for (name, values), colour, style in zip(strip.curves, colours, _STYLES, strict=False):
+            pen = pyqtgraph.mkPen(to_qcolor(colour), width=1.5, style=style)
+            axes.plot(np.arange(len(values)), np.asarray(values, np.float64), pen=pen, connect="finite", antialias=True)
+            words.append(f"<span style='color: {to_hex(colour)}'>{escape(name)}</span>")
+        known = [value for _, values in strip.curves for value in values if math.isfinite(value)]
+        low, high = min((0.0, *known)), max((0.0, *known))
+        high = max(high, low + strip.least_span)
+        axes.view.setYRange(low, high)
+        if row == 0 and self.marks:
+            brush = to_qcolor(ink.worse)
+            axes.plot(self.marks, [high] * len(self.marks), pen=None, symbol="t", symbolBrush=brush, symbolPen=None)
+        cover = to_qcolor(palette.color(QPalette.ColorRole.Base).getRgb()[:3], _COVER_ALPHA)
+        title = pyqtgraph.TextItem(html=" &nbsp; ".join(words), anchor=(0, 0), fill=cover)
+        axes.view.addItem(title, ignoreBounds=True)
+        title.setPos(0, high)
+        cursor = pyqtgraph.InfiniteLine(
+            self.current_step, movable=True, pen=pyqtgraph.mkPen(to_qcolor(ink.accent), width=2)
+        )
+        cursor.sigPositionChanged.connect(self._follow_cursor)
+        axes.view.addItem(cursor)
+        return cursor
+
+    def _follow_cursor(self, cursor: Any) -> None:
+        self._choose(round(cursor.value()))
+
+    def handle_click(self, event: Any) -> None:
+        """Choose the step at this position."""
+        if self._axes:
+            self._choose(round(self._axes[0].view.mapSceneToView(event.scenePos()).x()))
+
+    def _choose(self, at: int) -> None:
+        at = min(max(at, 0), self.n_steps - 1)
+        if self.n_steps and at != self.current_step:
+            self.step_chosen.emit(at)
+
+    def keyPressEvent(self, a0: Any) -> None:  # noqa: N802
+        """Choose the next, previous, first or last step."""
+        ways = {Qt.Key.Key_Left: self.current_step - 1, Qt.Key.Key_Right: self.current_step + 1, Qt.Key.Key_Home: 0,
+                Qt.Key.Key_End: self.n_steps - 1}  # fmt: skip
+        if a0.key() in ways:
+            self._choose(ways[a0.key()])
+        else:
+            super().keyPressEvent(a0)

@@ -1,0 +1,144 @@
+"""Shared styling: fonts, layout spacing, and buttons for commands."""
+
+from collections.abc import Callable
+from typing import TypeVar
+
+from PyQt6.QtCore import QEvent, QObject, Qt, QTimer
+from PyQt6.QtGui import QAction, QGuiApplication, QPalette
+from PyQt6.QtWidgets import QBoxLayout, QLabel, QLayout, QLineEdit, QPushButton, QSplitter, QToolButton, QWidget
+
+from pipeline.views.colours import Rgb
+from widgets.style.base import EventListener
+from widgets.style.icons import make_command_icon
+from widgets.style.theme import ThemeColours, get_theme_colours, to_qcolor
+
+_Layout = TypeVar("_Layout", bound=QLayout)
+_Box = TypeVar("_Box", bound=QBoxLayout)
+
+
+def set_spacing(layout: _Layout, between_px: int, around_px: tuple[int, int, int, int] = (0, 0, 0, 0)) -> _Layout:
+    """Return the layout with this spacing between its items and margins (left, top, right, bottom)."""
+    layout.setSpacing(between_px)
+    layout.setContentsMargins(*around_px)
+    return layout
+
+
+def fill(layout: _Box, *items: QWidget | QLayout | int | tuple[QWidget | QLayout, int]) -> _Box:
+    """Add widgets and layouts in order; (item, n) takes n shares of the spare room, a bare n leaves n shares empty."""
+    for item in items:
+        part, share = item if isinstance(item, tuple) else (item, 0)
+        if isinstance(part, int):
+            layout.addStretch(part)
+        elif isinstance(part, QWidget):
+            layout.addWidget(part, share)
+        else:
+            layout.addLayout(part, share)
+    return layout
+
+
+def make_splitter(way: Qt.Orientation, *items: tuple[QWidget, int]) -> QSplitter:
+    """Return a splitter with widgets and the shares of the room that they gain or lose."""
+    splitter = QSplitter(way)
+    for place, (widget, share) in enumerate(items):
+        splitter.addWidget(widget)
+        splitter.setStretchFactor(place, share)
+    return splitter
+
+
+def make_bold(widget: QWidget) -> None:
+    """Make a widget's font bold."""
+    font = widget.font()
+    font.setBold(True)
+    widget.setFont(font)
+
+
+def make_single_shot_timer(parent: QObject, after_ms: int, then: Callable[[], object]) -> QTimer:
+    """Return a timer that calls `then` once, `after_ms` after its last start."""
+    timer = QTimer(parent)
+    timer.setSingleShot(True)
+    timer.setInterval(after_ms)
+    timer.timeout.connect(then)
+    return timer
+
+
+def make_command_button(action: QAction) -> QToolButton:
+    """Return a flat button for a command."""
+    button = QToolButton()
+    button.setDefaultAction(action)
+    button.setAutoRaise(True)
+    return button
+
+
+def make_button(text: str, name: str, tip: str = "") -> QPushButton:
+    """Return a button with a text, an object name and a tooltip."""
+    button = QPushButton(text)
+    button.setObjectName(name)
+    button.setToolTip(tip)
+    return button
+
+
+def make_search_line(name: str, description: str, placeholder: str, tip: str = "") -> QLineEdit:
+    """Return a line for a search or filter, with a button that clears it."""
+    line = QLineEdit()
+    line.setObjectName(name)
+    line.setAccessibleName(description)
+    line.setPlaceholderText(placeholder)
+    line.setToolTip(tip)
+    line.setClearButtonEnabled(True)
+    return line
+
+
+def copy_text(text: str) -> None:
+    """Put a text on the clipboard."""
+    clipboard = QGuiApplication.clipboard()
+    if clipboard is not None:
+        clipboard.setText(text)
+
+
+def make_icon_button(icon: str, name: str, tip: str) -> QToolButton:
+    """Return a flat button with an icon, an object name and a tooltip."""
+    button = QToolButton()
+    button.setIcon(make_command_icon(icon))
+    button.setAutoRaise(True)
+    button.setObjectName(name)
+    button.setToolTip(tip)
+    button.setAccessibleName(tip)
+    return button
+
+
+class ThemedLabel(QLabel):
+    """Label in one of the theme's text colours."""
+
+    def __init__(self, ink: Callable[[ThemeColours], Rgb], text: str = "") -> None:
+        super().__init__(text)
+        self._ink = ink
+        self._take_ink()
+        EventListener(self, self._take_ink, QEvent.Type.PaletteChange)
+
+    def _take_ink(self) -> None:
+        colour = to_qcolor(self._ink(get_theme_colours(self.palette())))
+        if self.palette().color(QPalette.ColorRole.WindowText) != colour:
+            own = QPalette()
+            for group in (QPalette.ColorGroup.Active, QPalette.ColorGroup.Inactive):
+                own.setColor(group, QPalette.ColorRole.WindowText, colour)
+            self.setPalette(own)
+
+
+class FittingSplitter(QSplitter):
+    """Fits its contents until the user drags the handle; subclasses override `fit_sizes`."""
+
+    def __init__(self) -> None:
+        super().__init__(Qt.Orientation.Vertical)
+        self.setChildrenCollapsible(False)
+        self.is_user_sized = False  # afterwards the contents keep their share
+        self._soon = make_single_shot_timer(self, 0, self.fit_sizes)
+        self.splitterMoved.connect(self.keep_sizes)
+        EventListener(self, self._soon.start, QEvent.Type.Resize)
+
+    def fit_sizes(self) -> None:
+        """Choose the sizes, unless the user set them."""
+        raise NotImplementedError
+
+    def keep_sizes(self) -> None:
+        """Keep the sizes that the user chose."""
+        self.is_user_sized = True

@@ -1,0 +1,161 @@
+"""Tables: models of rows, filters by words and limits, their common look, and their copy as text."""
+
+import math
+import re
+from collections.abc import Callable, Sequence
+from functools import partial
+
+from PyQt6.QtCore import QAbstractTableModel, QEvent, QModelIndex, QObject, QPoint, QSortFilterProxyModel, Qt
+from PyQt6.QtGui import QKeyEvent, QKeySequence
+from PyQt6.QtWidgets import QAbstractItemView, QHeaderView, QMenu, QTableView, QWidget
+
+from widgets.style.styling import copy_text
+
+_Role = Qt.ItemDataRole
+SORT_ROLE = Qt.ItemDataRole.UserRole  # a number, so that 10 comes after 9; unknown values come last
+_LIMIT = re.compile(r"([<>])=?(-?\d+(?:\.\d*)?|-?\.\d+)$")
+
+
+def get_limits(words: str) -> tuple[float, float]:
+    """Return the range that the limits among the terms of a filter leave, infinite where there is none."""
+    limits = [match for match in map(_LIMIT.match, words.split()) if match is not None]
+    return (
+        max((float(m.group(2)) for m in limits if m.group(1) == ">"), default=-math.inf),
+        min((float(m.group(2)) for m in limits if m.group(1) == "<"), default=math.inf),
+    )
+
+
+def replace_limits(words: str, low: float, high: float) -> str:
+    """Return the filter with these limits in place of its own, none where they are infinite."""
+    others = [word for word in words.split() if _LIMIT.match(word) is None]
+    limits = [f"{sign}{_format_limit(value)}" for sign, value in ((">", low), ("<", high)) if math.isfinite(value)]
+    return " ".join((*others, *limits))
+
+
+def _format_limit(value: float) -> str:
+    """Return a number to three significant digits, without an exponent."""
+    digits = 2 - math.floor(math.log10(abs(value))) if value else 0
+    return f"{value:.{min(max(digits, 0), 9)}f}"
+
+
+class RowsModel(QAbstractTableModel):
+    """One row per thing under titled columns; subclasses set `n_rows` and the cells' `data`."""
+
+    def __init__(self, titles: Sequence[str], tips: Sequence[str], parent: QObject) -> None:
+        super().__init__(parent)
+        self.n_rows = 0
+        self._headings: dict[int, list[str]] = {_Role.DisplayRole: list(titles), _Role.ToolTipRole: list(tips)}
+
+    def rowCount(self, parent: QModelIndex = QModelIndex()) -> int:  # noqa: N802, B008 - Qt's own default
+        """Return the number of rows."""
+        return 0 if parent.isValid() else self.n_rows
+
+    def columnCount(self, parent: QModelIndex = QModelIndex()) -> int:  # noqa: N802, B008 - Qt's own default
+        """Return the number of columns."""
+        return 0 if parent.isValid() else len(self._headings[_Role.DisplayRole])
+
+    def headerData(self, section: int, orientation: Qt.Orientation, role: int = _Role.DisplayRole) -> object:  # noqa: N802
+        """Return title or tooltip of a column."""
+        is_column = orientation == Qt.Orientation.Horizontal and 0 <= section < self.columnCount()
+        return self._headings[role][section] if is_column and role in self._headings else None
+
+
+class RowFilter(QSortFilterProxyModel):
+    """Sorts by the table's sort role; lists the rows of the source for which all terms of a filter hold."""
+
+    def __init__(self, model: QAbstractTableModel, matches: Callable[[int, str], bool]) -> None:
+        """`matches(row, term)` returns whether a term holds."""
+        super().__init__(model)
+        self._words, self._matches = tuple[str, ...](), matches
+        self.setSourceModel(model)
+        self.setSortRole(SORT_ROLE)
+
+    def set_filter(self, words: str) -> None:
+        """List the rows for which all terms hold; all rows for no term."""
+        wanted = tuple(words.lower().split())
+        if wanted != self._words:
+            self._words = wanted
+            self.invalidateFilter()
+
+    def filterAcceptsRow(self, source_row: int, source_parent: QModelIndex) -> bool:  # noqa: N802
+        """Return whether a row is listed."""
+        return not source_parent.isValid() and all(self._matches(source_row, word) for word in self._words)
+
+
+def matches_limit(word: str, value: float) -> bool | None:
+    """Return whether a value is beyond the limit that a term is, never if it is unknown; None for another term."""
+    limit = _LIMIT.match(word)
+    if limit is None:
+        return None
+    bound = float(limit.group(2))
+    return value > bound if limit.group(1) == ">" else -math.inf < value < bound
+
+
+def prepare_table(table: QTableView, name: str, description: str) -> QHeaderView:
+    """Show rows of one line, selected as a whole and edited nowhere; returns the header of the columns."""
+    table.setObjectName(name)
+    table.setAccessibleName(description)
+    table.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
+    table.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
+    table.setShowGrid(False)
+    table.setWordWrap(False)
+    rows, columns = table.verticalHeader(), table.horizontalHeader()
+    assert rows is not None
+    assert columns is not None
+    rows.hide()
+    rows.setDefaultSectionSize(table.fontMetrics().height() + 5)
+    columns.setDefaultAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter)
+    return columns
+
+
+class TableCopier(QObject):
+    """Watches every table of a window; tables that are added later need `watch_tables` again."""
+
+    def __init__(self, window: QWidget) -> None:
+        super().__init__(window)
+        self.watch_tables(window)
+
+    def watch_tables(self, part: QWidget) -> None:
+        """Let every table in `part` be copied."""
+        for table in part.findChildren(QTableView):
+            table.installEventFilter(self)
+            table.setContextMenuPolicy(Qt.ContextMenuPolicy.CustomContextMenu)
+            table.customContextMenuRequested.connect(partial(_show_menu, table))
+
+    def eventFilter(self, a0: QObject | None, a1: QEvent | None) -> bool:  # noqa: N802
+        """Take Ctrl+C from the window while a table has the focus."""
+        if isinstance(a1, QKeyEvent) and isinstance(a0, QTableView) and a1.matches(QKeySequence.StandardKey.Copy):
+            a1.accept()
+            if a1.type() == QEvent.Type.KeyPress:
+                copy_table(a0, only_selected=True)
+            return True
+        return super().eventFilter(a0, a1)
+
+
+def copy_table(table: QTableView, *, only_selected: bool = False) -> None:
+    """Copy a table as text with tabs, as spreadsheets take it: titles, then the rows in the order on screen."""
+    copy_text(format_table(table, only_selected=only_selected))
+
+
+def format_table(table: QTableView, *, only_selected: bool = False) -> str:
+    """Return the visible columns as text; the selected rows alone if asked for and there are any."""
+    model, selection = table.model(), table.selectionModel()
+    if model is None:
+        return ""
+    columns = [column for column in range(model.columnCount()) if not table.isColumnHidden(column)]
+    rows = list(range(model.rowCount()))
+    if only_selected and selection is not None and (chosen := {index.row() for index in selection.selectedIndexes()}):
+        rows = sorted(chosen)
+    titles = [model.headerData(column, Qt.Orientation.Horizontal, _Role.DisplayRole) for column in columns]
+    lines = [titles, *([model.index(row, column).data(_Role.DisplayRole) for column in columns] for row in rows)]
+    return "".join(
+        "\t".join(("" if value is None else " ".join(str(value).split())) for value in line) + "\n" for line in lines
+    )
+
+
+def _show_menu(table: QTableView, at: QPoint) -> None:
+    menu, viewport = QMenu(table), table.viewport()
+    action = menu.addAction("Copy table")
+    if action is not None and viewport is not None:
+        action.triggered.connect(lambda: copy_table(table))
+        menu.popup(viewport.mapToGlobal(at))

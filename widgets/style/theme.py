@@ -1,0 +1,202 @@
+"""Colours of the window; those of quantities are in `pipeline.views.colours`.
+
+Overlays on images (outlines, crosshair) are the same in every theme. Text and signs on the window's background come
+from a `ThemeColours`, one for light and one for dark, with a contrast of at least 4.5 to 1.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from PyQt6.QtGui import QColor, QPalette
+from PyQt6.QtWidgets import QApplication, QToolTip
+
+from pipeline.views.colours import NO_VALUE_COLOUR, ColourMapName, ColourScale, Rgb
+
+CROSSHAIR_COLOUR: Rgb = (230, 0, 115)  # crosshair of the probe
+SECTION_COLOUR: Rgb = (240, 228, 66)  # the section line, with a dark casing
+CATEGORY_COLOURS: tuple[
+    Rgb, ...
+] = (  # poses of a registration, Okabe-Ito: the result first, then the others, best first
+    (0, 114, 178),
+    (230, 159, 0),
+    (0, 158, 115),
+    (204, 121, 167),
+    (86, 180, 233),
+    (213, 94, 0),
+    (240, 228, 66),
+    (90, 90, 100),
+)
+
+_OUTLINED = "QCheckBox", "QSlider", "QLineEdit", "QAbstractSpinBox", "QComboBox"
+_OUTLINE: dict[bool, Rgb] = {False: (122, 129, 140), True: (145, 152, 164)}  # of controls, by whether it is dark
+_FUSION_OUTLINE = 140  # per cent, as `QColor.darker` takes it
+
+
+PROBE_COLOURS = (
+    CATEGORY_COLOURS[1],
+    CATEGORY_COLOURS[4],
+    CATEGORY_COLOURS[2],
+    CATEGORY_COLOURS[6],
+    CATEGORY_COLOURS[3],
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ThemeColours:
+    """Colours on one background."""
+
+    backdrop: Rgb  # behind images and 3D views
+    no_value: Rgb  # pixels without a value
+    diverging: ColourMapName  # signed values: the centre is as bright as the window, so that images do not glare
+    icon: Rgb
+    secondary_text: Rgb  # labels of other text
+    warning_text: Rgb  # warnings
+    warning_mark: Rgb
+    neutral: Rgb  # error attribution: a sum
+    accent: Rgb  # a share that the truth removes (Okabe-Ito blue)
+    worse: Rgb  # a share that the truth adds (vermilion)
+    gauge: Rgb  # gauge: value
+    gauge_background: Rgb  # gauge: range
+    ghost: Rgb  # gauge: value before a drag
+    sensitivity: Rgb  # gauge: sensitivity to an axis
+    axes: tuple[Rgb, Rgb, Rgb]  # x, y, z
+    states: Mapping[str, Rgb]
+
+
+LIGHT_COLOURS = ThemeColours(
+    backdrop=(250, 250, 252),
+    no_value=NO_VALUE_COLOUR,
+    diverging="diverging",
+    icon=(60, 66, 76),
+    secondary_text=(92, 98, 110),
+    warning_text=(150, 64, 31),
+    warning_mark=(160, 82, 0),
+    neutral=(100, 108, 120),
+    accent=(0, 114, 178),
+    worse=(205, 85, 0),
+    gauge=(70, 125, 180),
+    gauge_background=(226, 229, 234),
+    ghost=(40, 44, 52),
+    sensitivity=(240, 190, 120),
+    axes=((190, 45, 45), (28, 118, 48), (50, 90, 200)),
+    states={
+        "computed": (0, 115, 86),
+        "read": (0, 115, 86),
+        "cached": (40, 105, 180),
+        "unchanged": (40, 105, 180),
+        "warning": (160, 82, 0),
+        "skipped": (96, 101, 111),
+        "running": (146, 90, 0),
+        "preview": (146, 90, 0),
+        "draft": (146, 90, 0),
+        "failed": (190, 40, 40),
+        "stale": (125, 90, 20),
+        "waiting": (96, 102, 110),
+    },
+)
+DARK_COLOURS = ThemeColours(
+    backdrop=(24, 26, 30),
+    no_value=(58, 61, 68),
+    diverging="diverging_dark",
+    icon=(205, 210, 218),
+    secondary_text=(160, 168, 180),
+    warning_text=(245, 165, 120),
+    warning_mark=(245, 175, 80),
+    neutral=(150, 158, 170),
+    accent=(86, 180, 233),
+    worse=(240, 140, 70),
+    gauge=(110, 165, 215),
+    gauge_background=(62, 66, 74),
+    ghost=(225, 228, 232),
+    sensitivity=(150, 105, 45),
+    axes=((248, 125, 118), (115, 208, 130), (135, 170, 255)),
+    states={
+        "computed": (85, 203, 165),
+        "read": (85, 203, 165),
+        "cached": (125, 182, 245),
+        "unchanged": (125, 182, 245),
+        "warning": (245, 175, 80),
+        "skipped": (165, 170, 180),
+        "running": (240, 195, 95),
+        "preview": (240, 195, 95),
+        "draft": (240, 195, 95),
+        "failed": (255, 138, 128),
+        "stale": (216, 188, 115),
+        "waiting": (162, 168, 177),
+    },
+)
+
+
+def get_probe_colour(number: int) -> Rgb:
+    """Return the colour of a pinned pixel by its number, from 1; dark text is readable on it."""
+    return PROBE_COLOURS[(number - 1) % len(PROBE_COLOURS)]
+
+
+def to_qcolor(colour: Rgb, alpha: int = 255) -> QColor:
+    """Convert an RGB triple to a Qt colour."""
+    return QColor(*colour, alpha)
+
+
+def to_hex(colour: Rgb) -> str:
+    """Convert an RGB triple to a hex string for rich text and style sheets."""
+    return "#{:02x}{:02x}{:02x}".format(*colour)
+
+
+def is_dark(palette: QPalette) -> bool:
+    """Return whether a palette has light text on a dark background."""
+    return palette.color(QPalette.ColorRole.Base).lightness() < 128
+
+
+def get_theme_colours(palette: QPalette) -> ThemeColours:
+    """Return the theme colours of a palette."""
+    return DARK_COLOURS if is_dark(palette) else LIGHT_COLOURS
+
+
+def get_colour_map(ink: ThemeColours, scale: ColourScale) -> ColourMapName:
+    """Return the colour map that a scale has in a theme."""
+    return ink.diverging if scale.colour_map == "diverging" else scale.colour_map
+
+
+def get_backdrop(palette: QPalette) -> QColor:
+    """Return the colour behind images and 3D views."""
+    return to_qcolor(get_theme_colours(palette).backdrop)
+
+
+def make_palette(*, dark: bool) -> QPalette:
+    """Return the window's palette, set explicitly: without a desktop theme Qt does not know which to take."""
+    palette = QPalette()
+    role, group = QPalette.ColorRole, QPalette.ColorGroup
+    table = (  # role, light, dark
+        (role.Window, (243, 244, 247), (38, 41, 47)), (role.WindowText, (28, 30, 34), (226, 229, 234)),
+        (role.Base, (255, 255, 255), (26, 28, 33)), (role.AlternateBase, (247, 248, 250), (33, 36, 41)),
+        (role.Text, (28, 30, 34), (226, 229, 234)), (role.Button, (238, 240, 244), (52, 56, 63)),
+        (role.ButtonText, (28, 30, 34), (226, 229, 234)), (role.BrightText, (190, 40, 40), (255, 138, 128)),
+        (role.ToolTipBase, (255, 255, 240), (58, 62, 70)), (role.ToolTipText, (28, 30, 34), (236, 238, 242)),
+        (role.Highlight, (45, 110, 190), (48, 106, 184)), (role.HighlightedText, (255, 255, 255), (255, 255, 255)),
+        (role.Link, (30, 95, 180), (125, 182, 245)), (role.PlaceholderText, (96, 102, 110), (160, 166, 175)),
+        (role.Light, (255, 255, 255), (66, 71, 80)), (role.Midlight, (226, 229, 234), (62, 66, 74)),
+        (role.Mid, (200, 204, 210), (84, 90, 100)), (role.Dark, (160, 165, 173), (18, 20, 24)),
+        (role.Shadow, (110, 115, 124), (8, 9, 11)),
+    )  # fmt: skip
+    for which, light, night in table:
+        palette.setColor(which, to_qcolor(night if dark else light))
+    for which in (role.WindowText, role.Text, role.ButtonText):
+        palette.setColor(group.Disabled, which, to_qcolor((116, 122, 132) if dark else (150, 154, 160)))
+    palette.setColor(group.Disabled, role.Highlight, to_qcolor((84, 90, 100) if dark else (200, 204, 210)))  # sliders
+    return palette
+
+
+def use_palette(*, dark: bool) -> None:
+    """Set the palette of the application, unless it is set already.
+
+    Fusion outlines a control in its window colour, darker by `_FUSION_OUTLINE`: nearly invisible on a dark window. So
+    the controls of `_OUTLINED`, which paint nothing else in that colour, get a window colour that makes the outline
+    stand out 3 to 1.
+    """
+    palette = make_palette(dark=dark)
+    if palette != QApplication.palette():
+        QApplication.setPalette(palette)
+        QToolTip.setPalette(palette)
+        palette.setColor(QPalette.ColorRole.Window, to_qcolor(_OUTLINE[dark]).lighter(_FUSION_OUTLINE))
+        for kind in _OUTLINED:
+            QApplication.setPalette(palette, kind)

@@ -1,0 +1,104 @@
+"""Page of the *Task* layout: trials, the scene in 3D, touches, force against time, and the error of a decision."""
+
+from collections.abc import Mapping, Sequence
+
+from PyQt6.QtCore import Qt
+from PyQt6.QtWidgets import QHBoxLayout, QLabel, QVBoxLayout, QWidget
+
+from pipeline.views.colours import Rgb
+from pipeline.views.view import StepCurve
+from widgets.frames.error_attribution_panel import DecisionPanel
+from widgets.stages.steps_panel import make_curve_strips
+from widgets.style.base import ChoiceBox
+from widgets.style.plots import StripPlot
+from widgets.style.styling import fill, make_bold, make_splitter, set_spacing
+from widgets.style.theme import to_hex
+from widgets.task.trials_panel import TrialsPanel
+from widgets.timeline.timeline import Timeline
+from widgets.views.preview_view import PreviewView
+from widgets.views.view_3d_panel import View3DPanel
+
+_TABLE_SIZE, _SCENE_SIZE = 310, 400  # of 1000: the table in the page, the scene next to the touches
+TOUCHES = {"source": "Source", "touch": "Generated touch", "truth": "True touch"}
+
+
+class TaskPage(QWidget):
+    """Trials at the left; scene and touches over the plot, the ticks and the decision at the right."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.trials, self.scene, self.plot = (
+            TrialsPanel(),
+            View3DPanel(),
+            StripPlot("rollout_plot", "force and motion against time"),
+        )
+        self.decision, self.ticks, self.message = DecisionPanel(), Timeline(unit="tick"), QLabel()
+        self.plot.setMinimumHeight(90)
+        self.plot.setToolTip("Triangles mark decisions")
+        self.scene.view.setAccessibleName("scene of the rollout")
+        self.scene.view.setMinimumSize(220, 160)
+        self.message.setWordWrap(True)
+        self.place_box = ChoiceBox("task_place", "finger of the touches")  # by stream
+        self.views = {name: PreviewView() for name in TOUCHES}
+        across, down = Qt.Orientation.Horizontal, Qt.Orientation.Vertical
+        upper = make_splitter(across, (self.scene, 4), (self._build_touches(), 5))
+        lower = make_splitter(down, (upper, 5), (self._build_ticks(), 3), (self.decision, 2))
+        self.split = make_splitter(across, (self.trials, 3), (lower, 7))
+        self.split.setObjectName("task_split")
+        upper.setSizes([_SCENE_SIZE, 1000 - _SCENE_SIZE])
+        self.split.setSizes([_TABLE_SIZE, 1000 - _TABLE_SIZE])
+        fill(set_spacing(QVBoxLayout(self), 2, (2, 2, 2, 2)), self.message, (self.split, 1))
+        self.show_message("")
+        self.clear()
+
+    def _build_touches(self) -> QWidget:
+        panel = QWidget()
+        row = set_spacing(QHBoxLayout(), 4)
+        for name, title in TOUCHES.items():
+            label = QLabel(title)
+            make_bold(label)
+            view = self.views[name]
+            view.setObjectName(f"task_{name}")
+            view.setAccessibleName(title)
+            fill(row, (fill(set_spacing(QVBoxLayout(), 1), label, (view, 1)), 1))
+        fill(set_spacing(QVBoxLayout(panel), 2), fill(QHBoxLayout(), self.place_box, 1), (row, 1))
+        return panel
+
+    def _build_ticks(self) -> QWidget:
+        panel = QWidget()
+        fill(set_spacing(QVBoxLayout(panel), 0), (self.plot, 1), self.ticks)
+        return panel
+
+    def show_curves(self, curves: Sequence[StepCurve], times_s: Sequence[float], decisions: Sequence[int]) -> None:
+        """Show these curves over the times, with marks at the ticks of decisions."""
+        self.plot.show_strips(make_curve_strips(curves), [f"{time_s:.2f} s" for time_s in times_s], marks=decisions)
+
+    def show_message(self, text: str) -> None:
+        """Show why there is nothing to see; "" hides it."""
+        self.message.setText(text)
+        self.message.setVisible(bool(text))
+
+    def offer_places(self, places: Mapping[str, str], chosen: str) -> None:
+        """Offer stream -> title of the fingers; emits no signal."""
+        self.place_box.offer(places, chosen)
+        self.place_box.setVisible(len(places) > 1)
+
+    def show_legend(self, estimate: Rgb, truth: Rgb, *, has_estimate: bool) -> None:
+        """Name the two poses by their colours and line styles."""
+        lines = [f"<span style='color:{to_hex(truth)}'>\N{BLACK SQUARE}</span> true pose, solid"]
+        if has_estimate:
+            lines.append(f"<span style='color:{to_hex(estimate)}'>\N{BOX DRAWINGS LIGHT TRIPLE DASH HORIZONTAL}"
+                         "\N{BOX DRAWINGS LIGHT TRIPLE DASH HORIZONTAL}</span> estimated pose, dashed")  # fmt: skip
+        self.scene.caption.set_texts(" &nbsp; ".join(lines))
+        self.scene.show()
+
+    def clear(self) -> None:
+        """Show no rollout, and no empty scene."""
+        self.scene.hide()
+        self.plot.show_strips(())
+        self.ticks.show_frames(0)
+        self.scene.legend.setText("")
+        self.decision.show_decision("", None, can_attribute=False)
+        for view in self.views.values():
+            view.show_preview(None)
+            view.show_message("")

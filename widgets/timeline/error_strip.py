@@ -1,0 +1,201 @@
+"""A value of every frame under the timeline slider: errors as bars, quantities as a curve; and frames with warnings."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from PyQt6.QtCore import QPointF, QRectF, QSize, Qt, pyqtSignal
+from PyQt6.QtGui import QHelpEvent, QPainter, QPalette, QPen, QPolygonF
+from PyQt6.QtWidgets import QSizePolicy, QToolTip
+
+from widgets.style.base import YIELDS, PaintedWidget, resize_font
+from widgets.style.theme import ThemeColours, get_theme_colours, to_qcolor
+
+_INSET_PX = 6  # half the slider's handle
+_MARK_PX = 7.0
+_WIDEST_PX = 26.0
+_LEAST_PX = 24  # minimum height
+_CURVE_PX = 1.8
+_TOP_PX, _BASE_PX = _MARK_PX + 2.0, 2.0  # of the highest bar, from the top; of all bars, from the bottom
+_TICK_PX = 3.0  # length of a tick
+
+
+class ErrorStrip(PaintedWidget):
+    """One bar per frame or a curve, a mark for warnings; `frame_chosen` by click and drag."""
+
+    frame_chosen = pyqtSignal(int)
+
+    def __init__(self) -> None:
+        super().__init__("error_strip", "error of every frame", down=QSizePolicy.Policy.Maximum)
+        self.values: tuple[float, ...] = ()  # NaN = unknown
+        self.is_curve = False
+        self.warnings: Mapping[int, Sequence[str]] = {}
+        self.loop_range: tuple[int, int] | None = None  # range of a looped playback
+        self.frame, self._unit, self.height_px = 0, "", 28
+
+    @property
+    def worst_frame(self) -> int:
+        """The frame with the largest value; -1 while none is known."""
+        known = [i for i, value in enumerate(self.values) if math.isfinite(value)]
+        return max(known, key=self.values.__getitem__, default=-1)
+
+    @property
+    def max_value(self) -> float:
+        """The value of the highest bar; 0 while none is known."""
+        return max((value for value in self.values if math.isfinite(value)), default=0.0)
+
+    def show_values(
+        self, values: Sequence[float], unit: str, warnings: Mapping[int, Sequence[str]], *, is_curve: bool = False
+    ) -> None:
+        """Show a value for every frame (NaN = unknown), as bars or as a curve, and the warnings of each."""
+        self.values, self._unit, self.warnings, self.is_curve = tuple(values), unit, warnings, is_curve
+        self.update()
+
+    def show_frame(self, frame: int) -> None:
+        """Mark the current frame."""
+        if frame != self.frame:
+            self.frame = frame
+            self.update()
+
+    def show_loop_range(self, span: tuple[int, int] | None) -> None:
+        """Mark the loop range; None for all frames."""
+        if span != self.loop_range:
+            self.loop_range = span
+            self.update()
+
+    def set_height_px(self, high_px: int) -> None:
+        """Set the height."""
+        if high_px != self.height_px:
+            self.height_px = high_px
+            self.updateGeometry()
+
+    def sizeHint(self) -> QSize:  # noqa: N802
+        """Return the width of the slider above."""
+        return QSize(200, self.height_px)
+
+    def minimumSizeHint(self) -> QSize:  # noqa: N802
+        """Return a height that fits small screens."""
+        return QSize(60, min(self.height_px, _LEAST_PX))
+
+    def describe_frame(self, frame: int) -> str:
+        """Return what is known of a frame as a sentence."""
+        if not 0 <= frame < len(self.values):
+            return ""
+        value = self.values[frame]
+        text = f"frame {frame}: " + (f"{value:.3g} {self._unit}" if math.isfinite(value) else "value unknown")
+        return "\n".join((text, *self.warnings.get(frame, ())))
+
+    def frame_at(self, x: float) -> int:
+        """Return the frame at a horizontal position."""
+        n = len(self.values)
+        if n < 2:
+            return 0
+        share = (x - _INSET_PX) / max(1, self.width() - 2 * _INSET_PX)
+        return min(max(round(share * (n - 1)), 0), n - 1)
+
+    def paint(self, painter: QPainter, ink: ThemeColours) -> None:
+        """Paint bars on one line and marks above them."""
+        n = len(self.values)
+        if not n:
+            return
+        painter.setRenderHint(QPainter.RenderHint.Antialiasing, n < 200)
+        base, top = self.height() - _BASE_PX, _TOP_PX
+        painter.setPen(QPen(self.palette().color(QPalette.ColorRole.Mid), 1))
+        painter.drawLine(QPointF(_INSET_PX, base), QPointF(self.width() - _INSET_PX, base))
+        step = (self.width() - 2 * _INSET_PX) / max(1, n - 1)
+        wide = max(1.5, min(0.7 * step, _WIDEST_PX))
+        if self.loop_range is not None:
+            first, last = (_INSET_PX + frame * step for frame in self.loop_range)
+            painter.setPen(QPen(self.palette().color(QPalette.ColorRole.Highlight), 2.5))
+            painter.drawLine(QPointF(first, base), QPointF(last, base))
+            for x in (first, last):
+                painter.drawLine(QPointF(x, base - 6.0), QPointF(x, base))
+        most, worst = self.max_value, self.worst_frame
+        for frame, value in enumerate(self.values):
+            x = _INSET_PX + frame * step
+            if frame == self.frame:
+                here = QRectF(x - 0.5 * wide - 2, 0, wide + 4, self.height())
+                painter.fillRect(here, self.palette().color(QPalette.ColorRole.Midlight))
+            if math.isfinite(value) and most > 0 and not self.is_curve:
+                tall = max(1.5, value / most * (base - top))
+                bar = QRectF(x - 0.5 * wide, base - tall, wide, tall)
+                painter.fillRect(bar, to_qcolor(ink.worse if frame == worst else ink.accent))
+            if frame in self.warnings:
+                self._draw_mark(painter, x)
+        if self.is_curve and most > 0:
+            painter.setPen(QPen(to_qcolor(ink.accent), _CURVE_PX))
+            for run in self._find_known_runs():
+                points = [QPointF(_INSET_PX + i * step, base - self.values[i] / most * (base - top)) for i in run]
+                painter.drawPolyline(QPolygonF(points if len(points) > 1 else 2 * points))
+
+    def _find_known_runs(self) -> list[list[int]]:
+        """Return the frames with a value, neighbours together."""
+        runs: list[list[int]] = []
+        for frame, value in enumerate(self.values):
+            if not math.isfinite(value):
+                continue
+            if runs and runs[-1][-1] == frame - 1:
+                runs[-1].append(frame)
+            else:
+                runs.append([frame])
+        return runs
+
+    def _draw_mark(self, painter: QPainter, x: float) -> None:
+        half = 0.5 * _MARK_PX
+        painter.save()
+        painter.setPen(Qt.PenStyle.NoPen)
+        painter.setBrush(to_qcolor(get_theme_colours(self.palette()).warning_mark))
+        painter.drawPolygon(QPolygonF([QPointF(x - half, 0), QPointF(x + half, 0), QPointF(x, _MARK_PX)]))
+        painter.restore()
+
+    def mousePressEvent(self, a0: Any) -> None:  # noqa: N802
+        """Choose the frame under the mouse."""
+        self._choose(a0)
+
+    def mouseMoveEvent(self, a0: Any) -> None:  # noqa: N802
+        """Choose frames while dragging."""
+        self._choose(a0)
+
+    def event(self, a0: Any) -> bool:
+        """Show a tooltip for the frame under the mouse."""
+        if isinstance(a0, QHelpEvent):
+            QToolTip.showText(a0.globalPos(), self.describe_frame(self.frame_at(a0.pos().x())), self)
+            return True
+        return super().event(a0)
+
+    def _choose(self, event: Any) -> None:
+        if self.values and event.buttons() & Qt.MouseButton.LeftButton:
+            self.frame_chosen.emit(self.frame_at(event.position().x()))
+
+
+class ErrorScale(PaintedWidget):
+    """Scale of the bars: the largest value and 0, with the unit."""
+
+    def __init__(self) -> None:
+        super().__init__("error_scale", down=YIELDS)
+        resize_font(self)
+        self.setFixedWidth(self.fontMetrics().horizontalAdvance("0.0000") + round(_TICK_PX) + 2)
+        self.max_text = ""  # label at the upper end
+
+    def show_max(self, most: float) -> None:
+        """Show the value of the highest bar; nothing if there are no bars."""
+        text = f"{most:.3g}" if most > 0 else ""
+        if text != self.max_text:
+            self.max_text = text
+            self.update()
+
+    def paint(self, painter: QPainter, ink: ThemeColours) -> None:
+        """Paint two numbers at two ticks on a line."""
+        del ink
+        if not self.max_text:
+            return
+        right, high = self.width() - 1.0, float(self.height())
+        top, base, letters = _TOP_PX, high - _BASE_PX, painter.fontMetrics().ascent()
+        painter.setPen(QPen(self.palette().color(QPalette.ColorRole.Mid), 1))
+        painter.drawLine(QPointF(right, top), QPointF(right, base))
+        painter.setPen(self.palette().color(QPalette.ColorRole.WindowText))
+        for text, y in ((self.max_text, top), ("0", base)):
+            painter.drawLine(QPointF(right - _TICK_PX, y), QPointF(right, y))
+            under = min(y + 0.4 * letters, high - 1.0)
+            wide = painter.fontMetrics().horizontalAdvance(text)
+            painter.drawText(QPointF(right - _TICK_PX - 2.0 - wide, under), text)

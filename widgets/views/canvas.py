@@ -1,0 +1,294 @@
+"""Canvas of an image: pan, zoom and a crosshair.
+
+The rendered image is cached, so that moving the crosshair costs one copy and two lines.
+"""
+
+import math
+from typing import Any
+
+from PyQt6.QtCore import QEvent, QPointF, QRectF, QSize, Qt, pyqtSignal
+from PyQt6.QtGui import QColor, QPainter, QPalette, QPen, QPixmap
+from PyQt6.QtWidgets import QSizePolicy, QWidget
+
+from pipeline.core.arrays import Image
+from pipeline.views.drawing import CASING_COLOUR
+from pipeline.views.preview import Preview
+from widgets.style.base import make_caption_font
+from widgets.style.theme import (
+    CROSSHAIR_COLOUR,
+    SECTION_COLOUR,
+    get_backdrop,
+    get_probe_colour,
+    get_theme_colours,
+    to_qcolor,
+)
+from widgets.views.preview_renderer import MAX_ZOOM, MIN_ZOOM, PreviewRenderer
+
+_A_CLICK_PX = 4.0  # a release closer to its press than this is a click
+_ZOOM_STEP = 1.25
+_PER_NOTCH = 120.0  # Qt's units per wheel notch
+_NEAR_PX, _END_PX = 6.0, 6.5
+_MARK_PX, _MARK_SHARE = (6.5, 8.0), 0.05  # radius of a pinned pixel's mark: limits, and share of the height
+
+
+class Canvas(QWidget):
+    """Draws one `Preview`; emits the position of the mouse, clicks, and changes of the view."""
+
+    mouse_moved = pyqtSignal(QPointF)
+    mouse_left = pyqtSignal()
+    clicked = pyqtSignal(QPointF)
+    view_changed = pyqtSignal()  # by the user
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.setMinimumSize(60, 60)
+        self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Expanding)
+        self.setMouseTracking(True)
+        self._plate = PreviewRenderer()
+        self._plate.set_theme(get_theme_colours(self.palette()))
+        self.is_fitted = True  # the whole image is in view at any size
+        self._kept: QPixmap | None = None
+        self.crosshair: tuple[int, int] | None = None  # row, col
+        self.crosshair_text = ""  # value shown at the crosshair
+        self.marks: tuple[tuple[int, tuple[int, int]], ...] = ()  # number, (row, col) of the pinned pixels
+        self.line: tuple[QPointF, QPointF] | None = None  # section line, in image pixels
+        self.handle_share: float | None = None  # share of the width where the overlay begins, None = no handle
+        self._pressed: QPointF | None = None
+        self._dragged: QPointF | None = None
+        self.n_renders = 0  # number of times the image was rendered
+
+    def sizeHint(self) -> QSize:  # noqa: N802
+        """Return a column's share of a laptop screen."""
+        return QSize(200, 160)
+
+    def show_preview(self, picture: Preview | None) -> None:
+        """Show another image, None for no image; an image of the same size keeps the view."""
+        if self._plate.set_preview(picture):
+            self.fit_view()
+        self.invalidate()
+
+    def show_overlay(self, pixels: Image | None, share: float = 0.0) -> None:
+        """Show an image of the same size over the first, from `share` of the width on; None removes it."""
+        self._plate.set_overlay(pixels, share)
+        self.invalidate()
+
+    def move_overlay(self, share: float) -> None:
+        """Set the share of the width where the overlay begins."""
+        if self._plate.overlay is not None:
+            self._plate.overlay = (self._plate.overlay[0], share)
+            self.invalidate()
+
+    def set_dimmed(self, dimmed: bool) -> None:
+        """Fade the image, or restore it."""
+        if dimmed != self._plate.is_dimmed:
+            self._plate.is_dimmed = dimmed
+            self.invalidate()
+
+    def show_crosshair(self, pixel: tuple[int, int] | None, tag: str = "") -> None:
+        """Show the crosshair at (row, col) with a value; None hides it."""
+        if (pixel, tag) != (self.crosshair, self.crosshair_text):
+            self.crosshair, self.crosshair_text = pixel, tag
+            self.update()
+
+    def show_marks(self, marks: tuple[tuple[int, tuple[int, int]], ...]) -> None:
+        """Show numbered marks of pinned pixels: (number, (row, col))."""
+        if marks != self.marks:
+            self.marks = marks
+            self.update()
+
+    def show_line(self, ends: tuple[QPointF, QPointF] | None) -> None:
+        """Show a line from A to B, in image pixels; None removes it."""
+        if ends != self.line:
+            self.line = ends
+            self.update()
+
+    def fit_view(self) -> None:
+        """Fit the whole image into the view."""
+        self.is_fitted = True
+        self._plate.size = self.size()
+        self._plate.fit_view()
+        self.invalidate()
+
+    def set_view(self, centre: QPointF, scale: float) -> None:
+        """Centre the view on an image pixel, with `scale` screen pixels per image pixel."""
+        self.is_fitted = False
+        self._plate.centre, self._plate.scale = centre, min(max(scale, MIN_ZOOM), MAX_ZOOM)
+        self.invalidate()
+
+    @property
+    def centre(self) -> QPointF:
+        """The image pixel at the centre of the view."""
+        return QPointF(self._plate.centre)
+
+    @property
+    def scale(self) -> float:
+        """Screen pixels per image pixel; 0 without an image."""
+        return self._plate.scale
+
+    def to_screen(self, at: QPointF) -> QPointF:
+        """Return the screen position of a point in image pixels."""
+        return self._plate.to_screen(at)
+
+    def to_image(self, at: QPointF) -> QPointF:
+        """Return the point in image pixels at a screen position."""
+        return self._plate.to_image(at)
+
+    def invalidate(self) -> None:
+        """Drop the cached rendering."""
+        self._kept = None
+        self.update()
+
+    def render_now(self) -> None:
+        """Render the image now, so that the next paint event of the window is cheap."""
+        if self.isVisible():
+            self._put_together()
+
+    def _put_together(self) -> QPixmap:
+        dense = self.devicePixelRatioF()
+        if self._kept is None or self._kept.devicePixelRatioF() != dense:
+            self.n_renders += 1
+            self._kept = self._plate.render(dense, get_backdrop(self.palette()), self.font())
+        return self._kept
+
+    def resizeEvent(self, a0: Any) -> None:  # noqa: N802
+        """Fit a fitted image to the new size; show more of a zoomed one."""
+        super().resizeEvent(a0)
+        self._plate.size = self.size()
+        if self.is_fitted:
+            self._plate.fit_view()
+        self.invalidate()
+
+    def changeEvent(self, a0: Any) -> None:  # noqa: N802
+        """Use the background of the new theme."""
+        super().changeEvent(a0)
+        if a0.type() == QEvent.Type.PaletteChange:
+            self._plate.set_theme(get_theme_colours(self.palette()))
+            self.invalidate()
+
+    def paintEvent(self, a0: Any) -> None:  # noqa: N802
+        """Paint the cached rendering and the crosshair, line and handle over it."""
+        del a0
+        kept = self._put_together()
+        painter = QPainter(self)
+        painter.drawPixmap(0, 0, kept)
+        if self._plate.image is None:
+            return
+        if self.handle_share is not None:
+            x = self._handle_x()
+            painter.setPen(QPen(to_qcolor(CROSSHAIR_COLOUR), 2))
+            painter.drawLine(QPointF(x, 0), QPointF(x, self.height()))
+        if self.line is not None:
+            self._draw_line(painter, *self.line)
+        if self.crosshair is not None:
+            self._draw_cross(painter, *self.crosshair)
+        for number, (row, col) in self.marks:
+            self._draw_mark(painter, number, self.to_screen(QPointF(col + 0.5, row + 0.5)))
+        if self.hasFocus():
+            painter.setPen(QPen(self.palette().color(QPalette.ColorRole.Highlight), 2))
+            painter.setBrush(Qt.BrushStyle.NoBrush)
+            painter.drawRect(QRectF(self.rect()).adjusted(1, 1, -1, -1))
+
+    def _draw_line(self, painter: QPainter, begin: QPointF, end: QPointF) -> None:
+        one, other = self.to_screen(begin), self.to_screen(end)
+        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+        for colour, wide in ((CASING_COLOUR, 4.0), (SECTION_COLOUR, 1.8)):
+            painter.setPen(QPen(to_qcolor(colour), wide))
+            painter.drawLine(one, other)
+        long_px = math.hypot(other.x() - one.x(), other.y() - one.y())
+        named = long_px > 6 * _END_PX  # in a small image letters would hide the section
+        for at, name in ((one, "A"), (other, "B")):
+            painter.setPen(QPen(to_qcolor(CASING_COLOUR), 1.2))
+            painter.setBrush(to_qcolor(SECTION_COLOUR if named or name == "A" else CASING_COLOUR))
+            painter.drawEllipse(at, *(2 * [_END_PX if named else 0.4 * _END_PX]))
+            if named:
+                painter.drawText(QRectF(at.x() - 8, at.y() - 8, 16, 16), Qt.AlignmentFlag.AlignCenter, name)
+        painter.setRenderHint(QPainter.RenderHint.Antialiasing, False)
+
+    def _draw_cross(self, painter: QPainter, row: int, col: int) -> None:
+        at = self.to_screen(QPointF(col + 0.5, row + 0.5))
+        painter.setPen(QPen(to_qcolor(CROSSHAIR_COLOUR), 1.2))
+        painter.drawLine(QPointF(at.x(), 0), QPointF(at.x(), self.height()))
+        painter.drawLine(QPointF(0, at.y()), QPointF(self.width(), at.y()))
+        if not self.crosshair_text:
+            return
+        painter.setFont(make_caption_font(self.font()))
+        box = QRectF(painter.fontMetrics().boundingRect(self.crosshair_text)).adjusted(-4, -1, 4, 2)
+        left = at.x() + 6 if at.x() + 8 + box.width() < self.width() else at.x() - 6 - box.width()
+        top = at.y() + 5 if at.y() + 8 + box.height() < self.height() else at.y() - 5 - box.height()
+        box.moveTo(max(1.0, min(left, self.width() - box.width() - 1)), max(1.0, top))
+        painter.setPen(Qt.PenStyle.NoPen)
+        painter.setBrush(QColor(20, 24, 30, 205))
+        painter.drawRoundedRect(box, 3, 3)
+        painter.setPen(QColor(255, 255, 255))
+        painter.drawText(box, Qt.AlignmentFlag.AlignCenter, self.crosshair_text)
+
+    def _draw_mark(self, painter: QPainter, number: int, at: QPointF) -> None:
+        font = make_caption_font(self.font())
+        radius = min(max(_MARK_SHARE * self.height(), _MARK_PX[0]), _MARK_PX[1])
+        font.setBold(True)
+        painter.setFont(font)
+        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+        painter.setPen(QPen(to_qcolor(CASING_COLOUR), 1.4))
+        painter.setBrush(to_qcolor(get_probe_colour(number)))
+        painter.drawEllipse(at, radius, radius)
+        box = QRectF(at.x() - radius, at.y() - radius, 2 * radius, 2 * radius)
+        painter.drawText(box, Qt.AlignmentFlag.AlignCenter, str(number))
+        painter.setRenderHint(QPainter.RenderHint.Antialiasing, False)
+
+    def mousePressEvent(self, a0: Any) -> None:  # noqa: N802
+        """Record where a click or drag begins."""
+        left = a0.button() == Qt.MouseButton.LeftButton
+        self._pressed = a0.position() if left else None
+        self._dragged = a0.position() if left or a0.button() == Qt.MouseButton.MiddleButton else None
+
+    def mouseMoveEvent(self, a0: Any) -> None:  # noqa: N802
+        """Drag the overlay's handle, else pan; without a button, emit the position."""
+        at: QPointF = a0.position()
+        if self._dragged is None:
+            self.setCursor(Qt.CursorShape.SplitHCursor if self.is_near_handle(at) else Qt.CursorShape.ArrowCursor)
+            self.mouse_moved.emit(at)
+        elif self._pressed is None or (at - self._pressed).manhattanLength() >= _A_CLICK_PX:
+            self.set_view(self._plate.centre - (at - self._dragged) / max(self._plate.scale, 1e-3), self._plate.scale)
+            self._dragged = at
+            self.view_changed.emit()
+
+    def mouseReleaseEvent(self, a0: Any) -> None:  # noqa: N802
+        """Emit a click for a release close to its press, else end the drag."""
+        if self._pressed is not None and (a0.position() - self._pressed).manhattanLength() < _A_CLICK_PX:
+            self.clicked.emit(a0.position())
+        self._pressed = self._dragged = None
+
+    def mouseDoubleClickEvent(self, a0: Any) -> None:  # noqa: N802
+        """Fit the whole image."""
+        del a0
+        self.fit_view()
+        self.view_changed.emit()
+
+    def wheelEvent(self, a0: Any) -> None:  # noqa: N802
+        """Zoom about the pixel under the mouse."""
+        if self._plate.image is None or not a0.angleDelta().y():
+            return
+        at = a0.position()
+        fixed = self.to_image(at)
+        wanted = self._plate.scale * _ZOOM_STEP ** (a0.angleDelta().y() / _PER_NOTCH)
+        if wanted <= self._plate.fitted_scale:  # the sensor fills the view: there is nothing around it to see
+            self.fit_view()
+            self.view_changed.emit()
+            return
+        scale = min(wanted, MAX_ZOOM)
+        self.set_view(fixed - (at - QPointF(0.5 * self.width(), 0.5 * self.height())) / scale, scale)
+        self.view_changed.emit()
+
+    def leaveEvent(self, a0: Any) -> None:  # noqa: N802
+        """Emit that the mouse left."""
+        super().leaveEvent(a0)
+        self.mouse_left.emit()
+
+    def is_near_handle(self, at: QPointF) -> bool:
+        """Return whether the overlay's handle is at a screen position."""
+        return self.handle_share is not None and abs(self._handle_x() - at.x()) < _NEAR_PX
+
+    def _handle_x(self) -> float:
+        image = self._plate.image
+        wide = 0 if image is None or self.handle_share is None else self.handle_share * image.width()
+        return self.to_screen(QPointF(wide, 0.0)).x()

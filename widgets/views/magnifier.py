@@ -1,0 +1,85 @@
+"""Magnifier: the pixels around the cursor, enlarged and with their values, in a corner of the image."""
+
+import math
+from typing import Any
+
+from PyQt6.QtCore import QRectF, Qt
+from PyQt6.QtGui import QColor, QPainter, QPen
+from PyQt6.QtWidgets import QWidget
+
+from pipeline.views.preview import Preview
+from widgets.style.base import resize_font
+from widgets.style.theme import CROSSHAIR_COLOUR, to_qcolor
+from widgets.views.canvas import Canvas
+
+MAX_RADIUS_PX = 3  # pixels on either side, fewer in a small image
+_SHARE = 0.5  # share of the image that may be covered
+_WIDEST_VALUE, _LINE_PX = "-0.00", 3  # that a cell has room for; margin to the image's edge
+_DARK = 140  # of 255: text on darker pixels is light
+
+
+class Magnifier(QWidget):
+    """Shows a patch of one image at a time; transparent for the mouse."""
+
+    def __init__(self, parent: QWidget) -> None:
+        super().__init__(parent)
+        self.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
+        self.setAccessibleName("values around the pixel")
+        resize_font(self)
+        metrics = self.fontMetrics()
+        self._cell_px = metrics.horizontalAdvance(_WIDEST_VALUE) + 2, metrics.height() + 2
+        self.radius_px = MAX_RADIUS_PX
+        self.preview: Preview | None = None
+        self.centre_pixel = 0, 0  # row, col of the central pixel
+        self.hide()
+
+    def show_pixel(self, canvas: Canvas, picture: Preview, row: int, col: int) -> None:
+        """Show the surroundings of a pixel in the corner of its canvas that is farthest from it."""
+        self.preview, self.centre_pixel = picture, (row, col)
+        if self.parentWidget() is not canvas:
+            self.setParent(canvas)
+        wide, high = self._cell_px
+        room = min(_SHARE * canvas.width() / wide, _SHARE * canvas.height() / high)
+        self.radius_px = min(MAX_RADIUS_PX, max(1, int(0.5 * (room - 1.0))))
+        self.resize((2 * self.radius_px + 1) * wide + 2, (2 * self.radius_px + 1) * high + 2)
+        low = row < 0.5 * picture.pixels.shape[0]
+        right = col < 0.5 * picture.pixels.shape[1]
+        self.move(
+            canvas.width() - self.width() - _LINE_PX if right else _LINE_PX,
+            canvas.height() - self.height() - _LINE_PX if low else _LINE_PX,
+        )
+        self.show()
+        self.raise_()
+        self.update()
+
+    def format_value(self, row: int, col: int) -> str:
+        """Return the value of a pixel as text: mm with two digits, or the mean grey level; "" if there is none."""
+        picture = self.preview
+        if picture is None or not (0 <= row < picture.pixels.shape[0] and 0 <= col < picture.pixels.shape[1]):
+            return ""
+        if picture.values is None:
+            return f"{float(picture.pixels[row, col].mean()):.0f}"
+        value = float(picture.values[row, col])
+        return f"{value:.2f}" if math.isfinite(value) else "\N{MIDDLE DOT}"
+
+    def paintEvent(self, a0: Any) -> None:  # noqa: N802
+        """Paint one cell per pixel, with a frame around the central one."""
+        del a0
+        if self.preview is None:
+            return
+        painter, (wide, high) = QPainter(self), self._cell_px
+        painter.fillRect(self.rect(), QColor(20, 24, 30))
+        rows, cols = self.preview.pixels.shape[:2]
+        reach = self.radius_px
+        for i in range(2 * reach + 1):
+            for j in range(2 * reach + 1):
+                row, col = self.centre_pixel[0] + i - reach, self.centre_pixel[1] + j - reach
+                if 0 <= row < rows and 0 <= col < cols:
+                    red, green, blue = (int(level) for level in self.preview.pixels[row, col])
+                    cell = QRectF(1 + j * wide, 1 + i * high, wide, high)
+                    painter.fillRect(cell, QColor(red, green, blue))
+                    dark = 0.3 * red + 0.59 * green + 0.11 * blue < _DARK
+                    painter.setPen(QColor(255, 255, 255) if dark else QColor(20, 24, 30))
+                    painter.drawText(cell, Qt.AlignmentFlag.AlignCenter, self.format_value(row, col))
+        painter.setPen(QPen(to_qcolor(CROSSHAIR_COLOUR), 2))
+        painter.drawRect(QRectF(1 + reach * wide, 1 + reach * high, wide, high))

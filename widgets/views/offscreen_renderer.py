@@ -1,0 +1,260 @@
+"""Off-screen renderer of the 3D views: layers, cameras, lights and axes, one view at a time."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pyvista as pv
+import vtkmodules.vtkRenderingOpenGL2  # pyright: ignore[reportUnusedImport]  # noqa: F401 - registers what draws
+from numpy.typing import NDArray
+from vtkmodules.util.numpy_support import vtk_to_numpy
+from vtkmodules.vtkCommonCore import vtkUnsignedCharArray
+from vtkmodules.vtkRenderingCore import vtkActor, vtkCamera, vtkLight, vtkPolyDataMapper, vtkRenderer, vtkRenderWindow
+
+from pipeline.core.arrays import Doubles, Image
+from pipeline.views.colours import Rgb, darken_diverging
+from pipeline.views.layers import Layer, ViewBounds
+from widgets.style.theme import ThemeColours
+
+_LINE_PX = 1.5
+_BEHIND = 4.0, 4.0  # polygon offset: slope factor and units of the depth buffer
+
+
+class OffscreenRenderer:
+    """Renders one view after the other into one window; points are updated in place, actors are never rebuilt."""
+
+    def __init__(self, columns: int, samples: int) -> None:
+        self.window = vtkRenderWindow()
+        self.window.SetOffScreenRendering(True)
+        self.window.SetMultiSamples(samples)
+        self.renderers = [_view() for _ in range(columns)]
+        for renderer in self.renderers:
+            renderer.SetDraw(False)
+            renderer.SetInteractive(False)
+            self.window.AddRenderer(renderer)
+        self._kept: list[dict[str, tuple[Layer, Any, Any, ThemeColours]]] = [{} for _ in range(columns)]
+        self._axes = [[_arrow(renderer, axis) for axis in range(3)] for renderer in self.renderers]
+
+    def render_pixels(self, column: int, width_px: int, height_px: int, ink: ThemeColours) -> Image:
+        """Return one view rendered at this size in the theme's colours, (rows, cols, 3)."""
+        self.activate_view(column, width_px, height_px)
+        self.renderers[column].SetBackground(*_shares(ink.backdrop))
+        for arrow, colour in zip(self._axes[column], ink.axes, strict=True):
+            arrow.GetProperty().SetColor(*_shares(colour))
+        self.window.Render()
+        drawn = vtkUnsignedCharArray()
+        self.window.GetPixelData(0, 0, width_px - 1, height_px - 1, 0, drawn, 0)
+        return np.ascontiguousarray(vtk_to_numpy(drawn).reshape(height_px, width_px, 3)[::-1])
+
+    def activate_view(self, column: int, width_px: int, height_px: int) -> None:
+        """Make this view the window's only view, for rendering and for the mouse.
+
+        The view angle applies to the shorter side, so that a sphere fits tall and wide views alike.
+        """
+        for other, renderer in enumerate(self.renderers):
+            renderer.SetDraw(other == column)
+            renderer.SetInteractive(other == column)
+        if tuple(self.window.GetSize()) != (width_px, height_px):
+            self.window.SetSize(width_px, height_px)
+        self.renderers[column].GetActiveCamera().SetUseHorizontalViewAngle(width_px < height_px)
+
+    def close(self) -> None:
+        """Release all OpenGL resources."""
+        self.window.Finalize()
+
+    def show_layers(
+        self, column: int, layers: Sequence[Layer], placed: Mapping[str, Doubles], ink: ThemeColours
+    ) -> None:
+        """Show exactly these layers in the theme's colours, with rigid motions of some of them."""
+        kept = self._kept[column]
+        layers = [layer for layer in layers if len(layer.points_mm)]  # VTK accepts no empty arrays
+        wanted = {layer.name for layer in layers}
+        for name, (_, _, actor, _) in kept.items():
+            actor.SetVisibility(name in wanted)
+        for layer in layers:
+            old = kept.get(layer.name)
+            if old is None:
+                mesh = pv.PolyData()
+                _write(mesh, layer, None, ink)
+                actor = _add_layer(self.renderers[column], mesh, layer)
+            else:
+                mesh, actor = old[1], old[2]
+                if old[0] is not layer or old[3] is not ink:
+                    _write(mesh, layer, old[0], ink)
+            at = placed.get(layer.name, layer.view_from_layer)
+            actor.SetUserMatrix(None if at is None else pv.vtkmatrix_from_array(at))
+            kept[layer.name] = (layer, mesh, actor, ink)
+
+    def get_camera(self, column: int) -> tuple[float, ...]:
+        """Return the camera of a view; equal for equal views."""
+        camera = self.renderers[column].GetActiveCamera()
+        return (*camera.GetPosition(), *camera.GetFocalPoint(), *camera.GetViewUp(), camera.GetViewAngle())
+
+    def set_camera(self, column: int, numbers: tuple[float, ...]) -> None:
+        """Set the camera of a view as `get_camera` returns it."""
+        camera = self.renderers[column].GetActiveCamera()
+        camera.SetPosition(*numbers[:3])
+        camera.SetFocalPoint(*numbers[3:6])
+        camera.SetViewUp(*numbers[6:9])
+        camera.SetViewAngle(numbers[9])
+
+    def find_linked_views(self, column: int) -> list[int]:
+        """Return the views that share this view's camera, itself first."""
+        own = self.renderers[column].GetActiveCamera()
+        others = [i for i, r in enumerate(self.renderers) if i != column and r.GetActiveCamera() is own]
+        return [column, *others]
+
+    def project_point(
+        self, column: int, place_mm: tuple[float, float, float], aspect: float
+    ) -> tuple[float, float] | None:
+        """Return a point's position as shares of width and height from the upper left; None if it is not visible."""
+        x, y, _, w = self._get_projection(column, aspect) @ (*place_mm, 1.0)
+        if w <= 0 or max(abs(x), abs(y)) > w:
+            return None
+        return 0.5 + 0.5 * float(x / w), 0.5 - 0.5 * float(y / w)
+
+    def project_points(self, column: int, points_mm: Doubles, aspect: float) -> tuple[Doubles, Doubles]:
+        """Return the positions (n, 2) of points (n, 3) as shares, and their distances (n,) relative to the nearest."""
+        matrix = self._get_projection(column, aspect)
+        seen = points_mm @ matrix[:, :3].T + matrix[:, 3]
+        w = np.where(seen[:, 3] > 0, seen[:, 3], np.nan)
+        shares = np.stack([0.5 + 0.5 * seen[:, 0] / w, 0.5 - 0.5 * seen[:, 1] / w], axis=-1)
+        return np.nan_to_num(shares, nan=-9.0), np.nan_to_num(w / np.nanmin(w), nan=np.inf)
+
+    def _get_projection(self, column: int, aspect: float) -> Doubles:
+        camera = self.renderers[column].GetActiveCamera()
+        camera.SetUseHorizontalViewAngle(aspect < 1.0)
+        return pv.array_from_vtkmatrix(camera.GetCompositeProjectionTransformMatrix(aspect, -1.0, 1.0))
+
+    def fit_cameras(self, bounds: Mapping[int, ViewBounds], linked: bool) -> None:
+        """Set cameras on the sensor's side, so that indentation bulges toward the viewer."""
+        shared: dict[str, Any] = {}
+        for column, sight in bounds.items():
+            camera = shared.get(sight.frame) if linked else None
+            if camera is None:
+                camera = shared[sight.frame] = _camera(sight)
+            self.renderers[column].SetActiveCamera(camera)
+            corner = np.array(sight.centre_mm) + sight.radius_mm * np.array([-0.62, 0.66, 0.0])
+            for actor in self._axes[column]:
+                actor.SetPosition(*corner)
+                actor.SetScale(0.25 * sight.radius_mm)
+                actor.SetVisibility(True)
+
+
+def _view() -> Any:
+    """Return an empty sub-view with a headlight for true colours and a light from the upper left for relief."""
+    renderer: Any = vtkRenderer()
+    renderer.SetAutomaticLightCreation(False)
+    headlight, side = vtkLight(), vtkLight()
+    headlight.SetLightTypeToHeadlight()
+    headlight.SetIntensity(0.55)
+    side.SetLightTypeToCameraLight()
+    side.SetIntensity(0.6)
+    side.SetPosition(-1.0, 1.0, 0.6)
+    for light in (headlight, side):
+        renderer.AddLight(light)
+    # Cameras may be shared and layers may come later: every view sets its clipping range when it is rendered.
+    renderer.AddObserver("StartEvent", _cut_to_its_own)
+    return renderer
+
+
+def _cut_to_its_own(renderer: Any, _: str) -> None:
+    renderer.ResetCameraClippingRange()
+
+
+def _camera(sight: ViewBounds) -> Any:
+    """Return a camera along the view's direction, so far that the sphere fills the width."""
+    camera = vtkCamera()
+    direction = np.array(sight.direction) / np.linalg.norm(sight.direction)
+    camera.SetFocalPoint(*sight.centre_mm)
+    camera.SetPosition(*(np.array(sight.centre_mm) + 3.7 * sight.radius_mm * direction))
+    camera.SetViewUp(*sight.up)
+    camera.SetViewAngle(28.0)
+    return camera
+
+
+def _actor(renderer: Any, mesh: Any, *, own_colours: bool = True) -> Any:
+    """Return an actor of a mesh, coloured by its points or by one colour that is set later."""
+    mapper, actor = vtkPolyDataMapper(), vtkActor()
+    mapper.SetInputData(mesh)
+    if own_colours:
+        mapper.SetScalarModeToUsePointFieldData()
+        mapper.SelectColorArray("rgb")
+    else:
+        mapper.ScalarVisibilityOff()
+    actor.SetMapper(mapper)
+    renderer.AddActor(actor)
+    return actor
+
+
+def _arrow(renderer: Any, axis: int) -> Any:
+    """Return a unit arrow along x, y or z of the frame; hidden until its place is known."""
+    tip = np.zeros(3)
+    tip[axis] = 1.0
+    actor = _actor(renderer, pv.Line((0.0, 0.0, 0.0), tip), own_colours=False)
+    actor.GetProperty().SetLineWidth(3)
+    actor.GetProperty().LightingOff()
+    actor.SetVisibility(False)
+    return actor
+
+
+def _add_layer(renderer: Any, mesh: Any, layer: Layer) -> Any:
+    actor = _actor(renderer, mesh)
+    look = actor.GetProperty()
+    look.SetOpacity(layer.opacity)
+    if layer.opacity < 1.0:  # behind coincident surfaces, which would flicker otherwise
+        actor.GetMapper().SetResolveCoincidentTopologyToPolygonOffset()
+        actor.GetMapper().SetRelativeCoincidentTopologyPolygonOffsetParameters(*_BEHIND)
+    look.SetPointSize(layer.point_px)
+    if layer.segments is not None:
+        look.SetLineWidth(_LINE_PX)
+        look.LightingOff()
+    elif layer.triangles is None:
+        look.SetRepresentationToPoints()
+        look.LightingOff()
+    else:
+        look.SetInterpolationToGouraud()
+        look.SetAmbient(0.3)
+    return actor
+
+
+def _shares(colour: Rgb) -> tuple[float, float, float]:
+    red, green, blue = (c / 255 for c in colour)
+    return red, green, blue
+
+
+def _write(mesh: Any, layer: Layer, old: Layer | None, ink: ThemeColours) -> None:
+    """Write a layer's arrays into its mesh: in place while the counts stay, replaced when they change."""
+    same = old is not None and len(old.points_mm) == len(layer.points_mm)
+    is_darkened = layer.colour_map == "diverging" and ink.diverging != layer.colour_map
+    rgb = darken_diverging(layer.rgb) if is_darkened else layer.rgb
+    if same:
+        mesh.points[:] = layer.points_mm
+        mesh.GetPoints().Modified()
+    else:
+        mesh.points = np.array(layer.points_mm, dtype=np.float32)
+    if not same or old is None or old.triangles is not layer.triangles or old.segments is not layer.segments:
+        _write_cells(mesh, layer)
+    if same:
+        mesh.point_data["rgb"][:] = rgb
+        mesh.GetPointData().GetArray("rgb").Modified()
+    else:
+        mesh.point_data["rgb"] = np.array(rgb)
+    if layer.normals is not None:
+        mesh.point_data.active_normals = np.array(layer.normals, dtype=np.float32)
+    mesh.Modified()
+
+
+def _write_cells(mesh: Any, layer: Layer) -> None:
+    mesh.verts = np.zeros(0, dtype=np.int64)
+    if layer.triangles is not None:
+        mesh.faces = _join_cells(layer.triangles)
+    elif layer.segments is not None:
+        mesh.lines = _join_cells(layer.segments)
+    else:
+        mesh.verts = _join_cells(np.arange(len(layer.points_mm))[:, None])
+
+
+def _join_cells(corners: NDArray[np.integer]) -> NDArray[np.int64]:
+    """Return cells (n, k) as VTK's list of number of corners and corners."""
+    return np.insert(corners.astype(np.int64), 0, corners.shape[1], axis=1).ravel()

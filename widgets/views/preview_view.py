@@ -1,0 +1,157 @@
+"""A stage's preview: pixels, contact outline, scale bar, colour bar, crosshair and pixel value."""
+
+import math
+
+import numpy as np
+from PyQt6.QtCore import QEvent, QPointF, QSize, Qt, pyqtSignal
+from PyQt6.QtWidgets import QBoxLayout, QLabel, QVBoxLayout, QWidget
+
+from pipeline.views.preview import Preview
+from widgets.style.base import EventListener, FixedSizeLabel, resize_font
+from widgets.style.styling import fill, set_spacing
+from widgets.views.canvas import Canvas
+from widgets.views.colour_bar import ColourBar
+from widgets.views.comparison_overlay import ComparisonOverlay
+
+SIDE_TEXT_PX = 170  # width of text next to an image
+_AROUND = 1.3  # margin around a fitted contact, as a factor
+_NO_LIMIT = 16_777_215  # Qt's maximum widget width
+
+
+class PreviewView(QWidget):
+    """Shows a `Preview`; emits the pixel under the mouse and clicks."""
+
+    pixel_hovered = pyqtSignal(int, int)  # row, col; (-1, -1) after the mouse has left
+    pixel_clicked = pyqtSignal(int, int)
+    shape_changed = pyqtSignal()  # an image of another size
+    scale_changed = pyqtSignal()  # a colour scale appeared or disappeared
+    view_changed = pyqtSignal()  # panned or zoomed by the user
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.preview: Preview | None = None  # what is shown
+        self._shape: tuple[int, int] | None = None
+        self.canvas = Canvas()
+        self.overlay = ComparisonOverlay(self.canvas)
+        self.colour_bar = ColourBar()
+        self.caption = FixedSizeLabel()
+        self.caption.setAlignment(Qt.AlignmentFlag.AlignTop | Qt.AlignmentFlag.AlignLeft)
+        self.message = QLabel(self.canvas)
+        self.message.setWordWrap(True)
+        self.message.setAlignment(Qt.AlignmentFlag.AlignCenter)
+        self.message.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
+        self.message.setAutoFillBackground(True)
+        self.message.hide()
+        self.text_area = QWidget()  # all text about the image
+        fill(set_spacing(QVBoxLayout(self.text_area), 2), self.colour_bar, self.caption, 1)
+        self._both = set_spacing(QBoxLayout(QBoxLayout.Direction.TopToBottom, self), 2)
+        fill(self._both, (self.canvas, 1), self.text_area)
+        resize_font(self.caption)
+        self.caption.set_lines(2)
+        self.canvas.mouse_moved.connect(self._report_hover)
+        self.canvas.mouse_left.connect(lambda: self.pixel_hovered.emit(-1, -1))
+        self.canvas.clicked.connect(self._report_click)
+        self.canvas.view_changed.connect(self.view_changed)
+        EventListener(self, self._place_message, QEvent.Type.Resize)
+
+    def place_text(self, *, at_side: bool) -> None:
+        """Place the text to the right of the image, or under it."""
+        way = QBoxLayout.Direction.LeftToRight if at_side else QBoxLayout.Direction.TopToBottom
+        if way != self._both.direction():
+            self._both.setDirection(way)
+            self.text_area.setFixedWidth(SIDE_TEXT_PX) if at_side else self.text_area.setMaximumWidth(_NO_LIMIT)
+            self.text_area.setMinimumWidth(SIDE_TEXT_PX if at_side else 0)
+
+    def show_preview(self, picture: Preview | None) -> None:
+        """Show a preview, None for none; the view changes only with the number of pixels."""
+        if picture is self.preview:
+            return
+        other = self.has_colour_scale != (picture is not None and picture.scale is not None)
+        self.preview = picture
+        self.canvas.show_preview(picture)
+        if picture is None:
+            self.overlay.clear()
+            self.colour_bar.show_scale(None)
+            self.caption.setText("")
+            return
+        self.colour_bar.show_scale(picture.scale, picture.values)
+        self.caption.setText(picture.caption)
+        self.caption.setToolTip(picture.caption)
+        shape = (picture.pixels.shape[0], picture.pixels.shape[1])
+        if shape != self._shape:
+            self._shape = shape
+            self.shape_changed.emit()
+        if other:
+            self.scale_changed.emit()
+
+    def show_compared(self, preview: Preview, truth: Preview | None, difference: Preview | None, mode: str) -> None:
+        """Show a preview, or where known its truth, their difference, or both by wipe or blink; "" = itself."""
+        self.show_preview({"truth": truth, "difference": difference}.get(mode) or preview)
+        if truth is not None and mode == "wipe":
+            self.overlay.show_wipe(truth)
+        elif truth is not None and mode == "blink":
+            self.overlay.show_blink(truth)
+        else:
+            self.overlay.clear()
+
+    @property
+    def has_colour_scale(self) -> bool:
+        """Whether the preview has a colour scale."""
+        return self.preview is not None and self.preview.scale is not None
+
+    def show_message(self, text: str) -> None:
+        """Show a message over the image (why it was skipped, or that it is out of date); "" removes it."""
+        if text == self.message.text():
+            return
+        self.message.setText(text)
+        self.message.setVisible(bool(text))
+        self._place_message()
+
+    @property
+    def height_over_width(self) -> float:
+        """Rows over columns of the image, or of a typical camera while there is none."""
+        return self._shape[0] / self._shape[1] if self._shape is not None else 0.75
+
+    def fit_to_box(self, box_px: tuple[float, float, float, float]) -> None:
+        """Fit a part of the image, given by left, top, right and bottom in pixels, with a margin."""
+        left, top, right, below = box_px
+        room = self.canvas.size()
+        wide, high = max(right - left, 4.0) * _AROUND, max(below - top, 4.0) * _AROUND
+        scale = min(room.width() / wide, room.height() / high)
+        self.canvas.set_view(QPointF(0.5 * (left + right), 0.5 * (top + below)), scale)
+
+    def find_contact_box_px(self) -> tuple[float, float, float, float] | None:
+        """Return left, top, right and bottom of the contact outline; None without one."""
+        border = None if self.preview is None else self.preview.outline_px
+        if border is None or not np.isfinite(border).any():
+            return None
+        (left, top), (right, below) = np.nanmin(border, axis=0), np.nanmax(border, axis=0)
+        return float(left), float(top), float(right), float(below)
+
+    def sizeHint(self) -> QSize:  # noqa: N802
+        """Return a column's share of a laptop screen."""
+        return QSize(200, 220)
+
+    def _place_message(self) -> None:
+        if self.message.isHidden():
+            return
+        room = self.canvas.size()
+        width = max(60, room.width() - 12)
+        height = min(room.height() - 8, max(20, self.message.heightForWidth(width) + 4))
+        self.message.setGeometry((room.width() - width) // 2, (room.height() - height) // 2, width, height)
+
+    def _pixel_at(self, place: QPointF) -> tuple[int, int] | None:
+        point = self.canvas.to_image(place)
+        row, col = math.floor(point.y()), math.floor(point.x())
+        if self.preview is None or self._shape is None or not (0 <= row < self._shape[0] and 0 <= col < self._shape[1]):
+            return None
+        return row, col
+
+    def _report_hover(self, place: QPointF) -> None:
+        row, col = self._pixel_at(place) or (-1, -1)
+        self.pixel_hovered.emit(row, col)
+
+    def _report_click(self, place: QPointF) -> None:
+        pixel = self._pixel_at(place)
+        if pixel is not None:
+            self.pixel_clicked.emit(*pixel)

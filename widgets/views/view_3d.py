@@ -1,0 +1,109 @@
+"""One 3D view as a plain widget: the last rendering, a marker, and mouse events for the renderer."""
+
+from collections.abc import Callable
+from typing import Any
+
+from PyQt6.QtCore import QEvent, QPointF, QRectF, QSize, Qt, pyqtSignal
+from PyQt6.QtGui import QImage, QPainter, QPen
+from PyQt6.QtWidgets import QSizePolicy, QWidget
+
+from widgets.style.base import EventListener
+from widgets.style.theme import CROSSHAIR_COLOUR, get_backdrop, to_qcolor
+
+_DOT_PX = 5.0
+_MARGIN_PX = 12
+_A_CLICK_PX = 4.0  # a release closer to its press than this is a click
+
+
+class View3D(QWidget):
+    """Shows an image; `wanted` requests one of the current size."""
+
+    image_requested = pyqtSignal()
+    hovered = pyqtSignal(QPointF)  # mouse position, no button down
+    clicked = pyqtSignal(QPointF)  # a click, not the end of a rotation
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.setMinimumSize(60, 60)
+        self.setSizePolicy(
+            QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Ignored
+        )  # the image follows the widget's size
+        self.image: QImage | None = None
+        self.notice = ""  # shown in place of an image
+        self.marker: QPointF | None = None  # shares of width and height
+        self._pressed: QPointF | None = None
+        self.setMouseTracking(True)
+        kinds = QEvent.Type.Resize, QEvent.Type.Show, QEvent.Type.PaletteChange
+        EventListener(self, self.image_requested.emit, *kinds)  # nothing is rendered while it is hidden
+        self.mouse_handler: Callable[[Any, str], None] | None = None  # (event, press, release, move or wheel)
+
+    @property
+    def size_px(self) -> tuple[int, int]:
+        """Return width and height of the image in physical pixels."""
+        dense = self.devicePixelRatioF()
+        return max(1, round(dense * self.width())), max(1, round(dense * self.height()))
+
+    def show_image(self, image: QImage) -> None:
+        """Show another image."""
+        if image is not self.image:
+            self.image = image
+            self.update()
+
+    def show_dot(self, dot: QPointF | None) -> None:
+        """Show the probe's marker, in shares of width and height; None hides it."""
+        if dot != self.marker:
+            self.marker = dot
+            self.update()
+
+    def show_notice(self, text: str) -> None:
+        """Show why there is no image."""
+        self.notice = text
+        self.update()
+
+    def sizeHint(self) -> QSize:  # noqa: N802
+        """Return a column's share of a laptop screen."""
+        return QSize(200, 160)
+
+    def paintEvent(self, a0: Any) -> None:  # noqa: N802
+        """Paint the last image, or the backdrop until there is one."""
+        del a0
+        painter = QPainter(self)
+        if self.image is None:
+            painter.fillRect(self.rect(), get_backdrop(self.palette()))
+            room = self.rect().adjusted(_MARGIN_PX, 0, -_MARGIN_PX, 0)
+            painter.drawText(room, Qt.AlignmentFlag.AlignCenter | Qt.TextFlag.TextWordWrap, self.notice)
+            return
+        painter.drawImage(QRectF(self.rect()), self.image)
+        if self.marker is not None:
+            painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+            painter.setPen(QPen(Qt.GlobalColor.white, 1.5))
+            painter.setBrush(to_qcolor(CROSSHAIR_COLOUR))
+            at = QPointF(self.marker.x() * self.width(), self.marker.y() * self.height())
+            painter.drawEllipse(at, _DOT_PX, _DOT_PX)
+
+    def mousePressEvent(self, a0: Any) -> None:  # noqa: N802
+        """Begin to move the camera."""
+        self._pressed = a0.position() if a0.button() == Qt.MouseButton.LeftButton else None
+        self._pass_on(a0, "press")
+
+    def mouseReleaseEvent(self, a0: Any) -> None:  # noqa: N802
+        """Stop moving the camera; without a motion, emit a click."""
+        self._pass_on(a0, "release")
+        if self._pressed is not None and (a0.position() - self._pressed).manhattanLength() < _A_CLICK_PX:
+            self.clicked.emit(a0.position())
+        self._pressed = None
+
+    def mouseMoveEvent(self, a0: Any) -> None:  # noqa: N802
+        """Move the camera while a button is down; else emit the position."""
+        if a0.buttons() == Qt.MouseButton.NoButton:
+            self.hovered.emit(a0.position())
+        else:
+            self._pass_on(a0, "move")
+
+    def wheelEvent(self, a0: Any) -> None:  # noqa: N802
+        """Zoom."""
+        self._pass_on(a0, "wheel")
+
+    def _pass_on(self, event: Any, what: str) -> None:
+        if self.mouse_handler is not None:
+            self.mouse_handler(event, what)
